@@ -13,8 +13,7 @@ UNKNOWN = "UNKNOWN"
 """The answer for an object that was never taught, or that cannot be separated from the others."""
 
 LEAST_PROBABILITY = 0.5
-"""Least probability of a name, in which that of a new object is taken into account: with less the
-answer is ``UNKNOWN``, everywhere."""
+"""Least probability of a name among the taught objects; with less the answer is ``UNKNOWN``."""
 
 _FAR = 3.0
 """Half widths of a 90 % interval between a measured thickness and one that it excludes by far: five
@@ -39,12 +38,9 @@ class Posterior:
     """float: probability from 0 to 1 that the object was never taught."""
     dependence: float = DEPENDENCE
     """How far further grasps of the object repeat this one, 0 to 1; fusion weighs grasps by it."""
-    occasion: str = ""
-    """How far the sensors were trusted to be as at teaching, and why; empty where it is not asked.
-    """
     drawn_m: tuple[float, ...] = ()
-    """Thicknesses in m of the likeliest object along the closing axis by its drawing; empty where
-    there is none, or the zero of the opening may have moved."""
+    """Thicknesses in m of the likeliest object along the closing axis by its drawing, as the
+    opening reads now; empty where there is none, or the zero of the opening is not known."""
 
     def __post_init__(self) -> None:
         p = np.array(self.probability, dtype=np.float64)
@@ -81,18 +77,20 @@ class Posterior:
 
     @property
     def name(self) -> str:
-        """The answer: the likeliest label, or ``UNKNOWN`` where that is too unlikely."""
-        return self.best if self._best_probability >= LEAST_PROBABILITY else UNKNOWN
+        """The answer: the likeliest label, or ``UNKNOWN``.
+
+        A name needs its probability and its novelty: it is at least `LEAST_PROBABILITY` among the
+        taught objects, and likelier than a new object. There is no other rule.
+        """
+        best = float(self.probability.max())
+        named = best >= LEAST_PROBABILITY and (1.0 - self.unknown) * best >= self.unknown
+        return self.best if named else UNKNOWN
 
     @property
     def name_probability(self) -> float:
         """Probability of the name; of ``UNKNOWN``, that it is not the likeliest taught object."""
-        named = self._best_probability
-        return named if named >= LEAST_PROBABILITY else 1.0 - named
-
-    @property
-    def _best_probability(self) -> float:
-        return (1.0 - self.unknown) * float(self.probability.max())
+        named = (1.0 - self.unknown) * float(self.probability.max())
+        return 1.0 - named if self.name == UNKNOWN else named
 
 
 class Recognizer(Protocol):

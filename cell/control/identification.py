@@ -7,7 +7,7 @@ from typing import Protocol
 from cell.control.keeping import Judge, Keep, Verdict
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
-from recognition.drift.estimate import DriftEstimate, DriftTracking
+from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
@@ -42,9 +42,8 @@ class Identification:
     """Answer to all grasps together."""
     records: tuple[GraspRecord, ...]
     """The grasps."""
-    drift: DriftEstimate | None = None
-    """Estimate of the drift with which the answer was given; None for a recogniser that does not
-    follow it."""
+    drift: DriftGrid | None = None
+    """The drift with which the answer was given; None for a recogniser that does not follow it."""
     complaints: tuple[str, ...] = ()
     """Errors of the callback and of the fits of shape; they do not end the sequence."""
     shapes: tuple[ShapeAnswer | None, ...] = ()
@@ -164,7 +163,6 @@ class Evidence:
     def identification(self, *, kept: bool) -> Identification:
         """Return the answer of the sequence."""
         shape = self._fused_shape()
-        tracked = self._recognizer
         return Identification(
             label=self.decision.label,
             probability=self.decision.probability,
@@ -172,7 +170,7 @@ class Evidence:
             posteriors=tuple(self.posteriors),
             fused=fuse(self.posteriors),
             records=tuple(self.records),
-            drift=tracked.drift_estimate if isinstance(tracked, DriftTracking) else None,
+            drift=self._recognizer.grid if isinstance(self._recognizer, DriftFollowing) else None,
             complaints=tuple(self._complaints),
             shapes=tuple(self._shapes),
             shape=shape,

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from gripper.state import Cycle
-    from recognition.drift.estimate import DriftEstimate
+    from recognition.drift.grid import DriftGrid
     from recognition.shape.answer import ShapeAnswer
     from tactile.frames.codec import TactileFrame
 
@@ -243,7 +243,7 @@ class Recorder:
         n_ended_early: int = 0,
         shape: "ShapeAnswer | None" = None,
         grasp_shapes: "Sequence[ShapeAnswer | None]" = (),
-        drift: "DriftEstimate | None" = None,
+        drift: "DriftGrid | None" = None,
     ) -> None:
         """Record the answer of a sequence; see `recording_schema` for the fields."""
         values: dict[str, Any] = {

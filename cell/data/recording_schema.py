@@ -228,8 +228,8 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         },
         drift_gain=_number("gain of the pads since teaching that the answer rests on"),
         drift_aperture_m=_number("offset of the opening since teaching that it rests on, m"),
-        drift_unchanged=_number("probability that nothing but what was expected has drifted"),
-        drift_n_objects=_integer("different objects of the shift that show it"),
+        drift_unchanged=_number("probability that nothing has drifted"),
+        drift_n_grasps=_integer("grasps of the shift, named by nobody, that show it"),
     ),
 }
 """JSON schema of the messages of each topic."""

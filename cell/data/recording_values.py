@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mcap.writer import Writer
 
     from gripper.state import Cycle
-    from recognition.drift.estimate import DriftEstimate
+    from recognition.drift.grid import DriftGrid
     from recognition.grasp import Grasp, PadArray
     from recognition.shape.answer import ShapeAnswer
 
@@ -105,13 +105,13 @@ def shape_values(shape: "ShapeAnswer | None") -> dict[str, Any]:
     }
 
 
-def estimate_values(drift: "DriftEstimate") -> dict[str, float]:
+def estimate_values(drift: "DriftGrid") -> dict[str, float]:
     """Return the drift of the sensors that an answer rests on."""
     return {
-        "drift_gain": drift.present.gain,
-        "drift_aperture_m": drift.present.aperture_offset_m,
+        "drift_gain": drift.drift.gain,
+        "drift_aperture_m": drift.drift.aperture_offset_m,
         "drift_unchanged": drift.unchanged,
-        "drift_n_objects": drift.n_objects,
+        "drift_n_grasps": drift.n_followed,
     }
 
 

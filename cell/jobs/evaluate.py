@@ -12,7 +12,7 @@ from cell.jobs.calibrate import GAUGE_GRASPS
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
-from recognition.drift.estimate import DriftEstimate
+from recognition.drift.grid import DriftGrid
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
 from recognition.evaluation.splits import Part, a_day_later, parse_split, series_parts
 from recognition.grasp import Grasp
@@ -46,7 +46,7 @@ class EvaluationResult:
     """Recognisers that these grasps cannot teach, each with the reason."""
     drift: Drift = NO_DRIFT
     gauge: str | None = None
-    gauged: DriftEstimate | None = None
+    gauged: DriftGrid | None = None
     n_gauged: int = 0
 
     def as_json(self) -> dict[str, Any]:
@@ -200,7 +200,7 @@ def _parts(
 
 def _gauge(
     train: Sequence[Grasp], test: Sequence[Grasp], label: str
-) -> tuple[DriftEstimate, int, tuple[Grasp, ...]]:
+) -> tuple[DriftGrid, int, tuple[Grasp, ...]]:
     """Return what the first tested grasps of the object show, how many, and the others undone."""
     of_label = sorted((grasp for grasp in test if grasp.label == label), key=lambda g: g.start_ms)
     taken = of_label[:GAUGE_GRASPS]
@@ -208,7 +208,7 @@ def _gauge(
     if not others:
         raise CellError(f"with {len(taken)} gauge grasps of {label!r} none is left to test")
     try:
-        found = ForceRampTrainer().fit(train).gauge(label, taken)
+        found = ForceRampTrainer().fit(train).gauge(label, taken).grid
     except ValueError as error:
         raise CellError(f"cannot gauge: {error}") from error
     return found, len(taken), tuple(found.drift.undo(grasp) for grasp in others)

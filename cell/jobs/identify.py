@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,12 @@ from cell.build import Cell
 from cell.config.model import CellConfig
 from cell.control.identification import Identification, ReadShape
 from cell.control.keeping import Keep
+from cell.errors import ModelError
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
-from cell.learning.drift import DriftTracker, estimate_values
 from cell.learning.model import LoadedModel, check_pads
 from cell.learning.taught_model import TaughtModel
-from recognition.drift.estimate import DriftEstimate
+from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.shape.answer import ShapeAnswer
@@ -35,8 +34,8 @@ class RecordedAnswer:
     """Probability that the object was never taught."""
     truth: str
     """Label in the file; empty where there is none."""
-    drift: DriftEstimate | None = None
-    """Estimate of the drift with which the answer was given; None where it is not followed."""
+    drift: DriftGrid | None = None
+    """The drift with which the answer was given; None where it is not followed."""
     shape: ShapeAnswer | None = None
     """Shape and size; None where they were not asked for, or the pads do not show them."""
 
@@ -49,7 +48,7 @@ class RecordedAnswer:
             "unknown": self.unknown,
             "truth": self.truth or None,
             "shape": None if self.shape is None else self.shape.as_dict(),
-        } | ({} if self.drift is None else {"drift": estimate_values(self.drift)})
+        } | ({} if self.drift is None else {"drift": self.drift.values})
 
 
 @one_blas_thread()
@@ -57,47 +56,30 @@ def identify_recorded(
     model: LoadedModel,
     grasps: Sequence[Grasp],
     *,
-    tracker: DriftTracker | None = None,
+    follow: bool = False,
     read_shape: ReadShape | None = None,
-) -> list[RecordedAnswer]:
+) -> tuple[list[RecordedAnswer], Recognizer]:
     """Answer each recorded grasp, in the order of the file.
 
-    With a ``tracker`` they are answered in the order of time, and the drift is followed from object
-    to object. Raises ModelError for grasps on other pads.
+    With ``follow`` they are answered in the order of time, and the drift is followed from grasp to
+    grasp. Returns the recogniser after them, too. Raises ModelError for grasps on other pads, and
+    where a drift is to be followed by a recogniser that cannot.
     """
     check_pads(model, grasps[0].pads)
-    if tracker is None:
-        return _answers(model.recognizer, list(enumerate(grasps)), read_shape)
+    recognizer = model.recognizer
+    if follow and not isinstance(recognizer, DriftFollowing):
+        raise ModelError(
+            f"a model of {model.trainer_name} cannot follow a drift; train one of force_ramp"
+        )
     answers: list[RecordedAnswer] = []
-    for run in objects_in_turn(grasps):
-        answers += _answers(tracker.recognizer, run, read_shape, tracker.drift_estimate)
-        tracker.add_grasps([grasp for _, grasp in run])
-    return sorted(answers, key=lambda answer: answer.number)
-
-
-def objects_in_turn(grasps: Sequence[Grasp]) -> list[list[tuple[int, Grasp]]]:
-    """Return the grasps in the order of time with their numbers, one list for each object.
-
-    Grasps that follow each other with the same label are of one object, those without a label
-    stand by themselves.
-    """
-    ordered = sorted(enumerate(grasps), key=lambda at: at[1].start_ms)
-    runs = groupby(ordered, key=lambda at: at[1].label or f"\n{at[0]}")
-    return [list(run) for _, run in runs]
-
-
-def _answers(
-    recognizer: Recognizer,
-    grasps: Sequence[tuple[int, Grasp]],
-    read_shape: ReadShape | None,
-    drift: DriftEstimate | None = None,
-) -> list[RecordedAnswer]:
-    answers = []
-    for number, grasp in grasps:
+    order = range(len(grasps))
+    for number in sorted(order, key=lambda i: grasps[i].start_ms) if follow else order:
+        grasp = grasps[number]
         posterior = recognizer.posterior(grasp)
         shape = None if read_shape is None else read_shape(grasp)
         if shape is not None:
             posterior = posterior.with_size(shape.low_m, shape.high_m)
+        followed = recognizer if follow and isinstance(recognizer, DriftFollowing) else None
         answers.append(
             RecordedAnswer(
                 number=number,
@@ -105,11 +87,13 @@ def _answers(
                 probability=posterior.name_probability,
                 unknown=posterior.unknown,
                 truth=grasp.label,
-                drift=drift,
+                drift=None if followed is None else followed.grid,
                 shape=shape,
             )
         )
-    return answers
+        if followed is not None:
+            recognizer = followed.follow(grasp)
+    return sorted(answers, key=lambda answer: answer.number), recognizer
 
 
 def identify_on_cell(

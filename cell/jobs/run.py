@@ -15,10 +15,9 @@ from cell.control.records import GraspRecord
 from cell.jobs.common import Progress, progress_of
 from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
-from cell.learning.drift import estimate_values
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
-from recognition.drift.estimate import DriftEstimate
+from recognition.drift.grid import DriftGrid
 from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 
@@ -88,7 +87,7 @@ class MainResult:
     dataset, model, recording, report
         Files; None where none was written.
     drift
-        Estimate of the drift at the end; None where it is not followed.
+        The drift at the end; None where it is not followed.
     remarks
         Messages for the operator, as that the sensors have drifted.
     extra
@@ -106,7 +105,7 @@ class MainResult:
     dataset: Path | None
     model: Path | None
     recording: Path | None
-    drift: DriftEstimate | None = None
+    drift: DriftGrid | None = None
     remarks: tuple[str, ...] = ()
     report: Path | None = None
     extra: dict[str, Any] = field(default_factory=dict)
@@ -159,7 +158,7 @@ class MainResult:
             ),
             "grasp_seconds": self.grasp_s,
             "ramps_ended_early": self.n_ended_early,
-            "drift": None if self.drift is None else estimate_values(self.drift),
+            "drift": None if self.drift is None else self.drift.values,
             "remarks": list(self.remarks),
             "report": None if self.report is None else str(self.report),
             "recording": None if self.recording is None else str(self.recording),
@@ -243,7 +242,7 @@ def teach_and_identify(
         dataset=files.get("dataset"),
         model=files.get("model"),
         recording=cell.recording_path,
-        drift=job.model.drift_estimate,
+        drift=job.model.drift,
         remarks=(
             *(str(one) for one in taught if one.n_missed),
             *(trial.found.remark for trial in trials if trial.found.remark),

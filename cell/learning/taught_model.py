@@ -19,20 +19,26 @@ from cell.control.controller import CellController
 from cell.control.identification import Identification, OnGrasp
 from cell.control.keeping import Keep
 from cell.control.plan import plan
-from cell.control.records import pad_array
+from cell.control.records import GraspRecord, pad_array
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, CellStateError, ModelError, TrainingSetMissing
 from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
-from cell.learning.drift import DriftTracker, gaugeable
 from cell.learning.model import Arrays, LoadedModel, check_pads, load_model, save_model
 from cell.learning.next_grasp import ActiveChooser
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shapes import shape_reader
 from cell.learning.teaching_summary import ToldApart, told_apart
-from cell.learning.training import load_early, load_pose_memory, train, with_caution
-from recognition.drift.drift import NO_DRIFT, Drift
-from recognition.drift.estimate import DriftEstimate
+from cell.learning.training import (
+    gaugeable,
+    load_early,
+    load_pose_memory,
+    train,
+    with_caution,
+)
+from gripper.state import GraspResult
+from recognition.drift.drift import Drift, drift_text
+from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
@@ -49,8 +55,8 @@ TRAINING_SECTION = "training_set"
 class TaughtModel:
     """A recogniser of taught objects with all that belongs to it in a running cell.
 
-    Beside the recogniser these are its training set, early classifiers and pose memory where the
-    config uses them, and the tracker of the drift.
+    Beside the recogniser, which follows the drift, these are its training set, early classifiers
+    and pose memory where the config uses them.
 
     Parameters
     ----------
@@ -65,8 +71,6 @@ class TaughtModel:
 
     Attributes
     ----------
-    tracker
-        The recogniser and its followed drift; None where nothing was taught yet.
     revision
         Changes of what is taught so far.
 
@@ -92,7 +96,8 @@ class TaughtModel:
         self._sections: dict[str, Arrays] = {}
         self._early: EarlyClassifiers | None = None
         self._memory: PoseMemory | None = None
-        self.tracker: DriftTracker | None = None
+        self._recognizer: Recognizer | None = None
+        self._remarked = False
         self.revision = 0
         self._pads = pad_array(layout_from_config(config.tactile))
         if model is not None:
@@ -101,7 +106,7 @@ class TaughtModel:
             self._sections = dict(model.sections)
             self._early = load_early(model, config.sequence)
             self._memory = load_pose_memory(model, config.sequence)
-            self.tracker = self._tracker_of(model.recognizer)
+            self._recognizer = with_caution(model.recognizer, config.recognition)
             _check_training_set(model, self._training_set)
         self._read_shape = shape_reader(config, known)
         self._looks: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
@@ -142,7 +147,7 @@ class TaughtModel:
     @property
     def labels(self) -> tuple[str, ...]:
         """The taught objects."""
-        return () if self.tracker is None else self.tracker.taught.labels
+        return () if self._recognizer is None else self._recognizer.labels
 
     @property
     def trainer_name(self) -> str:
@@ -151,8 +156,8 @@ class TaughtModel:
 
     @property
     def recognizer(self) -> Recognizer:
-        """The recogniser that expects the followed drift. Raises CellStateError before teaching."""
-        return self.check_taught().recognizer
+        """The recogniser with the followed drift. Raises CellStateError before teaching."""
+        return self.check_taught()
 
     @property
     def max_grasps(self) -> int:
@@ -160,14 +165,15 @@ class TaughtModel:
         return self._config.sequence.max_grasps
 
     @property
-    def drift_estimate(self) -> DriftEstimate | None:
-        """Estimate of the drift; None where it is not followed."""
-        return None if self.tracker is None else self.tracker.drift_estimate
+    def drift(self) -> DriftGrid | None:
+        """The drift since teaching; None where it is not followed."""
+        recognizer = self._recognizer
+        return recognizer.grid if isinstance(recognizer, DriftFollowing) else None
 
     @property
     def extendable(self) -> bool:
         """Whether teaching keeps the objects of before: their grasps are at hand."""
-        return self.tracker is None or bool(self._training_set)
+        return self._recognizer is None or bool(self._training_set)
 
     # -- teaching ------------------------------------------------------------------------------
 
@@ -193,13 +199,13 @@ class TaughtModel:
             As `Collection.fill`.
         """
         self.check_extendable()
-        drift = NO_DRIFT if self.tracker is None else self.tracker.drift
+        grid = self.drift
         try:
             collection.fill(controller, self._config.sequence, seed=seed, on_grasp=on_grasp)
         finally:
             grasps = collection.grasps
-            if drift != NO_DRIFT:
-                grasps = [drift.undo(grasp) for grasp in grasps]
+            if grid is not None and grid.likely:
+                grasps = [grid.drift.undo(grasp) for grasp in grasps]
             with self._lock:
                 self._training_set += grasps
                 self._training_file = None
@@ -231,20 +237,18 @@ class TaughtModel:
             )
         except CellError as error:
             raise CellError(f"{error}; the grasps are kept for the next teaching") from error
-        if self.tracker is None:
-            tracker = self._tracker_of(trained.recognizer)
-        else:
-            taught = with_caution(_expecting_as(self.tracker.taught, trained.recognizer), wanted)
-            tracker = self.tracker.continued_with(taught)
+        recognizer, grid = with_caution(trained.recognizer, wanted), self.drift
+        if grid is not None and isinstance(recognizer, DriftFollowing):
+            recognizer = recognizer.with_grid(grid)
         with self._lock:
             self._trainer_name = trained.trainer_name
             self._early, self._memory = trained.early, trained.memory
             self._sections = trained.sections
-            self.tracker = tracker
+            self._recognizer = recognizer
             self.revision += 1
 
     def check_gauge(self, label: str) -> ForceRamp:
-        """Return the taught recogniser, without a followed drift, that can be gauged.
+        """Return the recogniser, without a gauged or followed drift, that can be gauged.
 
         Raises
         ------
@@ -253,7 +257,7 @@ class TaughtModel:
         ModelError
             If the recogniser is of a kind that cannot be gauged.
         """
-        taught = gaugeable(self.check_taught().taught, self._trainer_name)
+        taught = gaugeable(self.recognizer, self._trainer_name).without_gauges()
         if label not in taught.labels:
             raise CellStateError(
                 f"{label!r:.80} was not taught: gauge with one of {', '.join(taught.labels)}"
@@ -267,10 +271,10 @@ class TaughtModel:
         seed: int,
         on_grasp: Callable[[Collection], None],
     ) -> tuple[Drift, Drift]:
-        """Grasp a taught object and expect the drift since teaching that it shows.
+        """Grasp a taught object, and learn from it what has drifted since teaching.
 
-        Returns the drift that was expected before and the one from now on. Every gauge begins at
-        the teaching: corrections do not add up.
+        Returns the drift before and after it. Every gauge begins at the teaching: corrections do
+        not add up.
 
         Raises
         ------
@@ -282,15 +286,15 @@ class TaughtModel:
             If no grasp touched both pads; nothing changes then.
         """
         taught = self.check_gauge(collection.label)
-        before = self.check_taught().drift
+        before = gaugeable(self.recognizer, self._trainer_name).grid.drift
         collection.fill(controller, self._config.sequence, seed=seed, on_grasp=on_grasp)
         try:
             found = taught.gauge(collection.label, collection.grasps)
         except ValueError as error:
             raise CellError(f"cannot gauge: {error}") from error
         with self._lock:
-            self.tracker = self._tracker_of(taught.with_drift(found))
-        return before, found.drift
+            self._recognizer, self._remarked = found, False
+        return before, found.grid.drift
 
     def forget(self, label: str, *, last: bool = False) -> None:
         """Forget an object and train anew without it; with ``last`` its newest grasp alone.
@@ -312,7 +316,7 @@ class TaughtModel:
         kept = [grasp for index, grasp in enumerate(before) if index not in gone]
         self._use(kept)
         if not kept:
-            self.tracker = self._early = self._memory = None
+            self._recognizer = self._early = self._memory = None
             self.revision += 1
             return
         try:
@@ -376,11 +380,11 @@ class TaughtModel:
 
     # -- answering -----------------------------------------------------------------------------
 
-    def check_taught(self) -> DriftTracker:
-        """Return the tracker. Raises CellStateError where nothing was taught yet."""
-        if self.tracker is None:
+    def check_taught(self) -> Recognizer:
+        """Return the recogniser. Raises CellStateError where nothing was taught yet."""
+        if self._recognizer is None:
             raise CellStateError("nothing was taught; teach an object or load a model first")
-        return self.tracker
+        return self._recognizer
 
     @one_blas_thread()
     def identify(
@@ -420,13 +424,13 @@ class TaughtModel:
         cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
             As `CellController.identify`.
         """
-        tracker, sequence = self.check_taught(), self._config.sequence
+        recognizer, sequence = self.recognizer, self._config.sequence
         if force_n is not None:
             sequence = sequence.with_force(force_n)
         memory = self._memory
         controller.present(held)
         found = controller.identify(
-            tracker.recognizer,
+            recognizer,
             plan(sequence, max_grasps or self.max_grasps, seed=seed),
             early=self._early,
             chooser=None if memory is None else ActiveChooser(memory, sequence, seed=seed),
@@ -434,15 +438,37 @@ class TaughtModel:
             on_grasp=on_grasp,
             keep=keep,
         )
-        remark = tracker.add_records(found.records)
+        remark = self._follow(found.records)
         if remark:
             controller.remark("drift", remark)
         return replace(found, remark=remark)
 
     def forget_drift(self) -> None:
         """Begin following the drift anew, as after work on the sensors."""
-        if self.tracker is not None:
-            self.tracker.reset()
+        recognizer = self._recognizer
+        if isinstance(recognizer, DriftFollowing):
+            self._recognizer = recognizer.with_grid(recognizer.grid.without_unnamed())
+        self._remarked = False
+
+    def _follow(self, records: Sequence[GraspRecord]) -> str:
+        """Follow the drift by whole grasps; return a remark for the operator, once, or nothing.
+
+        Grasps whose ramp ended before its force, or that held nothing, are left out.
+        """
+        recognizer = self.recognizer
+        if not self._config.recognition.follow_drift or not isinstance(recognizer, DriftFollowing):
+            return ""
+        for record in records:
+            outcome = record.outcome
+            if outcome.result is GraspResult.FORCE_REACHED and not outcome.ended_early:
+                recognizer = recognizer.follow(record.grasp)
+        self._recognizer = recognizer
+        if recognizer.grid.likely == self._remarked:
+            return ""
+        self._remarked = recognizer.grid.likely
+        if self._remarked:
+            return f"the sensors have drifted since teaching: {drift_text(recognizer.grid.drift)}"
+        return "the sensors are as they were taught again"
 
     # -- files ---------------------------------------------------------------------------------
 
@@ -474,7 +500,7 @@ class TaughtModel:
         """
         path = Path(path)
         with self._lock:
-            tracker, grasps = self.check_taught(), list(self._training_set)
+            recognizer, grasps = self.recognizer, list(self._training_set)
             trainer_name, sections = self._trainer_name, dict(self._sections)
         if grasps:
             file = self._training_file
@@ -486,27 +512,15 @@ class TaughtModel:
                 "sha256": np.array(_checksum(grasps)),
                 "grasps": np.array(len(grasps)),
             }
+        if followed and isinstance(recognizer, DriftFollowing):
+            recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_kept())
         save_model(
             path,
-            tracker.recognizer if followed else tracker.taught,
+            recognizer,
             trainer_name=trainer_name,
             pads=self._pads,
             sections=sections,
         )
-
-    # -- inside --------------------------------------------------------------------------------
-
-    def _tracker_of(self, recognizer: Recognizer) -> DriftTracker:
-        wanted = self._config.recognition
-        return DriftTracker(with_caution(recognizer, wanted), follow=wanted.follow_drift)
-
-
-def _expecting_as(before: Recognizer, trained: Recognizer) -> Recognizer:
-    """Return a newly trained recogniser that expects the drift that one was gauged for before."""
-    gauged = isinstance(before, ForceRamp) and before.drift_estimate.expected != NO_DRIFT
-    if isinstance(before, ForceRamp) and isinstance(trained, ForceRamp) and gauged:
-        return trained.expecting(before.drift_estimate.expected, gauged=before.gauged)
-    return trained
 
 
 def _saved_with(model: LoadedModel) -> Path | None:

@@ -33,6 +33,13 @@ def with_caution(recognizer: Recognizer, config: RecognitionConfig) -> Recognize
     return recognizer
 
 
+def gaugeable(recognizer: Recognizer, trainer_name: str) -> ForceRamp:
+    """Return a recogniser that can be gauged. Raises ModelError for one of another kind."""
+    if not isinstance(recognizer, ForceRamp):
+        raise ModelError(f"a model of {trainer_name} cannot be gauged; train one of force_ramp")
+    return recognizer
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trained:
     """Result of a training."""

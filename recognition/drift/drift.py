@@ -67,23 +67,6 @@ class Drift:
         """
         return self._scaled(grasp, 1.0 / self._taxel_gains(grasp), -self.aperture_offset_m)
 
-    def undo_levels(self, levels: Levels, gripping: tuple[int, ...]) -> Levels:
-        """Return levels of grasps recorded under this drift as `undo` would change them.
-
-        `gripping` are the numbers of the gripping pads in the layout.
-        """
-        factors = 1.0 / self.gains_of(gripping)
-        offset_mm = self.aperture_offset_m * 1e3
-        return replace(
-            levels,
-            maps=tuple(m * f for m, f in zip(levels.maps, factors, strict=True)),
-            noise=levels.noise * factors,
-            timed_load=levels.timed_load * factors[:, None],
-            aperture_mm=levels.aperture_mm - offset_mm,
-            touch_aperture_mm=levels.touch_aperture_mm - offset_mm,
-            timed_aperture_mm=levels.timed_aperture_mm - offset_mm,
-        )
-
     def _taxel_gains(self, grasp: Grasp) -> NDArray[np.float64]:
         n_pads = len(grasp.pads.pad_shape)
         if len(self.gains) not in (1, n_pads):
@@ -96,6 +79,32 @@ class Drift:
         return replace(
             grasp, counts=counts.astype(np.uint16), aperture_m=grasp.aperture_m + offset_m
         )
+
+
+def shifted_levels(
+    levels: Levels, log_gain: float | NDArray[np.float64], offset_mm: float
+) -> Levels:
+    """Return levels of grasps with a drift undone.
+
+    Parameters
+    ----------
+    levels
+        The grasps.
+    log_gain : () or (P,)
+        Logarithm of the gain, common to the gripping pads or of each.
+    offset_mm
+        How much more the opening reads, in mm.
+    """
+    factors = np.exp(-np.broadcast_to(log_gain, len(levels.maps)))
+    return replace(
+        levels,
+        maps=tuple(m * f for m, f in zip(levels.maps, factors, strict=True)),
+        noise=levels.noise * factors,
+        timed_load=levels.timed_load * factors[:, None],
+        aperture_mm=levels.aperture_mm - offset_mm,
+        touch_aperture_mm=levels.touch_aperture_mm - offset_mm,
+        timed_aperture_mm=levels.timed_aperture_mm - offset_mm,
+    )
 
 
 NO_DRIFT = Drift()

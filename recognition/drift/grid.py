@@ -1,6 +1,37 @@
-"""Grid of drifts: hypotheses of gain and opening since teaching, each with its weight."""
+"""Grid of drifts: hypotheses of gain and opening since teaching, each with its weight.
 
-from dataclasses import dataclass
+A self-zero gives the prior. A gauge multiplies the weights by the likelihood of its known object,
+blurred by how objects are placed. A grasp that nobody named multiplies them by its likelihood under
+any taught object or a new one, to a power: grasps share errors. An answer is the sum over the grid.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from recognition.drift.drift import Drift, drift_values
+from recognition.grasp import Grasp
+from recognition.recognizer import Recognizer
+
+_LOG_GAIN_STEP = 1 / 6
+"""Largest step between two hypotheses of the logarithm of the gain."""
+_OFFSET_STEP_MM = 1.0
+"""Largest step between two hypotheses of the opening's zero in mm."""
+_REACH = (8 / 3, 3.0)
+"""How far the hypotheses reach to either side, in standard deviations: of gain, of opening."""
+_POWER = 0.2
+"""Power of the likelihood of a grasp that nobody named."""
+_KEPT = 0.99
+"""Share of what unnamed grasps have shown that is left after one more: drifts change."""
+_PLACING_LOG_GAIN = 0.1
+"""Standard deviation of the logarithm of the load of one object between placings."""
+_LIKELY = 0.9
+"""Probability from which on a drift is reported."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,3 +68,176 @@ class DriftPrior:
             )
         if not 0.0 <= self.unchanged <= 1.0:
             raise ValueError(f"unchanged is {self.unchanged}, must be from 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DriftGrid:
+    """Weighted hypotheses of the drift since teaching: G gains, O offsets of the opening."""
+
+    prior: DriftPrior = field(default_factory=DriftPrior)
+    """Before any grasp; it lays out the hypotheses."""
+    gauged: NDArray[np.float64] = field(default_factory=lambda: np.zeros(()))
+    """(G, O) float64: log likelihood of the hypotheses by gauges."""
+    followed: NDArray[np.float64] = field(default_factory=lambda: np.zeros(()))
+    """(G, O) float64: the same by grasps that nobody named."""
+    n_gauged: int = 0
+    n_followed: int = 0
+    """Number of gauges and of grasps that nobody named."""
+
+    @cached_property
+    def log_gains(self) -> NDArray[np.float64]:
+        """(G,) float64: hypotheses of the logarithm of the gain that all pads have in common."""
+        prior = self.prior
+        return _axis(prior.log_gain, prior.log_gain_sd * _REACH[0], _LOG_GAIN_STEP)
+
+    @cached_property
+    def offsets_mm(self) -> NDArray[np.float64]:
+        """(O,) float64: hypotheses of how much more the opening reads than at teaching, in mm."""
+        return _axis(self.prior.offset_mm, self.prior.offset_sd_mm * _REACH[1], _OFFSET_STEP_MM)
+
+    def log_weight(self, unchanged: float | None = None) -> NDArray[np.float64]:
+        """Return the logarithms of the weights of the hypotheses (G, O); they sum to 1.
+
+        ``unchanged`` stands in for that of the prior.
+        """
+        prior = self.prior
+        share = prior.unchanged if unchanged is None else unchanged
+        gain = -0.5 * ((self.log_gains - prior.log_gain) / prior.log_gain_sd) ** 2
+        offset = -0.5 * ((self.offsets_mm - prior.offset_mm) / prior.offset_sd_mm) ** 2
+        density = gain[:, None] + offset
+        weight = (1.0 - share) * np.exp(density - logsumexp(density))
+        weight[self._none] += share
+        log_weight = np.log(np.maximum(weight, 1e-300)) + self.gauged + self.followed
+        return np.asarray(log_weight - logsumexp(log_weight), dtype=np.float64)
+
+    def with_gauge(self, log_likelihood: NDArray[np.float64], placing_mm: float) -> Self:
+        """Return the grid after grasps of one known object.
+
+        Parameters
+        ----------
+        log_likelihood : (G, O) or (G, 1)
+            Of the grasps under each hypothesis.
+        placing_mm
+            Standard deviation of the opening on one object between placings in mm.
+        """
+        shape = (len(self.log_gains), len(self.offsets_mm))
+        found = np.broadcast_to(log_likelihood, shape)
+        for axis, values, sd in (
+            (0, self.log_gains, _PLACING_LOG_GAIN),
+            (1, self.offsets_mm, max(placing_mm, 0.5)),
+        ):
+            blur = -0.5 * ((values[:, None] - values) / sd) ** 2
+            blur = blur - logsumexp(blur, axis=1, keepdims=True)
+            found = logsumexp(np.expand_dims(np.moveaxis(found, axis, -1), -2) + blur, axis=-1)
+            found = np.moveaxis(found, -1, axis)
+        return replace(self, gauged=self.gauged + found - found.max(), n_gauged=self.n_gauged + 1)
+
+    def with_unnamed(self, log_likelihood: NDArray[np.float64]) -> Self:
+        """Return the grid after a grasp that nobody named; (G, O) or (G, 1), as `with_gauge`."""
+        followed = _KEPT * self.followed + _POWER * (log_likelihood - log_likelihood.max())
+        return replace(self, followed=followed, n_followed=self.n_followed + 1)
+
+    def without_unnamed(self) -> Self:
+        """Return the grid as it was before the grasps that nobody named."""
+        return replace(self, followed=np.zeros(()), n_followed=0)
+
+    def with_unnamed_kept(self) -> Self:
+        """Return the grid with what unnamed grasps have shown kept like a gauge."""
+        if not self.n_followed:
+            return self
+        known = replace(self, gauged=self.gauged + self.followed, n_gauged=self.n_gauged + 1)
+        return known.without_unnamed()
+
+    @property
+    def weight(self) -> NDArray[np.float64]:
+        """(G, O) float64: probability of each hypothesis."""
+        return np.asarray(np.exp(self.log_weight()), dtype=np.float64)
+
+    @property
+    def drift(self) -> Drift:
+        """The mean."""
+        weight = self.weight
+        return Drift(
+            gains=(float(np.exp(weight.sum(axis=1) @ self.log_gains)),),
+            aperture_offset_m=float(weight.sum(axis=0) @ self.offsets_mm) * 1e-3,
+        )
+
+    @property
+    def offset_sd_m(self) -> float:
+        """Standard deviation of the offset of the opening in m."""
+        share = self.weight.sum(axis=0)
+        mean = share @ self.offsets_mm
+        return float(np.sqrt(share @ (self.offsets_mm - mean) ** 2)) * 1e-3
+
+    @property
+    def unchanged(self) -> float:
+        """Probability that gain and opening are as they were taught."""
+        return float(self.weight[self._none])
+
+    @property
+    def values(self) -> dict[str, object]:
+        """The drift, how sure it is, and what it rests on, as plain data."""
+        return {
+            **drift_values(self.drift),
+            "aperture_sd_mm": 1e3 * self.offset_sd_m,
+            "unchanged": self.unchanged,
+            "n_gauges": self.n_gauged,
+            "n_grasps": self.n_followed,
+        }
+
+    @property
+    def likely(self) -> bool:
+        """Whether grasps have shown a drift."""
+        return self.n_followed + self.n_gauged > 0 and self.unchanged < 1.0 - _LIKELY
+
+    @property
+    def _none(self) -> tuple[int, int]:
+        """Place of no drift."""
+        return int(np.argmin(np.abs(self.log_gains))), int(np.argmin(np.abs(self.offsets_mm)))
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the grid before the grasps that nobody named as plain arrays."""
+        prior = self.prior
+        return {
+            "drift_prior": np.array([getattr(prior, one.name) for one in fields(prior)]),
+            "drift_gauged": self.gauged,
+            "drift_gauges": np.array(self.n_gauged),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError or ValueError where an array does not fit."""
+        names = [one.name for one in fields(DriftPrior)]
+        values = arrays["drift_prior"].tolist()
+        found = cls(
+            prior=DriftPrior(**dict(zip(names, values, strict=True))),
+            gauged=arrays["drift_gauged"],
+            n_gauged=int(arrays["drift_gauges"]),
+        )
+        found.log_weight()  # shapes that do not fit fail here
+        return found
+
+
+def _axis(mean: float, reach: float, step: float) -> NDArray[np.float64]:
+    """Return evenly spaced values about a mean, and 0."""
+    n = max(2, int(np.ceil(reach / step - 1e-9)))
+    values = mean + reach * np.arange(-n, n + 1) / n
+    return np.unique(np.round(np.append(values, 0.0), 9))
+
+
+@runtime_checkable
+class DriftFollowing(Recognizer, Protocol):
+    """A recogniser that follows the drift by grasps that nobody named."""
+
+    @property
+    def grid(self) -> DriftGrid:
+        """The drift since teaching by the grasps so far."""
+        ...
+
+    def with_grid(self, grid: DriftGrid, /) -> Self:
+        """Return a copy with another estimate of the drift."""
+        ...
+
+    def follow(self, grasp: Grasp, /) -> Self:
+        """Return a copy after one more grasp, of whatever object."""
+        ...

@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.drift.estimate import DriftTracking
+from recognition.drift.grid import DriftFollowing
 from recognition.evaluation.metrics import (
     auroc,
     confusion_matrix,
@@ -51,7 +51,7 @@ def one_by_one(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> I
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftFigures:
-    """Figures of a recogniser that tracks the drift, over grasps in a mixed order."""
+    """Figures of a recogniser that follows the drift, over grasps in a mixed order."""
 
     before: int
     """Number of grasps of the shift before the first that counts."""
@@ -60,8 +60,9 @@ class ShiftFigures:
     accuracy: float
     interval: tuple[float, float]
     """Share of them whose likeliest label is right, and its 95 % Wilson interval."""
-    known_rejected: float
-    """Share of them with ``unknown`` above 0.5."""
+    named_right: float
+    named_wrong: float
+    """Shares of them that are named so."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,7 +101,7 @@ class Evaluation:
     confusion: NDArray[np.int64]
     """(C, C) int64: row = what it was, column = the likeliest label."""
     shift: ShiftFigures | None = None
-    """The same grasps in a mixed order; None for a recogniser that does not track drift."""
+    """The same grasps in a mixed order; None for a recogniser that does not follow the drift."""
 
 
 def evaluate(
@@ -201,26 +202,27 @@ def evaluate(
 
 
 def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> ShiftFigures | None:
-    """Return figures over labelled grasps of taught objects in a mixed order, drift tracked.
+    """Return figures over labelled grasps of taught objects in a mixed order, the drift followed.
 
-    None where the recogniser does not track drift, or there are too few grasps.
+    None where the recogniser does not follow the drift, or there are too few grasps.
     """
-    if not isinstance(recognizer, DriftTracking) or len(grasps) <= _BEFORE:
+    if not isinstance(recognizer, DriftFollowing) or len(grasps) <= _BEFORE:
         return None
-    right, rejected = [], []
+    right, names = [], []
     for number, i in enumerate(np.random.default_rng(seed).permutation(len(grasps)).tolist()):
         grasp = grasps[i]
         if number >= _BEFORE:
             posterior = recognizer.posterior(grasp)
             right.append(posterior.best == grasp.label)
-            rejected.append(posterior.unknown > 0.5)
-        recognizer = recognizer.track_drift([grasp])
+            names.append((posterior.name, grasp.label))
+        recognizer = recognizer.follow(grasp)
     return ShiftFigures(
         before=_BEFORE,
         n=len(right),
         accuracy=sum(right) / len(right),
         interval=wilson_interval(sum(right), len(right)),
-        known_rejected=sum(rejected) / len(right),
+        named_right=sum(name == truth for name, truth in names) / len(names),
+        named_wrong=sum(name not in (truth, UNKNOWN) for name, truth in names) / len(names),
     )
 
 

@@ -28,10 +28,12 @@ _SMOOTHING_FRACTION = 0.06
 """Share of the frames of a grasp that a running mean spans; more would blur the ramp."""
 _MAX_SMOOTHING_FRAMES = 15
 """Longest span of that running mean in frames."""
-_RELEASED_SHARE = 0.5
-"""Share of the highest load: below it at the end of the grasp, the object was released or lost."""
-_HELD_SHARE = 0.8
-"""Share of the highest load that still counts as held."""
+_HELD_SHARE = 0.95
+"""Share of the highest load that the ramp holds at its end: below lies creep, or the release."""
+_HELD_FRAMES = 3
+"""Most frames of the running mean of the load in which its end is looked for."""
+_OPENED_M = 0.5e-3
+"""Least way of the fingers after the ramp that shows their opening, in m: creep closes them."""
 _QUIET_SHARE = 0.02
 """Share of the rise of a pad's total up to which frames before the touch count as untouched."""
 _LEAST_FRAMES = 2 * QUIET_FRAMES
@@ -185,18 +187,28 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
 
 
 def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
-    """Return a grasp without the frames after the object was released or lost, and its ramp.
+    """Return a grasp without the frames after its ramp, and its ramp.
 
-    A grasp that ends under load is returned as it is. Raises ValueError for other pads.
+    A ramp is the rise of the load, and the time for which the fingers hold what they have reached.
+    Where the commanded force is known, it ends with the last frame of the largest command.
+    Otherwise it ends with the last frame near the highest load if the fingers have opened since;
+    where the opening is unknown the load alone counts. Under fingers that stay, a soft object
+    relaxes: that belongs to the ramp. Raises ValueError for other pads.
     """
-    ramp = find_ramp(grasp, rest)
-    total = uniform_filter1d(ramp.load.sum(axis=1), ramp.smoothing, mode="nearest")
-    highest = float(total.max())
-    if not ramp.touched or total[-ramp.smoothing :].mean() >= _RELEASED_SHARE * highest:
+    ramp, n = find_ramp(grasp, rest), grasp.n_frames
+    if not ramp.touched:
         return grasp, ramp
-    # The running mean falls before the load does.
-    held = np.flatnonzero(total >= _HELD_SHARE * highest)
-    end = max(int(held[-1]) + 1, int(ramp.start) + 1)
+    if np.all(np.isfinite(grasp.force_n)):
+        end = int(np.flatnonzero(grasp.force_n >= grasp.force_n.max())[-1]) + 1
+    else:
+        width = min(_HELD_FRAMES, ramp.smoothing)
+        total = uniform_filter1d(ramp.load.sum(axis=1), width, mode="nearest")
+        end = int(np.flatnonzero(total >= _HELD_SHARE * float(total.max()))[-1]) + 1
+        if grasp.aperture_m[-1] - grasp.aperture_m[end - 1] < _OPENED_M:
+            end = n
+    end = max(end, int(ramp.start) + 3)
+    if end >= n:
+        return grasp, ramp
     cut = grasp.first_frames(end)
     return cut, find_ramp(cut, rest)
 

@@ -8,12 +8,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from recognition.drift.grid import DriftFollowing
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior, Recognizer, Trainer
-from recognition.recognizers.force_ramp.recognizer import ForceRamp
 from recognition.statistics.fusion import StopRule, fuse
 
 SHARES = (0.25, 0.5, 0.75)
@@ -62,11 +62,11 @@ class EarlyClassifiers:
         return tuple(int(frames[0]) + 1 for frames in reached if len(frames))
 
     def with_drift_of(self, whole: Recognizer) -> Self:
-        """Return early classifiers that expect the drift of the recogniser of whole ramps."""
-        if not isinstance(whole, ForceRamp):
+        """Return early classifiers with the drift of the recogniser of whole ramps."""
+        if not isinstance(whole, DriftFollowing):
             return self
         early = tuple(
-            one.with_drift_of(whole) if isinstance(one, ForceRamp) else one
+            one.with_grid(whole.grid) if isinstance(one, DriftFollowing) else one
             for one in self.recognizers
         )
         return replace(self, recognizers=early)

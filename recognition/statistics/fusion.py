@@ -167,7 +167,6 @@ def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) ->
         probability=probability / probability.sum(),
         unknown=unknown,
         dependence=dependence,
-        occasion=posteriors[0].occasion,
     )
 
 

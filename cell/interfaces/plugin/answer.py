@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from cell.control.identification import Identification
     from cell.control.keeping import HeldCheck
     from cell.control.live import LiveValues
-    from recognition.drift.estimate import DriftEstimate
+    from recognition.drift.grid import DriftGrid
     from recognition.shape.answer import ShapeAnswer
 
 
@@ -74,12 +74,8 @@ class Answer:
     them, or the config has ``recognition.shape`` off."""
     n_ended_early: int = 0
     """Grasps whose ramp ended early, because it sufficed."""
-    drift: "DriftEstimate | None" = None
-    """Estimate of the drift of the sensors; None where it is not followed."""
-    occasion: str = ""
-    """How far the sensors were trusted to be as at teaching, and why: ``within an hour of
-    teaching``, ``the drift was gauged``, ``at another time than the teaching`` or ``on another cell
-    than the teaching``. Empty for recognisers that do not ask."""
+    drift: "DriftGrid | None" = None
+    """The drift of the sensors that it rests on; None where it is not followed."""
     remark: str = ""
     """Message for the operator, as that the sensors have drifted: once, empty otherwise."""
     job: int = 0
@@ -105,7 +101,6 @@ class Answer:
             shape=None if found.shape is None else FeltShape.of(found.shape),
             n_ended_early=sum(record.early is not None for record in found.records),
             drift=found.drift,
-            occasion=found.fused.occasion,
             remark=found.remark,
             kept=found.kept,
         )

@@ -8,10 +8,10 @@ from typing import Any
 from cell.build import Cell
 from cell.config.model import CellConfig
 from gripper.force.timing import LATE_SHARE
-from recognition.drift.estimate import DriftEstimate
+from recognition.drift.grid import DriftGrid
 
 
-def health_values(config: CellConfig, cell: Cell, drift: DriftEstimate | None) -> dict[str, Any]:
+def health_values(config: CellConfig, cell: Cell, drift: DriftGrid | None) -> dict[str, Any]:
     """Return level and figures of servos, CAN, loop, drift and recording as plain data.
 
     Levels are ``ok``, ``watch`` (the cell acts soon, or less is as it should be) and ``bad``.
@@ -67,13 +67,13 @@ def _loop(p99_s: float, period_s: float) -> dict[str, Any]:
     return _level(watch=p99_s > LATE_SHARE * period_s, bad=p99_s > period_s)
 
 
-def _drift(estimate: DriftEstimate | None) -> dict[str, Any] | None:
-    if estimate is None:
+def _drift(grid: DriftGrid | None) -> dict[str, Any] | None:
+    if grid is None:
         return None
-    present = estimate.present
-    return _level(watch=estimate.likely, bad=False) | {
-        "gain": present.gain,
-        "opening_mm": 1e3 * present.aperture_offset_m,
+    drift = grid.drift
+    return _level(watch=grid.likely, bad=False) | {
+        "gain": drift.gain,
+        "opening_mm": 1e3 * drift.aperture_offset_m,
     }
 
 

@@ -250,7 +250,7 @@ class TactileCellPlugin:
 
     def health(self) -> dict[str, Any]:
         """Return the levels of servos, CAN, loop, drift and recording, and figures behind them."""
-        return self._health(self._config, self._cell, self._model.drift_estimate)
+        return self._health(self._config, self._cell, self._model.drift)
 
     def newtons(self, counts: "NDArray[np.uint16]") -> "NDArray[np.float32] | None":
         """Return the force in N on each taxel by its counts; None before the first zero."""

@@ -1,65 +1,54 @@
-"""Default recogniser `force_ramp`: patches, their growth along the ramp, and the opening."""
+"""Default recogniser `force_ramp`: patches, their growth along the ramp, and the opening.
+
+It answers under each hypothesis of a grid of drifts, and sums over them.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import Enum, unique
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
-from recognition.drift.drift import NO_DRIFT, Drift
-from recognition.drift.estimate import DriftEstimate, DriftMeasurement
-from recognition.features.aperture import aperture_features, sizes_mm
+from recognition.drift.grid import DriftGrid, DriftPrior
+from recognition.features.aperture import sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
-from recognition.features.groups import FEATURE_VERSION, FeatureView, check_version, features_of
+from recognition.features.groups import FEATURE_VERSION, check_version
 from recognition.grasp import CELL_SOURCE, Grasp, by_label
-from recognition.ramp.levels import Levels, load_levels
+from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
-from recognition.recognizers.force_ramp.view import View, fit_view
-from recognition.statistics.fusion import fuse
+from recognition.recognizers.force_ramp.view import View, describe, fit_view
+from recognition.statistics.calibration import UNIFORM_SHARE
 
 MIN_GRASPS = 3
 """Fewest grasps of an object: two to see how they vary, one to check the estimate on."""
 _SOON_MS = 3_600_000
-"""Time in ms from a taught grasp within which the sensors are trusted to be as they were taught."""
-_SLOPE_STEPS = (0.1, 0.5)
-"""Steps of the central difference for slopes: of the logarithm of a gain, of the opening in mm."""
-_SLOPE_GRASPS = 100
-"""About as many grasps show how a drift changes the features in the mean."""
-_LEAST_PROBABILITY = 0.02
-"""Objects with less probability are not worth a measurement of the drift."""
-_NEW_SHARE = 0.1
-"""Probability of a new object where most of the objects are taken to be taught ones."""
-_ROUNDS = 3
-"""Rounds of a measurement, each about the drift that the one before has found: features are linear
-in a drift only near it."""
+"""Time in ms from a taught grasp within which the sensors hardly drift."""
+_SOON_UNCHANGED = 0.99
+"""Probability that they have not within that time, on the cell that taught."""
+_KNOWN_OFFSET_MM = 0.3
+"""Largest standard deviation of the opening's zero with which a drawn thickness is compared, in mm.
+"""
 
 
-@unique
-class Occasion(Enum):
-    """When and where a grasp was taken: how far the sensors count as being as they were taught."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evidence:
+    """One grasp under each hypothesis of the drift."""
 
-    SOON = "within an hour of teaching"
-    GAUGED = "the drift was gauged"
-    LATER = "at another time than the teaching"
-    ELSEWHERE = "on another cell than the teaching"
+    log_likelihood: NDArray[np.float64]
+    """(G, O, C) or (G, 1, C) float64: of each object."""
+    new: NDArray[np.float64]
+    """(G, O) or (G, 1) float64: probability that it was none of them."""
+    view: View
+    """The view that gave it."""
 
     @property
-    def trust(self) -> float:
-        """Weight of the discriminant without drift; with 1 the zero of the opening holds."""
-        return _TRUST[self]
-
-
-_TRUST = {
-    Occasion.SOON: 1.0,
-    Occasion.GAUGED: 0.6,
-    Occasion.LATER: 0.25,
-    Occasion.ELSEWHERE: 0.25,
-}
-"""Chosen on grasps with made-up drifts and on two pairs of simulated cells: less at another time
-names fewer grasps wrongly UNKNOWN, and finds fewer new objects."""
+    def of_any(self) -> NDArray[np.float64]:
+        """(G, O) or (G, 1) float64: log likelihood of any object, taught or new."""
+        taught = logsumexp(self.log_likelihood, axis=-1)
+        return np.asarray(np.logaddexp(taught, self.view.log_new), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,57 +70,67 @@ class ForceRamp:
     drawn_m: NDArray[np.float64]
     """(C, k) float64: thicknesses of each object along the closing axis by its drawing in m, NaN
     behind them."""
-    drift_estimate: DriftEstimate
+    grid: DriftGrid = field(default_factory=DriftGrid)
     """The drift since teaching."""
-    gauged: bool = False
-    """Whether the expected drift was measured on a known object."""
-    mostly_taught: bool = False
-    """Whether most of the grasped objects are taken to be taught ones when the drift is tracked."""
     caution: float = 1.0
     """The odds of a new object are multiplied by it."""
-
-    def occasion(self, grasp: Grasp) -> Occasion:
-        """Return when and where a grasp was taken, seen from the teaching."""
-        if self.gauged:
-            return Occasion.GAUGED
-        if self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on:
-            return Occasion.ELSEWHERE
-        apart_ms = int(np.abs(self.taught_ms - grasp.start_ms).min())
-        return Occasion.SOON if apart_ms <= _SOON_MS else Occasion.LATER
 
     def posterior(self, grasp: Grasp) -> Posterior:
         """Return the posterior of a grasp. Raises ValueError for pads other than the taught ones.
 
         A grasp that never touched both pads gives even probabilities and is surely unknown.
         """
-        levels = load_levels([grasp], self.rest)
-        if not levels.touched[0]:
+        evidence = self.evidence(grasp)
+        if evidence is None:
             return Posterior.uninformed(self.labels)
-        view, opening = self._view(levels)
-        drift = self.drift_estimate.present
-        undone = drift.undo_levels(levels, self.rest.gripping)
-        occasion = self.occasion(grasp)
-        probability, unknown = view.probabilities(
-            self._features(undone, opening=opening),
-            _sizes_mm(undone, opening=opening),
-            trust=occasion.trust,
-            caution=self.caution,
-        )
-        drawn_m = self.drawn_m[int(probability[0].argmax())]
-        drawn_m = drawn_m[np.isfinite(drawn_m) & (occasion.trust == 1.0)]
+        log_weight = self.grid.log_weight(self._unchanged(grasp))
+        joint = evidence.log_likelihood + log_weight[..., None]
+        probability = np.exp(logsumexp(joint, axis=(0, 1)) - logsumexp(joint))
+        probability = (1.0 - UNIFORM_SHARE) * probability + UNIFORM_SHARE / len(self.labels)
+        probability /= probability.sum()
+        log_share = log_weight + evidence.of_any
+        share = np.exp(log_share - logsumexp(log_share))
+        odds_of_taught = 1.0 / max(float((share * evidence.new).sum()), 1e-12) - 1.0
+        drawn_m = self.drawn_m[int(probability.argmax())]
+        drawn_m = drawn_m[np.isfinite(drawn_m)]
+        offset = share.sum(axis=0)
+        mean_mm = float(offset @ self.grid.offsets_mm)
+        if offset @ (self.grid.offsets_mm - mean_mm) ** 2 > _KNOWN_OFFSET_MM**2:
+            drawn_m = drawn_m[:0]
         return Posterior(
             labels=self.labels,
-            probability=probability[0],
-            unknown=float(unknown[0]),
-            dependence=view.dependence,
-            occasion=occasion.value,
-            drawn_m=tuple(drawn_m.tolist()),
+            probability=probability,
+            unknown=self.caution / (self.caution + odds_of_taught),
+            dependence=evidence.view.dependence,
+            drawn_m=tuple((drawn_m + 1e-3 * mean_mm).tolist()),
         )
+
+    def evidence(self, grasp: Grasp) -> Evidence | None:
+        """Return a grasp under each hypothesis; None where it never touched both pads.
+
+        Raises ValueError for pads other than the taught ones.
+        """
+        levels = load_levels([grasp], self.rest)
+        if not levels.touched[0]:
+            return None
+        opening = self.both is not None and bool(np.all(np.isfinite(sizes_mm(levels))))
+        view = self.both if self.both is not None and opening else self.touch
+        features = describe(
+            levels,
+            _grids(self.rest),
+            opening=opening,
+            log_gains=self.grid.log_gains,
+            offsets_mm=self.grid.offsets_mm if opening else np.zeros(1),
+        )
+        log_likelihood, new = view.likelihood(features)
+        return Evidence(log_likelihood=log_likelihood[0], new=new[0], view=view)
 
     # Drift
 
-    def gauge(self, label: str, grasps: Sequence[Grasp]) -> DriftEstimate:
-        """Return the drift since teaching, measured on a few grasps of one taught object.
+    def gauge(self, label: str, grasps: Sequence[Grasp]) -> Self:
+        """Return a copy after a few grasps of one taught object: a gauge.
+
+        Gauges with several objects, one after the other, know more than one.
 
         Raises ValueError where the object was not taught, or no grasp touched both pads.
         """
@@ -139,98 +138,42 @@ class ForceRamp:
             raise ValueError(
                 f"{label!r} was not taught: gauge with one of {', '.join(self.labels)}"
             )
-        levels = self._touched(grasps)
-        if levels is None:
+        found = [e for e in map(self.evidence, grasps) if e is not None]
+        if not found:
             raise ValueError("no gauge grasp touched both pads: grasp the gauge object again")
-        before = self._untracked(NO_DRIFT)
-        measured = self._measured(levels, label, 1.0, before)
-        return before.after([replace(measured, probability=1.0)])
+        number, view = self.labels.index(label), found[0].view
+        total = np.sum([e.log_likelihood[..., number] for e in found if e.view is view], axis=0)
+        return self.with_grid(self.grid.with_gauge(total, view.placing_mm))
 
-    def with_drift(self, found: DriftEstimate) -> "ForceRamp":
-        """Return a copy that expects the gauged drift."""
-        return self.expecting(found.drift, gauged=True)
+    def without_gauges(self) -> Self:
+        """Return a copy with the prior of the drift alone."""
+        return self.with_grid(DriftGrid(prior=self.grid.prior))
 
-    def expecting(self, drift: Drift, *, gauged: bool) -> "ForceRamp":
-        """Return a copy that expects a drift and has tracked no grasps."""
-        return replace(self, drift_estimate=self._untracked(drift), gauged=gauged)
+    def follow(self, grasp: Grasp) -> Self:
+        """Return a copy after a grasp of an object that nobody named, taught or not.
 
-    def with_drift_of(self, other: "ForceRamp") -> "ForceRamp":
-        """Return a copy that has tracked what another recogniser of the same cell has."""
-        return replace(self, drift_estimate=other.drift_estimate, gauged=other.gauged)
-
-    def expecting_taught_objects(self) -> "ForceRamp":
-        """Return a copy that tracks drift as if most of the grasped objects were taught ones."""
-        return replace(self, mostly_taught=True)
-
-    def track_drift(self, grasps: Sequence[Grasp]) -> "ForceRamp":
-        """Return a copy whose drift estimate includes grasps of one object, whatever it was.
-
-        Grasps that missed change nothing. Raises ValueError for pads other than the taught ones.
+        A grasp that missed changes nothing. Raises ValueError for pads other than the taught ones.
         """
-        levels = self._touched(grasps)
-        if levels is None or len(self.labels) == 1:
-            return self
-        fused = fuse([self.posterior(grasp) for grasp in grasps])
-        measured = [
-            self._measured(levels, label, p, self.drift_estimate)
-            for label, p in zip(self.labels, fused.probability.tolist(), strict=True)
-            if p >= _LEAST_PROBABILITY
-        ]
-        return replace(self, drift_estimate=self.drift_estimate.after(measured))
+        found = self.evidence(grasp)
+        return self if found is None else self.with_grid(self.grid.with_unnamed(found.of_any))
 
-    def _untracked(self, expected: Drift) -> DriftEstimate:
-        return _before(self.rest, len(self.labels), expected)
+    def with_grid(self, grid: DriftGrid) -> Self:
+        """Return a copy with another estimate of the drift."""
+        return replace(self, grid=grid)
 
-    def _touched(self, grasps: Sequence[Grasp]) -> Levels | None:
-        """Return the grasps that touched both pads as levels; None where there is none."""
-        levels = load_levels(grasps, self.rest) if grasps else None
-        return levels.take(levels.touched) if levels is not None and levels.touched.any() else None
-
-    def _measured(
-        self, levels: Levels, label: str, probability: float, before: DriftEstimate
-    ) -> DriftMeasurement:
-        """Return the drift that grasps show if they are of one taught object.
-
-        The probability of the object is lowered by that of a new one, as the grasps look with the
-        drift undone: a drift explains little of what sets a new object apart.
-        """
-        view, opening = self._view(levels)
-        column, about = self.labels.index(label), before.mean
-        for _ in range(_ROUNDS):
-            undone = before.drift_of(about).undo_levels(levels, self.rest.gripping)
-            step, covariance = view.drift_step(self._features(undone, opening=opening), column)
-            found = DriftMeasurement(
-                label=label,
-                probability=probability,
-                values=about[: len(step)] + step,
-                covariance=covariance,
-            )
-            about = before.after([replace(found, probability=1.0)]).mean
-        undone = before.drift_of(about).undo_levels(levels, self.rest.gripping)
-        features = self._features(undone, opening=opening)
-        _, new = view.probabilities(
-            features,
-            _sizes_mm(undone, opening=opening),
-            trust=Occasion.SOON.trust,
-            caution=self.caution,
-        )
-        taught = 1.0 - (_NEW_SHARE if self.mostly_taught else float(np.median(new)))
-        return replace(found, probability=taught * probability)
-
-    def _view(self, levels: Levels) -> tuple[View, bool]:
-        """Return the view for grasps, and whether it has the opening."""
-        if self.both is not None and np.all(np.isfinite(sizes_mm(levels))):
-            return self.both, True
-        return self.touch, False
-
-    def _features(self, levels: Levels, *, opening: bool) -> NDArray[np.float64]:
-        return features_of(levels, _grids(self.rest), FeatureView.FORCE_RAMP, opening=opening)
+    def _unchanged(self, grasp: Grasp) -> float | None:
+        """Return the prior probability of no drift; None for that of the grid."""
+        if self.grid.prior != DriftPrior():
+            return None
+        if self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on:
+            return None
+        apart_ms = int(np.abs(self.taught_ms - grasp.start_ms).min())
+        return _SOON_UNCHANGED if apart_ms <= _SOON_MS else None
 
     # Files
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all that was learnt as plain arrays; tracked grasps become the expected drift."""
-        expected = self.drift_estimate.present
+        """Return all that was learnt as plain arrays, without the grasps that nobody named."""
         arrays = {
             "feature_version": np.array(FEATURE_VERSION),
             "labels": np.array(self.labels),
@@ -238,9 +181,7 @@ class ForceRamp:
             "taught_ms": self.taught_ms,
             "drawn_m": self.drawn_m,
             "taught_on": np.array(self.taught_on, dtype=np.str_),
-            "drift_gains": np.array(expected.gains),
-            "drift_aperture_offset_m": np.array(expected.aperture_offset_m),
-            "gauged": np.array(self.gauged),
+            **self.grid.to_arrays(),
             **self.rest.to_arrays(),
             **self.touch.to_arrays("touch_"),
         }
@@ -253,21 +194,15 @@ class ForceRamp:
         """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
         try:
             check_version(arrays)
-            rest = Rest.from_arrays(arrays)
-            expected = Drift(
-                gains=tuple(arrays["drift_gains"].tolist()),
-                aperture_offset_m=float(arrays["drift_aperture_offset_m"]),
-            )
             return cls(
                 labels=tuple(str(label) for label in arrays["labels"]),
-                rest=rest,
+                rest=Rest.from_arrays(arrays),
                 touch=View.from_arrays(arrays, "touch_"),
                 both=View.from_arrays(arrays, "both_") if bool(arrays["has_both"]) else None,
                 taught_ms=arrays["taught_ms"],
                 taught_on=tuple(str(source) for source in arrays["taught_on"]),
                 drawn_m=arrays["drawn_m"].reshape(len(arrays["labels"]), -1),
-                drift_estimate=_before(rest, len(arrays["labels"]), expected),
-                gauged=bool(arrays["gauged"]),
+                grid=DriftGrid.from_arrays(arrays),
             )
         except KeyError as missing:
             raise ValueError(f"the model lacks the array {missing}") from missing
@@ -306,50 +241,22 @@ class ForceRampTrainer:
                 f"grasps that touched both pads, by object: {few}; each object needs at least "
                 f"{MIN_GRASPS}, or its variation is not known: teach more, and press harder"
             )
-        levels = levels.take(touched)
+        levels, grids = levels.take(touched), _grids(rest)
         known = np.all(np.isfinite(sizes_mm(levels)), axis=1)
         both = None
         if self.use_aperture and np.all(
             np.bincount(classes[known], minlength=len(labels)) >= MIN_GRASPS
         ):
-            both = _taught(levels.take(known), classes[known], rest, opening=True)
+            both = fit_view(levels.take(known), grids, classes[known], opening=True)
         return ForceRamp(
             labels=tuple(labels.tolist()),
             rest=rest,
-            touch=_taught(levels, classes, rest, opening=False),
+            touch=fit_view(levels, grids, classes, opening=False),
             both=both,
             taught_ms=np.array([group[-1].start_ms for group in members.values()]),
             taught_on=tuple(sorted({g.source for g in ordered if _on_cell(g)})),
             drawn_m=_drawn_m(list(members.values())),
-            drift_estimate=_before(rest, len(labels), NO_DRIFT),
         )
-
-
-def _taught(levels: Levels, classes: NDArray[np.int64], rest: Rest, *, opening: bool) -> View:
-    grids, n_pads = _grids(rest), len(rest.gripping)
-
-    def features(drifted: Levels) -> NDArray[np.float64]:
-        return features_of(drifted, grids, FeatureView.FORCE_RAMP, opening=opening)
-
-    around = _before(rest, int(classes.max()) + 1, NO_DRIFT)
-    steps = np.diag([_SLOPE_STEPS[0]] * n_pads + [_SLOPE_STEPS[1]])[: n_pads + opening]
-    some = levels.take(np.arange(0, len(levels), -(-len(levels) // _SLOPE_GRASPS)))
-    slopes = [
-        features(around.drift_of(-step).undo_levels(some, rest.gripping)).mean(axis=0)
-        - features(around.drift_of(step).undo_levels(some, rest.gripping)).mean(axis=0)
-        for step in steps
-    ]
-    slopes_of_one = np.array(slopes) / (2.0 * steps.sum(axis=1)[:, None])
-    sizes = _sizes_mm(levels, opening=opening)
-    n_opening = aperture_features(levels).shape[1] if opening else 0
-    return fit_view(
-        features(levels), sizes, classes, slopes_of_one, n_pads=n_pads, n_opening=n_opening
-    )
-
-
-def _sizes_mm(levels: Levels, *, opening: bool) -> NDArray[np.float64]:
-    """Return the sizes of grasps in mm, (n, 2), or (n, 0) where the opening is not used."""
-    return sizes_mm(levels) if opening else np.zeros((len(levels), 0))
 
 
 def _drawn_m(members: Sequence[Sequence[Grasp]]) -> NDArray[np.float64]:
@@ -362,13 +269,6 @@ def _drawn_m(members: Sequence[Sequence[Grasp]]) -> NDArray[np.float64]:
 def _on_cell(grasp: Grasp) -> bool:
     """Return whether the source of a grasp names the cell that took it."""
     return grasp.source.startswith(CELL_SOURCE)
-
-
-def _before(rest: Rest, n_labels: int, expected: Drift) -> DriftEstimate:
-    """Return the estimate of the drift before any grasp."""
-    return DriftEstimate.before(
-        rest.gripping, rest.pads.n_pads, n_labels=n_labels, expected=expected
-    )
 
 
 def _grids(rest: Rest) -> list[PadGrid]:

@@ -1,25 +1,27 @@
-"""View of the default recogniser: two discriminants, their temperature and a novelty detector.
+"""View of the default recogniser: one discriminant, its temperature and its limit of novelty.
 
-One discriminant has the variation of grasps as they were taught, the other one that of sensors that
-have drifted besides. Their log likelihoods are pooled with a weight that depends on when and
-where a grasp was taken. Distances are measured in units of how far a grasp lies off in the
-directions in which objects do not differ: on another day grasps lie off in all directions, a new
-object mostly in those that separate objects.
+A view answers under each hypothesis of the drift. Distances are measured in units of how far a
+grasp lies off in the directions in which objects do not differ: on another day grasps lie off in
+all directions, a new object mostly in those that separate objects.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logsumexp
 
+from recognition.drift.drift import shifted_levels
+from recognition.features.aperture import aperture_features, sizes_mm
+from recognition.features.footprint import PadGrid
+from recognition.features.groups import FeatureView, features_of
+from recognition.ramp.levels import Levels, stack_levels
 from recognition.statistics.calibration import blocked_folds, fit_temperature, to_probability
 from recognition.statistics.class_spread import ClassSpread, fit_class_spread
 from recognition.statistics.fusion import fit_dependence
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
-from recognition.statistics.novelty import NoveltyDetector, fit_novelty_detector, held_out_kept
-from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
 
 _FREEDOM = 3.0
 """Degrees of freedom of the t distribution of a grasp about its object: heavy tails."""
@@ -30,9 +32,13 @@ new."""
 _PRIOR_AXES = 3.0
 """Axes between the classes at which half of that power is reached: few classes do not span what new
 objects differ in, which then shows beside them."""
-_NUISANCE_SD = (0.1, 1.0)
-"""Standard deviations of the nuisance: of the logarithm of a gain, of the opening in mm. Twice as
-much changes the answers little: the direction counts."""
+_UNIT = (0.1, 1.0)
+"""Unit of drifts: of the logarithm of a gain, of the opening in mm."""
+_NUISANCE = 0.15
+"""Drift, in these units, that the discriminant is taught as a nuisance: what the steps of the grid
+leave over."""
+_MADE_UP = 0.5
+"""Standard deviation, in these units, of made-up drifts of the held-out grasps that calibrate."""
 _LEAST_DISTANCE = 0.1
 """Added to squared distances before their logarithm: nearer grasps are no less novel."""
 _TOUCH_SHRINKAGE = 0.2
@@ -41,203 +47,219 @@ _OPENING_TARGET = 0.1
 """Variance of the opening's features, in that of touch, in the target of the shrinkage: hundreds of
 features of touch repeat each other, which few grasps do not show, and as independent ones would
 outweigh the opening. Chosen on the taught part of recorded objects, each among its nearest."""
+_SLOPE_STEPS = (0.1, 0.5)
+"""Steps of the central difference for slopes: of the logarithm of a gain, of the opening in mm."""
+_SLOPE_GRASPS = 100
+"""About as many grasps show how a drift changes the features in the mean."""
 _BLOCKS = 3
 """Blocks in time, held out in turn: few large ones, as grasps in use lie far in time."""
-_LEFT_OUT_GROUPS = 6
-"""Groups into which objects are dealt out; each in turn is left out, as an object never taught."""
-_MIN_CLASSES_TO_LEAVE_OUT = 4
-"""With fewer objects, too few would be left to teach: distance alone then decides on novelty."""
+_PARTS = 4
+"""Parts of each block, each with a made-up drift of its own."""
+_KEPT = 0.95
+"""Share of held-out grasps of taught objects that are no new object's."""
+_NOVELTY_SLOPE = 2.0
+"""Log odds of a new object for each unit of the novelty."""
+_NEW_QUANTILE = 0.05
+"""Share of held-out grasps that are less likely under all taught objects than a new object is."""
+_PLACING = 2.5
+"""Spread of the opening on one object between placings of different days, in that of a series."""
+_LEAST_PLACING_MM = 0.3
+"""Least spread of the opening between placings in mm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Features:
+    """Features of n grasps under G gains and O offsets of the opening."""
+
+    touch: NDArray[np.float64]
+    """(n, G, Ft) float64: of the taxels."""
+    opening: NDArray[np.float64]
+    """(n, O, Fo) float64: of the opening; Fo is 0 and O is 1 where it is not used."""
+
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Features":
+        """Return some of the grasps."""
+        return Features(touch=self.touch[rows], opening=self.opening[rows])
+
+
+def describe(
+    levels: Levels,
+    grids: Sequence[PadGrid],
+    *,
+    opening: bool,
+    log_gains: NDArray[np.float64],
+    offsets_mm: NDArray[np.float64],
+) -> Features:
+    """Return features of grasps with each of some drifts undone.
+
+    Parameters
+    ----------
+    levels
+        The n grasps.
+    grids
+        The gripping pads.
+    opening
+        Whether the opening is used.
+    log_gains : (G,) or (G, P)
+        Logarithms of gains, common to the pads or of each.
+    offsets_mm : (O,)
+        Offsets of the opening in mm.
+    """
+    n = len(levels)
+    touched = stack_levels([shifted_levels(levels, gain, 0.0) for gain in log_gains])
+    touch = features_of(touched, grids, FeatureView.FORCE_RAMP, opening=opening)
+    found = np.zeros((1, n, 0))
+    if opening:
+        moved = stack_levels([shifted_levels(levels, 0.0, offset) for offset in offsets_mm])
+        found = aperture_features(moved)
+        touch = touch[:, : -found.shape[1]]
+        found = found.reshape(len(offsets_mm), n, -1)
+    touch = touch.reshape(len(log_gains), n, -1)
+    return Features(touch=touch.transpose(1, 0, 2), opening=found.transpose(1, 0, 2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClassModel:
-    """The classes under one covariance."""
+    """The classes in the space that separates them."""
 
     discriminant: LinearDiscriminant
     """The classes, its whitening kept."""
+    taught: NDArray[np.float64]
+    """(n, r) float64: the taught grasps in the discriminant space."""
     spread: ClassSpread | None = None
     """The covariance of each class beside the shared one, by touch alone: there the variation of an
     object separates it from others. With the opening it would only fit the series that taught."""
 
-    def score(
-        self, features: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return scores (n, C) and the novelty (n,) of grasps with features (n, F).
+    def score(self, features: Features) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return scores (n, G, O, C) and the novelty (n, G, O) of grasps.
 
         Scores are log likelihoods up to a constant of the grasp; the novelty is the logarithm of
-        the squared distance to the nearest class.
+        the squared distance to the nearest taught grasp.
         """
-        z = self.discriminant.project(features)
-        distances = squared_distances(z, self.discriminant.centres)
-        unit = self._unit(features)
-        novelty = np.log(distances.min(axis=1) / unit + _LEAST_DISTANCE)
+        model = self.discriminant
+        assert model.whitening is not None
+        n_touch = features.touch.shape[2]
+        touch = (features.touch - model.mean[:n_touch]) / model.scale[:n_touch]
+        opening = (features.opening - model.mean[n_touch:]) / model.scale[n_touch:]
+        z = (touch @ model.projection[:n_touch])[:, :, None]
+        z = z + (opening @ model.projection[n_touch:])[:, None]
+        shape, rank = z.shape[:3], z.shape[3]
+        unit = np.ones(shape)
+        n_beside = len(model.mean) - rank
+        if n_beside:
+            a, b = touch @ model.whitening[:n_touch], opening @ model.whitening[n_touch:]
+            every = (a**2).sum(-1)[:, :, None] + (b**2).sum(-1)[:, None]
+            every = every + 2.0 * (a @ b.transpose(0, 2, 1))
+            beside = np.maximum(every - (z**2).sum(-1), 0.0) / n_beside
+            unit = (1.0 + beside) ** (_BESIDE_POWER * rank / (rank + _PRIOR_AXES))
+        z = z.reshape(-1, rank)
+        distances = squared_distances(z, model.centres)
         log_volume: NDArray[np.float64] | float = 0.0
         if self.spread is not None:
             distances, log_volume = self.spread.distances(z, distances), self.spread.log_volume
-        rank = z.shape[1]
-        tails = np.log1p(distances / unit[:, None] / rank)
-        return -0.5 * (rank + _FREEDOM) * tails - log_volume, novelty
-
-    def _unit(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n,): the unit of squared distances, by the mean one beside the classes."""
-        n_features, rank = self.discriminant.projection.shape
-        if n_features == rank:
-            return np.ones(len(features))
-        beside = self.discriminant.beside(features) / (n_features - rank)
-        power = _BESIDE_POWER * rank / (rank + _PRIOR_AXES)
-        return np.asarray((1.0 + beside) ** power, dtype=np.float64)
+        tails = np.log1p(distances / unit.reshape(-1, 1) / rank)
+        scores = -0.5 * (rank + _FREEDOM) * tails - log_volume
+        nearest = squared_distances(z, self.taught).min(axis=1).reshape(shape)
+        return scores.reshape(*shape, -1), np.log(nearest / unit + _LEAST_DISTANCE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
     """One view: what it was taught, for grasps with the opening or by touch alone."""
 
-    taught: ClassModel
-    """The classes with the variation of the taught grasps."""
-    drifted: ClassModel
-    """The same with drift as a nuisance."""
-    sizes: TaughtSizes
-    """Sizes of the taught grasps; of no dimension where the opening is not used."""
-    means: NDArray[np.float64]
-    """(C, F) float64: mean features of each class."""
-    slopes: NDArray[np.float64]
-    """(d, F) float64: change of the features with the logarithm of the gain of each gripping pad
-    and, where the view has the opening, with its zero in mm."""
+    model: ClassModel
+    """The taught classes."""
     temperature: float
     """Log odds are divided by it."""
-    usual_novelty: float
-    """Median novelty of held-out grasps without their size: nearer ones are no less novel."""
-    usual_size: float
-    """What the size adds to the novelty at its limit: in place of a size that does not count."""
-    novelty: NoveltyDetector
-    """Detector of objects that were never taught."""
+    limit: float
+    """Novelty at which a grasp is as likely of a new object as of a taught one."""
+    log_new: float
+    """Log likelihood of a grasp of a new object."""
+    placing_mm: float
+    """Standard deviation of the opening on one object between placings in mm."""
     dependence: float
     """How far grasps of one object repeat each other, 0 to 1."""
 
-    def probabilities(
-        self,
-        features: NDArray[np.float64],
-        sizes_mm: NDArray[np.float64],
-        *,
-        trust: float,
-        caution: float,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return probabilities of the classes (n, C), and that the object is new (n,).
-
-        ``trust`` from 0 to 1 is the weight of the classes without drift; with less than 1 the zero
-        of the opening may have moved, and the sizes (n, k) do not count. ``caution`` is as in
-        `NoveltyDetector.probability`.
-        """
-        scores, novelty = self.taught.score(features)
-        size: float | NDArray[np.float64] = self.usual_size
-        if trust == 1.0:
-            size = self.sizes.novelty(sizes_mm, scores.argmax(axis=1))
-        else:
-            pooled = zip((scores, novelty), self.drifted.score(features), strict=True)
-            scores, novelty = (trust * one + (1.0 - trust) * other for one, other in pooled)
-        novelty = np.maximum(novelty, self.usual_novelty) + size
-        new = self.novelty.probability(novelty, caution=caution)
-        return to_probability(scores, self.temperature), new
-
-    def drift_step(
-        self, features: NDArray[np.float64], label: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the drift that grasps of one class show, (d,), and its covariance (d, d).
-
-        Generalised least squares over the variation of the grasps; they share the object and how
-        it lies, so that many count as little more than one.
-        """
-        taught = self.taught.discriminant
-        assert taught.whitening is not None
-        slopes = self.slopes / taught.scale @ taught.whitening
-        off = (features - self.means[label]) / taught.scale @ taught.whitening
-        spread = max(1.0, float(np.median((off**2).mean(axis=1))))
-        scatter = np.asarray(np.linalg.inv(slopes @ slopes.T), dtype=np.float64)
-        noise = spread * (1.0 + 1.0 / len(off))
-        values: NDArray[np.float64] = scatter @ (slopes @ np.median(off, axis=0))
-        return values, noise * scatter
+    def likelihood(self, features: Features) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return log likelihoods (n, G, O, C), and the probability of a new object (n, G, O)."""
+        scores, novelty = self.model.score(features)
+        return scores / self.temperature, expit(_NOVELTY_SLOPE * (novelty - self.limit))
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
-        spread = self.taught.spread
+        spread = self.model.spread
         return {
-            **self.taught.discriminant.to_arrays(f"{prefix}taught_"),
-            **self.drifted.discriminant.to_arrays(f"{prefix}drifted_"),
-            **self.sizes.to_arrays(f"{prefix}sizes_"),
-            f"{prefix}means": self.means,
-            f"{prefix}slopes": self.slopes,
-            f"{prefix}temperature": np.array(self.temperature),
-            f"{prefix}usual_novelty": np.array(self.usual_novelty),
-            f"{prefix}usual_size": np.array(self.usual_size),
+            **self.model.discriminant.to_arrays(f"{prefix}discriminant_"),
             **({} if spread is None else spread.to_arrays(f"{prefix}spread_")),
-            **self.novelty.to_arrays(f"{prefix}novelty_"),
-            f"{prefix}dependence": np.array(self.dependence),
+            f"{prefix}taught": self.model.taught,
+            **{f"{prefix}{name}": np.array(getattr(self, name)) for name in _NUMBERS},
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
         return cls(
-            taught=ClassModel(
-                discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}taught_"),
+            model=ClassModel(
+                discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}discriminant_"),
+                taught=arrays[f"{prefix}taught"],
                 spread=ClassSpread.from_arrays(arrays, f"{prefix}spread_"),
             ),
-            drifted=ClassModel(
-                discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}drifted_")
-            ),
-            sizes=TaughtSizes.from_arrays(arrays, f"{prefix}sizes_"),
-            means=arrays[f"{prefix}means"],
-            slopes=arrays[f"{prefix}slopes"],
-            temperature=float(arrays[f"{prefix}temperature"]),
-            usual_novelty=float(arrays[f"{prefix}usual_novelty"]),
-            usual_size=float(arrays[f"{prefix}usual_size"]),
-            novelty=NoveltyDetector.from_arrays(arrays, f"{prefix}novelty_"),
-            dependence=float(arrays[f"{prefix}dependence"]),
+            **{name: float(arrays[f"{prefix}{name}"]) for name in _NUMBERS},
         )
 
 
+_NUMBERS = ("temperature", "limit", "log_new", "placing_mm", "dependence")
+"""Attributes of a `View` that are single numbers."""
+
+
 def fit_view(
-    features: NDArray[np.float64],
-    sizes_mm: NDArray[np.float64],
-    classes: NDArray[np.int64],
-    slopes: NDArray[np.float64],
-    *,
-    n_pads: int,
-    n_opening: int = 0,
+    levels: Levels, grids: Sequence[PadGrid], classes: NDArray[np.int64], *, opening: bool
 ) -> View:
     """Teach a view.
 
     Parameters
     ----------
-    features : (n, F)
-        Finite features of the grasps; rows of one class in the order of time.
-    sizes_mm : (n, k)
-        Sizes of the grasps by the opening; with k = 0 the features have no opening either, and
-        each class has a covariance of its own.
+    levels
+        The n grasps; those of one class in the order of time.
+    grids
+        The gripping pads.
     classes : (n,)
-        Class of each row, 0 to C - 1.
-    slopes : (d, F)
-        As `View.slopes`.
-    n_pads
-        Number of gripping pads, whose gains the first slopes are of.
-    n_opening
-        How many of the features, the last ones, are of the opening.
+        Class of each grasp, 0 to C - 1.
+    opening
+        Whether the opening is used; without it each class has a covariance of its own.
 
     Raises
     ------
     ValueError
-        The rows do not show how grasps of a class vary.
+        The grasps do not show how those of a class vary.
     """
-    n_classes, opening = int(classes.max()) + 1, sizes_mm.shape[1] > 0
-    sd = np.array([_NUISANCE_SD[0]] * n_pads + [_NUISANCE_SD[1]])[: len(slopes)]
-    target = np.ones(features.shape[1])
-    target[len(target) - n_opening :] = _OPENING_TARGET
-    nuisance = np.sqrt(len(slopes)) * sd[:, None] * slopes
+    n_pads = len(grids)
+    unit = np.array([_UNIT[0]] * n_pads + [_UNIT[1]])[: n_pads + opening]
 
-    def teach(rows: NDArray[np.bool_], nuisance: NDArray[np.float64] | None = None) -> ClassModel:
+    def undone(some: Levels, drift: NDArray[np.float64]) -> Features:
+        offset = drift[n_pads:] if opening else np.zeros(1)
+        return describe(
+            some, grids, opening=opening, log_gains=drift[None, :n_pads], offsets_mm=offset
+        )
+
+    def vectors(features: Features) -> NDArray[np.float64]:
+        return np.concatenate([features.touch[:, 0], features.opening[:, 0]], axis=1)
+
+    some = levels.take(np.arange(0, len(levels), -(-len(levels) // _SLOPE_GRASPS)))
+    steps = np.diag([_SLOPE_STEPS[0]] * n_pads + [_SLOPE_STEPS[1]])[: len(unit), : len(unit)]
+    slopes = [
+        (vectors(undone(some, -step)) - vectors(undone(some, step))).mean(axis=0) / step.sum() / 2
+        for step in steps
+    ]
+    nuisance = np.sqrt(len(unit)) * _NUISANCE * unit[:, None] * np.array(slopes)
+    plain = undone(levels, np.zeros(len(unit)))
+    every = vectors(plain)
+    target = np.ones(every.shape[1])
+    target[len(target) - plain.opening.shape[2] :] = _OPENING_TARGET
+
+    def teach(rows: NDArray[np.bool_]) -> ClassModel:
         names, numbers = np.unique(classes[rows], return_inverse=True)
         discriminant = fit_lda(
-            features[rows],
+            every[rows],
             numbers,
             len(names),
             min_shrinkage=0.0 if opening else _TOUCH_SHRINKAGE,
@@ -245,51 +267,43 @@ def fit_view(
             nuisance=nuisance,
             keep_whitening=True,
         )
+        z = discriminant.project(every[rows])
         spread = None
-        if nuisance is None and not opening and len(names) > 1:
-            projected = discriminant.project(features[rows])
-            spread = fit_class_spread(projected, numbers, discriminant.centres)
-        return ClassModel(discriminant=discriminant, spread=spread)
+        if not opening and len(names) > 1:
+            spread = fit_class_spread(z, numbers, discriminant.centres)
+        return ClassModel(discriminant=discriminant, taught=z, spread=spread)
 
-    def score(
-        taught: NDArray[np.bool_], others: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        scores, novelty = teach(taught).score(features[others])
-        sizes = fit_sizes(sizes_mm[taught], np.unique(classes[taught], return_inverse=True)[1])
-        return scores, novelty, sizes.novelty(sizes_mm[others], scores.argmax(axis=1))
-
-    every = np.ones(len(classes), dtype=np.bool_)
-    blocks = blocked_folds(classes, _BLOCKS)
-    parts = [score(~block, block) for block in blocks]
-    rows = np.concatenate([np.flatnonzero(block) for block in blocks])
-    scores, kept, kept_size = (np.concatenate(found) for found in zip(*parts, strict=True))
-    usual = float(np.median(kept))
-    kept = np.maximum(kept, usual)
-    temperature = fit_temperature(scores, classes[rows])
-    known, new = [np.zeros(0)], [np.zeros(0)]
-    n_groups = min(_LEFT_OUT_GROUPS, n_classes) if n_classes >= _MIN_CLASSES_TO_LEAVE_OUT else 0
-    for group in range(n_groups):
-        out, block = classes % n_groups == group, blocks[group % len(blocks)]
-        _, novelty, size = score(~out & ~block, block | out)
-        novelty = np.maximum(novelty, usual) + size
-        is_new = out[block | out]
-        known.append(novelty[~is_new])
-        new.append(novelty[is_new])
-    share = held_out_kept(np.bincount(classes))
-    even = float(np.quantile(kept + kept_size, share))
-    block_of = np.repeat(np.arange(len(blocks)), [int(block.sum()) for block in blocks])
-    order = np.argsort(rows)
+    rng = np.random.default_rng(0)
+    scores, novelty, rows, block_of = [], [], [], []
+    for number, block in enumerate(blocked_folds(classes, _BLOCKS)):
+        model = teach(~block)
+        for part in np.array_split(rng.permutation(np.flatnonzero(block)), _PARTS):
+            if not len(part):
+                continue
+            drift = _MADE_UP * unit * rng.standard_normal(len(unit))
+            found = model.score(undone(levels.take(part), drift))
+            scores.append(found[0][:, 0, 0])
+            novelty.append(found[1][:, 0, 0])
+            rows.append(part)
+            block_of.append(np.full(len(part), number))
+    order = np.argsort(np.concatenate(rows))
+    row = np.concatenate(rows)[order]
+    score = np.concatenate(scores)[order]
+    temperature = fit_temperature(score, classes[row])
     return View(
-        taught=teach(every),
-        drifted=teach(every, nuisance),
-        sizes=fit_sizes(sizes_mm, classes),
-        means=np.stack([features[classes == c].mean(axis=0) for c in range(n_classes)]),
-        slopes=slopes,
+        model=teach(np.ones(len(classes), dtype=np.bool_)),
         temperature=temperature,
-        usual_novelty=usual,
-        usual_size=even - float(np.quantile(kept, share)),
-        novelty=fit_novelty_detector(np.concatenate(known), np.concatenate(new), even),
+        limit=float(np.quantile(np.concatenate(novelty), _KEPT)),
+        log_new=float(np.quantile(logsumexp(score / temperature, axis=1), _NEW_QUANTILE)),
+        placing_mm=_placing_mm(levels, classes) if opening else 0.0,
         dependence=fit_dependence(
-            to_probability(scores, temperature)[order], classes[rows][order], block_of[order]
+            to_probability(score, temperature), classes[row], np.concatenate(block_of)[order]
         ),
     )
+
+
+def _placing_mm(levels: Levels, classes: NDArray[np.int64]) -> float:
+    """Return how far the opening on one object differs between placings of different days."""
+    touch = sizes_mm(levels)[:, 1]
+    variance = [touch[classes == c].var(ddof=1) for c in np.unique(classes)]
+    return max(_LEAST_PLACING_MM, _PLACING * float(np.sqrt(np.mean(variance))))

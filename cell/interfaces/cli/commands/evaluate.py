@@ -190,6 +190,7 @@ def _print_evaluation(result: "EvaluationResult") -> None:
             print_line(
                 f"{name} that follows the drift of the grasps, after the first {shift.before}: "
                 f"{percent(shift.accuracy, shift.interval)}, "
-                f"{100 * shift.known_rejected:.1f} % called UNKNOWN"
+                f"named rightly {100 * shift.named_right:.1f} %, wrongly "
+                f"{100 * shift.named_wrong:.1f} %"
             )
     print_line(f"took {result.seconds:.1f} s")

@@ -100,37 +100,26 @@ def _identify_recorded(
     json_file: Path | None,
 ) -> None:
     from cell.data.dataset import read_grasps
-    from cell.errors import ModelError
     from cell.interfaces.cli.terminal import percent, print_line, write_json
     from cell.jobs.identify import identify_recorded
-    from cell.learning.drift import DriftTracker
     from cell.learning.model import load_model
     from cell.learning.shapes import NO_SHAPE
     from cell.learning.training import with_caution
     from recognition.drift.drift import drift_text
+    from recognition.drift.grid import DriftFollowing
 
     loaded = load_model(model)
     loaded = replace(loaded, recognizer=with_caution(loaded.recognizer, config.recognition))
     recorded = read_grasps(dataset)
-    tracker = DriftTracker(loaded.recognizer)
-    if follow and not tracker.follows:
-        raise ModelError(
-            f"a model of {loaded.trainer_name} cannot follow a drift; train one of force_ramp"
-        )
-    answers = identify_recorded(
-        loaded, recorded, tracker=tracker if follow else None, read_shape=read_shape
-    )
+    answers, after = identify_recorded(loaded, recorded, follow=follow, read_shape=read_shape)
     for answer in answers:
         print_line(
             f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
             + ("" if read_shape is None else f"   {answer.shape or NO_SHAPE}")
             + (f"   (was {answer.truth})" if answer.truth else "")
         )
-    if tracker.drift_estimate is not None and tracker.drift_estimate.likely:
-        print_line(
-            f"the sensors have drifted: {drift_text(tracker.drift)}; `tactile-cell calibrate "
-            f"{dataset} --model {model} -o NEW.npz` takes it off where most objects were taught"
-        )
+    if follow and isinstance(after, DriftFollowing) and after.grid.likely:
+        print_line(f"the sensors have drifted since teaching: {drift_text(after.grid.drift)}")
     write_json(json_file, {"answers": [answer.as_json() for answer in answers]})
 
 
@@ -149,12 +138,10 @@ def _identify_held(
     from cell.interfaces.cli.terminal import percent, print_line, progress_bar, write_json
     from cell.jobs.common import job_folder
     from cell.jobs.identify import identify_on_cell
-    from cell.learning.drift import estimate_values
     from cell.learning.model import load_model
     from cell.learning.shapes import NO_SHAPE, beside
     from cell.learning.taught_model import TaughtModel
     from recognition.recognizer import UNKNOWN
-    from recognition.recognizers.force_ramp.recognizer import Occasion
     from recognition.statistics.fusion import fuse
 
     taught = TaughtModel(config, load_model(model, pads_of(config)), known=known)
@@ -180,11 +167,6 @@ def _identify_held(
     was = f" (it was {truth})" if truth else ""
     felt = beside(found.label, found.shape)
     print_line(f"answer: {found.label} {percent(found.fused.name_probability)}{felt}{was}")
-    if found.fused.occasion in (Occasion.LATER.value, Occasion.ELSEWHERE.value):
-        print_line(
-            f"grasped {found.fused.occasion}: names are less sure. Gauge the model with a taught "
-            "object: `tactile-cell calibrate --gauge LABEL --model MODEL -o NEW.npz`"
-        )
     if found.kept and config_file is not None and not config.simulated:
         print_line(f"the part is kept; to let go of it: {release_command(config_file)}")
     elif found.kept:
@@ -198,11 +180,10 @@ def _identify_held(
             "unknown": found.fused.unknown,
             "n_grasps": len(found.posteriors),
             "kept": found.kept,
-            "occasion": found.fused.occasion,
             "shape": _plain(found.shape),
             "shapes": [_plain(shape) for shape in found.shapes],
             "ramps": [record.ramp_as_json() for record in found.records],
-            "drift": None if found.drift is None else estimate_values(found.drift),
+            "drift": None if found.drift is None else found.drift.values,
             "held": truth,
             "recording": str(recording),
             "health": health,
