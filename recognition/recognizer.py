@@ -15,6 +15,9 @@ UNKNOWN = "UNKNOWN"
 LEAST_PROBABILITY = 0.5
 """Least probability of a name among the taught objects; with less the answer is ``UNKNOWN``."""
 
+MOST_UNKNOWN = 0.5
+"""Largest probability of a new object with which a taught one is named."""
+
 _FAR = 3.0
 """Half widths of a 90 % interval between a measured thickness and one that it excludes by far: five
 standard deviations."""
@@ -79,12 +82,11 @@ class Posterior:
     def name(self) -> str:
         """The answer: the likeliest label, or ``UNKNOWN``.
 
-        A name needs its probability and its novelty: it is at least `LEAST_PROBABILITY` among the
-        taught objects, and likelier than a new object. There is no other rule.
+        A name needs its probability and its novelty: at least `LEAST_PROBABILITY` among the taught
+        objects, and at most `MOST_UNKNOWN` of a new one. There is no other rule.
         """
-        best = float(self.probability.max())
-        named = best >= LEAST_PROBABILITY and (1.0 - self.unknown) * best >= self.unknown
-        return self.best if named else UNKNOWN
+        sure = float(self.probability.max()) >= LEAST_PROBABILITY
+        return self.best if sure and self.unknown <= MOST_UNKNOWN else UNKNOWN
 
     @property
     def name_probability(self) -> float:

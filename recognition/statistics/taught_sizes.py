@@ -31,17 +31,18 @@ class TaughtSizes:
     unit_mm: NDArray[np.float64]
     """(k,) float64: usual distance in mm from a grasp to the nearest one of the same object."""
 
-    def novelty(
-        self, sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]
+    def distances(
+        self, sizes_mm: NDArray[np.float64], slack_mm: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return (n,): how far sizes (n, k) lie from the taught ones of objects (n,); 0 at one.
+        """Return (n, O, C): squared distance in units of sizes (n, O, k) to the nearest of each.
 
-        It is the logarithm of 1 plus the squared distance in units to the nearest, to be added to
-        the logarithm of another squared distance.
+        ``slack_mm`` (O,) adds to the units.
         """
-        squared = squared_distances(sizes_mm / self.unit_mm, self.sizes_mm / self.unit_mm)
-        squared[classes[:, None] != self.classes] = np.inf
-        return np.asarray(np.log1p(squared.min(axis=1)), dtype=np.float64)
+        off_mm = sizes_mm[:, :, None] - self.sizes_mm
+        unit_mm2 = self.unit_mm**2 + slack_mm[:, None, None] ** 2
+        squared = (off_mm**2 / unit_mm2).sum(axis=-1)
+        nearest = [squared[..., self.classes == c].min(axis=-1) for c in np.unique(self.classes)]
+        return np.stack(nearest, axis=-1)
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""

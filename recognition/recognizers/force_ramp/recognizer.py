@@ -28,6 +28,11 @@ _SOON_MS = 3_600_000
 """Time in ms from a taught grasp within which the sensors hardly drift."""
 _SOON_UNCHANGED = 0.99
 """Probability that they have not within that time, on the cell that taught."""
+_NEW_IN_ANSWER = 20.0
+"""Factor on the likelihood of a new object in an answer: a wrong name costs more than UNKNOWN, so a
+drift excuses what a grasp has of a new object only where it fits well. Following goes without."""
+_SLACK = 2.0
+"""How far a size may lie off, in standard deviations of the opening's zero."""
 _KNOWN_OFFSET_MM = 0.3
 """Largest standard deviation of the opening's zero with which a drawn thickness is compared, in mm.
 """
@@ -44,11 +49,15 @@ class Evidence:
     view: View
     """The view that gave it."""
 
-    @property
-    def of_any(self) -> NDArray[np.float64]:
-        """(G, O) or (G, 1) float64: log likelihood of any object, taught or new."""
+    def of_any(self, favour: float = 1.0) -> NDArray[np.float64]:
+        """Return (G, O) or (G, 1): log likelihood of any object, taught or new.
+
+        That of a new one is multiplied by ``favour``.
+        """
         taught = logsumexp(self.log_likelihood, axis=-1)
-        return np.asarray(np.logaddexp(taught, self.view.log_new), dtype=np.float64)
+        return np.asarray(
+            np.logaddexp(taught, self.view.log_new + np.log(favour)), dtype=np.float64
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,7 +97,7 @@ class ForceRamp:
         probability = np.exp(logsumexp(joint, axis=(0, 1)) - logsumexp(joint))
         probability = (1.0 - UNIFORM_SHARE) * probability + UNIFORM_SHARE / len(self.labels)
         probability /= probability.sum()
-        log_share = log_weight + evidence.of_any
+        log_share = log_weight + evidence.of_any(_NEW_IN_ANSWER * self.caution)
         share = np.exp(log_share - logsumexp(log_share))
         odds_of_taught = 1.0 / max(float((share * evidence.new).sum()), 1e-12) - 1.0
         drawn_m = self.drawn_m[int(probability.argmax())]
@@ -121,6 +130,7 @@ class ForceRamp:
             opening=opening,
             log_gains=self.grid.log_gains,
             offsets_mm=self.grid.offsets_mm if opening else np.zeros(1),
+            slack_mm=self._slack_mm(grasp) if opening else None,
         )
         log_likelihood, new = view.likelihood(features)
         return Evidence(log_likelihood=log_likelihood[0], new=new[0], view=view)
@@ -155,7 +165,7 @@ class ForceRamp:
         A grasp that missed changes nothing. Raises ValueError for pads other than the taught ones.
         """
         found = self.evidence(grasp)
-        return self if found is None else self.with_grid(self.grid.with_unnamed(found.of_any))
+        return self if found is None else self.with_grid(self.grid.with_unnamed(found.of_any()))
 
     def with_grid(self, grid: DriftGrid) -> Self:
         """Return a copy with another estimate of the drift."""
@@ -169,6 +179,17 @@ class ForceRamp:
             return None
         apart_ms = int(np.abs(self.taught_ms - grasp.start_ms).min())
         return _SOON_UNCHANGED if apart_ms <= _SOON_MS else None
+
+    def _slack_mm(self, grasp: Grasp) -> NDArray[np.float64]:
+        """Return (O,): how far the size of an object may lie off under each offset, in mm.
+
+        Sizes count where the zero of the opening is known: within the hour, or after a self-zero.
+        """
+        offsets_mm = self.grid.offsets_mm
+        slack_mm = np.full(len(offsets_mm), _SLACK * self.grid.prior.offset_sd_mm)
+        if self._unchanged(grasp) is not None:
+            slack_mm[np.argmin(np.abs(offsets_mm))] = 0.0
+        return slack_mm
 
     # Files
 
