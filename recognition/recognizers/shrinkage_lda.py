@@ -20,13 +20,13 @@ from recognition.ramp.levels import Levels, load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
 from recognition.statistics.calibration import (
+    KNOWN_KEPT,
     blocked_folds,
     fit_temperature,
     out_of_sample,
     to_probability,
 )
 from recognition.statistics.lda import LinearDiscriminant, fit_lda
-from recognition.statistics.novelty import KNOWN_KEPT
 
 _FOLDS = 4
 """Blocks in time, each held out in turn to fit the temperature."""

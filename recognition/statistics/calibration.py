@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
+KNOWN_KEPT = 0.97
+"""Share of grasps of taught objects that plain recognisers are to keep below even odds."""
+
 UNIFORM_SHARE = 0.002
 """Share of the uniform distribution in each posterior: no taught object is ever impossible."""
 

@@ -271,7 +271,7 @@ WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {
 class WitnessModel:
     """A taught model whose recogniser looks at its frames."""
 
-    labels, max_grasps, revision, drift_estimate = ("ball", "box"), 1, 0, None
+    labels, max_grasps, revision, drift = ("ball", "box"), 1, 0, None
 
     def __init__(self, witness: Callable[[], FrameWitness]) -> None:
         self._witness = witness

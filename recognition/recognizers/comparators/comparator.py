@@ -21,12 +21,12 @@ from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
 from recognition.recognizers.comparators.classifiers import Classifier
 from recognition.statistics.calibration import (
+    KNOWN_KEPT,
     blocked_folds,
     fit_temperature,
     out_of_sample,
     to_probability,
 )
-from recognition.statistics.novelty import KNOWN_KEPT
 
 Describe = Callable[[Levels, Sequence[PadGrid], bool], NDArray[np.float64]]
 """From levels of n grasps, pads, and whether the opening may be used, to features (n, F)."""

@@ -173,7 +173,7 @@ class ForceRamp:
 
     def _unchanged(self, grasp: Grasp) -> float | None:
         """Return the prior probability of no drift; None for that of the grid."""
-        if self.grid.prior != DriftPrior():
+        if self.grid.prior != DriftPrior() or self.grid.n_gauged:
             return None
         if self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on:
             return None

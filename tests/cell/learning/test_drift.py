@@ -1,7 +1,7 @@
 """A running cell follows the drift of its sensors, says so once, and can keep it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,30 +19,29 @@ from cell.interfaces.plugin import tasks
 from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.jobs.calibrate import calibrate_model
-from cell.jobs.identify import identify_recorded, objects_in_turn
-from cell.learning.drift import DriftTracker, estimate_values
+from cell.jobs.identify import identify_recorded
 from cell.learning.model import load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import Trained
 from gripper.state import GraspResult
-from recognition.drift.drift import NO_DRIFT, Drift
-from recognition.drift.estimate import DriftEstimate, DriftMeasurement
+from recognition.drift.drift import Drift
+from recognition.drift.grid import DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.statistics.fusion import Decision, DecisionKind
 
-DRIFT = Drift(gains=(0.72, 0.72), aperture_offset_m=-3.8e-3)
+DRIFT = Drift(gains=(float(np.exp(-1 / 3)),), aperture_offset_m=-4e-3)
 
 
 @dataclass(frozen=True)
 class Follower:
-    """Finds a drift likely from the second object on, and no more from the fourth."""
+    """Finds a drift likely from the second grasp on, and no more from the fourth."""
 
     labels: tuple[str, ...] = ("ball", "box")
-    seen: int = 0
+    grid: DriftGrid = field(default_factory=DriftGrid)
 
     def posterior(self, grasp: Grasp) -> Posterior:
-        unknown = 0.1 if self.drift_estimate.likely else 0.9
+        unknown = 0.1 if self.grid.likely else 0.9
         return Posterior(labels=self.labels, probability=np.array([0.9, 0.1]), unknown=unknown)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -52,24 +51,15 @@ class Follower:
     def from_arrays(cls, arrays: object) -> "Follower":
         return cls()
 
-    def track_drift(self, grasps: Sequence[Grasp]) -> "Follower":
-        return replace(self, seen=self.seen + 1)
+    def with_grid(self, grid: DriftGrid) -> "Follower":
+        return replace(self, grid=grid)
 
-    @property
-    def drift_estimate(self) -> DriftEstimate:
-        before = DriftEstimate.before((0, 1), 2, n_labels=3)
-        if not 2 <= self.seen < 4:
-            return before
-        mean = np.array([np.log(0.72), np.log(0.72), -3.8])
-        measured = {
-            label: (
-                DriftMeasurement(
-                    label=label, probability=1.0, values=mean, covariance=before.covariance
-                ),
-            )
-            for label in ("ball", "box", "pin")
-        }
-        return replace(before, mean=mean, unchanged=0.001, measured=measured)
+    def follow(self, grasp: Grasp) -> "Follower":
+        n = self.grid.n_followed + 1
+        gain, offset = np.log(DRIFT.gain), 1e3 * DRIFT.aperture_offset_m
+        off = (self.grid.log_gains[:, None] - gain) ** 2 + (self.grid.offsets_mm - offset) ** 2
+        followed = -1e4 * off if 2 <= n < 4 else np.zeros(())
+        return self.with_grid(replace(self.grid, followed=followed, n_followed=n))
 
 
 class Plain:
@@ -88,71 +78,54 @@ def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early:
     return SimpleNamespace(grasp=grasp, outcome=outcome, early=None)
 
 
-def test_it_learns_after_each_answer_and_speaks_once(make_grasp: Callable[..., Grasp]) -> None:
-    shift = DriftTracker(Follower())
-    records: Any = [record(make_grasp("ball"))]
-    assert shift.drift == NO_DRIFT
-    assert shift.add_records(records) == ""
-    assert shift.add_records(records) == (
-        "the sensors have drifted since teaching: gain 0.72, opening -3.8 mm: gauge the cell"
-    )
-    assert shift.drift == DRIFT
-    assert shift.add_records(records) == ""
-    assert "as expected again" in shift.add_records(records)
-    assert shift.add_records(records) == ""
-    assert shift.taught == Follower()
+def model_of(make_config: Callable[..., Any], recognizer: Any, **changes: object) -> TaughtModel:
+    """Return a model with that recogniser."""
+    model = TaughtModel(make_config(**changes))
+    model._recognizer = recognizer
+    return model
 
 
-def test_what_a_drift_is_as_plain_data() -> None:
-    values = estimate_values(Follower(seen=3).drift_estimate)
-    assert values["gains"] == pytest.approx([0.72, 0.72])
-    assert values["gain"] == pytest.approx(0.72)
-    assert values["aperture_mm"] == pytest.approx(-3.8)
-    assert values["unchanged"] < 0.01
-    assert values["n_objects"] == 3
-    assert estimate_values(Follower().drift_estimate)["gain"] == 1.0
+def identified(model: TaughtModel, *records: Any) -> str:
+    """Identify once; return the remark."""
+    controller: Any = Grasping(records[0].grasp, records)
+    return model.identify(controller, held=None, seed=0).remark
 
 
-def test_only_whole_ramps_that_held_something_teach(make_grasp: Callable[..., Grasp]) -> None:
-    shift = DriftTracker(Follower())
-    grasp = make_grasp("ball")
-    weak = record(grasp, GraspResult.FORCE_NOT_REACHED)
-    shift.add_records([weak, record(grasp, early=True)])  # type: ignore[list-item]
-    shift.add_records([])
-    assert shift.recognizer == Follower()
-    shift.add_records([weak, record(grasp)])  # type: ignore[list-item]
-    assert shift.recognizer == Follower(seen=1)
-
-
-@pytest.mark.parametrize(("taught", "follow"), [(Plain(), True), (Follower(), False)])
-def test_others_are_passed_through(
-    taught: Any, follow: bool, make_grasp: Callable[..., Grasp]
+def test_it_learns_after_each_answer_and_speaks_once(
+    make_config: Callable[..., Any], make_grasp: Callable[..., Grasp]
 ) -> None:
-    shift = DriftTracker(taught, follow=follow)
-    for _ in range(4):
-        assert shift.add_records([record(make_grasp("ball"))]) == ""  # type: ignore[list-item]
-    assert shift.recognizer is taught
-    assert shift.drift == NO_DRIFT
+    model, one = model_of(make_config, Follower()), record(make_grasp("ball"))
+    assert identified(model, one) == ""
+    assert identified(model, one) == (
+        "the sensors have drifted since teaching: gain 0.72, opening -4.0 mm"
+    )
+    assert identified(model, one) == ""
+    assert identified(model, one) == "the sensors are as they were taught again"
+    assert identified(model, one) == ""
 
 
-def test_taught_anew_it_follows_the_same_grasps_again(make_grasp: Callable[..., Grasp]) -> None:
-    shift = DriftTracker(Follower())
-    for _ in range(3):
-        shift.add_grasps([make_grasp("ball")])
-    again = shift.continued_with(Follower(labels=("ball", "box", "pin")))
-    assert again.recognizer == Follower(labels=("ball", "box", "pin"), seen=3)
-    assert again.drift == DRIFT
-    assert "as expected again" in again.add_grasps([make_grasp("ball")])
+def test_only_whole_ramps_that_held_something_teach(
+    make_config: Callable[..., Any], make_grasp: Callable[..., Grasp]
+) -> None:
+    model, grasp = model_of(make_config, Follower()), make_grasp("ball")
+    weak = record(grasp, GraspResult.FORCE_NOT_REACHED)
+    identified(model, weak, record(grasp, early=True))
+    assert model.drift.n_followed == 0
+    identified(model, weak, record(grasp))
+    assert model.drift.n_followed == 1
+    model.forget_drift()
+    assert model.drift.n_followed == 0
 
 
-def test_what_was_followed_can_be_forgotten(make_grasp: Callable[..., Grasp]) -> None:
-    shift = DriftTracker(Follower())
-    assert [bool(shift.add_grasps([make_grasp("ball")])) for _ in range(2)] == [False, True]
-    shift.reset()
-    assert shift.recognizer is shift.taught
-    assert shift.drift == NO_DRIFT
-    assert shift.continued_with(Follower()).recognizer == Follower()
-    assert [bool(shift.add_grasps([make_grasp("ball")])) for _ in range(2)] == [False, True]
+def test_others_stay_as_they_are(
+    make_config: Callable[..., Any], make_grasp: Callable[..., Grasp]
+) -> None:
+    one = record(make_grasp("ball"))
+    off: Any = {"recognition.follow_drift": False}
+    for model in (model_of(make_config, Plain()), model_of(make_config, Follower(), **off)):
+        before = model.recognizer
+        assert [identified(model, one) for _ in range(3)] == 3 * [""]
+        assert model.recognizer is before
 
 
 def test_recorded_grasps_are_followed_in_the_order_of_time(
@@ -160,25 +133,25 @@ def test_recorded_grasps_are_followed_in_the_order_of_time(
 ) -> None:
     times = {"b": 30, "c": 40, "a": 20, "d": 10}
     grasps = [replace(make_grasp("ball"), source=k, start_ms=t) for k, t in times.items()]
-    grasps[3] = replace(grasps[3], label="")
-    grasps[1] = replace(grasps[1], label="box")
-    runs = objects_in_turn(grasps)
-    assert [[number for number, _ in run] for run in runs] == [[3], [2, 0], [1]]
-    model: Any = SimpleNamespace(recognizer=Follower(), pads=grasps[0].pads)
-    answers = identify_recorded(model, grasps, tracker=DriftTracker(model.recognizer))
+    model: Any = SimpleNamespace(
+        recognizer=Follower(), trainer_name="force_ramp", pads=grasps[0].pads
+    )
+    answers, after = identify_recorded(model, grasps, follow=True)
     assert [answer.number for answer in answers] == [0, 1, 2, 3]
-    assert [a.drift.n_objects for a in answers if a.drift] == [0, 3, 0, 0]
-    assert [answer.label for answer in answers] == ["UNKNOWN", "ball", "UNKNOWN", "UNKNOWN"]
-    assert answers[1].as_json()["drift"]["gain"] == pytest.approx(0.72)
-    alone = identify_recorded(model, grasps)
+    assert [answer.drift.n_followed for answer in answers if answer.drift] == [2, 3, 1, 0]
+    assert [answer.label for answer in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
+    assert answers[0].as_json()["drift"]["gain"] == pytest.approx(0.72, abs=0.01)
+    assert not after.grid.likely  # type: ignore[attr-defined]
+    alone, _ = identify_recorded(model, grasps)
     assert [answer.label for answer in alone] == 4 * ["UNKNOWN"]
 
 
 class Grasping:
     """A controller whose grasps are given."""
 
-    def __init__(self, grasp: Grasp) -> None:
+    def __init__(self, grasp: Grasp, records: Sequence[Any] = ()) -> None:
         self.given, self.remarks = grasp, list[tuple[str, str]]()
+        self.records = tuple(records) or (record(grasp),)
 
     def present(self, label: object) -> None:
         pass
@@ -194,8 +167,8 @@ class Grasping:
             decision=Decision(kind=DecisionKind.DECIDED, label="ball", probability=0.9),
             posteriors=(posterior,),
             fused=posterior,
-            records=(record(self.given),),
-            drift=recognizer.drift_estimate,
+            records=self.records,
+            drift=getattr(recognizer, "grid", None),
         )
 
     def remark(self, kind: str, text: str) -> None:
@@ -233,17 +206,13 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
     tasks.teach(controller, model, file, TeachGoal(label="box", grasps=1), told.append)
     first, second = taught_with[1]
     assert np.array_equal(first.counts, controller.given.counts)
-    assert second.aperture_m == pytest.approx(controller.given.aperture_m + 3.8e-3)
-    assert model.recognizer == Follower(seen=3)
+    assert second.aperture_m == pytest.approx(controller.given.aperture_m + 4e-3, abs=1e-4)
+    assert model.drift is not None
+    assert model.drift.n_followed == 3
 
 
-def test_a_plugin_saves_what_was_taught_or_what_it_followed(
-    taught: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught: Any, tmp_path: Any) -> None:
     plugin = TactileCellPlugin(taught.config, model=taught.result.model)
-    # One object alone shows no drift; here the estimate counts as likely from the start.
-    monkeypatch.setattr("recognition.drift.estimate._UNCHANGED", 1e-9)
-    monkeypatch.setattr("recognition.drift.estimate._LEAST_OBJECTS", 0)
     try:
         job = plugin.start({"task": "identify", "max_grasps": 1, "present": "ball"})
         answer = plugin.result(job, 60.0)
@@ -256,19 +225,19 @@ def test_a_plugin_saves_what_was_taught_or_what_it_followed(
     assert answer.drift is not None
     names = ("taught", "followed", "forgotten")
     before, same, followed, forgotten = (
-        np.unique(load_model(path).recognizer.to_arrays()["drift_gains"]).tolist()
+        load_model(path).recognizer.grid.drift  # type: ignore[attr-defined]
         for path in (taught.result.model, *(tmp_path / f"{name}.npz" for name in names))
     )
-    assert before == same == forgotten == [1.0]
+    assert before == same == forgotten
     assert followed != before
 
 
 def test_the_recording_names_the_drift_of_each_answer(taught: Any) -> None:
     results = read_recording(taught.result.recording).results
-    assert [result["drift_n_objects"] for result in results] == [0, 1]
-    assert all(result["drift_gain"] == 1.0 for result in results)
-    assert all(result["drift_unchanged"] > 0.9 for result in results)
-    assert taught.result.as_json()["drift"]["n_objects"] == 2
+    assert results[0]["drift_n_grasps"] == 0 < results[1]["drift_n_grasps"]
+    assert all(result["drift_gain"] == pytest.approx(1.0, abs=0.1) for result in results)
+    assert all(result["drift_unchanged"] > 0.4 for result in results)
+    assert taught.result.as_json()["drift"]["n_grasps"] > results[1]["drift_n_grasps"]
     assert taught.result.as_json()["remarks"] == []
 
 
@@ -294,15 +263,17 @@ def test_a_model_that_cannot_follow_is_refused(taught: Any, tmp_path: Path) -> N
         )
 
 
-def test_what_is_taught_beside_a_gauged_model_expects_the_gauged_drift(taught: Any) -> None:
+def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught: Any) -> None:
     model = load_model(taught.result.model)
     drift = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
     balls = [drift.apply(grasp) for grasp in taught.grasps if grasp.label == "ball"]
-    corrected, _ = calibrate_model(model, "ball", balls)
     gauged = TaughtModel(
-        taught.config, replace(model, recognizer=corrected), training_set=taught.grasps
+        taught.config,
+        replace(model, recognizer=calibrate_model(model, {"ball": balls})),
+        training_set=taught.grasps,
     )
-    expected = gauged.drift_estimate.expected
-    assert expected != NO_DRIFT
+    assert gauged.drift is not None
+    before = gauged.drift.drift
+    assert before.aperture_offset_m < -0.3e-3
     gauged.train()
-    assert gauged.drift_estimate.expected == expected
+    assert gauged.drift.drift == before

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from recognition.drift.drift import Drift, drift_text, drift_values, parse_drift
+from recognition.drift.drift import Drift, drift_text, drift_values, parse_drift, shifted_levels
+from recognition.evaluation.splits import a_day_later
 from recognition.features.aperture import aperture_features
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
@@ -75,7 +76,7 @@ def test_levels_with_a_drift_undone_are_those_of_the_taught_sensor(train, fresh)
     rest, drift = learn_rest(train), Drift(gains=(0.7, 0.9), aperture_offset_m=-4e-3)
     plain = load_levels(fresh[:3], rest)
     drifted = load_levels([drift.apply(g) for g in fresh[:3]], rest)
-    undone = drift.undo_levels(drifted, rest.gripping)
+    undone = shifted_levels(drifted, np.log([0.7, 0.9]), -4.0)
     for a, b in zip(undone.maps, plain.maps, strict=True):
         assert a == pytest.approx(b, abs=2e-3)
     assert undone.timed_load == pytest.approx(plain.timed_load, abs=0.05)
@@ -91,25 +92,51 @@ def test_a_drift_that_was_not_gauged_costs_little(taught, train, fresh):
 
 def test_a_gauge_object_shows_the_drift_and_the_rest_is_as_before(taught, fresh):
     gauge = [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]
-    found = taught.gauge("egg", gauge)
-    assert found.drift.gain == pytest.approx(0.7, rel=0.2)
-    assert found.offset_sd_m < 1.2e-3
-    assert found.drift.aperture_offset_m == pytest.approx(-4e-3, abs=found.offset_sd_m)
-    drifted = [DRIFT.apply(g) for g in fresh]
-    corrected = taught.with_drift(found)
-    assert accuracy(corrected, drifted) >= 0.96
-    assert accuracy(corrected, drifted) >= accuracy(taught, drifted)
-    again = type(taught).from_arrays(corrected.to_arrays())
+    corrected = taught.gauge("egg", gauge)
+    found = corrected.grid
+    assert found.drift.gain == pytest.approx(0.7, rel=0.25)
+    assert found.drift.aperture_offset_m == pytest.approx(-4e-3, abs=2.0 * found.offset_sd_m)
+    both = corrected.gauge("pin", [DRIFT.apply(g) for g in fresh if g.label == "pin"][:3])
+    assert both.grid.offset_sd_m < found.offset_sd_m
+    drifted = [a_day_later(DRIFT.apply(g)) for g in fresh]
+    assert accuracy(both, drifted) >= 0.96
+    assert accuracy(both, drifted) >= accuracy(taught, drifted)
+    again = type(taught).from_arrays(both.to_arrays())
     assert np.array_equal(
-        again.posterior(drifted[0]).probability, corrected.posterior(drifted[0]).probability
+        again.posterior(drifted[0]).probability, both.posterior(drifted[0]).probability
     )
+    assert both.without_gauges().grid.drift == taught.grid.drift
+
+
+def test_grasps_that_nobody_named_show_the_drift(taught, fresh):
+    drifted = [a_day_later(DRIFT.apply(g)) for g in fresh]
+    followed = taught
+    for grasp in drifted[::2]:
+        followed = followed.follow(grasp)
+    assert followed.grid.likely
+    assert followed.grid.n_followed == len(drifted[::2])
+    assert followed.grid.drift.aperture_offset_m == pytest.approx(-4e-3, abs=1e-3)
+    assert accuracy(followed, drifted[1::2]) >= 0.96
+    kept = followed.with_grid(followed.grid.with_unnamed_kept())
+    again = type(taught).from_arrays(kept.to_arrays())
+    assert again.grid.drift == followed.grid.drift
+    assert type(taught).from_arrays(followed.to_arrays()).grid.drift == taught.grid.drift
+    assert not followed.grid.without_unnamed().likely
+
+
+def test_grasps_without_a_drift_show_none(taught, fresh):
+    followed = taught
+    for grasp in fresh[:20]:
+        followed = followed.follow(a_day_later(grasp))
+    assert not followed.grid.likely
+    assert followed.grid.unchanged > 0.5
 
 
 def test_touch_alone_is_gauged_too(train, fresh):
     touch = make_trainer("force_ramp", use_aperture=False).fit(train)
-    found = touch.gauge("egg", [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3])
-    assert found.drift.gain == pytest.approx(0.7, rel=0.25)
-    assert found.drift.aperture_offset_m == 0.0
+    found = touch.gauge("egg", [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]).grid
+    assert found.drift.gain == pytest.approx(0.7, rel=0.3)
+    assert found.drift.aperture_offset_m == pytest.approx(0.0, abs=1e-6)
 
 
 def test_what_cannot_gauge_says_why(taught, fresh):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recognition.drift.drift import Drift
+from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
@@ -125,9 +125,8 @@ def test_heads_follow_the_drift_that_the_whole_ramps_show(train, early):
     few = [g for g in train if g.label == label][:3] + [g for g in train if g.label != label][:3]
     two = [replace(g, label="one" if g.label == label else "other") for g in few]
     whole = make_trainer("force_ramp", use_aperture=False).fit(two)
-    drifted = whole.expecting(Drift(gains=(0.8,)), gauged=True)
+    drifted = whole.with_grid(DriftGrid(prior=DriftPrior(log_gain=-0.2, log_gain_sd=0.1)))
     early_classifiers = replace(early.early, recognizers=(whole, whole))
     for one in early_classifiers.with_drift_of(drifted).recognizers:
-        assert one.drift_estimate is drifted.drift_estimate
-        assert one.gauged
+        assert one.grid is drifted.grid
     assert early.early.with_drift_of(early.whole) is early.early

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import recognition.recognizers
-from recognition.drift.drift import NO_DRIFT
+from recognition.drift.drift import Drift
+from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import (
@@ -247,19 +248,38 @@ def test_teaching_twice_gives_the_same(name, train, fresh):
     assert np.array_equal(a.probability, b.probability)
 
 
-def test_the_occasion_is_when_and_where_a_grasp_was_taken(train, fresh):
+def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh):
     def taken(grasps, source):
         return [dataclasses.replace(g, source=source) for g in grasps]
 
     taught = make_trainer("force_ramp").fit(taken(train, "cell one"))
     taught = type(taught).from_arrays(taught.to_arrays())
-    (here,), (there,), (anywhere,) = (
-        taken(fresh[:1], source) for source in ("cell one", "cell two", "a recording")
+    drift = Drift(aperture_offset_m=-3e-3)
+    (here,), (there,) = (
+        taken([drift.apply(fresh[0])], source) for source in ("cell one", "cell two")
     )
-    assert taught.posterior(here).occasion == "within an hour of teaching"
-    assert taught.posterior(anywhere).occasion == "within an hour of teaching"
-    assert taught.posterior(a_day_later(here)).occasion == "at another time than the teaching"
-    assert taught.posterior(there).occasion == "on another cell than the teaching"
-    assert taught.posterior(there).unknown > taught.posterior(here).unknown
-    gauged = taught.expecting(NO_DRIFT, gauged=True)
-    assert gauged.posterior(there).occasion == "the drift was gauged"
+    soon, elsewhere = taught.posterior(here), taught.posterior(there)
+    assert soon.unknown > elsewhere.unknown
+    assert taught.posterior(a_day_later(here)).unknown == elsewhere.unknown
+    told = taught.with_grid(DriftGrid(prior=DriftPrior(offset_mm=-3.0, offset_sd_mm=0.2)))
+    assert told.posterior(here).best == fresh[0].label
+    assert told.posterior(here).unknown < 0.5
+
+
+def test_a_size_between_two_taught_ones_is_no_taught_object(train, fresh):
+    few = [g for label in ("egg", "pin") for g in [g for g in train if g.label == label][:6]]
+    taught = make_trainer("force_ramp").fit(few)
+    known = [g for g in fresh if g.label in taught.labels]
+    assert np.mean([taught.posterior(g).name == g.label for g in known]) >= 0.7
+    moved = [Drift(aperture_offset_m=8e-3).apply(g) for g in known]
+    assert all(taught.posterior(g).name == UNKNOWN for g in moved)
+
+
+def test_caution_calls_more_objects_unknown(train, fresh):
+    taught = make_trainer("force_ramp").fit([g for g in train if g.label != "egg"])
+    named = [
+        sum(dataclasses.replace(taught, caution=c).posterior(g).name != UNKNOWN for g in fresh)
+        for c in (0.01, 1.0, 100.0)
+    ]
+    assert named[0] >= named[1] > named[2]
+    assert named[0] > named[2]

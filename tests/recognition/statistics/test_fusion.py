@@ -137,11 +137,12 @@ def test_after_the_last_grasp_an_unlikely_label_is_unknown():
 
 @pytest.mark.parametrize("share", [0.4, 0.6, 0.9, 1.0])
 @pytest.mark.parametrize("unknown", [0.0, 0.3, 0.45, 0.6])
-def test_a_name_needs_an_even_chance_with_that_of_a_new_object(share, unknown):
+def test_a_name_needs_its_probability_and_its_novelty(share, unknown):
     one = posterior(share, 1.0 - share, unknown=unknown)
     named = (1.0 - unknown) * max(share, 1.0 - share)
-    assert (one.name != UNKNOWN) == (named >= 0.5)
-    assert one.name_probability == pytest.approx(max(named, 1.0 - named))
+    assert (one.name != UNKNOWN) == (unknown <= 0.5)
+    assert posterior(1, 1, 1, unknown=unknown).name == UNKNOWN
+    assert one.name_probability == pytest.approx(1.0 - named if one.name == UNKNOWN else named)
     assert decide([one], StopRule(max_grasps=1)).label == fuse([one]).name
 
 
