@@ -10,13 +10,21 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from simulator.world.shapes import PAPER_OBJECTS
 
-_RECORDED = "pinch36.npz"
-
 
 def recorded() -> list[Grasp] | None:
     """Return the recorded grasps of the folder in TACTILE_CELL_DATA; None without that."""
+    return _read("pinch36.npz")
+
+
+def recorded_later() -> list[Grasp] | None:
+    """Return grasps of three of these objects on another day; None where they are not at hand."""
+    return _read("pinch_november.npz")
+
+
+def _read(name: str) -> list[Grasp] | None:
     folder = os.environ.get("TACTILE_CELL_DATA")
-    return None if folder is None else list(read_dataset(Path(folder) / _RECORDED))
+    path = None if folder is None else Path(folder) / name
+    return None if path is None or not path.exists() else list(read_dataset(path))
 
 
 def simulated(n_objects: int, n_grasps: int) -> list[Grasp]:

@@ -40,8 +40,8 @@ class RecognitionConfig(Section):
     shape: bool = True
     """Whether shape and size are fitted for each grasp of an identification."""
     caution: float = Field(default=1.0, ge=0.01, le=100.0)
-    """The odds that an object was never taught are multiplied by it: more names fewer objects
-    wrongly and calls more of the taught ones UNKNOWN; only for force_ramp."""
+    """The likelihood of an object that was never taught is multiplied by it: more names fewer
+    objects wrongly and calls more of the taught ones UNKNOWN; only for force_ramp."""
     follow_drift: bool = True
     """Whether the drift of the sensors is followed from one identification to the next; only
     force_ramp can."""

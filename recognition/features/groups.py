@@ -27,8 +27,9 @@ from recognition.features.growth import growth_features
 from recognition.features.patch import harmonic_features, profile_features
 from recognition.ramp.levels import Levels
 
-FEATURE_VERSION = 5
-"""Changes with every change of a feature: models of another version are refused."""
+FEATURE_VERSION = 6
+"""Changes with every change of a feature, or of what is learnt from it: models of another version
+are refused."""
 
 
 @unique
