@@ -17,7 +17,6 @@ from cell.learning.model import LoadedModel, check_pads
 from cell.learning.taught_model import TaughtModel
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
-from recognition.recognizer import Recognizer
 from recognition.shape.answer import ShapeAnswer
 
 
@@ -58,12 +57,12 @@ def identify_recorded(
     *,
     follow: bool = False,
     read_shape: ReadShape | None = None,
-) -> tuple[list[RecordedAnswer], Recognizer]:
+) -> list[RecordedAnswer]:
     """Answer each recorded grasp, in the order of the file.
 
     With ``follow`` they are answered in the order of time, and the drift is followed from grasp to
-    grasp. Returns the recogniser after them, too. Raises ModelError for grasps on other pads, and
-    where a drift is to be followed by a recogniser that cannot.
+    grasp. Raises ModelError for grasps on other pads, and where a drift is to be followed by a
+    recogniser that cannot.
     """
     check_pads(model, grasps[0].pads)
     recognizer = model.recognizer
@@ -93,7 +92,7 @@ def identify_recorded(
         )
         if followed is not None:
             recognizer = followed.follow(grasp)
-    return sorted(answers, key=lambda answer: answer.number), recognizer
+    return sorted(answers, key=lambda answer: answer.number)
 
 
 def identify_on_cell(

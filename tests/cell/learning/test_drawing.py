@@ -149,7 +149,6 @@ def test_a_size_that_the_drawing_excludes_is_no_name(taught: Any, tmp_path: Path
         grasps = drawn("", text, 4, at_ms, known=known)
         return {answer.label for answer in identify_recorded(model, grasps, read_shape=read)}
 
-    assert names(CYLINDER, soon_ms, read=None) == {"pin"}
     assert names(CYLINDER, soon_ms) == {"UNKNOWN"}
     assert names(pin, soon_ms) == {"pin"}
     next_day_ms = soon_ms + 86_400_000  # on which the zero of the opening may have moved

@@ -106,20 +106,20 @@ def _identify_recorded(
     from cell.learning.shapes import NO_SHAPE
     from cell.learning.training import with_caution
     from recognition.drift.drift import drift_text
-    from recognition.drift.grid import DriftFollowing
 
     loaded = load_model(model)
     loaded = replace(loaded, recognizer=with_caution(loaded.recognizer, config.recognition))
     recorded = read_grasps(dataset)
-    answers, after = identify_recorded(loaded, recorded, follow=follow, read_shape=read_shape)
+    answers = identify_recorded(loaded, recorded, follow=follow, read_shape=read_shape)
     for answer in answers:
         print_line(
             f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
             + ("" if read_shape is None else f"   {answer.shape or NO_SHAPE}")
             + (f"   (was {answer.truth})" if answer.truth else "")
         )
-    if follow and isinstance(after, DriftFollowing) and after.grid.likely:
-        print_line(f"the sensors have drifted since teaching: {drift_text(after.grid.drift)}")
+    last = max(answers, key=lambda answer: recorded[answer.number].start_ms).drift
+    if last is not None and last.likely:
+        print_line(f"the sensors have drifted since teaching: {drift_text(last.drift)}")
     write_json(json_file, {"answers": [answer.as_json() for answer in answers]})
 
 
