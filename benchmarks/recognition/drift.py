@@ -53,19 +53,22 @@ def gauged(recognizer: ForceRamp, grasps: Sequence[Grasp], labels: Sequence[str]
     return alone(recognizer, [g for g in grasps if not any(g is one for one in taken)])
 
 
-def figures(answers: Sequence[Answer], taught: Sequence[str]) -> str:
-    """Return shares of taught objects named rightly and wrongly, and of new ones called UNKNOWN."""
+def figures(answers: Sequence[Answer], taught: Sequence[str], *, times: int = 1) -> str:
+    """Return shares of taught objects named rightly and wrongly, and of new ones called UNKNOWN.
+
+    Each grasp was answered several ``times``: for the intervals it counts as one.
+    """
     known = [(truth, one) for truth, one in answers if truth in taught]
     right = sum(one.name == truth for truth, one in known)
     wrong = sum(one.name not in (truth, UNKNOWN) for truth, one in known)
     likeliest = sum(one.best == truth for truth, one in known)
     n = len(known)
-    low, high = wilson_interval(right, n)
-    least, most = wilson_interval(wrong, n)
+    low, high = wilson_interval(right // times, n // times)
+    least, most = wilson_interval(wrong // times, n // times)
     text = (
         f"likeliest {100 * likeliest / n:.1f} %, named rightly {100 * right / n:.1f} % "
         f"({100 * low:.1f}-{100 * high:.1f}), wrongly {100 * wrong / n:.1f} % "
-        f"({100 * least:.1f}-{100 * most:.1f}) of {n}"
+        f"({100 * least:.1f}-{100 * most:.1f}) of {n // times}"
     )
     new = [one.name == UNKNOWN for truth, one in answers if truth not in taught]
     return text + (f"; new UNKNOWN {100 * sum(new) / len(new):.1f} % of {len(new)}" if new else "")
@@ -75,13 +78,15 @@ def day(title: str, taught: ForceRamp, grasps: Sequence[Grasp], effort: float) -
     """Print the figures of one day."""
     line(f"  {title}", f"alone: {figures(alone(taught, grasps), taught.labels)}")
     shifts = [in_a_shift(taught, grasps, seed) for seed in range(repeats(_SHIFTS, effort))]
-    line("    in a shift", figures([one for shift in shifts for one in shift], taught.labels))
+    every = [one for shift in shifts for one in shift]
+    line("    in a shift", figures(every, taught.labels, times=len(shifts)))
     labels = sorted({grasp.label for grasp in grasps} & set(taught.labels))
     for n in (1, 2):
         sets = list(combinations(labels, n))
         step = max(1, len(sets) // repeats(12, effort))
-        found = [one for some in sets[::step] for one in gauged(taught, grasps, some)]
-        line(f"    gauged with {n}", figures(found, taught.labels))
+        found = [gauged(taught, grasps, some) for some in sets[::step]]
+        answers = [one for of_one in found for one in of_one]
+        line(f"    gauged with {n}", figures(answers, taught.labels, times=len(found)))
 
 
 def main(effort: float = 1.0) -> None:
