@@ -60,7 +60,7 @@ campaign: $(DEV)  ## every fault, then a million inputs and random steps from wh
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.campaign --seconds $(or $(CAMPAIGN_SECONDS),inf)
 
 damage: $(DEV)  ## each kind of damage to the bytes of both lines between two processes, five minutes
-	$(BIN)/python -m tests.hil.damage --all
+	$(BIN)/python -m pytest -m real_time -n 0 -rP -k under_damage $(PYTEST_ARGS) tests/hil/test_damage.py
 
 soak: $(DEV)  ## 10,000 connections to each door, 10,000 grasps, a watched shift, an hour and more: memory, files, threads stay flat
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.connects --connects $(or $(CONNECTS),10000)

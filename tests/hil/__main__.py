@@ -17,6 +17,8 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
+PYTEST = ("-m", "pytest", "-m", "real_time", "-k", "not further")
+"""Damage beyond a small set is for `make damage`."""
 ATTEMPTS = 2
 
 
@@ -27,7 +29,7 @@ def main(options: Sequence[str]) -> int:
     code = 0
     with TemporaryDirectory() as cache:
         failed = Path(cache, "v", "cache", "lastfailed")
-        command = [sys.executable, "-m", "pytest", "-m", "real_time", "-o", f"cache_dir={cache}"]
+        command = [sys.executable, *PYTEST, "-o", f"cache_dir={cache}"]
         for attempt in range(1, ATTEMPTS + 1):
             load = os.getloadavg()[0]
             code = subprocess.run([*command, *options, *names], check=False).returncode

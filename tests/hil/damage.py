@@ -1,21 +1,15 @@
 """Damage by name on both lines between simulated cell and program, and what a job makes of it.
 
-    python -m tests.hil.damage --all          # each kind of damage, about 5 s each
-    python -m tests.hil.damage lag noise      # those whose name or order has one of the words
-
 A job under damage ends with the right label or with an error of the named class; the grip is kept.
 """
 
-import argparse
 import contextlib
-import logging
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -168,7 +162,7 @@ SMALL = (
     "can-flip-1",
     "can-drop-0.0005-always",
 )
-"""Those that the tests run."""
+"""Those that the tests in real time run; `make damage` runs all, about 5 s each."""
 
 
 class Broken(AssertionError):
@@ -350,34 +344,3 @@ def teach(config: CellConfig, model: Path) -> None:
 def _cause(failed: JobFailed) -> Exception:
     cause = failed.__cause__
     return cause if isinstance(cause, Exception) else failed
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the damages that are named; exits with a message where one was not borne."""
-    parser = argparse.ArgumentParser(prog="python -m tests.hil.damage", description=__doc__)
-    parser.add_argument("words", nargs="*", help="parts of names; without them the small set")
-    parser.add_argument("--all", action="store_true", help="all of them")
-    given = parser.parse_args(arguments)
-    chosen = [
-        damage
-        for damage in DAMAGES
-        if given.all
-        or any(word in damage.name for word in given.words)
-        or (not given.words and damage.name in SMALL)
-    ]
-    wrong = []
-    with tempfile.TemporaryDirectory() as folder, Bench(Path(folder)) as bench:
-        for damage in chosen:
-            try:
-                print(f"{damage.name}: {bench.run(damage)}", flush=True)
-            except Broken as broken:
-                print(f"BROKEN {broken}", flush=True)
-                wrong.append(damage.name)
-    if wrong:
-        sys.exit(f"not as required: {', '.join(wrong)}")
-    print(f"{len(chosen)} kinds of damage, all as required")
-
-
-if __name__ == "__main__":
-    logging.disable(logging.CRITICAL)
-    main()

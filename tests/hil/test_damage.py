@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from cell.config.file import changed_config, config_text
-from tests.hil import damage
-from tests.hil.damage import Bench
+from tests.hil.damage import DAMAGES, SMALL, Bench, Damage
 from tests.hil.program import LIMIT_S, run
 
 pytestmark = pytest.mark.real_time
@@ -21,10 +20,16 @@ def bench(free_machine: None, tmp_path_factory: pytest.TempPathFactory) -> Itera
         yield one
 
 
-@pytest.mark.parametrize("name", damage.SMALL)
-def test_a_job_under_damage_gives_the_right_label_or_a_named_error(bench: Bench, name: str) -> None:
-    (chosen,) = (one for one in damage.DAMAGES if one.name == name)
-    found = bench.run(chosen)
+def named(damage: Damage) -> str:
+    return damage.name if damage.name in SMALL else f"further-{damage.name}"
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=named)
+def test_a_job_under_damage_gives_the_right_label_or_a_named_error(
+    bench: Bench, damage: Damage
+) -> None:
+    found = bench.run(damage)
+    print(f"{damage.name}: {found}")
     assert found.seconds < LIMIT_S
 
 

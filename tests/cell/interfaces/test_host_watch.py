@@ -29,6 +29,8 @@ def test_a_silence_while_a_job_runs_is_told_once_and_again_after_the_host_was_he
         assert look(3600.0) == []
         assert look(3601.0) == look(9000.0) == [3601.0]
         with watch.calling():
+            pass
+        with watch.calling():
             assert look(20_000.0) == [3601.0]  # a host that waits in a call is there
         assert look(23_600.0) == [3601.0]
         assert look(23_601.0) == [3601.0, 3601.0]
