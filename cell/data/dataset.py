@@ -113,12 +113,8 @@ def text_refused(name: str, text: str) -> str | None:
 def frames_ill_timed(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> str | None:
     """Say which grasp's frames follow each other faster or slower than any sensor's.
 
-    Parameters
-    ----------
-    t_s
-        Time (n_frames,) since the first frame of each grasp in s.
-    offsets
-        First frame (n_grasps + 1,) of each grasp, and the end.
+    Times (n_frames,) in s count from the first frame of each grasp; offsets (n_grasps + 1,) are its
+    number, and the end.
     """
     steps = np.diff(offsets) - 1
     several = np.flatnonzero(steps > 0)
@@ -161,14 +157,9 @@ _MAX_TAXELS = 1 << 16
 
 
 def read_dataset(path: Path | str, *, limit_bytes: int = DEFAULT_LIMIT_BYTES) -> tuple[Grasp, ...]:
-    """Read all grasps of a data set; they share one `PadArray` object.
+    """Read all grasps of a data set that unpacks to no more than so many bytes.
 
-    Parameters
-    ----------
-    path
-        An .npz file in the format of this module.
-    limit_bytes
-        Refuse files that unpack to more than this many bytes.
+    They share one `PadArray` object.
 
     Raises
     ------

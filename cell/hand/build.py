@@ -26,14 +26,7 @@ def open_hand(
 ) -> LocalHand:
     """Open the real ports of a config; nothing moves yet.
 
-    Parameters
-    ----------
-    config
-        The cell.
-    notes
-        Of the hand.
-    partial
-        Whether one of both lines may be missing; a note of the hand names it.
+    With ``partial`` one of both lines may be missing; a note of the hand names it.
 
     Raises
     ------
@@ -54,17 +47,7 @@ def open_hand(
 
 
 def make_hand(config: CellConfig, lines: Lines, *, notes: tuple[str, ...] = ()) -> LocalHand:
-    """Put gripper and sensor together on open lines.
-
-    Parameters
-    ----------
-    config
-        The cell.
-    lines
-        The servos' line and the control unit's bus; the hand closes them at its end.
-    notes
-        Of the hand.
-    """
+    """Put gripper and sensor together on open lines, which the hand closes at its end."""
     layout = layout_from_config(config.tactile)
     sensor = open_sensor(
         lines.can_bus,

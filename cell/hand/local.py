@@ -27,21 +27,8 @@ from tactile.unit.settings import NodeIdentity
 class LocalHand:
     """Implements `cell.hand.interface.Hand` in the caller's thread.
 
-    Parameters
-    ----------
-    gripper, sensor, force
-        Gripper, sensor, and the force of the sensor that the gripper asks for.
-    lines
-        The ports under them; closed at the end.
-    notes
-        Messages for the operator on how the loop runs.
-
-    Attributes
-    ----------
-    gripper, sensor
-        The parts, for tests and benchmarks; commands go through the hand.
-    measured
-        As in `Hand`.
+    The gripper asks ``force`` for that of the sensor; the lines under both are closed at the end.
+    Gripper and sensor are public for tests and benchmarks: commands go through the hand.
     """
 
     def __init__(

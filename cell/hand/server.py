@@ -117,14 +117,9 @@ _SHOW_EVERY_S = 0.02
 
 
 def main(connection_fd: int, stop_fd: int, parent: int) -> None:
-    """Run until the program closes the connection, ends, or SIGTERM comes.
+    """Run until the program, process ``parent``, closes the connection, ends, or SIGTERM comes.
 
-    Parameters
-    ----------
-    connection_fd, stop_fd
-        Descriptors of the socket for requests and events, and of the pipe for requests to stop.
-    parent
-        The program's process id.
+    The descriptors are those of the socket for requests and events, and of the pipe for stops.
     """
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -154,14 +149,7 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
 class HandServer:
     """Carries out requests on a hand, and looks after it in between.
 
-    Parameters
-    ----------
-    hand
-        Gripper and sensor.
-    connection, outbox
-        Where requests come from and events go to.
-    parent
-        Process whose end ends this one.
+    Requests come from the connection, events go to the outbox; the end of the parent ends it.
     """
 
     def __init__(

@@ -29,10 +29,7 @@ class Moment(Protocol):
 class LiveFeed:
     """Looks at the cell `RATE_HZ` times a second while a client listens, once for all of them.
 
-    Parameters
-    ----------
-    look
-        Returns what is shown now; called in another thread than that of the connections.
+    It looks in another thread than that of the connections.
     """
 
     def __init__(self, look: Callable[[], Moment]) -> None:

@@ -72,14 +72,7 @@ def _measured(value: float | None) -> float:
 class Calls:
     """The methods; types are int, double, bool, string and pose only.
 
-    Parameters
-    ----------
-    service
-        The cell.
-    secret
-        What `acquire` asks for; empty: nothing.
-    door
-        Name of the door in what is shown.
+    `acquire` asks for the secret; an empty one is not asked for.
     """
 
     def __init__(self, service: Service, secret: str = "", *, door: str = "XML-RPC") -> None:

@@ -49,13 +49,6 @@ def pressure_levels(
     """Pick the pressure at equal parts of the ramp, each the mean of the nearest frames.
 
     By the commanded force where it is known for each frame, else by the sum of all counts.
-
-    Parameters
-    ----------
-    grasp
-        The grasp.
-    n_levels, n_frames
-        Number of levels, and of frames for each.
     """
     by_force = bool(np.all(np.isfinite(grasp.force_n))) and float(grasp.force_n.max()) > 0
     load = grasp.force_n if by_force else grasp.counts.sum(axis=1, dtype=np.float64)

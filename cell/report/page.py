@@ -38,14 +38,7 @@ DENSE_LABELS = 12
 
 
 def write_report(path: Path | str, data: ReportData) -> None:
-    """Write the page, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The HTML file; an older one stays until the new one is whole.
-    data
-        What the page shows.
+    """Write the page, whole or not at all: an older file stays until the new one is whole.
 
     Raises
     ------

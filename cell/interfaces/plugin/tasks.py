@@ -43,15 +43,7 @@ _SHOWN_GRASPS = 100
 
 
 class ModelFile:
-    """The file that each teaching renews; what could not be written is tried again.
-
-    Parameters
-    ----------
-    model
-        What is taught.
-    path
-        The file; None writes none.
-    """
+    """The file that each teaching renews, if there is one; what it did not take is tried again."""
 
     def __init__(self, model: TaughtModel, path: Path | None) -> None:
         self._model = model

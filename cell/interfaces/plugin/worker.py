@@ -65,23 +65,15 @@ class JobStatus:
 
 
 class JobFailed(CellError):
-    """A job was cancelled or aborted; the error that ended it is the cause of this one.
-
-    Attributes
-    ----------
-    job
-        The job.
-    outcome
-        ``CANCELED`` or ``ABORTED``.
-    fault_number
-        Number of the error that ended it, in the fault catalogue.
-    """
+    """A job was cancelled or aborted; the error that ended it is the cause of this one."""
 
     def __init__(self, job: Job, status: JobStatus) -> None:
         super().__init__(f"job {job.number} {status.outcome.value}: {status.error}")
         self.job = job
         self.outcome = status.outcome
+        """``CANCELED`` or ``ABORTED``."""
         self.fault_number = status.fault_number
+        """Number of the error that ended the job, in the fault catalogue."""
 
 
 Report = Callable[[dict[str, Any]], None]
@@ -194,13 +186,7 @@ class CellWorker:
             self._refusing = True
 
     def end(self, last: Callable[[], None] = lambda: None) -> None:
-        """Accept no further job, and let the thread end after those that are accepted.
-
-        Parameters
-        ----------
-        last
-            Called on the thread before it ends.
-        """
+        """Accept no further job; after those accepted the thread does ``last`` and ends."""
         self.refuse()
         self._queue.put(last)
         self._queue.put(None)

@@ -89,10 +89,7 @@ def same_secret(given: str, secret: str) -> bool:
 def notice_dead_peers(link: Any) -> None:
     """Have the system end a connection whose peer answers nothing any more, as without power.
 
-    Parameters
-    ----------
-    link
-        The socket, or what has its ``setsockopt``.
+    It is the socket, or what has its ``setsockopt``.
     """
     with suppress(OSError):  # it is closed already
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -113,13 +110,6 @@ class Places(Generic[T]):
     It is one of the address that has most of them, so that no address keeps another one out, and
     of these the one whose last whole request is longest ago, first of all one that never made any:
     connections that say nothing keep no client from a hold.
-
-    Parameters
-    ----------
-    close
-        Ends a connection.
-    closed
-        Whether a connection has ended.
     """
 
     def __init__(self, close: Callable[[T], object], closed: Callable[[T], bool]) -> None:

@@ -22,15 +22,7 @@ _FIRST_BYTES = {
 class Photos:
     """One photo for each label; every method from any thread.
 
-    Parameters
-    ----------
-    model
-        Model file; the photos stand in ``NAME.photos`` beside it. None keeps them in memory.
-
-    Attributes
-    ----------
-    revision
-        Changes so far.
+    They stand in ``NAME.photos`` beside the model file; without one they are kept in memory.
     """
 
     def __init__(self, model: Path | None) -> None:
@@ -38,6 +30,7 @@ class Photos:
         self._kept: dict[str, bytes] = {}
         self._lock = Lock()
         self.revision = 0
+        """Changes so far."""
 
     def get(self, label: str) -> tuple[bytes, str] | None:
         """Return the photo of an object and its media type; None where there is none."""

@@ -52,11 +52,6 @@ _NOTHING_RUNS = "this is the replay of a recording, nothing moves: `tactile-cell
 class Tape:
     """What a recording shows at any of its times.
 
-    Parameters
-    ----------
-    recording
-        The recording.
-
     Raises
     ------
     RecordingError
@@ -237,13 +232,6 @@ class Tape:
 
 class Replay:
     """Plays a recording in the place of a cell; every method from any thread.
-
-    Parameters
-    ----------
-    path
-        The recording.
-    clock
-        Real time.
 
     Raises
     ------

@@ -17,13 +17,7 @@ _RATE_S = 3600.0
 
 
 class Shift:
-    """Counts the parts that a cell has identified and sorted; every method from any thread.
-
-    Parameters
-    ----------
-    wall_clock
-        Unix time in s.
-    """
+    """Counts the parts that a cell has identified and sorted; every method from any thread."""
 
     def __init__(self, wall_clock: Callable[[], float] = time.time) -> None:
         self._now_s = wall_clock
