@@ -113,5 +113,13 @@ def make_bench() -> Iterator[Callable[..., Bench]]:
 
 
 @pytest.fixture
-def bench(make_bench: Callable[..., Bench]) -> Bench:
+def idle(make_bench: Callable[..., Bench]) -> Bench:
+    """A bench whose link is not started."""
     return make_bench(unit=ControlUnitSettings(serial_number=4711, boards=(31, 32)))
+
+
+@pytest.fixture
+def bench(idle: Bench) -> Bench:
+    """A bench whose link is in operation."""
+    idle.link.start()
+    return idle

@@ -37,8 +37,12 @@ def closing(servo_bench: Callable):
     return make
 
 
-def test_goal_current_is_a_limit_of_the_magnitude_in_mode_5(closing):
-    bench = closing()
+@pytest.fixture
+def bench(closing):
+    return closing()
+
+
+def test_goal_current_is_a_limit_of_the_magnitude_in_mode_5(bench):
     bench.clock.sleep(0.3)
     assert bench.read(1, 126, 2, signed=True) == -100
     assert bench.read(2, 126, 2, signed=True) == 100
@@ -167,8 +171,7 @@ def test_torque_on_by_goal_update(servo_bench):
 # Bus watchdog
 
 
-def test_any_packet_feeds_the_watchdog(closing):
-    bench = closing()
+def test_any_packet_feeds_the_watchdog(bench):
     bench.write(1, 98, 1, 5)
     for _ in range(10):
         bench.clock.sleep(0.07)
@@ -176,8 +179,7 @@ def test_any_packet_feeds_the_watchdog(closing):
     assert bench.read(1, 98, 1) == 5
 
 
-def test_a_damaged_packet_does_not_feed_the_watchdog(closing):
-    bench = closing()
+def test_a_damaged_packet_does_not_feed_the_watchdog(bench):
     bench.write(1, 98, 1, 2)
     bad = bytearray(encode_instruction(200, Instruction.PING))
     bad[-1] ^= 1
@@ -194,8 +196,7 @@ def trip(bench):
     assert bench.servos[0].core.watchdog_tripped
 
 
-def test_a_trip_holds_the_present_position(closing):
-    bench = closing()
+def test_a_trip_holds_the_present_position(bench):
     trip(bench)
     command = bench.motors[0].command
     assert command.mode is DriveMode.CURRENT_POSITION
@@ -222,8 +223,7 @@ def test_the_330_fault_keeps_turning(closing):
     assert bench.write(1, 102, 2, 0) == 4
 
 
-def test_a_cleared_motor_waits_for_a_goal(closing):
-    bench = closing()
+def test_a_cleared_motor_waits_for_a_goal(bench):
     trip(bench)
     stopped = bench.motors[0].command
     assert bench.write(1, 98, 1, 0) == 0
@@ -249,8 +249,7 @@ def knobs(bench) -> ServoFaultKnobs:
     ],
     ids=["overload", "overheating", "shock"],
 )
-def test_a_latched_error_drops_the_torque_until_a_reboot(closing, provoke, bits: int):
-    bench = closing()
+def test_a_latched_error_drops_the_torque_until_a_reboot(bench, provoke, bits: int):
     bench.clock.sleep(0.1)
     provoke(knobs(bench))
     bench.clock.sleep(0.01)
@@ -269,8 +268,7 @@ def test_a_latched_error_drops_the_torque_until_a_reboot(closing, provoke, bits:
 
 
 @pytest.mark.parametrize("voltage_v", [9.0, 16.5])
-def test_a_wrong_supply_alerts_but_keeps_the_torque_by_default(closing, voltage_v: float):
-    bench = closing()
+def test_a_wrong_supply_alerts_but_keeps_the_torque_by_default(bench, voltage_v: float):
     knobs(bench).supply(voltage_v)
     bench.clock.sleep(0.01)
     error, data = bench.ask(1, Instruction.READ, bytes((144, 0, 2, 0)))
@@ -287,8 +285,7 @@ def test_the_xl330_shuts_down_on_a_wrong_supply(servo_bench):
     assert bench.read(1, 64, 1) == 0
 
 
-def test_an_error_that_lasts_comes_back_after_the_reboot(closing):
-    bench = closing()
+def test_an_error_that_lasts_comes_back_after_the_reboot(bench):
     knobs(bench).overheat(95.0)
     bench.clock.sleep(0.01)
     bench.ask(1, Instruction.REBOOT)
@@ -296,8 +293,7 @@ def test_an_error_that_lasts_comes_back_after_the_reboot(closing):
     assert bench.read(1, 70, 1) == 0x04
 
 
-def test_a_servo_that_reboots_by_itself_goes_limp(closing):
-    bench = closing()
+def test_a_servo_that_reboots_by_itself_goes_limp(bench):
     bench.clock.sleep(0.1)
     knobs(bench).reboot(bench.clock.monotonic())
     assert bench.exchange(encode_instruction(1, Instruction.PING)) == b""
@@ -306,8 +302,7 @@ def test_a_servo_that_reboots_by_itself_goes_limp(closing):
     assert bench.motors[0].command.mode is DriveMode.OFF
 
 
-def test_a_stuck_encoder_reports_one_position(closing):
-    bench = closing()
+def test_a_stuck_encoder_reports_one_position(bench):
     knobs(bench).stick_encoder()
     stuck = bench.read(1, 132, 4)
     bench.clock.sleep(0.05)

@@ -39,19 +39,19 @@ def written(bench) -> dict[tuple[int, int], int]:
     return {struct.unpack_from("<HB", data, 1): int.from_bytes(data[4:], "little") for data in sent}
 
 
-def test_start_checks_configures_and_starts_the_unit(bench) -> None:
-    identity = bench.link.start()
+def test_start_checks_configures_and_starts_the_unit(idle) -> None:
+    identity = idle.link.start()
     assert identity.serial == 4711
     assert identity.name == "Tactile control unit"
-    bench.run(0.001, 0.001)
-    assert [data[0] for _, can_id, data in bench.traffic if can_id == 0] == [130, 1]
-    assert written(bench) == {
+    idle.run(0.001, 0.001)
+    assert [data[0] for _, can_id, data in idle.traffic if can_id == 0] == [130, 1]
+    assert written(idle) == {
         (od.SYNC_COB_ID, 0): 0x80,
         (od.SYNC_WINDOW_US, 0): 17_000,
         (od.SYNC_PERIOD_US, 0): 20_000,
         (od.HEARTBEAT_MS, 0): 100,
     }
-    first = [(can_id, data) for _, can_id, data in bench.traffic if can_id in (0, 0x605)][:2]
+    first = [(can_id, data) for _, can_id, data in idle.traffic if can_id in (0, 0x605)][:2]
     assert first == [(0, bytes([130, 5])), (0x605, bytes.fromhex("40 18 10 01 00 00 00 00"))]
 
 
@@ -74,7 +74,6 @@ def test_frames_come_at_the_rate_of_sync(make_bench, layout) -> None:
 
 
 def test_a_slow_caller_does_not_make_up_for_syncs_and_does_not_lose_the_link(bench) -> None:
-    bench.link.start()
     bench.run(0.1)
     before = bench.link.statistics.syncs
     bench.clock.sleep(0.5)
@@ -85,7 +84,6 @@ def test_a_slow_caller_does_not_make_up_for_syncs_and_does_not_lose_the_link(ben
 
 
 def test_after_a_late_sync_the_next_one_does_not_cut_into_the_burst(bench) -> None:
-    bench.link.start()
     bench.run(0.1)
     bench.clock.sleep(0.036)
     bench.link.poll()
@@ -99,13 +97,13 @@ def test_after_a_late_sync_the_next_one_does_not_cut_into_the_burst(bench) -> No
 # --- start-up refusals ---------------------------------------------------------------------------
 
 
-def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(bench) -> None:
-    bench.unit.faults.dead = True
-    bench.clock.on_advance.append(lambda now_s: bench.put(0x706, b"\x7f"))
-    start_s = bench.clock.monotonic()
+def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(idle) -> None:
+    idle.unit.faults.dead = True
+    idle.clock.on_advance.append(lambda now_s: idle.put(0x706, b"\x7f"))
+    start_s = idle.clock.monotonic()
     with pytest.raises(NodeMissing, match=r"within 3 s; node-IDs heard: 6"):
-        bench.link.start()
-    assert bench.clock.monotonic() - start_s == pytest.approx(3.0, abs=0.01)
+        idle.link.start()
+    assert idle.clock.monotonic() - start_s == pytest.approx(3.0, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -120,22 +118,22 @@ def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(
         (lambda bench: mute(bench, 0x580 + NODE), "failed 3 times: no SDO response within 0.3 s"),
     ],
 )
-def test_a_unit_that_does_not_come_up_alone_is_a_missing_node(bench, spoil, says) -> None:
-    spoil(bench)
+def test_a_unit_that_does_not_come_up_alone_is_a_missing_node(idle, spoil, says) -> None:
+    spoil(idle)
     with pytest.raises(NodeMissing, match=says):
-        bench.link.start()
+        idle.link.start()
 
 
-def test_a_unit_that_boots_late_is_waited_for(bench) -> None:
-    bench.unit.faults.dead = True
+def test_a_unit_that_boots_late_is_waited_for(idle) -> None:
+    idle.unit.faults.dead = True
 
     def power_on(now_s: float) -> None:
-        if now_s >= 101.5 and bench.unit.faults.dead:
-            bench.unit.faults.dead = False
-            bench.unit.power_cycle()
+        if now_s >= 101.5 and idle.unit.faults.dead:
+            idle.unit.faults.dead = False
+            idle.unit.power_cycle()
 
-    bench.clock.on_advance.append(power_on)
-    assert bench.link.start().serial == 4711
+    idle.clock.on_advance.append(power_on)
+    assert idle.link.start().serial == 4711
 
 
 @pytest.mark.parametrize(
@@ -176,28 +174,27 @@ def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_b
         make_bench(identity=ExpectedIdentity(boards=(1, 3))).link.start()
 
 
-def test_an_object_that_is_missing_is_named(bench) -> None:
-    bench.unit.dictionary._missing = frozenset({od.LAYOUT})
+def test_an_object_that_is_missing_is_named(idle) -> None:
+    idle.unit.dictionary._missing = frozenset({od.LAYOUT})
     with pytest.raises(NodeMissing, match=r"0x2100:03 .*refused.*Object does not exist"):
-        bench.link.start()
+        idle.link.start()
 
 
-def test_lost_sdo_responses_are_asked_for_again(bench) -> None:
-    mute(bench, 0x580 + NODE, times=2)
-    assert bench.link.start().vendor_id == od.VENDOR_ID
+def test_lost_sdo_responses_are_asked_for_again(idle) -> None:
+    mute(idle, 0x580 + NODE, times=2)
+    assert idle.link.start().vendor_id == od.VENDOR_ID
 
 
-def test_a_zero_held_by_the_unit_is_cleared(bench) -> None:
-    bench.unit.dictionary.pretend(od.TARE, od.TARE_RESULT, od.TareResult.DONE)
-    bench.link.start()
-    assert written(bench)[od.TARE, od.TARE_COMMAND] == od.TARE_CLEAR_SIGNATURE
+def test_a_zero_held_by_the_unit_is_cleared(idle) -> None:
+    idle.unit.dictionary.pretend(od.TARE, od.TARE_RESULT, od.TareResult.DONE)
+    idle.link.start()
+    assert written(idle)[od.TARE, od.TARE_COMMAND] == od.TARE_CLEAR_SIGNATURE
 
 
 # --- faults in operation -------------------------------------------------------------------------
 
 
 def test_lost_heartbeat_is_a_fault_after_two_and_a_half_periods(bench) -> None:
-    bench.link.start()
     bench.run(0.5)
     bench.unit.faults.heartbeat_off = True
     last_s = bench.clock.monotonic()
@@ -207,7 +204,6 @@ def test_lost_heartbeat_is_a_fault_after_two_and_a_half_periods(bench) -> None:
 
 
 def test_a_heartbeat_with_a_turned_bit_is_counted_and_no_other_state(bench) -> None:
-    bench.link.start()
     bench.run(0.1)
     bench.put(0x700 + NODE, b"\x45")
     bench.run(0.05)
@@ -224,14 +220,12 @@ def test_a_heartbeat_with_a_turned_bit_is_counted_and_no_other_state(bench) -> N
     ],
 )
 def test_a_message_that_ends_the_operation_is_a_fault(bench, cob_id, data, error, says) -> None:
-    bench.link.start()
     bench.put(cob_id, data, is_error_frame=error is BusOff)
     with pytest.raises(error, match=says):
         bench.link.poll()
 
 
 def test_emergency_is_a_fault_with_its_text(bench) -> None:
-    bench.link.start()
     bench.put(0x80 + NODE, EMCY_STRUCT.pack(0xFF03, 0x81, bytes(5)))
     with pytest.raises(NodeEmergency, match=r"0xFF03 \(converter self-test failed\)") as caught:
         bench.link.poll()
@@ -240,7 +234,6 @@ def test_emergency_is_a_fault_with_its_text(bench) -> None:
 
 
 def test_error_reset_and_short_emergencies_are_no_fault(bench) -> None:
-    bench.link.start()
     bench.put(0x80 + NODE, bytes(8))
     bench.put(0x80 + NODE, b"\x10\x81")
     bench.link.poll()
@@ -248,7 +241,6 @@ def test_error_reset_and_short_emergencies_are_no_fault(bench) -> None:
 
 
 def test_error_passive_is_a_fault_when_it_lasts(bench) -> None:
-    bench.link.start()
     bench.put(0x04, bytes([0, 0x10, 0, 0, 0, 0, 0, 0]), is_error_frame=True)
     assert bench.run(0.45)
     bench.put(0x04, bytes([0, 0x40, 0, 0, 0, 0, 0, 0]), is_error_frame=True)
@@ -262,7 +254,6 @@ def test_error_passive_is_a_fault_when_it_lasts(bench) -> None:
 
 
 def test_no_frames_for_three_syncs_is_a_fault_within_60_ms(bench) -> None:
-    bench.link.start()
     bench.run(0.2)
     lost_at_s = []
 
@@ -278,7 +269,6 @@ def test_no_frames_for_three_syncs_is_a_fault_within_60_ms(bench) -> None:
 
 
 def test_two_lost_frames_are_noted_only(bench) -> None:
-    bench.link.start()
     bench.run(0.2)
     mute(bench, FRAMES, times=2)
     frames = bench.run(0.2)
@@ -288,7 +278,6 @@ def test_two_lost_frames_are_noted_only(bench) -> None:
 
 
 def test_a_torn_frame_is_never_handed_out_and_frequent_loss_is_a_fault(bench) -> None:
-    bench.link.start()
     bench.run(0.5)
 
     def lose_every_third(messages: list[bytes]) -> list[bytes]:
@@ -301,7 +290,6 @@ def test_a_torn_frame_is_never_handed_out_and_frequent_loss_is_a_fault(bench) ->
 
 
 def test_frames_without_crc_are_a_fault_in_the_end(bench) -> None:
-    bench.link.start()
     bench.alter(FRAMES, lambda messages: [*messages[:-1], messages[-1][:-1] + b"\0"])
     with pytest.raises(FrameTimeout):
         bench.run(1.0)
@@ -311,7 +299,6 @@ def test_frames_without_crc_are_a_fault_in_the_end(bench) -> None:
 @pytest.mark.parametrize("error", [can.CanOperationError("gone"), OSError(5, "gone")])
 @pytest.mark.parametrize("call", ["_recv_all", "send"])
 def test_a_failing_interface_is_bus_off(bench, monkeypatch, error, call) -> None:
-    bench.link.start()
     owner = bench.bus if call == "send" else bench.link._source
     monkeypatch.setattr(owner, call, Mock(side_effect=error))
     with pytest.raises(BusOff, match=r"gone.*plugged in"):
@@ -320,7 +307,6 @@ def test_a_failing_interface_is_bus_off(bench, monkeypatch, error, call) -> None
 
 
 def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None:
-    bench.link.start()
     bench.put(0x7FF, b"")
     bench.put(0x180 + NODE, b"", is_remote_frame=True)
     bench.put(0x180 + NODE, bytes(8), is_extended_id=True)
@@ -345,7 +331,6 @@ def pour_garbage(bench, per_ms: int) -> None:
 
 
 def test_some_random_garbage_does_no_harm(bench) -> None:
-    bench.link.start()
     pour_garbage(bench, 1)
     frames = bench.run(1.0)
     assert len(frames) >= 49
@@ -354,7 +339,6 @@ def test_some_random_garbage_does_no_harm(bench) -> None:
 
 
 def test_too_much_garbage_is_a_fault_within_60_ms(bench) -> None:
-    bench.link.start()
     bench.run(0.1)
     start_s = bench.clock.monotonic()
     pour_garbage(bench, 8)
@@ -364,7 +348,6 @@ def test_too_much_garbage_is_a_fault_within_60_ms(bench) -> None:
 
 
 def test_too_many_damaged_messages_are_a_fault(bench) -> None:
-    bench.link.start()
     bench.run(0.1)
     bench.clock.on_advance.append(lambda now_s: bench.put(0x80 + NODE, b"\x10\x81"))
     with pytest.raises(BusDisturbed, match=r"1\d damaged messages"):
@@ -373,7 +356,6 @@ def test_too_many_damaged_messages_are_a_fault(bench) -> None:
 
 def test_frames_that_begin_to_come_late_are_a_fault(bench) -> None:
     """Late by two periods: each is whole, in order and counted, and yet too old for control."""
-    bench.link.start()
     assert len(bench.run(0.2)) == 10
     late: list[tuple[float, list[bytes]]] = []
 
@@ -395,7 +377,6 @@ def test_frames_that_begin_to_come_late_are_a_fault(bench) -> None:
 
 
 def test_frames_that_come_late_once_catch_up(bench) -> None:
-    bench.link.start()
     bench.run(0.2)
     held: list[bytes] = []
     bursts = itertools.count()
@@ -415,7 +396,6 @@ def test_frames_that_come_late_once_catch_up(bench) -> None:
 
 def test_a_sync_that_the_unit_did_not_hear_is_forgotten_in_time(bench) -> None:
     """One a minute is noise; two in a row within seconds look like frames that come late."""
-    bench.link.start()
     bench.run(0.2)
     hear = bench.unit.receive
 
@@ -450,19 +430,18 @@ def mute(bench, cob_id: int, *, times: float = np.inf) -> None:
     bench.alter(cob_id, lambda burst: [] if next(left) > 0 else burst)
 
 
-def test_two_answers_to_each_sdo_request_are_refused(bench) -> None:
-    double(bench, 0x580 + NODE)
+def test_two_answers_to_each_sdo_request_are_refused(idle) -> None:
+    double(idle, 0x580 + NODE)
     with pytest.raises(DuplicateNode, match="3 SDO answers more"):
-        bench.link.start()
+        idle.link.start()
 
 
-def test_one_sdo_answer_that_comes_twice_is_no_second_unit(bench) -> None:
-    double(bench, 0x580 + NODE, times=1)
-    assert bench.link.start().serial == 4711
+def test_one_sdo_answer_that_comes_twice_is_no_second_unit(idle) -> None:
+    double(idle, 0x580 + NODE, times=1)
+    assert idle.link.start().serial == 4711
 
 
 def test_doubled_heartbeats_are_a_second_unit(bench) -> None:
-    bench.link.start()
     bench.run(0.2)
     double(bench, 0x700 + NODE)
     start_s = bench.clock.monotonic()
@@ -472,23 +451,23 @@ def test_doubled_heartbeats_are_a_second_unit(bench) -> None:
 
 
 @pytest.mark.parametrize("other_content", [False, True])
-def test_two_bursts_after_each_sync_are_a_second_unit(bench, other_content) -> None:
-    bench.skin.noisy = True
-    bench.link.start()
-    bench.run(0.2)
+def test_two_bursts_after_each_sync_are_a_second_unit(idle, other_content) -> None:
+    idle.skin.noisy = True
+    idle.link.start()
+    idle.run(0.2)
 
     def both(messages: list[bytes]) -> list[bytes]:
         second = messages
         if other_content:
-            bench.unit.scanner.latch()
-            second = bench.unit.scanner.frame_messages()
+            idle.unit.scanner.latch()
+            second = idle.unit.scanner.frame_messages()
         return [data for pair in zip(messages, second, strict=True) for data in pair]
 
-    bench.alter(FRAMES, both)
-    start_s = bench.clock.monotonic()
+    idle.alter(FRAMES, both)
+    start_s = idle.clock.monotonic()
     with pytest.raises(DuplicateNode, match=r"118 frame messages .* sends 59: a second unit"):
-        bench.run(1.0)
-    assert bench.clock.monotonic() - start_s <= 0.105
+        idle.run(1.0)
+    assert idle.clock.monotonic() - start_s <= 0.105
 
 
 def test_bursts_that_pile_up_behind_a_stall_are_no_second_unit() -> None:
@@ -513,7 +492,6 @@ def test_bursts_that_pile_up_behind_a_stall_are_no_second_unit() -> None:
 
 
 def test_every_third_message_twice_is_noted_only(bench) -> None:
-    bench.link.start()
     bench.alter(FRAMES, lambda messages: sorted(messages + messages[::3], key=messages.index))
     assert len(bench.run(1.0)) >= 49
     assert bench.link.statistics.frames.duplicate >= 900
@@ -523,7 +501,6 @@ def test_every_third_message_twice_is_noted_only(bench) -> None:
 
 
 def test_a_fault_latches_until_closed_and_started_again(bench) -> None:
-    bench.link.start()
     bench.unit.power_cycle()
     with pytest.raises(NodeRebooted):
         bench.run(0.1)
@@ -541,26 +518,26 @@ def test_a_fault_latches_until_closed_and_started_again(bench) -> None:
     assert len(bench.run(0.2)) == 10
 
 
-def test_calls_out_of_order_are_refused(bench) -> None:
+def test_calls_out_of_order_are_refused(idle) -> None:
     with pytest.raises(LinkStateError, match="start it first"):
-        bench.link.poll()
-    bench.link.start()
+        idle.link.poll()
+    idle.link.start()
     with pytest.raises(LinkStateError, match="close it"):
-        bench.link.start()
-    bench.link.close()
-    bench.link.close()
-    assert bench.unit.state == "PRE-OPERATIONAL"
+        idle.link.start()
+    idle.link.close()
+    idle.link.close()
+    assert idle.unit.state == "PRE-OPERATIONAL"
     with pytest.raises(LinkStateError):
-        bench.link.poll()
+        idle.link.poll()
 
 
-def test_a_failed_start_can_be_repeated_after_close(bench) -> None:
-    bench.unit.faults.dead = True
+def test_a_failed_start_can_be_repeated_after_close(idle) -> None:
+    idle.unit.faults.dead = True
     with pytest.raises(NodeMissing):
-        bench.link.start()
-    bench.unit.faults.dead = False
-    bench.link.close()
-    assert bench.link.start().serial == 4711
+        idle.link.start()
+    idle.unit.faults.dead = False
+    idle.link.close()
+    assert idle.link.start().serial == 4711
 
 
 # --- settings ------------------------------------------------------------------------------------
@@ -590,6 +567,6 @@ def test_the_window_follows_the_period() -> None:
 
 
 @pytest.mark.parametrize("node_id", [0, 128])
-def test_node_id_out_of_range_is_refused(bench, node_id) -> None:
+def test_node_id_out_of_range_is_refused(idle, node_id) -> None:
     with pytest.raises(ValueError, match="1 to 127"):
-        TactileLink(bench.bus, node_id=node_id, layout=paper_layout(), clock=bench.clock)
+        TactileLink(idle.bus, node_id=node_id, layout=paper_layout(), clock=idle.clock)
