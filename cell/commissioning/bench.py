@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from cell.config.file import changed_config
+from cell.config.file import changed_config, load_config
 from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
@@ -20,8 +20,8 @@ from gripper.state import Clock
 from tactile.can.bus import CanBus, close_bus, open_bus
 
 _Section = TypeVar("_Section", bound=BaseModel)
-_BASE: Mapping[str, Any] = {"positioner": {"kind": "operator"}}
-"""Config of a cell on real ports before anything was found: a person brings the objects."""
+CONFIG_NAME = "tactile-cell.yaml"
+"""File in the cell's folder that the finished wizard writes; commands there take it unasked."""
 _PATIENCE_S = 0.02
 """Allowance in s for adapter and operating system: an adapter with a latency timer of 16 ms, set
 right only later, answers within it."""
@@ -81,6 +81,14 @@ class Bench:
     given
         Values of the config by dotted key that the person named at the start, as
         ``{"gripper.port": "/dev/ttyUSB0"}``; steps take them in the place of asking.
+    base
+        Config to begin with, whose values stay where no step finds others; by default that of the
+        folder, where an earlier commissioning and its users have left one.
+
+    Raises
+    ------
+    ConfigError
+        If the config of the folder is not valid.
 
     Attributes
     ----------
@@ -96,8 +104,12 @@ class Bench:
         lines: Lines | None = None,
         *,
         given: Mapping[str, Any] | None = None,
+        base: CellConfig | None = None,
     ) -> None:
         self.folder = folder
+        if base is None and (folder / CONFIG_NAME).exists():
+            base = load_config(folder / CONFIG_NAME)
+        self._base = _new_cell(folder) if base is None else base
         self.lines: Lines = lines or RealLines()
         self.given: Mapping[str, Any] = given or {}
         self.settings: Mapping[str, Any] = {}
@@ -111,19 +123,22 @@ class Bench:
     @property
     def config(self) -> CellConfig:
         """The whole config so far; ConfigError while it lacks what makes it valid."""
-        name = self.folder.resolve().name[:80] or "cell"
-        return changed_config(CellConfig(), {"name": name, **_BASE, **self.settings})
+        changes: dict[str, Any] = {"simulator.faults": []}
+        positioner = self._base.positioner
+        if positioner.kind == "simulated" and not positioner.socket:
+            changes["positioner"] = {"kind": "operator"}
+        return changed_config(self._base, changes | dict(self.settings))
 
     def gripper(self, **changes: Any) -> GripperConfig:
         """Return the gripper's section so far, with some keys changed; raises ConfigError."""
-        return self._section("gripper", GripperConfig, changes)
+        return self._section("gripper", self._base.gripper, changes)
 
     def tactile(self, **changes: Any) -> TactileConfig:
         """Return the control unit's section so far, with some keys changed; raises ConfigError."""
-        return self._section("tactile", TactileConfig, changes)
+        return self._section("tactile", self._base.tactile, changes)
 
-    def _section(self, name: str, kind: type[_Section], changes: Mapping[str, Any]) -> _Section:
-        values = kind().model_dump(mode="json")
+    def _section(self, name: str, base: _Section, changes: Mapping[str, Any]) -> _Section:
+        values = base.model_dump(mode="json")
         found = {
             k.partition(".")[2]: v for k, v in self.settings.items() if k.startswith(f"{name}.")
         }
@@ -134,7 +149,7 @@ class Bench:
                 owner = owner[part]
             owner[last] = value
         try:
-            return kind.model_validate_json(json.dumps(values))
+            return type(base).model_validate_json(json.dumps(values))
         except ValidationError as error:
             raise ConfigError(f"the config of the {name} that was found: {error}") from error
 
@@ -171,3 +186,8 @@ class Bench:
             yield bus
         finally:
             close_bus(bus)
+
+
+def _new_cell(folder: Path) -> CellConfig:
+    """Return the config of a new cell: the defaults, and the folder's name."""
+    return CellConfig(name=folder.resolve().name[:80] or "cell")

@@ -12,7 +12,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
-from cell.commissioning.bench import Bench
+from cell.commissioning.bench import CONFIG_NAME, Bench
 from cell.config.file import config_text, schema_text
 from cell.data.files import write_atomically, write_text
 from cell.errors import CellError, error_text
@@ -21,8 +21,6 @@ from tactile.errors import TactileError
 
 STORE_NAME = "commissioning.json"
 """File in the cell's folder that keeps the entries of the steps."""
-CONFIG_NAME = "tactile-cell.yaml"
-"""File in the cell's folder that the finished wizard writes; commands there take it unasked."""
 LOOK_S = 0.05
 """Time in s between two calls of `Dialog.live` while motors move: a person may stop them there."""
 _PNG = b"\x89PNG"

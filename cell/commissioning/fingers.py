@@ -427,12 +427,13 @@ class _Hands:
                 "pinion_radius_mm": round(drive.pinion_radius_m * 1e3, 3),
                 "offset_mm": 0.0,
             }
-        open_mm = min(self._gripper.aperture_open_mm, (widest_m - _END_MARGIN_M) * 1e3)
-        settings = {
+        settings: dict[str, object] = {
             "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],
             "gripper.linkage": linkage,
-            "gripper.aperture_open_mm": round(open_mm, 2),
         }
+        reach_mm = round((widest_m - _END_MARGIN_M) * 1e3, 2)
+        if reach_mm < self._gripper.aperture_open_mm:
+            settings["gripper.aperture_open_mm"] = reach_mm
         lines = [
             f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
             f"{servo.zero_pulse} pulses"

@@ -18,7 +18,7 @@ from cell.commissioning.engine import (
     Question,
     Verdict,
 )
-from cell.config.file import load_config
+from cell.config.file import changed_config, config_text, load_config
 from cell.errors import CellError, ConfigError
 from gripper.errors import PortLost
 from tests.cell.commissioning.script import Script
@@ -143,6 +143,22 @@ def test_the_store_is_written_after_each_step(tmp_path: Path) -> None:
     with pytest.raises(Left):
         Engine(steps(), Bench(tmp_path)).run(Script(leave_at=["servos.q"]))
     assert list(json.loads((tmp_path / STORE_NAME).read_text())["steps"]) == ["ports"]
+
+
+def test_what_users_wrote_into_the_config_stays(tmp_path: Path) -> None:
+    Engine(steps(), Bench(tmp_path)).run(Script())
+    path = tmp_path / CONFIG_NAME
+    config = load_config(path)
+    assert config.positioner.kind == "operator"
+    changes = {"gripper.force_max_n": 20.0, "name": "cell 7", "gripper.baud_rate": 4000000}
+    path.write_text(config_text(changed_config(config, changes)))
+    again = Engine(steps(), Bench(tmp_path))
+    again.redo("servos")
+    again.run(Script())
+    found = load_config(path)
+    assert (found.gripper.force_max_n, found.name) == (20.0, "cell 7")
+    # What a step has found is as it was found.
+    assert found.gripper.baud_rate == 57600
 
 
 def test_sections_are_there_before_the_config_is_whole(tmp_path: Path) -> None:

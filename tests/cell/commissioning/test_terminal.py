@@ -122,8 +122,8 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     cell: CellProcess, tmp_path: Path
 ) -> None:
     hands = RealHands(cell)
-    can = f"{cell.can_interface}:{cell.can_channel}"
-    command = ["commission", "box", "--servo-port", cell.servo_port, "--can", can]
+    # The config of a simulated cell names its ports, and allows for the stalls of its process.
+    command = ["commission", "box", "--config", str(cell.config_path)]
 
     def end(_match: object) -> None:
         raise StopIteration

@@ -35,6 +35,15 @@ def commission(
             callback=_can,
         ),
     ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config",
+            "-c",
+            help="Config to begin with: its ports and all that the steps do not find "
+            "[default: tactile-cell.yaml in FOLDER, else a new one].",
+        ),
+    ] = None,
     redo: Annotated[
         list[str] | None,
         typer.Option("--redo", metavar="STEP", help="Forget a step and all that need it."),
@@ -63,6 +72,7 @@ def commission(
     from cell.commissioning.engine import Engine, Left
     from cell.commissioning.record import write_record
     from cell.commissioning.walk import all_steps
+    from cell.config.file import load_config
     from cell.installation import missing_packages, remedy
     from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.signals import as_interrupts
@@ -71,7 +81,14 @@ def commission(
     given = {} if servo_port is None else {"gripper.port": servo_port}
     if can is not None:
         given["tactile.interface"], _, given["tactile.channel"] = can.partition(":")
-    bench = Bench(folder, given=given)
+    base = None if config is None else load_config(config)
+    if base is not None and not base.simulated:
+        given = {
+            "gripper.port": base.gripper.port,
+            "tactile.interface": base.tactile.interface,
+            "tactile.channel": base.tactile.channel,
+        } | given
+    bench = Bench(folder, given=given, base=base)
     if missing := missing_packages("report"):
         print_note(f"no record: {' and '.join(missing)} missing; {remedy('report')}")
     engine = Engine(all_steps(), bench, finish=(lambda _engine: ()) if missing else write_record)
