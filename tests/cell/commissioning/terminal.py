@@ -92,7 +92,8 @@ class Person:
             if not seen:
                 typed = typed if isinstance(typed, str) else ""
                 self.type(typed if typed.endswith("\x03") else f"{typed}\n")
-        raise TimeoutError(f"no end after {timeout_s:g} s; it printed:\n{self.text[-3000:]}")
+        shown = re.sub(r"(.{8,80}?)\1+", r"\1", self.text)
+        raise TimeoutError(f"no end after {timeout_s:g} s; it printed:\n{shown[-3000:]}")
 
     def _more(self, timeout_s: float) -> bool:
         """Read what is printed; False once the program has closed its terminal."""

@@ -99,7 +99,7 @@ class RealHands:
             "Do you have weights": "1",
             "Load \\d of \\d on (\\S+): about (\\d+) g": self.load,
             "With which force may it": "4",
-            "Take everything out": self.empty,
+            "Take everything out|Take the part away": self.empty,
             "Hold .*between the pads, (and keep|until)": lambda _: self.cell.ask(place="ball"),
             "Take hold of the": "",
             "What is its name": "ball",
