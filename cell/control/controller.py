@@ -194,9 +194,9 @@ class CellController(CellView):
             contact_force_n=contact_force_n,
             zero_force_max_n=zero_force_max_n,
             opening_step_m=opening_step_m,
+            zeros=self._zeros,
             clock=clock,
         )
-        self._grasper.zero = self._zeros.newest
         self.pads: PadArray = self._grasper.pads
 
     @property
@@ -264,12 +264,12 @@ class CellController(CellView):
             self.zero = self._hand.tare(self._tare_frames)
             self._life.check_cancelled()
             if self._zeros.due:
-                self._measure_zero()
+                self._grasper.measure_zero()
             self._life.complete()
 
     @property
     def self_zero(self) -> SelfZero | None:
-        """What the empty fingers showed last; None where it was not measured."""
+        """What the empty fingers showed in the last day; None where it was not measured."""
         return self._zeros.newest
 
     def check_zero(self) -> None:
@@ -295,7 +295,7 @@ class CellController(CellView):
         self.check_zero()
         self._check_cancelled_between()
         with self._executing(Event.EXECUTE):
-            found = self._measure_zero()
+            found = self._grasper.measure_zero()
             self._life.complete()
         return found
 
@@ -628,11 +628,6 @@ class CellController(CellView):
         self._journal.note(kind, text)
 
     # -- inside --------------------------------------------------------------------------------
-
-    def _measure_zero(self) -> ZeroMeasurement:
-        found = self._grasper.measure_zero()
-        self._zeros.keep(found.zero)
-        return found
 
     def _grasp(
         self,

@@ -25,6 +25,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import PatientCaller, Positioner
 from cell.control.records import GraspCollector, GraspRecord, pad_array
 from cell.control.self_zero import (
+    SelfZeros,
     check_pads_met,
     dead_taxels_text,
     refuse_unsound,
@@ -36,7 +37,7 @@ from cell.hand.interface import Hand, Watch
 from gripper.force.ramp import ForceRamp
 from gripper.state import Clock, Cycle, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero
-from recognition.grasp import CELL_SOURCE, Grasp, PadArray, SelfZero
+from recognition.grasp import CELL_SOURCE, Grasp, PadArray
 from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.frames.codec import TactileFrame
 
@@ -83,13 +84,10 @@ class Grasper:
         Largest force in N with which the empty fingers may press on each other.
     opening_step_m
         Step in m in which the servos read the opening of closed fingers.
+    zeros
+        The newest self-zero, which grasps carry.
     clock
         Monotonic time.
-
-    Attributes
-    ----------
-    zero
-        The self-zero that grasps carry; None where none was measured.
     """
 
     def __init__(
@@ -104,6 +102,7 @@ class Grasper:
         contact_force_n: float,
         zero_force_max_n: float,
         opening_step_m: float,
+        zeros: SelfZeros,
         clock: Clock,
     ) -> None:
         self._source = CELL_SOURCE + name
@@ -117,7 +116,7 @@ class Grasper:
         self._last_start_ms = 0
         self._zero_force_max_n = zero_force_max_n
         self._opening_step_m = opening_step_m
-        self.zero: SelfZero | None = None
+        self._zeros = zeros
         self._patient = PatientCaller(clock, hand.period_s)
         self.pads: PadArray = pad_array(hand.layout)
 
@@ -210,7 +209,7 @@ class Grasper:
         check_pads_met(found)
         self._hand.release(self.watch)
         refuse_unsound(found)
-        self.zero = found.zero
+        self._zeros.keep(found.zero)
         self._journal.note("self_zero", zero_text(found))
         if dead := dead_taxels_text(found, layout):
             self._journal.note("taxels", dead)
@@ -248,7 +247,7 @@ class Grasper:
                 source=self._source,
                 start_ms=start_ms,
                 command=step.command,
-                zero=self.zero,
+                zero=self._zeros.newest,
             ),
             step=step,
             reached=reached,
@@ -292,7 +291,7 @@ class Grasper:
             source=self._source,
             start_ms=start_ms,
             command=step.command,
-            zero=self.zero,
+            zero=self._zeros.newest,
         )
         self._journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
         return GraspRecord(

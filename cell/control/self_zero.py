@@ -2,6 +2,8 @@
 
 import json
 import math
+import time
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 from typing import Literal
@@ -20,6 +22,8 @@ _MOST_TILT_RAD = math.radians(4.0)
 _MOST_RATIO = 1.6
 """Largest ratio of the gains of both pads: beyond it a grasp ends with fingers that press
 differently (`gripper.limits.imbalance_share`)."""
+_LONGEST_S = 86_400.0
+"""Age in s up to which a self-zero counts: a day."""
 _MOST_BYTES = 10_000
 """Longest file of a self-zero."""
 
@@ -33,6 +37,8 @@ def zero_file(directory: Path, cell_name: str) -> Path:
 class SelfZeros:
     """The newest self-zero of a cell, and when the next one is due.
 
+    One that is older than a day counts no more: the hand may have changed since.
+
     Parameters
     ----------
     when
@@ -42,30 +48,45 @@ class SelfZeros:
     path
         File that keeps it from program to program; None: this program alone has it. One that cannot
         be read counts as none.
+    now_s
+        Returns the unix time in s.
 
     Attributes
     ----------
-    newest
-        The newest self-zero; None where there is none.
-    day
-        The day of its measurement, as 2027-05-31; empty where there is none.
+    measured_s
+        Unix time in s of the last one, however old; 0 where there is none.
     """
 
     def __init__(
-        self, when: When = "on_demand", *, pads_meet: bool = True, path: Path | None = None
+        self,
+        when: When = "on_demand",
+        *,
+        pads_meet: bool = True,
+        path: Path | None = None,
+        now_s: Callable[[], float] = time.time,
     ) -> None:
         self._when = when
         self._pads_meet = pads_meet
         self._path = path
-        self.day = ""
-        self.newest: SelfZero | None = None
+        self._now_s = now_s
+        self._last: SelfZero | None = None
+        self.measured_s = 0.0
         if path is not None and when != "never":
             self._read(path)
 
     @property
+    def newest(self) -> SelfZero | None:
+        """The newest self-zero; None where there is none of the last day."""
+        young = abs(self._now_s() - self.measured_s) <= _LONGEST_S
+        return self._last if young else None
+
+    @property
     def due(self) -> bool:
         """Whether a start measures it now."""
-        return self._when == "always" or (self._when == "daily" and self.day != _today())
+        if self._when == "daily":
+            last, now = map(date.fromtimestamp, (self.measured_s, self._now_s()))
+            return self._last is None or last != now
+        return self._when == "always"
 
     def check(self) -> None:
         """Raise PlanRefused where these fingers have no self-zero."""
@@ -79,10 +100,10 @@ class SelfZeros:
 
     def keep(self, zero: SelfZero) -> None:
         """Keep a self-zero that was measured now; raises CellError where it cannot be written."""
-        self.newest, self.day = zero, _today()
+        self._last, self.measured_s = zero, self._now_s()
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            text = json.dumps({"day": self.day} | zero_values(zero), indent=1)
+            text = json.dumps({"measured_s": self.measured_s} | zero_values(zero), indent=1)
             write_atomically(
                 self._path,
                 lambda file: file.write(text.encode()),
@@ -95,10 +116,12 @@ class SelfZeros:
             if path.stat().st_size > _MOST_BYTES:
                 return
             values = json.loads(path.read_text())
-            self.newest = SelfZero.from_values([values[name] for name in ZERO_COLUMNS])
-            self.day = str(values["day"])
-        except (OSError, ValueError, KeyError, TypeError):
-            self.newest = None
+            measured_s = float(values["measured_s"])
+            date.fromtimestamp(measured_s)
+            self._last = SelfZero.from_values([values[name] for name in ZERO_COLUMNS])
+            self.measured_s = measured_s
+        except (OSError, ValueError, KeyError, TypeError, OverflowError):
+            self._last = None
 
 
 def check_pads_met(found: ZeroMeasurement) -> None:
@@ -157,7 +180,3 @@ def zero_text(found: ZeroMeasurement) -> str:
         f"feels {math.exp(zero.log_gain_ratio):.2f} times finger 1 "
         f"(±{zero.log_gain_ratio_sd:.2f}), tilt {along_deg:+.1f} and {across_deg:+.1f} degrees"
     )
-
-
-def _today() -> str:
-    return date.today().isoformat()

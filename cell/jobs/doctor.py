@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -201,20 +202,21 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
         return Finding(what=what, verdict=Verdict.PASS, found=found)
     kept = SelfZeros(path=zero_file(Path(config.recording.directory), config.name))
     if kept.newest is None:
+        last = datetime.fromtimestamp(kept.measured_s).date()
         return Finding(
             what=what,
             verdict=Verdict.WARN,
-            found="not measured",
-            advice=f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching "
-            "and after each change of pads or servos",
+            found=f"none of today, the last is of {last}" if kept.measured_s else "not measured",
+            advice=f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, "
+            "at the start of a session and after each change of pads or servos",
         )
     opening_mm = 1e3 * kept.newest.opening_m
     ratio = float(np.exp(kept.newest.log_gain_ratio))
     return Finding(
         what=what,
         verdict=Verdict.PASS,
-        found=f"of {kept.day}: pads meet at {opening_mm:+.2f} mm, finger 0 feels {ratio:.2f} times "
-        "finger 1",
+        found=f"of {datetime.fromtimestamp(kept.measured_s):%Y-%m-%d %H:%M}: pads meet at "
+        f"{opening_mm:+.2f} mm, finger 0 feels {ratio:.2f} times finger 1",
     )
 
 

@@ -1,6 +1,5 @@
 """The self-zero of a simulated cell: against its truth, with a part between, when it is due."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -117,14 +116,30 @@ def test_fingers_that_cannot_meet_are_gauged(make_bench, make_config) -> None:
         make_bench(make_config(self_zero="never")).ready().controller.measure_zero()
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"day": "2027-01-01"}', "x" * 20_000])
+DAY_S = 86_400.0
+ZERO = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"measured_s": 1e300}', "x" * 20_000])
 def test_a_damaged_file_counts_as_none(tmp_path: Path, text: str) -> None:
     path = tmp_path / "zero.json"
     path.write_text(text)
     assert SelfZeros("daily", path=path).newest is None
-    zero = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
-    SelfZeros("daily", path=path).keep(zero)
-    assert SelfZeros("daily", path=path).newest == zero
-    assert not SelfZeros("daily", path=path).due
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"day": "2020-01-01"}))
-    assert SelfZeros("daily", path=path).due
+    SelfZeros("daily", path=path).keep(ZERO)
+    assert SelfZeros("daily", path=path).newest == ZERO
+
+
+def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
+    path, now_s = tmp_path / "zero.json", [1.8e9]
+    zeros = SelfZeros("daily", path=path, now_s=lambda: now_s[0])
+    assert zeros.due
+    zeros.keep(ZERO)
+    assert not zeros.due
+    now_s[0] += 0.9 * DAY_S
+    assert zeros.newest == ZERO
+    assert zeros.due
+    now_s[0] += 0.2 * DAY_S
+    assert zeros.newest is None
+    later = SelfZeros(path=path, now_s=lambda: now_s[0])
+    assert later.newest is None
+    assert later.measured_s == 1.8e9
