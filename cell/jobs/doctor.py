@@ -207,8 +207,8 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
             what=what,
             verdict=Verdict.WARN,
             found=f"none of today, the last is of {last}" if kept.measured_s else "not measured",
-            advice=f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, "
-            "at the start of a session and after each change of pads or servos",
+            advice=f"take everything out of the grip, then `tactile-cell zero{named}`: at "
+            "teaching, at the start of a session and after each change of pads or servos",
         )
     opening_mm = 1e3 * kept.newest.opening_m
     ratio = float(np.exp(kept.newest.log_gain_ratio))

@@ -149,16 +149,17 @@ def measure_zero(
     )
 
 
-def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, int], n_pads: int) -> Drift:
+def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, ...], n_pads: int) -> Drift:
     """Return the drift between two self-zeros that grasps of today are to be freed of.
 
-    That is the zero of the opening, and what the gains of both pads differ by; the gain that they
-    have in common is undone as far as `prior_since` expects it.
+    That is the zero of the opening, what the gains of the gripping pads differ by, and the
+    likeliest gain that they have in common; `prior_since` is what then is left.
     """
     common = _common(taught, today)[0]
     apart = 0.5 * (today.log_gain_ratio - taught.log_gain_ratio)
     gains = np.full(n_pads, np.exp(common))
-    gains[list(gripping)] = np.exp([common + apart, common - apart])
+    if len(gripping) == 2:
+        gains[list(gripping)] = np.exp([common + apart, common - apart])
     return Drift(
         gains=tuple(np.clip(gains, 0.2, 5.0).tolist()),
         aperture_offset_m=today.opening_m - taught.opening_m,
