@@ -99,8 +99,12 @@ def test_an_axis_that_fails_after_it_has_arrived_stops_the_others() -> None:
     assert two.calls[-1] == "stop"
 
 
-def test_a_wrist_turns_between_its_limits(make_wrist: Any) -> None:
-    bench = make_wrist()
+@pytest.fixture
+def bench(make_wrist: Any) -> Any:
+    return make_wrist()
+
+
+def test_a_wrist_turns_between_its_limits(bench: Any) -> None:
     for roll_rad in (0.0, math.pi, 1.0):
         assert bench.move(roll_rad) == pytest.approx(roll_rad, abs=NEAR_RAD)
         assert bench.simulated.position == pytest.approx(roll_rad, abs=NEAR_RAD)
@@ -126,9 +130,8 @@ def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist
     ],
 )
 def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
-    make_wrist: Any, fail: str, error: type[Exception], words: str
+    bench: Any, fail: str, error: type[Exception], words: str
 ) -> None:
-    bench = make_wrist()
     bench.move(0.5)
     simulated = bench.simulated
 
@@ -155,8 +158,7 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
     assert bench.move(1.0) == pytest.approx(1.0, abs=NEAR_RAD)
 
 
-def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(make_wrist: Any) -> None:
-    bench = make_wrist()
+def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(bench: Any) -> None:
     bench.move(0.5)
     silent = bench.simulated.bus.faults.silent
     ends_s: list[float] = []
@@ -173,8 +175,7 @@ def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(make_wrist: Any) -> 
     assert ends_s
 
 
-def test_a_wrist_that_restarted_meanwhile_is_found(make_wrist: Any) -> None:
-    bench = make_wrist()
+def test_a_wrist_that_restarted_meanwhile_is_found(bench: Any) -> None:
     bench.move(0.5)
     bench.simulated.knobs.reboot(bench.clock.monotonic())
     bench.clock.sleep(1.0)
@@ -182,8 +183,7 @@ def test_a_wrist_that_restarted_meanwhile_is_found(make_wrist: Any) -> None:
         bench.move(1.0)
 
 
-def test_a_wrist_whose_host_is_gone_stops_by_itself(make_wrist: Any) -> None:
-    bench = make_wrist()
+def test_a_wrist_whose_host_is_gone_stops_by_itself(bench: Any) -> None:
     bench.move(0.5)
     bench.servo.go_to(2000)
     bench.clock.sleep(1.0)

@@ -18,14 +18,17 @@ from motion.errors import (
     PositionNotReached,
 )
 from motion.object_dictionary import HomingMethod, State
-from tests.motion.conftest import NODE, MakeDrive
+from tests.motion.conftest import NODE, DriveBench, MakeDrive
 
 NEAR_M = 5e-5
-DETECTED_S = 0.02
 
 
-def test_an_axis_finds_its_home_and_goes_where_it_shall(make_drive: MakeDrive) -> None:
-    bench = make_drive()
+@pytest.fixture
+def bench(make_drive: MakeDrive) -> DriveBench:
+    return make_drive()
+
+
+def test_an_axis_finds_its_home_and_goes_where_it_shall(bench: DriveBench) -> None:
     for x_m in (0.0, 0.012, -0.02, 0.02):
         assert bench.move(x_m) == pytest.approx(x_m, abs=NEAR_M)
         assert bench.simulated.position == pytest.approx(x_m, abs=NEAR_M)
@@ -88,9 +91,8 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive: MakeDriv
     ],
 )
 def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
-    make_drive: MakeDrive, fail: str, error: type[MotionError], words: str
+    bench: DriveBench, fail: str, error: type[MotionError], words: str
 ) -> None:
-    bench = make_drive()
     bench.move(-0.01)
     simulated = bench.simulated
 
@@ -122,8 +124,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
 
 
-def test_a_fault_is_reset_only_by_who_has_seen_it(make_drive: MakeDrive) -> None:
-    bench = make_drive()
+def test_a_fault_is_reset_only_by_who_has_seen_it(bench: DriveBench) -> None:
     bench.simulated.fail(0x3220)
     assert "FAULT" in next(iter(bench.axes.inspect().values()))  # type: ignore[operator]
     with pytest.raises(AxisFault, match="error 3220h: under-voltage"):
@@ -132,8 +133,7 @@ def test_a_fault_is_reset_only_by_who_has_seen_it(make_drive: MakeDrive) -> None
     bench.move(0.0)
 
 
-def test_a_fault_between_two_motions_is_found_before_the_next(make_drive: MakeDrive) -> None:
-    bench = make_drive()
+def test_a_fault_between_two_motions_is_found_before_the_next(bench: DriveBench) -> None:
     bench.move(0.0)
     bench.simulated.fail(0x4310)
     bench.clock.sleep(1.0)
@@ -183,8 +183,7 @@ def test_a_home_that_is_not_found_is_given_up(make_drive: MakeDrive) -> None:
     assert bench.simulated.state is State.QUICK_STOP_ACTIVE
 
 
-def test_who_is_no_drive_or_not_there_is_refused(make_drive: MakeDrive) -> None:
-    bench = make_drive()
+def test_who_is_no_drive_or_not_there_is_refused(bench: DriveBench) -> None:
     bench.simulated.dead = True
     with pytest.raises(AxisMissing, match=r"does not answer .*is its node-ID and the bit rate"):
         bench.move(0.0)
@@ -200,15 +199,13 @@ def test_who_is_no_drive_or_not_there_is_refused(make_drive: MakeDrive) -> None:
         bench.move(0.0)
 
 
-def test_a_limit_that_the_drive_does_not_keep_is_refused(make_drive: MakeDrive) -> None:
-    bench = make_drive()
+def test_a_limit_that_the_drive_does_not_keep_is_refused(bench: DriveBench) -> None:
     bench.simulated._live[od.FOLLOWING_ERROR_WINDOW] = lambda: 5
     with pytest.raises(AxisMissing, match=r"keeps 5 in 6065h:0 instead of 1000"):
         bench.move(0.0)
 
 
-def test_an_adapter_that_is_gone_is_named(make_drive: MakeDrive) -> None:
-    bench = make_drive()
+def test_an_adapter_that_is_gone_is_named(bench: DriveBench) -> None:
     bench.move(0.0)
     bench.bus.faults.unplugged = True
     with pytest.raises(AxisSilent, match=r"CAN interface of the axes failed.*emergency stop"):
@@ -216,10 +213,7 @@ def test_an_adapter_that_is_gone_is_named(make_drive: MakeDrive) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.02, 0.05])
-def test_lost_and_damaged_messages_cost_time_not_the_motion(
-    make_drive: MakeDrive, rate: float
-) -> None:
-    bench = make_drive()
+def test_lost_and_damaged_messages_cost_time_not_the_motion(bench: DriveBench, rate: float) -> None:
     bench.bus.faults.drop_rate = rate
     bench.bus.faults.truncate_rate = rate
     for x_m in (0.01, -0.01, 0.0):
@@ -235,10 +229,7 @@ def test_lost_and_damaged_messages_cost_time_not_the_motion(
         {"arbitration_id": 0x580 + NODE, "data": b"\xff" * 3},
     ],
 )
-def test_messages_that_are_none_are_passed_over(
-    make_drive: MakeDrive, frame: dict[str, Any]
-) -> None:
-    bench = make_drive()
+def test_messages_that_are_none_are_passed_over(bench: DriveBench, frame: dict[str, Any]) -> None:
     bench.move(0.0)
     message = can.Message(is_extended_id=False, **frame)
     bench.once_moving(lambda: bench.bus._link._inbox.appendleft(message))
