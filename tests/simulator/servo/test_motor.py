@@ -17,6 +17,11 @@ from simulator.servo.motor import (
 STEP_S = 1e-3
 
 
+@pytest.fixture
+def motor() -> ServoMotor:
+    return ServoMotor()
+
+
 def stall(motor: ServoMotor, command: DriveCommand, duration_s: float = 0.1) -> float:
     """Return the torque in N.m after the motor was held still for some time."""
     motor.drive(command)
@@ -55,8 +60,7 @@ def test_full_voltage_gives_stall_current_and_no_load_speed(model):
     assert motor.current_a * model.kt_nm_a == pytest.approx(model.friction_nm, rel=0.01)
 
 
-def test_the_current_loop_settles_within_a_few_ms():
-    motor = ServoMotor()
+def test_the_current_loop_settles_within_a_few_ms(motor):
     motor.drive(DriveCommand(DriveMode.CURRENT, current_a=1.0))
     motor.torque_nm(STEP_S)
     assert 0.2 < motor.current_a < 0.4
@@ -65,28 +69,24 @@ def test_the_current_loop_settles_within_a_few_ms():
     assert motor.current_a == pytest.approx(1.0, abs=0.02)
 
 
-def test_back_emf_limits_the_current_at_speed():
-    motor = ServoMotor()
+def test_back_emf_limits_the_current_at_speed(motor):
     motor.velocity_rad_s = 0.8 * XM430_W350.no_load_rad_s
     stall(motor, DriveCommand(DriveMode.CURRENT, current_a=2.0))
     assert motor.current_a < 0.6
 
 
-def test_the_pwm_limit_bounds_the_current():
-    motor = ServoMotor()
+def test_the_pwm_limit_bounds_the_current(motor):
     stall(motor, DriveCommand(DriveMode.CURRENT, current_a=2.0, duty=0.1))
     assert motor.current_a == pytest.approx(0.23, abs=0.005)
 
 
-def test_torque_off_means_no_current():
-    motor = ServoMotor()
+def test_torque_off_means_no_current(motor):
     stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0))
     assert stall(motor, DriveCommand(), STEP_S) == 0.0
     assert (motor.current_a, motor.duty) == (0.0, 0.0)
 
 
-def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current():
-    motor = ServoMotor()
+def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current(motor):
     stall(motor, DriveCommand(DriveMode.VELOCITY, velocity_rad_s=2.0), 2.0)
     assert motor.current_a == pytest.approx(XM430_W350.stall_current_a, rel=0.01)
     motor.velocity_rad_s = 2.5
@@ -94,8 +94,7 @@ def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current():
     assert motor.current_a < XM430_W350.stall_current_a / 2
 
 
-def test_another_mode_forgets_the_integral():
-    motor = ServoMotor()
+def test_another_mode_forgets_the_integral(motor):
     stall(motor, DriveCommand(DriveMode.VELOCITY, velocity_rad_s=2.0), 2.0)
     stall(motor, DriveCommand(DriveMode.CURRENT))
     stall(motor, DriveCommand(DriveMode.VELOCITY))
@@ -112,8 +111,7 @@ def test_the_d_gain_brakes():
     assert current_a(1000) < current_a(0) < 0.0
 
 
-def test_a_fifth_of_the_stall_current_warms_by_15_degrees():
-    motor = ServoMotor()
+def test_a_fifth_of_the_stall_current_warms_by_15_degrees(motor):
     command = DriveCommand(DriveMode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a)
     motor.drive(command)
     for _ in range(40_000):
@@ -131,8 +129,7 @@ def test_heating_grows_with_the_square_of_the_current():
     assert rise_c(1.0) == pytest.approx(4.0 * rise_c(0.5), rel=0.02)
 
 
-def test_941_ma_at_stall_overloads_after_about_5_s():
-    motor = ServoMotor()
+def test_941_ma_at_stall_overloads_after_about_5_s(motor):
     motor.drive(DriveCommand(DriveMode.CURRENT, current_a=0.941))
     elapsed_s = 0.0
     while motor.load_excess_s <= OVERLOAD_BUDGET_S:

@@ -102,8 +102,8 @@ def make(
     return sensor, frames
 
 
-def tared(settings: SensorSettings | None = None, seed: int = 1) -> tuple[TactileSensor, Frames]:
-    sensor, frames = make(settings, seed)
+def tared(seed: int) -> tuple[TactileSensor, Frames]:
+    sensor, frames = make(seed=seed)
     sensor.tare()
     return sensor, frames
 
@@ -122,6 +122,20 @@ def pinching(*, noise: bool) -> tuple[TactileSensor, Frames]:
     sensor.start()
     sensor.tare(20)
     return sensor, frames
+
+
+@pytest.fixture
+def frames() -> Frames:
+    return Frames()
+
+
+@pytest.fixture
+def sensor(frames: Frames) -> TactileSensor:
+    """A sensor that has taken its zero."""
+    made = TactileSensor(frames, LAYOUT, CALIBRATION, clock=frames)
+    made.start()
+    made.tare()
+    return made
 
 
 def readings(sensor: TactileSensor, frames: Frames, n: int) -> list:
@@ -163,8 +177,7 @@ def test_force_settles_within_60_ms() -> None:
     assert forces[0] < forces[1] < forces[2]
 
 
-def test_untouched_pads_give_exactly_no_force() -> None:
-    sensor, frames = tared()
+def test_untouched_pads_give_exactly_no_force(sensor, frames) -> None:
     idle = readings(sensor, frames, 500)
     touched = [r for r in idle if r.finger_force_n != (0.0, 0.0)]
     assert len(touched) <= 2
@@ -172,8 +185,7 @@ def test_untouched_pads_give_exactly_no_force() -> None:
     assert not idle[2].active.any()
 
 
-def test_fingers_and_pads_are_kept_apart() -> None:
-    sensor, frames = tared()
+def test_fingers_and_pads_are_kept_apart(sensor, frames) -> None:
     frames.press(3.0, finger=1)
     reading = readings(sensor, frames, 5)[-1]
     assert reading.finger_force_n[0] == 0.0
@@ -185,8 +197,7 @@ def test_fingers_and_pads_are_kept_apart() -> None:
         reading.force_n[0] = 1.0
 
 
-def test_a_light_contact_of_half_a_newton_is_seen() -> None:
-    sensor, frames = tared()
+def test_a_light_contact_of_half_a_newton_is_seen(sensor, frames) -> None:
     frames.press(0.5)
     assert np.mean([r.finger_force_n[0] > 0.3 for r in readings(sensor, frames, 50)[3:]]) > 0.95
 
@@ -213,15 +224,13 @@ def test_readings_before_the_tare_are_not_ok() -> None:
     assert "too few frames" in after[0].reason
 
 
-def test_a_gap_starts_the_mean_anew() -> None:
-    sensor, frames = tared()
+def test_a_gap_starts_the_mean_anew(sensor, frames) -> None:
     readings(sensor, frames, 5)
     frames.next_s += 0.2
     assert [r.ok for r in readings(sensor, frames, 4)] == [False, False, True, True]
 
 
-def test_saturated_taxels_make_the_force_invalid() -> None:
-    sensor, frames = tared()
+def test_saturated_taxels_make_the_force_invalid(sensor, frames) -> None:
     frames.press(100.0, "flat")
     reading = readings(sensor, frames, 4)[-1]
     assert not reading.ok
@@ -229,16 +238,14 @@ def test_saturated_taxels_make_the_force_invalid() -> None:
     assert reading.saturated.sum() == 5
 
 
-def test_converter_fault_and_a_zero_of_the_unit_are_objections() -> None:
-    sensor, frames = tared()
+def test_converter_fault_and_a_zero_of_the_unit_are_objections(sensor, frames) -> None:
     frames.status = FrameStatus.CONVERTER_FAULT
     assert "self-test" in readings(sensor, frames, 4)[-1].reason
     frames.status = FrameStatus.TARED
     assert "zero of its own" in readings(sensor, frames, 4)[-1].reason
 
 
-def test_a_taxel_that_gets_stuck_is_filled_from_its_neighbours() -> None:
-    sensor, frames = tared()
+def test_a_taxel_that_gets_stuck_is_filled_from_its_neighbours(sensor, frames) -> None:
     frames.stuck = {40: 180}
     before = readings(sensor, frames, 10)[-1]
     assert before.finger_force_n[0] > 1.0
@@ -247,8 +254,7 @@ def test_a_taxel_that_gets_stuck_is_filled_from_its_neighbours() -> None:
     assert after.ok
 
 
-def test_frozen_samples_are_a_fault_that_latches() -> None:
-    sensor, frames = tared()
+def test_frozen_samples_are_a_fault_that_latches(sensor, frames) -> None:
     readings(sensor, frames, 5)
     frames.stuck = dict(enumerate(readings(sensor, frames, 1)[0].frame.counts.tolist()))
     start_s = frames.now_s
@@ -289,9 +295,8 @@ def test_without_noise_the_width_counts_only_while_something_is_touched() -> Non
 
 @pytest.mark.parametrize(("stuck", "pressed"), [(255, 24), (255, 41), (0, 33)])
 def test_a_taxel_that_jumps_beside_calm_neighbours_is_masked_at_once(
-    stuck: int, pressed: int
+    sensor, frames, stuck: int, pressed: int
 ) -> None:
-    sensor, frames = tared()
     frames.press(3.0)
     before = readings(sensor, frames, 5)[-1]
     frames.stuck = {pressed: stuck}
@@ -302,8 +307,7 @@ def test_a_taxel_that_jumps_beside_calm_neighbours_is_masked_at_once(
     assert after[-1].finger_force_n[0] == pytest.approx(before.finger_force_n[0], abs=lost_n)
 
 
-def test_a_hard_touch_is_no_broken_taxel() -> None:
-    sensor, frames = tared()
+def test_a_hard_touch_is_no_broken_taxel(sensor, frames) -> None:
     forces = np.zeros(408)
     forces[33], forces[[29, 32, 34, 37]] = 20.0, 1.0
     frames.base = CALIBRATION.counts(forces)
@@ -312,16 +316,14 @@ def test_a_hard_touch_is_no_broken_taxel() -> None:
     assert reading.reason == "1 taxels of finger 0 saturated"
 
 
-def test_more_broken_taxels_than_allowed_make_the_force_invalid() -> None:
-    sensor, frames = tared()
+def test_more_broken_taxels_than_allowed_make_the_force_invalid(sensor, frames) -> None:
     frames.stuck = dict.fromkeys((0, 12, 27, 61), 255)
     reading = readings(sensor, frames, 4)[-1]
     assert (reading.ok, reading.reason) == (False, "4 taxels of finger 0 bad")
     assert sensor.statistics == SensorStatistics(bad_taxels=4, void_frames=2)
 
 
-def test_a_saturated_pad_beside_the_grip_is_noted_only() -> None:
-    sensor, frames = tared()
+def test_a_saturated_pad_beside_the_grip_is_noted_only(sensor, frames) -> None:
     frames.base[LAYOUT.taxels_of(1)] = 255.0
     reading = readings(sensor, frames, 5)[-1]
     assert reading.ok
@@ -344,8 +346,7 @@ def test_one_bad_taxel_of_a_small_pad_is_no_reason_to_refuse_a_zero() -> None:
 # --- drift ---------------------------------------------------------------------------------------
 
 
-def test_pads_that_nothing_grips_show_a_drift_while_gripping() -> None:
-    sensor, frames = tared()
+def test_pads_that_nothing_grips_show_a_drift_while_gripping(sensor, frames) -> None:
     frames.press(4.0)
     assert readings(sensor, frames, 10)[-1].ok
     frames.base = frames.base + 4.0
@@ -357,8 +358,7 @@ def test_pads_that_nothing_grips_show_a_drift_while_gripping() -> None:
     assert readings(sensor, frames, 5)[-1].ok
 
 
-def test_the_zero_of_open_pads_is_checked_pad_by_pad() -> None:
-    sensor, frames = tared()
+def test_the_zero_of_open_pads_is_checked_pad_by_pad(sensor, frames) -> None:
     sensor.check_zero()
     readings(sensor, frames, 5)
     frames.press(6.0)
@@ -389,8 +389,7 @@ def test_without_pads_beside_the_grip_only_open_pads_are_judged() -> None:
 # --- life cycle ----------------------------------------------------------------------------------
 
 
-def test_read_waits_for_a_new_frame_and_latest_keeps_it() -> None:
-    sensor, frames = tared()
+def test_read_waits_for_a_new_frame_and_latest_keeps_it(sensor, frames) -> None:
     assert sensor.latest is None
     before_s = frames.now_s
     reading = sensor.read(0.5)
@@ -402,8 +401,7 @@ def test_read_waits_for_a_new_frame_and_latest_keeps_it() -> None:
         sensor.read(0.5)
 
 
-def test_start_forgets_the_zero() -> None:
-    sensor, frames = tared()
+def test_start_forgets_the_zero(sensor, frames) -> None:
     assert sensor.tare_result is not None
     assert sensor.start() is IDENTITY
     assert sensor.tare_result is None
@@ -413,8 +411,7 @@ def test_start_forgets_the_zero() -> None:
     assert frames.closed
 
 
-def test_faults_of_the_link_pass_through() -> None:
-    sensor, frames = tared()
+def test_faults_of_the_link_pass_through(sensor, frames) -> None:
     frames.error = NodeRebooted("boot-up")
     with pytest.raises(NodeRebooted):
         sensor.poll()
@@ -456,8 +453,9 @@ def test_tare_finds_the_mean_of_the_noise() -> None:
         ),
     ],
 )
-def test_a_tare_under_load_or_on_broken_taxels_is_refused(prepare: Callable, says: str) -> None:
-    sensor, frames = tared()
+def test_a_tare_under_load_or_on_broken_taxels_is_refused(
+    sensor, frames, prepare: Callable, says: str
+) -> None:
     before = sensor.tare_result
     prepare(frames)
     with pytest.raises(TareRefused, match=says):
