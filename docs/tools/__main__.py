@@ -18,11 +18,13 @@ from docs.tools.opc_ua_page import opc_ua_page
 from docs.tools.recording_page import recording_page
 from docs.tools.states_page import states_page
 from docs.tools.unit_page import objects_page, start_page, vectors_page
+from docs.tools.walk_page import walk_page
 from docs.tools.xml_rpc_page import xml_rpc_page
 
 MAKERS: dict[str, Callable[[], str]] = {
     "catalogue": catalogue_page,
     "command line": command_page,
+    "commissioning": walk_page,
     "config": config_page,
     "faults": faults_page,
     "names of gripper": lambda: names_page("gripper"),

@@ -20,6 +20,8 @@ from pathlib import Path
 from PIL import Image, ImageChops
 from playwright.sync_api import sync_playwright
 
+from docs.tools.transcript import main as write_transcript
+
 DOCS = Path(__file__).parent.parent
 TUTORIAL = DOCS / "tutorials" / "simulated-cell.md"
 CUTS = {
@@ -53,6 +55,7 @@ def main() -> None:
             draw(next(Path(folder).glob("run-*/report.html")))
     draw_page()
     TUTORIAL.write_text(today(TUTORIAL.read_text(encoding="utf-8")), encoding="utf-8")
+    write_transcript()
 
 
 def draw(report: Path) -> None:

@@ -4,10 +4,8 @@ import select
 import sys
 from collections.abc import Callable, Sequence
 
-from rich.table import Table
-
 from cell.commissioning.engine import Finding, Question, Step, Verdict, Write, leave
-from cell.interfaces.cli.terminal import ask, out, plain, print_line, print_table
+from cell.interfaces.cli.terminal import ask, out, plain, print_line
 
 _LEAVE = "q"
 """Answer with which a person leaves."""
@@ -66,12 +64,10 @@ class TerminalDialog:
     def approve(self, writes: Sequence[Write]) -> None:
         """Print the writes, and ask for each batch of them once."""
         self._end_line()
-        table = Table("where", "what", "now", "then", "taken back by", box=None)
         for write in writes:
-            table.add_row(
-                *map(plain, (write.where, write.what, write.before, write.after, write.undo))
-            )
-        print_table(table)
+            print_line(f"  {write.where}: {write.what}: {write.before} -> {write.after}")
+        for undo in dict.fromkeys(write.undo for write in writes):
+            print_line(f"  way back: {undo}")
         while True:
             typed = self._typed("Do this? y, or n to leave: ").lower()
             if typed in {"y", "yes"}:
