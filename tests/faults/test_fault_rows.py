@@ -1,13 +1,14 @@
 """Each row of the fault campaign: the required reaction, within its limit, no invariant broken."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.faults import __main__ as command, page, table
 from tests.faults.campaign import FaultRow, Observed, campaign_cell
 from tests.faults.invariants import link_counters
-from tests.faults.page import rows_table, totals
-from tests.faults.results import Result
+from tests.faults.results import AS_REQUIRED, Result
 from tests.faults.table import REACTIONS, ROWS
 
 FIRST = {row.row: row for row in reversed(ROWS) if not row.real_time}
@@ -46,17 +47,39 @@ def test_the_monitor_watches_every_counter_of_the_links() -> None:
     assert watched == sum(len(names - always) for names in counted) > 10
 
 
-def test_the_table_shows_what_differs() -> None:
-    seen = Observed("HOLD", 0.2, "kept | held")
+def test_what_differs_from_what_is_required_is_named() -> None:
     row = FaultRow(8, "", "x", "can.off", "HOLD", 0.1)
-    late = Result(row, seen)
+    late = Result(row, Observed("HOLD", 0.2, "kept"))
     assert late.verdict == "**differs**: detected after 200 ms, limit 100 ms"
     assert row.complaint(Observed("HOLD", None, "")) == "never detected, the limit is 100 ms"
     assert row.complaint(Observed("NOTE", 0.0, "")) == "reaction NOTE, required is HOLD"
-    broken = Result(row, None, "InvariantBroken: force")
-    good = Result(row, Observed("HOLD", 0.01, "kept"))
-    assert "1 with the required reaction within their limit, 2 not" in totals([late, broken, good])
-    table = rows_table([late, broken, good])
-    assert "| 8 | x | `can.off` | HOLD | 100 ms | 200 ms | kept / held |" in table
-    assert "**broken**: InvariantBroken: force" in table
-    assert table.endswith("| as required |\n")
+    assert Result(row, Observed("HOLD", 0.01, "kept")).verdict == AS_REQUIRED
+    assert (
+        Result(row, None, "InvariantBroken: force").verdict == "**broken**: InvariantBroken: force"
+    )
+
+
+def test_the_summary_in_the_docs_has_the_figures_of_the_table() -> None:
+    remedy = "the table has changed: python -m tests.faults --summary"
+    assert page.summary() in command.SUMMARY.read_text(encoding="utf-8"), remedy
+
+
+@pytest.mark.parametrize(
+    ("reaction", "complaint"), [("HOLD", None), ("NOTE", "not as required: 08")]
+)
+def test_the_page_is_written_and_what_is_wrong_fails_the_command(
+    reaction: str, complaint: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = Observed("HOLD", 0.003, "kept | held")
+    row = FaultRow(8, "", "x", "can.off", reaction, 0.1, lambda _row: seen)
+    monkeypatch.setattr(table, "ROWS", (row,))
+    path = tmp_path / "out" / "page.md"
+    arguments = ["--jobs", "1", "--page", str(path)]
+    if complaint is None:
+        command.main(arguments)
+    else:
+        with pytest.raises(SystemExit, match=complaint):
+            command.main(arguments)
+    text = path.read_text(encoding="utf-8")
+    verdict = "as required" if reaction == "HOLD" else "**differs**"
+    assert f"| 8 | x | `can.off` | {reaction} | 100 ms | 3 ms | kept / held | {verdict}" in text
