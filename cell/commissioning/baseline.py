@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Finding, Left, Question, Verdict, Write, confirmation
 from cell.commissioning.figures import pads as pads_figure
-from cell.commissioning.first_force import bench_hand, look_after
+from cell.commissioning.first_force import bench_hand, look_after, start_free, told_if_held
 from cell.commissioning.motion import WatchedMotion
 from cell.commissioning.pads import taxel_names
 from cell.commissioning.servos import model_name
@@ -379,8 +379,12 @@ def measure_gauge(
     dialog.ask(
         confirmation("baseline.empty", "Take everything out of the fingers, and your hands away.")
     )
-    with bench_hand(bench, config) as hand, WatchedMotion(dialog, hand.request_stop) as motion:
-        hand.start()
+    with (
+        bench_hand(bench, config) as hand,
+        told_if_held(hand),
+        WatchedMotion(dialog, hand.request_stop) as motion,
+    ):
+        start_free(hand, dialog)
         hand.start_sensor()
         hand.open(motion)
         zero = hand.tare(config.tactile.tare_frames)

@@ -210,6 +210,38 @@ def _alone(bench: Bench, config: CellConfig) -> Iterator[GripperAlone]:
         gripper.bus.close()
 
 
+def start_free(fingers: Fingers, dialog: Dialog) -> None:
+    """Verify the servos; fingers that an earlier run left with torque are opened first.
+
+    They may hold a part: the person confirms it.
+    """
+    fingers.start()
+    if fingers.phase is GripperPhase.HELD_AFTER_FAULT:
+        dialog.ask(
+            confirmation(
+                "fingers.held",
+                "The servos have torque from before: a part may be held. Take hold of it; the "
+                "fingers open when you confirm.",
+            )
+        )
+        fingers.release()
+        fingers.start()
+
+
+@contextmanager
+def told_if_held(fingers: Fingers) -> Iterator[None]:
+    """Say on the way out, where the person leaves, that the fingers still hold what they hold."""
+    try:
+        yield
+    except Left as left:
+        if fingers.phase in (GripperPhase.OFF, GripperPhase.IDLE):
+            raise
+        raise Left(
+            f"{left}. The fingers keep their grip: take hold of the part and run `tactile-cell "
+            "commission` again, it asks to open them first"
+        ) from None
+
+
 def look_after(fingers: Fingers, clock: Clock, period_s: float) -> str:
     """Feed the watchdog, and control what is held, for a while; returns the phase as text."""
     end_s = clock.monotonic() + _TICK_S
@@ -412,13 +444,15 @@ class _Trial:
 
     def run(self, fingers: Fingers, hand: Hand | None = None) -> Finding:
         """Open, prove, grasp, release; the hand is given where there are pads."""
-        with WatchedMotion(self._dialog, fingers.request_stop) as motion:
+        with (
+            told_if_held(fingers),
+            WatchedMotion(self._dialog, fingers.request_stop) as motion,
+        ):
             self._watch = motion.also(self._course.watch)
             return self._run(fingers, hand)
 
     def _run(self, fingers: Fingers, hand: Hand | None) -> Finding:
-        self._let_go_of_old(fingers)
-        fingers.start()
+        start_free(fingers, self._dialog)
         if hand is not None:
             hand.start_sensor()
         self._open(fingers)
@@ -440,19 +474,6 @@ class _Trial:
         if hand is not None and meets(self._config):
             self._meet(hand)
         return self._finding(self._status)
-
-    def _let_go_of_old(self, fingers: Fingers) -> None:
-        """Open fingers that an earlier run left with torque: they may hold a part."""
-        fingers.start()
-        if fingers.phase is GripperPhase.HELD_AFTER_FAULT:
-            self._dialog.ask(
-                confirmation(
-                    "first_force.held",
-                    "The servos have torque from before: a part may be held. Take hold of it; the "
-                    "fingers open when you confirm.",
-                )
-            )
-            fingers.release()
 
     def _open(self, fingers: Fingers) -> None:
         """Open the empty fingers; where that fails their torque may go off at the end."""

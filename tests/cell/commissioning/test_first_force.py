@@ -95,13 +95,13 @@ def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_t
 ) -> None:
     script = person(cell)
     script.leave_at = ["first_force.release"]
-    with pytest.raises(Left):
+    with pytest.raises(Left, match="keep their grip: take hold of the part"):
         FirstForceStep().run(bench_of(cell, tmp_path), script)
     assert torque(cell) == [1, 1]
     assert min(cell.world.contact_force_n()) > 0.5
     again = person(cell)
     finding = FirstForceStep().run(bench_of(cell, tmp_path), again)
-    assert again.asked[2] == "first_force.held"
+    assert again.asked[2] == "fingers.held"
     assert finding.status is Verdict.PASS, finding.lines
 
 

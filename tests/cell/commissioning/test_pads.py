@@ -14,12 +14,17 @@ from cell.commissioning.pads import (
     PadsAtRestStep,
     PadsPressedStep,
     Patch,
+    corner_text,
+    judged,
     mounts_of,
     pressed_at,
+    rest_of,
 )
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from tactile.layout import PadMount, TaxelLayout, paper_layout, pinch_layout
+from tactile.sensor.calibration import LinearCalibration
+from tactile.sensor.tare import TareLimits
 from tests.cell.commissioning.script import Script, SimulatedLines
 
 UNIT = {
@@ -197,6 +202,28 @@ def test_leaving_while_a_pad_is_pressed_ends_the_step(tmp_path: Path) -> None:
 
     with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell, pytest.raises(Left):
         PadsPressedStep().run(bench_of(cell, tmp_path), Script(moment=leave))
+
+
+def test_corners_are_named_as_a_person_sees_them() -> None:
+    layout = paper_layout()
+    names = [pad.name for pad in layout.pads]
+    for name, words in {
+        "finger0.inner": "near the tip and at the left edge",
+        "finger1.inner": "near the tip and at the right edge",
+        "finger0.tip": "at the edge towards the other finger and on the left",
+    }.items():
+        assert corner_text(layout, names.index(name)).startswith(words)
+
+
+def test_a_full_scale_below_the_forces_of_the_sequence_is_a_word_to_the_operator() -> None:
+    layout = pinch_layout()
+    frames = np.random.default_rng(0).normal(100.0, 20.0, (30, 156)).astype(np.uint16)
+    rest = rest_of(layout, LinearCalibration(0.0001, layout.adc_max), frames)
+    limits: dict[str, Any] = {"limits": TareLimits(), "contact_force_n": 0.3}
+    verdict, lines = judged(layout, frames, rest, most_force_n=8.0, **limits)
+    assert verdict is Verdict.WARN
+    assert lines[0].startswith("A small part saturates finger0.inner at 3.2 N")
+    assert judged(layout, frames, rest, most_force_n=3.0, **limits) == (Verdict.PASS, [])
 
 
 def test_places_and_mounts_of_patches() -> None:
