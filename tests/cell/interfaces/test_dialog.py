@@ -1,33 +1,90 @@
-"""The wizard's face in a terminal: what a person reads before it is done."""
+"""The wizard's questions in a terminal: what is typed, taken and refused."""
 
 import io
+import sys
+from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
-from cell.commissioning.engine import Left, Write
-from cell.interfaces.cli import dialog as face
+from cell.commissioning.engine import (
+    Choice,
+    Finding,
+    Left,
+    Number,
+    Question,
+    Verdict,
+    Write,
+    confirmation,
+)
+from cell.commissioning.ports import PortsStep
+from cell.interfaces.cli import terminal
 from cell.interfaces.cli.dialog import TerminalDialog
 
-WRITES = [
-    Write(where="servo 1", what="homing_offset (20)", before="0", after="12", undo="--restore"),
-    Write(where="servo 2", what="drive_mode (10)", before="4", after="0", undo="--restore"),
-]
+CHOICES = (Choice(key="a", text="the first"), Choice(key="b", text="the second [x]"))
+WRITE = Write(where="servo 1", what="id (7)", before="1", after="2", undo="by --restore")
 
 
-@pytest.mark.parametrize("columns", ["40", "200"])
-@pytest.mark.parametrize("typed", ["y", "n"])
-def test_writes_are_shown_with_all_their_values_before_they_are_done(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], columns: str, typed: str
-) -> None:
-    monkeypatch.setenv("COLUMNS", columns)
-    monkeypatch.setattr(face, "ask", lambda _text: typed)
-    monkeypatch.setattr("sys.stdin", io.StringIO())
-    if typed == "y":
-        TerminalDialog().approve(WRITES)
-    else:
-        with pytest.raises(Left):
-            TerminalDialog().approve(WRITES)
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., TerminalDialog]:
+    def type_in(*lines: str) -> TerminalDialog:
+        text = io.StringIO("".join(f"{line}\n" for line in lines))
+        monkeypatch.setattr(sys, "stdin", text)
+        return TerminalDialog()
+
+    return type_in
+
+
+@pytest.mark.parametrize(
+    ("lines", "answer"), [(["2"], "b"), (["b"], "b"), ([""], "a"), (["7", "x", "1"], "a")]
+)
+def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer) -> None:
+    question = Question(key="q", text="Which?", choices=CHOICES, default="a")
+    assert typed(*lines).ask(question) == answer
+
+
+@pytest.mark.parametrize(
+    ("lines", "answer"), [(["10,5"], 10.5), (["", "0", "nan", "ten", "99"], 99.0)]
+)
+def test_numbers_have_a_range_and_either_point(typed, lines, answer) -> None:
+    question = Question(key="q", text="?", number=Number(lowest=1, highest=100, unit="mm"))
+    assert typed(*lines).ask(question) == answer
+
+
+def test_texts_are_taken_as_they_are(typed) -> None:
+    assert typed("", "FT 1").ask(Question(key="q", text="Name?")) == "FT 1"
+
+
+def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
+    assert typed("").ask(confirmation("q", "Move it."), watch=lambda: "1 deg") == "done"
+
+
+@pytest.mark.parametrize("lines", [["q"], []])
+def test_q_and_the_end_of_input_leave(typed, lines) -> None:
+    with pytest.raises(Left, match="run `tactile-cell commission` again"):
+        typed(*lines).ask(Question(key="q", text="?"))
+
+
+def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None:
+    zero = replace(WRITE, what="drive_mode (10)", before="0", after="4")
+    typed("", "maybe", "y").approve([WRITE, zero])
     shown = capsys.readouterr().out
-    assert "servo 1: homing_offset (20): 0 -> 12" in shown
-    assert "servo 2: drive_mode (10): 4 -> 0" in shown
-    assert shown.count("way back: --restore") == 1
+    assert "servo 1: id (7): 1 -> 2" in shown
+    assert "servo 1: drive_mode (10): 0 -> 4" in shown
+    assert shown.count("way back: by --restore") == 1
+    for refusal in ("n", "q"):
+        with pytest.raises(Left):
+            typed(refusal).approve([WRITE])
+
+
+def test_findings_are_printed_with_their_lines(typed, capsys) -> None:
+    dialog = typed()
+    step = PortsStep()
+    dialog.begin(step, 1, 3)
+    dialog.live("scan", "57600 bit/s")
+    dialog.found(step, Finding(status=Verdict.WARN, lines=("16 ms [slow]",)))
+    shown = capsys.readouterr().out
+    assert "1/3 Ports" in shown
+    assert "warn Ports" in shown
+    assert "16 ms [slow]" in shown
+    assert terminal.out.is_terminal is False
