@@ -205,7 +205,8 @@ class TaughtModel:
         finally:
             grasps = collection.grasps
             if grid is not None and grid.likely:
-                grasps = [grid.drift.undo(grasp) for grasp in grasps]
+                drift = grid.drift
+                grasps = [g if g.zero is not None else drift.undo(g) for g in grasps]
             with self._lock:
                 self._training_set += grasps
                 self._training_file = None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from recognition.drift.drift import Drift, drift_values
-from recognition.grasp import Grasp
+from recognition.grasp import Grasp, SelfZero
 from recognition.recognizer import Recognizer
 
 _LOG_GAIN_STEP = 1 / 6
@@ -76,6 +76,8 @@ class DriftGrid:
 
     prior: DriftPrior = field(default_factory=DriftPrior)
     """Before any grasp; it lays out the hypotheses."""
+    zero: SelfZero | None = None
+    """Self-zero of the day that the prior comes from; None where there was none."""
     gauged: NDArray[np.float64] = field(default_factory=lambda: np.zeros(()))
     """(G, O) float64: log likelihood of the hypotheses by gauges."""
     followed: NDArray[np.float64] = field(default_factory=lambda: np.zeros(()))
@@ -200,6 +202,7 @@ class DriftGrid:
         prior = self.prior
         return {
             "drift_prior": np.array([getattr(prior, one.name) for one in fields(prior)]),
+            "drift_zero": np.array([] if self.zero is None else self.zero.values),
             "drift_gauged": self.gauged,
             "drift_gauges": np.array(self.n_gauged),
         }
@@ -211,6 +214,7 @@ class DriftGrid:
         values = arrays["drift_prior"].tolist()
         found = cls(
             prior=DriftPrior(**dict(zip(names, values, strict=True))),
+            zero=SelfZero.from_values(zero) if (zero := arrays["drift_zero"]).size else None,
             gauged=arrays["drift_gauged"],
             n_gauged=int(arrays["drift_gauges"]),
         )

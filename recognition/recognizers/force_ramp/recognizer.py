@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from recognition.drift.grid import DriftGrid, DriftPrior
+from recognition.drift.self_zero import prior_since, since
 from recognition.features.aperture import sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
 from recognition.features.groups import FEATURE_VERSION, check_version
-from recognition.grasp import CELL_SOURCE, Grasp, by_label
+from recognition.grasp import CELL_SOURCE, Grasp, SelfZero, by_label
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
@@ -79,8 +80,10 @@ class ForceRamp:
     drawn_m: NDArray[np.float64]
     """(C, k) float64: thicknesses of each object along the closing axis by its drawing in m, NaN
     behind them."""
+    zero: SelfZero | None = None
+    """Self-zero of the teaching; None where there was none."""
     grid: DriftGrid = field(default_factory=DriftGrid)
-    """The drift since teaching."""
+    """The drift since teaching, or since the self-zeros of both days were compared."""
     caution: float = 1.0
     """The odds of a new object are multiplied by it."""
 
@@ -92,7 +95,8 @@ class ForceRamp:
         evidence = self.evidence(grasp)
         if evidence is None:
             return Posterior.uninformed(self.labels)
-        log_weight = self.grid.log_weight(self._unchanged(grasp))
+        grid = self.grid_at(grasp)
+        log_weight = grid.log_weight(self._unchanged(grasp))
         joint = evidence.log_likelihood + log_weight[..., None]
         probability = np.exp(logsumexp(joint, axis=(0, 1)) - logsumexp(joint))
         probability = (1.0 - UNIFORM_SHARE) * probability + UNIFORM_SHARE / len(self.labels)
@@ -103,8 +107,8 @@ class ForceRamp:
         drawn_m = self.drawn_m[int(probability.argmax())]
         drawn_m = drawn_m[np.isfinite(drawn_m)]
         offset = share.sum(axis=0)
-        mean_mm = float(offset @ self.grid.offsets_mm)
-        if offset @ (self.grid.offsets_mm - mean_mm) ** 2 > _KNOWN_OFFSET_MM**2:
+        mean_mm = float(offset @ grid.offsets_mm)
+        if offset @ (grid.offsets_mm - mean_mm) ** 2 > _KNOWN_OFFSET_MM**2:
             drawn_m = drawn_m[:0]
         return Posterior(
             labels=self.labels,
@@ -119,17 +123,18 @@ class ForceRamp:
 
         Raises ValueError for pads other than the taught ones.
         """
-        levels = load_levels([grasp], self.rest)
+        levels = load_levels([self._zeroed(grasp)], self.rest)
         if not levels.touched[0]:
             return None
+        grid = self.grid_at(grasp)
         opening = self.both is not None and bool(np.all(np.isfinite(sizes_mm(levels))))
         view = self.both if self.both is not None and opening else self.touch
         features = describe(
             levels,
             _grids(self.rest),
             opening=opening,
-            log_gains=self.grid.log_gains,
-            offsets_mm=self.grid.offsets_mm if opening else np.zeros(1),
+            log_gains=grid.log_gains,
+            offsets_mm=grid.offsets_mm if opening else np.zeros(1),
             slack_mm=self._slack_mm(grasp) if opening else None,
         )
         log_likelihood, new = view.likelihood(features)
@@ -153,11 +158,11 @@ class ForceRamp:
             raise ValueError("no gauge grasp touched both pads: grasp the gauge object again")
         number, view = self.labels.index(label), found[0].view
         total = np.sum([e.log_likelihood[..., number] for e in found if e.view is view], axis=0)
-        return self.with_grid(self.grid.with_gauge(total, view.placing_mm))
+        return self.with_grid(self.grid_at(grasps[0]).with_gauge(total, view.placing_mm))
 
     def without_gauges(self) -> Self:
         """Return a copy with the prior of the drift alone."""
-        return self.with_grid(DriftGrid(prior=self.grid.prior))
+        return self.with_grid(DriftGrid(prior=self.grid.prior, zero=self.grid.zero))
 
     def follow(self, grasp: Grasp) -> Self:
         """Return a copy after a grasp of an object that nobody named, taught or not.
@@ -165,7 +170,21 @@ class ForceRamp:
         A grasp that missed changes nothing. Raises ValueError for pads other than the taught ones.
         """
         found = self.evidence(grasp)
-        return self if found is None else self.with_grid(self.grid.with_unnamed(found.of_any()))
+        if found is None:
+            return self
+        return self.with_grid(self.grid_at(grasp).with_unnamed(found.of_any()))
+
+    def grid_at(self, grasp: Grasp) -> DriftGrid:
+        """Return the drift at a grasp: a new self-zero begins it anew, with what it tells."""
+        if self.zero is None or grasp.zero is None:
+            return self.grid
+        if grasp.zero == self.grid.zero:
+            return self.grid
+        return DriftGrid(prior=prior_since(self.zero, grasp.zero), zero=grasp.zero)
+
+    def _zeroed(self, grasp: Grasp) -> Grasp:
+        """Return the grasp without the drift between the self-zeros of teaching and of its day."""
+        return grasp if self.zero is None else _since(self.zero, grasp, self.rest)
 
     def with_grid(self, grid: DriftGrid) -> Self:
         """Return a copy with another estimate of the drift."""
@@ -173,7 +192,8 @@ class ForceRamp:
 
     def _unchanged(self, grasp: Grasp) -> float | None:
         """Return the prior probability of no drift; None for that of the grid."""
-        if self.grid.prior != DriftPrior() or self.grid.n_gauged:
+        grid = self.grid_at(grasp)
+        if grid.prior != DriftPrior() or grid.n_gauged:
             return None
         if self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on:
             return None
@@ -185,8 +205,9 @@ class ForceRamp:
 
         Sizes count where the zero of the opening is known: within the hour, or after a self-zero.
         """
-        offsets_mm = self.grid.offsets_mm
-        slack_mm = np.full(len(offsets_mm), _SLACK * self.grid.prior.offset_sd_mm)
+        grid = self.grid_at(grasp)
+        offsets_mm = grid.offsets_mm
+        slack_mm = np.full(len(offsets_mm), _SLACK * grid.prior.offset_sd_mm)
         if self._unchanged(grasp) is not None:
             slack_mm[np.argmin(np.abs(offsets_mm))] = 0.0
         return slack_mm
@@ -202,6 +223,7 @@ class ForceRamp:
             "taught_ms": self.taught_ms,
             "drawn_m": self.drawn_m,
             "taught_on": np.array(self.taught_on, dtype=np.str_),
+            "taught_zero": np.array([] if self.zero is None else self.zero.values),
             **self.grid.to_arrays(),
             **self.rest.to_arrays(),
             **self.touch.to_arrays("touch_"),
@@ -223,6 +245,7 @@ class ForceRamp:
                 taught_ms=arrays["taught_ms"],
                 taught_on=tuple(str(source) for source in arrays["taught_on"]),
                 drawn_m=arrays["drawn_m"].reshape(len(arrays["labels"]), -1),
+                zero=SelfZero.from_values(zero) if (zero := arrays["taught_zero"]).size else None,
                 grid=DriftGrid.from_arrays(arrays),
             )
         except KeyError as missing:
@@ -251,6 +274,9 @@ class ForceRampTrainer:
         members = by_label(grasps)
         ordered = [g for group in members.values() for g in group]
         rest = learn_rest(ordered)
+        zero = max(ordered, key=lambda g: (g.zero is not None, g.start_ms)).zero
+        if zero is not None:
+            ordered = [_since(zero, grasp, rest) for grasp in ordered]
         levels = load_levels(ordered, rest)
         touched = levels.touched
         names = np.array([g.label for g in ordered])
@@ -277,7 +303,15 @@ class ForceRampTrainer:
             taught_ms=np.array([group[-1].start_ms for group in members.values()]),
             taught_on=tuple(sorted({g.source for g in ordered if _on_cell(g)})),
             drawn_m=_drawn_m(list(members.values())),
+            zero=zero,
         )
+
+
+def _since(zero: SelfZero, grasp: Grasp, rest: Rest) -> Grasp:
+    """Return a grasp without the drift between two self-zeros; as it is where it has none."""
+    if grasp.zero is None or grasp.zero == zero:
+        return grasp
+    return since(zero, grasp.zero, rest.gripping, rest.pads.n_pads).undo(grasp)
 
 
 def _drawn_m(members: Sequence[Sequence[Grasp]]) -> NDArray[np.float64]:
