@@ -214,7 +214,7 @@ class DriftGrid:
         values = arrays["drift_prior"].tolist()
         found = cls(
             prior=DriftPrior(**dict(zip(names, values, strict=True))),
-            zero=SelfZero.from_values(zero) if (zero := arrays["drift_zero"]).size else None,
+            zero=SelfZero.from_values(zero) if (zero := arrays["drift_zero"].tolist()) else None,
             gauged=arrays["drift_gauged"],
             n_gauged=int(arrays["drift_gauges"]),
         )

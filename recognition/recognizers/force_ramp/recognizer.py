@@ -245,7 +245,9 @@ class ForceRamp:
                 taught_ms=arrays["taught_ms"],
                 taught_on=tuple(str(source) for source in arrays["taught_on"]),
                 drawn_m=arrays["drawn_m"].reshape(len(arrays["labels"]), -1),
-                zero=SelfZero.from_values(zero) if (zero := arrays["taught_zero"]).size else None,
+                zero=SelfZero.from_values(zero)
+                if (zero := arrays["taught_zero"].tolist())
+                else None,
                 grid=DriftGrid.from_arrays(arrays),
             )
         except KeyError as missing:
