@@ -441,3 +441,7 @@ def test_factory_new_servos_share_an_id_and_are_found_to() -> None:
     assert bus.shares_id(1)
     cell.inject("servo2.off")
     assert not bus.shares_id(1)
+    cell.inject("servos.lose_next=1")
+    assert not bus.shares_id(1)
+    cell.inject("servos.lose_next=3")
+    assert bus.shares_id(1)
