@@ -5,6 +5,7 @@ import math
 import socket
 import threading
 import time
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,12 @@ from fastapi import FastAPI, Request, WebSocket
 from fastapi.responses import JSONResponse, Response
 from starlette.websockets import WebSocketDisconnect
 
-from cell.fault_catalogue import CATALOGUE
+from cell.config.model import CellConfig
+from cell.fault_catalogue import BY_NUMBER
 from cell.interfaces.page import mount_page
 from cell.interfaces.plugin.goals import TASKS
+from cell.interfaces.plugin.plugin import cell_values
+from cell.interfaces.service.service import JobView
 from tactile.layout import paper_layout
 
 TOKEN = "token-of-the-test"
@@ -33,22 +37,10 @@ ALLOWED = {
 
 def info_json() -> dict[str, Any]:
     """Return what `GET /api/info` answers: the paper's pads."""
-    layout = paper_layout()
-    pads, first = [], 0
-    for pad in layout.pads:
-        pads.append(
-            {
-                "name": pad.name, "finger": pad.finger, "inner": pad.face == "inner",
-                "rows": pad.rows, "columns": pad.columns, "first": first,
-                "pitch_mm": [1e3 * pad.pitch_x_m, 1e3 * pad.pitch_y_m],
-            }
-        )  # fmt: skip
-        first += pad.n_taxels
-    return {
-        "name": "Cell 3", "simulated": True, "n_taxels": layout.n_taxels, "mode": "cell",
-        "labels": ["bolt", "nut", "pin"], "lease_timeout_s": 2.0, "version": "0.1.0", "pads": pads,
-        "opening_max_mm": 20.0, "force_cap_n": 15.0, "contact_force_n": 0.5,
-        "levels_n": [1.9, 3.8, 5.7, 7.6], "places": ["tray A", "tray B", "box", "rejects"],
+    return cell_values(CellConfig(), paper_layout()) | {
+        "name": "Cell 3", "mode": "cell", "version": "0.1.0", "lease_timeout_s": 2.0,
+        "labels": ["bolt", "nut", "pin"], "places": ["tray A", "tray B", "box", "rejects"],
+        "opening_max_mm": 20.0, "force_cap_n": 15.0, "levels_n": [1.9, 3.8, 5.7, 7.6],
     }  # fmt: skip
 
 
@@ -67,14 +59,11 @@ def frame_n(force_n: float, at_mm: tuple[float, float] = (24.0, 9.0)) -> np.ndar
     return values
 
 
-def fault_json(number: int, steps: list[str], detail: str = "") -> dict[str, Any]:
+def fault_json(number: int, steps: list[str], detail: str) -> dict[str, Any]:
     """Return a fault as the state shows it."""
-    found = next(fault for fault in CATALOGUE.values() if fault.number == number)
-    return {
-        "number": number, "text": found.text, "cause": found.cause, "remedy": found.remedy,
-        "grip": found.grip, "detail": detail or found.text, "since_s": time.time(),
-        "recording": "out/serve-2026-11-21/recording.mcap", "steps": steps,
-    }  # fmt: skip
+    recording = "out/serve-2026-11-21/recording.mcap"
+    shown = {"steps": steps, "detail": detail, "since_s": time.time(), "recording": recording}
+    return asdict(BY_NUMBER[number]) | shown
 
 
 class FakeCell:
@@ -266,12 +255,9 @@ class FakeCell:
         }  # fmt: skip
 
     def _job(self, task: str, outcome: str, **more: Any) -> dict[str, Any]:
-        return {
-            "number": 12, "task": task, "outcome": outcome, "outcome_number": 4, "fault_number": 0,
-            "error": "", "label": "", "label_id": 0, "probability": 0.0, "n_grasps": 2,
-            "shape": "flat", "size_mm": 6.4, "kept": False, "held": None, "same": None,
-            "progress": {}, "since_s": time.time() - 42, "taught": None, "gauged": None,
-        } | more  # fmt: skip
+        felt = {"n_grasps": 2, "shape": "flat", "size_mm": 6.4}
+        given = {"number": 12, "outcome_number": 4, "since_s": time.time() - 42} | felt | more
+        return asdict(JobView(task=task, outcome=outcome, **given))
 
     # -- the server ------------------------------------------------------------------------------
 
