@@ -41,6 +41,9 @@ STATISTICS = HandStatistics(
 )
 
 
+SILENT = Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE)
+
+
 def period(phase: GripperPhase = GripperPhase.RAMPING) -> Progress:
     return Progress(cycle=make_cycle(phase=phase, force=None), frames=())
 
@@ -216,9 +219,7 @@ def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand: Hand
     loop = loop_of(hand)
     hand.tick()
     for call in (hand.tick, hand.start_sensor):
-        loop.coming.append(
-            Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE)
-        )
+        loop.coming.append(SILENT)
         with pytest.raises(HeartbeatLost):
             call()
     assert loop.sent == []
@@ -227,8 +228,7 @@ def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand: Hand
 
 def test_a_fault_that_is_on_its_way_while_a_command_begins_stops_it(hand: HandProcess) -> None:
     loop = loop_of(hand)
-    fault = Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE)
-    loop.script.append([fault, period(), None])
+    loop.script.append([SILENT, period(), None])
     with pytest.raises(HeartbeatLost):
         hand.open(nothing)
     assert loop.stops == 1
@@ -237,7 +237,7 @@ def test_a_fault_that_is_on_its_way_while_a_command_begins_stops_it(hand: HandPr
 def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand: HandProcess) -> None:
     loop = loop_of(hand)
     assert hand.shutdown() == ""
-    loop.coming.append(Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE))
+    loop.coming.append(SILENT)
     assert hand.shutdown() == "HeartbeatLost: silent"
     assert loop.sent == [Command("shutdown"), Command("shutdown")]
 
