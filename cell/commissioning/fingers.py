@@ -57,6 +57,20 @@ _GOOD_FIT_M = 0.3e-3
 """Largest residual in m with which the simplest linkage is taken: calliper, touch and encoder."""
 _BAD_FIT_M = 1e-3
 """Largest residual in m that is passed without a warning."""
+_UNUSABLE_FIT_M = 3e-3
+"""Largest residual in m with which anything is moved."""
+_BLOCKS = (
+    ("Take a stiff block with parallel faces, best about 10 mm thick; measure it.", 1.0),
+    ("A second one, best about 30 mm thick; 0 if you have none.", 0.0),
+    (
+        "No simple linkage fits both blocks: is each thickness right? A third one, best about 20 "
+        "mm thick, tells; 0 if you have none.",
+        0.0,
+    ),
+)
+"""Texts that ask for the blocks, each with the least thickness in mm."""
+_SIMPLE_BLOCKS = 2
+"""Blocks that tell a simple linkage."""
 _MID_PULSE, _OFF_PULSES = PULSES_PER_TURN // 2, 60
 """Middle of the encoder, and distance of the zero from it that is named to the person."""
 _LEAST_ROOM_M = 6e-3
@@ -262,10 +276,17 @@ class _Hands:
             for servo, sign in zip(self._servos, signs, strict=True)
         ]
         try:
-            fits = fit_linkages(self._blocks(closed, signs))
+            measured = self._blocks(closed, signs)
+            fits = fit_linkages(measured)
         except ValueError as error:
             return self._failed(str(error))
         fit = self._chosen(fits)
+        if fit.residual_m > _UNUSABLE_FIT_M:
+            return self._failed(
+                f"the linkage ({fit.linkage}) misses a measured opening by "
+                f"{fit.residual_m * 1e3:.1f} mm, at most {_UNUSABLE_FIT_M * 1e3:g} mm: was a "
+                "thickness typed wrong, or a block not held flat? Nothing has moved by itself"
+            )
         zeros = [
             zero_pulse(raw, sign, fit.closed_rad) for raw, sign in zip(closed, signs, strict=True)
         ]
@@ -285,7 +306,8 @@ class _Hands:
                 for a, b, sign in zip(closed, opened, signs, strict=True)
             ]
         )
-        return self._finding(fit, fits, widest_m)
+        n_unknown = 2 if fit.kind == "swinging" else 1
+        return self._finding(fit, fits, widest_m, proven=len(measured) > n_unknown)
 
     def _failed(self, line: str) -> Finding:
         return Finding(status=Verdict.FAIL, lines=(line,))
@@ -346,7 +368,7 @@ class _Hands:
             self._dialog.say(f"It has not moved: {_ways(self._servos, closed, both_open)}.")
 
     def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[Measured]:
-        """Return the fingers on one or two blocks of known size."""
+        """Return the fingers on blocks of known size: two, a third where no simple law fits."""
 
         def turned(raws: Sequence[int]) -> tuple[float, ...]:
             return tuple(
@@ -358,15 +380,10 @@ class _Hands:
             f"finger {number}: {degrees(angle):.1f} deg open"
             for number, angle in enumerate(turned(self._read()))
         )
-        measured = []
-        for number, text, least in (
-            (
-                1,
-                "Take a stiff block with parallel faces, best about 10 mm thick; measure it.",
-                1.0,
-            ),
-            (2, "A second one, best about 30 mm thick; 0 if you have none.", 0.0),
-        ):
+        measured: list[Measured] = []
+        for number, (text, least) in enumerate(_BLOCKS, start=1):
+            if number > _SIMPLE_BLOCKS and fit_linkages(measured)[0].kind != "swinging":
+                break
             size_mm = self._dialog.ask(
                 Question(
                     key=f"fingers.block{number}",
@@ -412,8 +429,9 @@ class _Hands:
 
     # The result
 
-    def _finding(self, fit: LinkageFit, fits: Sequence[LinkageFit], widest_m: float) -> Finding:
-        n_blocks_tell = fit.kind != "swinging" and len(fits) > 2
+    def _finding(
+        self, fit: LinkageFit, fits: Sequence[LinkageFit], widest_m: float, *, proven: bool
+    ) -> Finding:
         drive = fit.linkage
         if isinstance(drive, ParallelLinkage):
             linkage = {
@@ -448,19 +466,15 @@ class _Hands:
         ]
         lines.append(
             f"linkage: {linkage['kind']}, {drive}; residual {fit.residual_m * 1e3:.2f} mm"
-            + (
-                ""
-                if n_blocks_tell
-                else " (as many blocks as unknowns: check an opening with a ruler)"
-            )
+            + ("" if proven else " (as many blocks as unknowns: check an opening with a ruler)")
         )
         lines.append(f"widest opening by hand: {widest_m * 1e3:.1f} mm")
-        warned = fit.residual_m > _BAD_FIT_M
-        if warned:
+        if fit.residual_m > _BAD_FIT_M:
             lines.append(
                 f"the residual is above {_BAD_FIT_M * 1e3:g} mm: measure the blocks again, look "
                 "for play, and run `tactile-cell commission --redo fingers`"
             )
+        warned = fit.residual_m > _BAD_FIT_M or not proven
         moved, failure = self._first_motion(settings, fit.linkage, widest_m)
         lines += moved
         return Finding(

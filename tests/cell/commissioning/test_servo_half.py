@@ -254,6 +254,44 @@ def test_fingers_that_were_not_closed_are_found_out(tmp_path: Path) -> None:
     assert "fingers.block2" not in walk.script.asked
 
 
+def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(tmp_path: Path) -> None:
+    walk = Walk(tmp_path)
+    replies: dict[str, Reply] = {
+        "fingers__block2": 50.0,
+        "fingers__on_block2": walk.hands.close_on(30.0),
+        "fingers__on_block3": walk.hands.close_on(20.0),
+    }
+    found = walk.run(fingers__block3=20.0, **replies)["fingers"]
+    assert found.status is Verdict.FAIL
+    assert "was a thickness typed wrong" in found.lines[0]
+    assert "fingers.free" not in walk.script.asked
+    # A smaller error, and no third block: only a ruler can tell.
+    replies["fingers__block2"] = 33.0
+    found = walk.run(fingers__block3=0.0, **replies)["fingers"]
+    assert found.status is Verdict.WARN
+    assert "check an opening with a ruler" in "\n".join(found.lines)
+
+
+def test_one_block_is_enough_and_worth_a_word(tmp_path: Path) -> None:
+    walk = Walk(tmp_path)
+    found = walk.run(fingers__block2=0.0)["fingers"]
+    assert found.status is Verdict.WARN
+    assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
+
+
+def test_a_finger_that_goes_the_wrong_way_goes_limp(tmp_path: Path) -> None:
+    walk = Walk(tmp_path)
+
+    def drifting() -> None:
+        walk.hands.free()
+        walk.cell.inject("servo1.drift=-0.2")
+
+    found = walk.run(fingers__free=drifting)["fingers"]
+    assert found.status is Verdict.FAIL
+    assert "finger 0 (servo 1): closed instead of opening" in found.lines[-1]
+    assert walk.torques() == [0, 0]
+
+
 def test_leaving_at_each_question_leaves_no_torque(tmp_path: Path) -> None:
     walk = Walk(tmp_path)
     walk.run()
