@@ -49,7 +49,12 @@ _GENTLE = {
     "servoN.drift": (-0.5, 0.5),
     "taxels.offset": (-60.0, 60.0),
     "taxels.gain": (0.0, 3.0),
+    "taxels.force_gain": (0.0, 3.0),
     "taxels.saturated": (0.0, 1.0),
+    "taxels.rows_mirrored": (0.0, 1.0),
+    "taxels.columns_mirrored": (0.0, 1.0),
+    "taxels.turned": (0.0, 1.0),
+    "can.bit_rate": (125_000, 1_000_000),
 }
 """Where most of a fault's range is of no interest, the part that is drawn from."""
 _SETTINGS = (
