@@ -16,20 +16,26 @@ from cell.simulation import simulator_settings
 from recognition.grasp import Grasp
 
 
-def configured(objects: Mapping[str, str], seed: int) -> CellConfig:
-    """Return the built-in config with these objects (label -> shape)."""
+def configured(objects: Mapping[str, str], seed: int, **changes: Any) -> CellConfig:
+    """Return the built-in config with these objects (label -> shape), and changes by key."""
     entries = [{"label": label, "shape": text} for label, text in objects.items()]
-    return changed_config(CellConfig(), {"simulator.objects": entries, "seed": seed})
+    return changed_config(CellConfig(), {"simulator.objects": entries, "seed": seed} | changes)
 
 
 def cell_grasps(
-    objects: Mapping[str, str], n_grasps: int, *, seed: int, **differs: Any
+    objects: Mapping[str, str],
+    n_grasps: int,
+    *,
+    seed: int,
+    self_zero: str = "never",
+    **differs: Any,
 ) -> list[Grasp]:
     """Have a cell grasp each object ``n_grasps`` times.
 
-    Fields of the simulator's settings in which it differs from its config may be given.
+    With ``self_zero`` always it measures its own zero first. Fields of the simulator's settings in
+    which it differs from its config may be given.
     """
-    config = configured(objects, seed)
+    config = configured(objects, seed, self_zero=self_zero)
 
     def settings(config: CellConfig, **others):
         return replace(simulator_settings(config, **others), **differs)

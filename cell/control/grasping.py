@@ -222,7 +222,7 @@ class Grasper:
         collector, collect = self._collecting()
 
         def so_far() -> Grasp:
-            return collector.grasp(self.pads, start_ms=start_ms)
+            return collector.grasp(self.pads, start_ms=start_ms, zero=self._zeros.newest)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             collect(cycle, frames)

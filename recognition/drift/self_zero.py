@@ -10,15 +10,17 @@ opening gives K and z. The encoders count in steps as large as half of the way: 
 taken for what it is, the middle of a step.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from recognition.drift.drift import Drift
+from recognition.drift.drift import Drift, shifted_levels
 from recognition.drift.grid import DriftPrior
 from recognition.grasp import Grasp, SelfZero
+from recognition.ramp.levels import Levels, stack_levels
 
 _REST_GAP_M = 1e-3
 """Opening in m beyond that of the first load from which on the pads are taken to be untouched."""
@@ -164,6 +166,29 @@ def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, ...], n_pads: 
         gains=tuple(np.clip(gains, 0.2, 5.0).tolist()),
         aperture_offset_m=today.opening_m - taught.opening_m,
     )
+
+
+def at_zero(
+    levels: Levels, grasps: Sequence[Grasp], taught: SelfZero | None, gripping: tuple[int, ...]
+) -> Levels:
+    """Return levels of grasps as they would be at the self-zero of teaching.
+
+    Those of grasps without a self-zero stay as they are, and all where none was taught.
+    """
+    zeros = list(dict.fromkeys(grasp.zero for grasp in grasps))
+    if taught is None or not set(zeros) - {None, taught}:
+        return levels
+    parts, places = [], []
+    for zero in zeros:
+        rows = np.array([i for i, grasp in enumerate(grasps) if grasp.zero == zero])
+        part = levels.take(rows)
+        if zero is not None:
+            drift = since(taught, zero, gripping, grasps[0].pads.n_pads)
+            log_gains = np.log(drift.gains_of(gripping))
+            part = shifted_levels(part, log_gains, drift.aperture_offset_m * 1e3)
+        parts.append(part)
+        places.append(rows)
+    return stack_levels(parts).take(np.argsort(np.concatenate(places)))
 
 
 def prior_since(taught: SelfZero, today: SelfZero) -> DriftPrior:

@@ -1,6 +1,8 @@
 """Self-zero from made-up frames: what is found, what has changed between two, what is no zero."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +10,9 @@ import pytest
 
 from recognition.drift.drift import Drift
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero, prior_since, since
+from recognition.evaluation.splits import a_day_later
 from recognition.grasp import ZERO_COLUMNS, Grasp, PadArray, SelfZero
+from recognition.recognizers import make_trainer
 
 PADS = PadArray.grid(12, 5, 3.4e-3)
 XY_MM = PADS.taxel_xy_m[PADS.taxels_of(0)] * 1e3
@@ -124,3 +128,54 @@ def test_a_self_zero_is_finite_and_in_m(name: str) -> None:
     for bad in (math.nan, 3.0 if name == "opening_m" else -0.1):
         with pytest.raises(ValueError, match=name):
             SelfZero.from_values([*good[:place], bad, *good[place + 1 :]])
+
+
+def zero_of(drift: Drift) -> SelfZero:
+    """Return the self-zero of a hand with a drift since that of no drift."""
+    first, second = drift.gains
+    gain = math.log(drift.gain)
+    return SelfZero(
+        opening_m=1e-3 + drift.aperture_offset_m,
+        opening_sd_m=1e-4,
+        log_gain_ratio=math.log(first / second),
+        log_gain_ratio_sd=0.02,
+        log_scale=8.0 + gain,
+        log_scale_sd=0.07,
+        log_stiffness=8.0 + gain,
+        log_stiffness_sd=0.2,
+    )
+
+
+def test_two_self_zeros_undo_what_has_changed_for_each_grasp(train, fresh) -> None:
+    drift, none = Drift(gains=(0.7, 0.9), aperture_offset_m=-4e-3), Drift(gains=(1.0, 1.0))
+    taught = make_trainer("force_ramp").fit([replace(g, zero=zero_of(none)) for g in train])
+    later = [drift.apply(a_day_later(g)) for g in fresh]
+    told = [replace(g, zero=zero_of(drift)) for g in later]
+
+    def right(grasps: Sequence[Grasp]) -> float:
+        return float(np.mean([taught.posterior(g).name == g.label for g in grasps]))
+
+    assert right(told) >= right([replace(g, zero=zero_of(none)) for g in fresh]) - 0.05
+    assert right(told) > right(later) + 0.1
+    again = type(taught).from_arrays(taught.to_arrays())
+    assert again.posterior(told[0]).probability == pytest.approx(
+        taught.posterior(told[0]).probability
+    )
+    # Following goes on within one session, and begins anew with another self-zero.
+    followed = taught.follow(told[0]).follow(told[1])
+    assert followed.grid.n_followed == 2
+    assert (
+        followed.follow(replace(told[2], zero=zero_of(Drift(gains=(0.8, 0.8))))).grid.n_followed
+        == 1
+    )
+
+
+def test_grasps_of_several_sessions_teach_as_of_one(train, fresh) -> None:
+    drift, none = Drift(gains=(0.8, 0.9), aperture_offset_m=2e-3), Drift(gains=(1.0, 1.0))
+    half = [
+        replace(g, zero=zero_of(none)) if i % 2 else replace(drift.apply(g), zero=zero_of(drift))
+        for i, g in enumerate(train)
+    ]
+    taught = make_trainer("force_ramp").fit(half)
+    told = [replace(g, zero=zero_of(none)) for g in fresh]
+    assert np.mean([taught.posterior(g).name == g.label for g in told]) > 0.8
