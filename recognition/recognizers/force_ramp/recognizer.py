@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from recognition.drift.grid import DriftGrid, DriftPrior
-from recognition.drift.self_zero import prior_since, since
+from recognition.drift.self_zero import at_zero, prior_since
 from recognition.features.aperture import sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
 from recognition.features.groups import FEATURE_VERSION, check_version
@@ -123,9 +123,10 @@ class ForceRamp:
 
         Raises ValueError for pads other than the taught ones.
         """
-        levels = load_levels([self._zeroed(grasp)], self.rest)
+        levels = load_levels([grasp], self.rest)
         if not levels.touched[0]:
             return None
+        levels = at_zero(levels, [grasp], self.zero, self.rest.gripping)
         grid = self.grid_at(grasp)
         opening = self.both is not None and bool(np.all(np.isfinite(sizes_mm(levels))))
         view = self.both if self.both is not None and opening else self.touch
@@ -181,10 +182,6 @@ class ForceRamp:
         if grasp.zero == self.grid.zero:
             return self.grid
         return DriftGrid(prior=prior_since(self.zero, grasp.zero), zero=grasp.zero)
-
-    def _zeroed(self, grasp: Grasp) -> Grasp:
-        """Return the grasp without the drift between the self-zeros of teaching and of its day."""
-        return grasp if self.zero is None else _since(self.zero, grasp, self.rest)
 
     def with_grid(self, grid: DriftGrid) -> Self:
         """Return a copy with another estimate of the drift."""
@@ -277,9 +274,7 @@ class ForceRampTrainer:
         ordered = [g for group in members.values() for g in group]
         rest = learn_rest(ordered)
         zero = max(ordered, key=lambda g: (g.zero is not None, g.start_ms)).zero
-        if zero is not None:
-            ordered = [_since(zero, grasp, rest) for grasp in ordered]
-        levels = load_levels(ordered, rest)
+        levels = at_zero(load_levels(ordered, rest), ordered, zero, rest.gripping)
         touched = levels.touched
         names = np.array([g.label for g in ordered])
         labels, classes = np.unique(names[touched], return_inverse=True)
@@ -307,13 +302,6 @@ class ForceRampTrainer:
             drawn_m=_drawn_m(list(members.values())),
             zero=zero,
         )
-
-
-def _since(zero: SelfZero, grasp: Grasp, rest: Rest) -> Grasp:
-    """Return a grasp without the drift between two self-zeros; as it is where it has none."""
-    if grasp.zero is None or grasp.zero == zero:
-        return grasp
-    return since(zero, grasp.zero, rest.gripping, rest.pads.n_pads).undo(grasp)
 
 
 def _drawn_m(members: Sequence[Sequence[Grasp]]) -> NDArray[np.float64]:
