@@ -55,7 +55,9 @@ _END_MARGIN_M = 2e-3
 """Opening in m that the cell keeps from the widest by hand."""
 _GOOD_FIT_M = 0.3e-3
 """Largest residual in m with which the simplest linkage is taken: calliper, touch and encoder."""
-_BAD_FIT_M = 1e-3
+_MOST_OFFSET_M = 0.05
+"""Largest offset in m of a linkage in the config (gripper.linkage.offset_mm)."""
+_BAD_FIT_M = 0.5e-3
 """Largest residual in m that is passed without a warning."""
 _UNUSABLE_FIT_M = 3e-3
 """Largest residual in m with which anything is moved."""
@@ -168,11 +170,17 @@ def fit_linkages(measured: Sequence[Measured]) -> tuple[LinkageFit, ...]:
     if len(measured) > 1:
         swinging = _swinging(angles, sizes_m, parallel.link_m)
         first = fits[0].residual_m > _GOOD_FIT_M
-        fits.insert(0 if first else len(fits), swinging)
+        if abs(swinging.linkage.aperture_m([0.0] * n)) <= 2.0 * _MOST_OFFSET_M:
+            fits.insert(0 if first else len(fits), swinging)
     elif fits[0].kind != "parallel":
         # One block fits both.
         fits.reverse()
     return tuple(fits)
+
+
+def _simple(fit: LinkageFit) -> bool:
+    """Return whether two blocks have told the linkage."""
+    return fit.kind != "swinging" and fit.residual_m <= _GOOD_FIT_M
 
 
 def _swinging(
@@ -382,7 +390,7 @@ class _Hands:
         )
         measured: list[Measured] = []
         for number, (text, least) in enumerate(_BLOCKS, start=1):
-            if number > _SIMPLE_BLOCKS and fit_linkages(measured)[0].kind != "swinging":
+            if number > _SIMPLE_BLOCKS and _simple(fit_linkages(measured)[0]):
                 break
             size_mm = self._dialog.ask(
                 Question(

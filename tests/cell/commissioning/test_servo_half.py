@@ -265,11 +265,11 @@ def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(tmp_path: Pa
     assert found.status is Verdict.FAIL
     assert "was a thickness typed wrong" in found.lines[0]
     assert "fingers.free" not in walk.script.asked
-    # A smaller error, and no third block: only a ruler can tell.
+    # A smaller error, and no third block: the residual warns.
     replies["fingers__block2"] = 33.0
     found = walk.run(fingers__block3=0.0, **replies)["fingers"]
     assert found.status is Verdict.WARN
-    assert "check an opening with a ruler" in "\n".join(found.lines)
+    assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(found.lines)
 
 
 def test_one_block_is_enough_and_worth_a_word(tmp_path: Path) -> None:
