@@ -139,7 +139,7 @@ class LinkQualityStep:
             with contextlib.ExitStack() as undo:
                 sensor = None
                 if not gripper_alone(bench):
-                    sensor = undo.enter_context(unit_sensor(bench))
+                    sensor = undo.enter_context(unit_sensor(bench, patient=False))
                 bus = undo.enter_context(bench.servo_bus())
                 check_link(bus, ids, period_s)
                 before = bus.statistics

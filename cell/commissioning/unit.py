@@ -6,7 +6,7 @@ import os
 import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -45,6 +45,8 @@ _BURST_SHARE = 0.85
 """Share of the period of SYNC in which a burst has to be through; see `LinkSettings.window_s`."""
 _CAN_INTERFACE = "280"
 """Type of a CAN network interface in sysfs (ARPHRD_CAN of linux/if_arp.h)."""
+_PATIENCE_S = 0.5
+"""Silence in s that a unit may keep while a person presses its pads."""
 _FRAMES = 10
 """Frames that show that the link runs."""
 
@@ -63,7 +65,9 @@ def without_unit() -> Finding:
 
 
 @contextmanager
-def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor]:
+def unit_sensor(
+    bench: Bench, *, mounted: bool = True, patient: bool = True
+) -> Iterator[TactileSensor]:
     """Start the sensor of the config so far, and close it at the end.
 
     Parameters
@@ -72,6 +76,9 @@ def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor
         Bus and config.
     mounted
         False: pads as the layout has them, whatever ``tactile.mounting`` says.
+    patient
+        Whether a busy machine may be late, and force messages are left out: nothing is held.
+        False: as for a grip.
 
     Raises
     ------
@@ -80,6 +87,9 @@ def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor
     """
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
     layout = layout_from_config(tactile)
+    link = link_settings(tactile)
+    if patient:
+        link = replace(link, force_period_s=0.0, silence_s=_PATIENCE_S)
     with (
         bench.can_bus() as bus,
         open_sensor(
@@ -87,7 +97,7 @@ def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor
             layout,
             make_calibration(tactile, layout),
             node_id=tactile.node_id,
-            link=link_settings(tactile),
+            link=link,
             settings=sensor_settings(tactile),
         ) as sensor,
     ):
