@@ -221,15 +221,7 @@ class HandProcess:
 
     Raises
     ------
-    gripper.errors.PortLost, tactile.errors.LinkFault
-        If a port or bus cannot be opened.
-    HandLost
-        If the process does not come up.
-
-    Attributes
-    ----------
-    measured
-        As in `Hand`: what the process has sent, and `tick` or a command taken in.
+    As `LoopProcess`.
     """
 
     def __init__(
@@ -246,6 +238,7 @@ class HandProcess:
         self._loop = LoopProcess(config, partial=partial)
         self._statistics = self._loop.ready.statistics
         self.measured = Measured()
+        """As in `Hand`: what the process has sent, and `tick` or a command taken in."""
         self._heard_s = time.monotonic()
 
     # -- what is known here --------------------------------------------------------------------

@@ -93,37 +93,20 @@ class InvariantMonitor:
     - Torque: none is switched on between a fault and the reset, but for a release asked for.
     - Push: while a fault is latched no servo under torque gets a higher goal current.
     - End: a command is over within its time, in a state that is none in passing.
-
-    Parameters
-    ----------
-    simulated
-        The cell's hardware.
-    gripper
-        Its config: the cap of the force, the bus watchdog.
-
-    Attributes
-    ----------
-    broken
-        What was broken so far.
-    latched_s
-        When a fault was latched first since `watch_from`, in s; None before.
-    noted_s
-        When a counter of the links moved first since `watch_from`, in s; None before.
-    states
-        States of the cell that were seen since `watch_from`.
-    world_pushes
-        Whether something in the world presses, so that the force is not the gripper's.
-    limp_allowed
-        Whether torque may go off with a part in the grip: the force or the position is unknown.
     """
 
     def __init__(self, simulated: SimulatedCell, gripper: GripperConfig) -> None:
         self.broken: list[str] = []
         self.latched_s: float | None = None
+        """When a fault was latched first since `watch_from`, in s; None before."""
         self.noted_s: float | None = None
+        """When a counter of the links moved first since `watch_from`, in s; None before."""
         self.states: set[CellState] = set()
+        """States of the cell that were seen since `watch_from`."""
         self.world_pushes = False
+        """Whether something in the world presses, so that the force is not the gripper's."""
         self.limp_allowed = False
+        """Whether torque may go off with a part in the grip: force or position is unknown."""
         self._simulated = simulated
         self._force_max_n = gripper.force_max_n
         self._contact_force_n = gripper.contact_force_n
@@ -373,12 +356,7 @@ def link_counters(cell: Cell) -> list[tuple[int, ...]]:
 class FrameWitness:
     """A recogniser that is always sure, and looks whether its grasps are what the unit scanned.
 
-    Parameters
-    ----------
-    scanned
-        Returns every scan that the unit has latched, as bytes.
-    spoiled
-        Returns which faults have spoiled the scans themselves for a while.
+    Faults may have spoiled the scans themselves for a while.
     """
 
     name, labels, uses_aperture = "witness", ("ball", "box"), False

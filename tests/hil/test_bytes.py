@@ -123,8 +123,8 @@ def check_held(found: Meddled, folder: Path) -> None:
     assert any(event["kind"] == "fault" for event in recording.events)
 
 
-def let_go(simulator: CellProcess, folder: Path) -> None:
-    cell = build_cell(load_config(simulator.config_path), folder=folder)
+def let_go(simulator: CellProcess) -> None:
+    cell = build_cell(load_config(simulator.config_path))
     try:
         cell.controller.release_held()
     finally:
@@ -149,13 +149,10 @@ def test_changed_bytes_of_a_line_end_in_a_fault_that_names_them(
     order: str,
     faults: tuple[type[Exception], ...],
 ) -> None:
-    first_run, second_run = tmp_path / "a", tmp_path / "b"
-    for folder in (first_run, second_run):
-        folder.mkdir()
     port = simulator.can_channel if line == "can" else simulator.servo_port
     with relay_on(line, port) as relay:
         config = config_on(simulator, line, relay.port)
-        with meddled(simulator, config, first_run, lambda: relay.order(order)) as found:
+        with meddled(simulator, config, tmp_path, lambda: relay.order(order)) as found:
             assert isinstance(found.error, faults), found.error
             kept_n = simulator.grip_n()
             assert kept_n > 0.6 * GRIPPED_N
@@ -163,8 +160,8 @@ def test_changed_bytes_of_a_line_end_in_a_fault_that_names_them(
             # Servos that nobody reaches keep the goal of the ramp, which the force still nears.
             most_n = kept_n + 0.4 if line == "can" else STEP.force_n
             assert kept_n - 0.4 < simulator.grip_n() < most_n
-            check_held(found, first_run)
-    let_go(simulator, second_run)
+            check_held(found, tmp_path)
+    let_go(simulator)
 
 
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
@@ -174,15 +171,12 @@ def test_a_simulator_that_is_stopped_or_killed_in_the_ramp_is_a_fault_with_the_g
     def stop() -> None:
         os.kill(simulator.pid, signal.SIGSTOP)
 
-    first_run, second_run = tmp_path / "a", tmp_path / "b"
-    for folder in (first_run, second_run):
-        folder.mkdir()
     act = simulator.kill if number is signal.SIGKILL else stop
-    with meddled(simulator, load_config(simulator.config_path), first_run, act) as found:
+    with meddled(simulator, load_config(simulator.config_path), tmp_path, act) as found:
         assert isinstance(found.error, (*LOST, BusOff, PortLost, BusTimeout)), found.error
         if number is signal.SIGSTOP:
             os.kill(simulator.pid, signal.SIGCONT)
             assert simulator.grip_n() > 0.6 * GRIPPED_N
-        check_held(found, first_run)
+        check_held(found, tmp_path)
     if number is signal.SIGSTOP:
-        let_go(simulator, second_run)
+        let_go(simulator)

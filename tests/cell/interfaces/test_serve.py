@@ -57,6 +57,14 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
         process.communicate()
 
 
+def ended(process: subprocess.Popen[str]) -> list[str]:
+    """End the program in order; return the lines of its standard error."""
+    process.send_signal(signal.SIGTERM)
+    said = process.communicate(timeout=LIMIT_S)[1]
+    assert process.returncode == 0
+    return said.splitlines()
+
+
 def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
     start: Any, tmp_path: Path
 ) -> None:
@@ -75,10 +83,8 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
             cell.pose_reached(lease, seq, True)
         until(lambda: cell.alive(lease) or cell.job_state(1) == 4)
         assert cell.holding()
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(LIMIT_S) == 0
-    page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"
-    assert process.communicate()[1].splitlines()[1:] == [page]
+        said = ended(process)
+    assert said[1:] == [f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"]
 
 
 def test_a_model_is_loaded_and_saved_after_a_teaching(
@@ -91,17 +97,14 @@ def test_a_model_is_loaded_and_saved_after_a_teaching(
         job = cell.teach(lease, "ball", 1)
         until(lambda: cell.alive(lease) or cell.job_state(job) == 4)
         assert load_model(tmp_path / "parts.npz").labels == ("ball", "box")
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(LIMIT_S) == 0
+        ended(process)
 
 
 def test_other_addresses_get_a_warning(start: Any) -> None:
     options = ("--listen", "0.0.0.0", "--allow", "192.0.2.7", "--modbus", "0", "--xml-rpc", "0")
     process, line = start(*options)
     assert line["listen"] == "0.0.0.0"
-    process.send_signal(signal.SIGTERM)
-    process.wait(LIMIT_S)
-    assert "authenticate nobody" in process.communicate()[1]
+    assert "authenticate nobody" in " ".join(ended(process))
 
 
 @pytest.fixture
@@ -128,10 +131,8 @@ def test_without_a_config_the_taught_cell_is_there_with_its_page(
     process, line = start("--modbus", "0", "--xml-rpc", "0", config=None)
     assert 8080 <= line["http_port"] < 8180
     assert Client(line).get("/api/info")["labels"] == ["ball", "box"]
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(LIMIT_S) == 0
-    lines = process.communicate()[1].splitlines()
-    assert lines[1:] == [f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"]
+    page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"
+    assert ended(process)[1:] == [page]
 
 
 def test_the_page_takes_the_next_port_where_its_own_is_taken(
@@ -254,7 +255,5 @@ def test_a_recording_is_shown_on_the_page(start: Any, taught: Any) -> None:
     process, line = start(recording, "--live", config=None, command=("replay",))
     assert set(line) == {"listen", "http_port", "token"}
     assert Client(line).get("/api/state")["replay"]["name"] == "recording.mcap"
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(LIMIT_S) == 0
     page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"
-    assert process.communicate()[1].splitlines() == [page]
+    assert ended(process) == [page]

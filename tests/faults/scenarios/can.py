@@ -35,16 +35,9 @@ def fault_from_a_sync(row: FaultRow) -> Observed:
 
 
 def sets_lost(row: FaultRow, *, lost: Callable[[int], bool], crossing: int) -> Observed:
-    """Lose one message of some sets; time counts from the loss ``crossing``, the one too many.
+    """Lose one message of some sets, by the numbers of their SYNCs from 0.
 
-    Parameters
-    ----------
-    row
-        The row.
-    lost
-        Whether the set of a SYNC is lost, by its number from 0.
-    crossing
-        Number of that loss, from 1.
+    Time counts from the loss ``crossing``, from 1: the one too many.
     """
     lost_s: list[float] = []
 
