@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import Enum
 from functools import partial
 from itertools import islice
+from operator import attrgetter
 from typing import Protocol
 
 import can
@@ -27,6 +28,8 @@ _ERROR_CONTROLLER, _ERROR_BUS_OFF = 0x04, 0x40
 """Classes of error frames as SocketCAN has them in the identifier (linux/can/error.h)."""
 _CONTROLLER_PASSIVE, _CONTROLLER_ACTIVE = 0x30, 0x40
 """States of the controller in data byte 1 of such a frame."""
+_ARRIVAL_S = attrgetter("timestamp")
+"""Time in s at which a message arrives."""
 _FLOOD_ID = 0x6FF
 """Identifier of flooding messages: an SDO request to node 127, which no unit here is."""
 _INBOX_LIMIT = 100_000
@@ -171,7 +174,7 @@ class CanLink:
                 ]
             if disturbed or (inbox and inbox[-1].timestamp > ends_s[0]):
                 for message in arrived:
-                    bisect.insort(inbox, message, key=_arrival_s)
+                    bisect.insort(inbox, message, key=_ARRIVAL_S)
             else:
                 inbox.extend(arrived)
 
@@ -207,10 +210,6 @@ class CanLink:
         self._inbox.appendleft(
             can.Message(now_s, error_class, False, is_error_frame=True, data=data)
         )
-
-
-def _arrival_s(message: can.Message) -> float:
-    return message.timestamp
 
 
 class CanDevices:

@@ -5,7 +5,7 @@ import math
 import can
 
 from simulator.can.faults import CanLinkFaults
-from simulator.can.link import CanDevice, CanLink, Capture
+from simulator.can.link import CanDevice, CanLink
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorStateError
 
@@ -35,20 +35,14 @@ class InMemoryCanBus(can.BusABC):
         self.channel_info = f"simulated CAN bus at {bitrate} bit/s"
         self._host_bitrate = bitrate if host_bitrate is None else host_bitrate
         self._link = CanLink(device, bitrate=bitrate, faults=faults, seed=seed)
+        self.capture = self._link.capture
+        """Hooks that are called with each message on the wire, lost ones included, in order."""
+        self.faults = self._link.faults
+        """Knobs of the link."""
         self.clock = clock
         self._lost = False
         clock.on_advance.append(self._link.advance)
         super().__init__(channel="simulated")
-
-    @property
-    def capture(self) -> list[Capture]:
-        """Hooks that are called with each message on the wire, lost ones included, in order."""
-        return self._link.capture
-
-    @property
-    def faults(self) -> CanLinkFaults:
-        """Knobs of the link."""
-        return self._link.faults
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a message; it reaches the device before this returns.

@@ -81,12 +81,14 @@ class TactileLink:
             raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
         self._bus = bus
         self._node_id = node_id
-        self._layout = layout
+        self.layout = layout
+        """The taxels of the unit."""
         self._clock = clock
-        self._settings = settings or LinkSettings()
-        self._mounting = Mounting(layout, self._settings.mounts)
+        self.settings = settings or LinkSettings()
+        """Periods and limits."""
+        self._mounting = Mounting(layout, self.settings.mounts)
         # What the unit sums is of use only where it sums the pads that grip, each as it sits.
-        sums = self._settings.force_period_s and self._mounting.unit_can_sum
+        sums = self.settings.force_period_s and self._mounting.unit_can_sum
         self._force_table = force_table if sums else None
         self._source: MessageSource = source or self._new_source()
         self._session = self._new_session()
@@ -94,7 +96,7 @@ class TactileLink:
         self._fault: LinkFault | None = None
 
     def _new_source(self) -> MessageSource:
-        kind = ThreadedReceiver if self._settings.threaded else PolledSource
+        kind = ThreadedReceiver if self.settings.threaded else PolledSource
         return kind(self._bus, self._clock)
 
     def use(self, bus: can.BusABC) -> None:
@@ -109,20 +111,10 @@ class TactileLink:
             self._bus,
             self._source,
             node_id=self._node_id,
-            layout=self._layout,
+            layout=self.layout,
             clock=self._clock,
-            settings=self._settings,
+            settings=self.settings,
         )
-
-    @property
-    def layout(self) -> TaxelLayout:
-        """The taxels of the unit."""
-        return self._layout
-
-    @property
-    def settings(self) -> LinkSettings:
-        """Periods and limits."""
-        return self._settings
 
     @property
     def statistics(self) -> LinkStatistics:
@@ -160,14 +152,14 @@ class TactileLink:
         session.command("RESET COMMUNICATION")
         session.wait_for(lambda: supervisor.boot_ups > 0, "did not boot")
         identity = read_identity(session.objects)
-        refuse_swapped_boards(identity, self._settings.identity, session.name)
-        refuse_mismatch(identity_checks(identity, self._settings.identity), session.name)
-        checks = layout_checks(session.objects, self._layout, self._node_id)
+        refuse_swapped_boards(identity, self.settings.identity, session.name)
+        refuse_mismatch(identity_checks(identity, self.settings.identity), session.name)
+        checks = layout_checks(session.objects, self.layout, self._node_id)
         refuse_mismatch(checks, session.name)
-        set_up(session.objects, self._settings)
+        set_up(session.objects, self.settings)
         if self._force_table is not None and session.objects.has(object_dictionary.FORCE_MESSAGE):
             session.expect_forces(
-                set_up_forces(session.objects, self._settings, self._node_id, self._force_table)
+                set_up_forces(session.objects, self.settings, self._node_id, self._force_table)
             )
         if supervisor.boot_ups > 1:
             raise NodeMissing(
@@ -209,8 +201,8 @@ class TactileLink:
             session.take_forces()
             found = objects.read(object_dictionary.FORCE_ZERO)
             old = [one for one in session.take_forces() if not one.status & ForceStatus.ZEROED]
-            late_s = len(old) * self._settings.force_period_s
-            if late_s > self._settings.force_late_s:
+            late_s = len(old) * self.settings.force_period_s
+            if late_s > self.settings.force_late_s:
                 raise session.forces_late(late_s)
             refuse_mismatch(
                 [Check(what="zero of the force", expected=sent.hex(), found=found.hex())],

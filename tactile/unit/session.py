@@ -77,7 +77,12 @@ class LinkSession:
         )
         self._client.network = self._network
         self.objects = ObjectAccess(self._client, name=self.name)
-        self.supervisor = _supervisor(self.name, settings)
+        limits = SupervisionLimits(
+            heartbeat_s=settings.heartbeat_s,
+            heartbeat_factor=settings.heartbeat_factor,
+            passive_s=settings.error_passive_s,
+        )
+        self.supervisor = NodeSupervisor(self.name, limits)
         frame_format = FrameFormat.of(layout)
         self._assembler = FrameAssembler(frame_format)
         self._flow = _flow(self.name, settings, frame_format)
@@ -116,9 +121,10 @@ class LinkSession:
         self._syncs = self._late_syncs = self._foreign = self._malformed = 0
         self._bad_lines = bad_lines(bus)
         self._unusable = 0
+        answers = od.COB_SDO_RESPONSE + node_id
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
-            od.COB_EMCY + node_id: self._on_emergency,
-            od.COB_SDO_RESPONSE + node_id: self._on_sdo_response,
+            od.COB_EMCY + node_id: lambda data, _t_s: self.supervisor.on_emergency(data),
+            answers: lambda data, t_s: self._client.on_response(answers, data, t_s),
             od.COB_HEARTBEAT + node_id: self.supervisor.on_heartbeat,
         }
 
@@ -321,21 +327,6 @@ class LinkSession:
                 f"{1e3 * limit_s:.0f} ms: check that the control unit has power, its cable and the "
                 "bus load, then start the link again"
             )
-
-    def _on_emergency(self, data: bytes, t_s: float) -> None:
-        self.supervisor.on_emergency(data)
-
-    def _on_sdo_response(self, data: bytes, t_s: float) -> None:
-        self._client.on_response(od.COB_SDO_RESPONSE + self._node_id, data, t_s)
-
-
-def _supervisor(name: str, settings: LinkSettings) -> NodeSupervisor:
-    limits = SupervisionLimits(
-        heartbeat_s=settings.heartbeat_s,
-        heartbeat_factor=settings.heartbeat_factor,
-        passive_s=settings.error_passive_s,
-    )
-    return NodeSupervisor(name, limits)
 
 
 def _flow(name: str, settings: LinkSettings, frame_format: FrameFormat) -> FrameFlow:
