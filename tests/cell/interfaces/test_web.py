@@ -223,7 +223,7 @@ def check_shift(served: Served, host: Client) -> None:
     box, ball = shift["answers"]
     assert (box["label"], box["task"], box["place"]) == ("box", "identify", None)
     assert (ball["label"], ball["task"], ball["place"]) == ("ball", "sort", "ball")
-    assert box["seconds"] > 1.0
+    assert box["seconds"] > 0.5
     assert ball["runner_up"]["probability"] < ball["probability"]
     low_mm, high_mm = ball["interval_mm"]
     assert low_mm < ball["size_mm"] < high_mm
