@@ -124,6 +124,7 @@ function renderNow() {
   const live = Object.entries(state.live);
   renew(byId("now_live"), live, () => live.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]));
   setText(byId("files"), state.files.length ? t("wizard.files", { files: state.files.join(", ") }) : "");
+  byId("main").dataset.asked = state.asked_id;
   renderQuestion();
   renderApproval();
 }
