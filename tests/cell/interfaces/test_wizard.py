@@ -30,7 +30,6 @@ from cell.commissioning.record import RECORD_NAME, write_record
 from cell.config.serve import ServeConfig
 from cell.errors import NotInCommand, RequestRefused
 from cell.interfaces.wizard import Wizard, WizardDoor
-from gripper.errors import PortLost
 from tactile.layout import paper_layout
 from tests.cell.commissioning.test_engine import REAL, Asking
 from tests.cell.interfaces.conftest import until
@@ -50,22 +49,22 @@ LAYOUT = paper_layout()
 
 @dataclass
 class Ports(Asking):
-    """A step with choices, and a line that may be lost."""
+    """A step with choices, which may fail, or end the wizard."""
 
     key: str = "ports"
     title: str = "Ports"
     purpose: str = "Finds the serial port of the servos. Nothing moves."
     settings: dict[str, Any] = field(default_factory=lambda: dict(REAL))
-    lost: int = 0
+    mistakes: int = 0
     wrong: int = 0
 
     def run(self, bench: Bench, dialog: Dialog) -> Finding:
         if self.wrong:
             self.wrong -= 1
             return Finding(status=Verdict.FAIL, lines=("No adapter is plugged in.",))
-        if self.lost:
-            self.lost -= 1
-            raise PortLost("the servo line /dev/ttyUSB0 is gone: plug the adapter in again")
+        if self.mistakes:
+            self.mistakes -= 1
+            raise RuntimeError("this step has a mistake")
         names = ("/dev/ttyUSB0", "/dev/serial/by-id/usb-FTDI_USB__-__Serial_Converter_FT1-if00")
         choices = tuple(Choice(key=str(n), text=name) for n, name in enumerate(names))
         question = Question(
@@ -299,14 +298,14 @@ def test_a_number_has_its_range(wizard: Wizard, walk: list[Any], wrong: Any) -> 
         wizard.answer(lease, wizard.state()["asked_id"], wrong)
 
 
-def test_a_lost_line_is_named_and_the_step_is_taken_up_again(
+def test_what_ends_the_wizard_is_named_and_the_step_is_taken_up_again(
     client: Client, walk: list[Any]
 ) -> None:
-    walk[0].lost = 1
+    walk[0].mistakes = 1
     client.acquire()
     client.post("run")
     state = client.becomes("failed")
-    assert "plug the adapter in again" in state["error"]["text"]
+    assert "RuntimeError: this step has a mistake" in state["error"]["text"]
     assert state["error"]["number"] > 0
     client.post("run")
     assert client.becomes("asking")["error"] is None
