@@ -58,9 +58,9 @@ LEAST_CONTACTS = 2.0
 """Least force at which it begins, in contact forces: a part that is held with one alone passes for
 lost now and then (simulated cell, twice the noise)."""
 
-_ZERO_FORCE_N, _ZERO_RATE_N_S = 12.0, 10.0
+_ZERO_FORCE_N, _ZERO_RATE_N_S = 10.0, 5.0
 """Force in N with which the empty fingers press on each other, and its growth in N/s: pads of 55 x
-20 mm give 0.4 mm together, and a ramp of a second shows that on each taxel."""
+20 mm give 0.36 mm together, and a ramp of two seconds shows that on each taxel."""
 
 
 class Grasper:

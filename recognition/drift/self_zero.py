@@ -43,7 +43,7 @@ _ALIKE = 5.0
 """Frames in a row that repeat one error of the opening."""
 _MODEL_SD_M = 5e-5
 """Error of the opening in m by foam that is not linear, and by its edges; simulated pads."""
-_MODEL_RATIO_SD, _MODEL_SCALE_SD, _MODEL_STIFFNESS_SD = 0.02, 0.07, 0.05
+_MODEL_RATIO_SD, _MODEL_SCALE_SD, _MODEL_STIFFNESS_SD = 0.02, 0.03, 0.05
 """The same of the logarithms: pads that are misaligned, friction that grows with the load."""
 _TORQUE_SD = 0.05
 """Standard deviation of the logarithm of the torque of a servo for its current, between days and
