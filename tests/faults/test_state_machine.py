@@ -113,7 +113,7 @@ def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
 
 
 def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    fault = "unit.force_gain=0@contact+190ms"
+    fault = "unit.force_gain=0@contact+80ms"
     drive(fault=fault)
     monkeypatch.setattr(PartWatch, "_confirmed", lambda watch, *_, **__: watch.doubts)
     monkeypatch.setattr(EmptyGrip, "step", lambda *_: Action(done=True))
