@@ -1,17 +1,24 @@
 """The self-zero of a simulated cell: against its truth, with a part between, when it is due."""
 
+import json
 import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cell.commissioning.engine import Verdict
+from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
-from cell.control.self_zero import SelfZeros, zero_file
+from cell.control.self_zero import SelfZeros, zero_file, zero_values
 from cell.control.states import CellState
 from cell.errors import PlanRefused, ZeroRefused
+from cell.interfaces.plugin import tasks
+from cell.interfaces.plugin.goals import ZeroGoal, checked_goal
+from cell.jobs.doctor import examine
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
 from recognition.grasp import SelfZero
+from tests.cell.conftest import call
 
 PULSE_MM = 60.0 * 2.0 * math.pi / 4096.0
 
@@ -70,6 +77,16 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
     assert abs(bench.controller.measure_zero().zero.opening_m) < 2e-4
 
 
+def test_a_start_does_not_zero_on_a_part(make_bench, make_config) -> None:
+    bench = make_bench(make_config(self_zero="always"))
+    bench.simulated.place("ball")
+    with pytest.raises(PartBetweenFingers, match="something is between them"):
+        bench.controller.start()
+    assert bench.controller.state is CellState.ABORTED
+    assert bench.controller.holding
+    assert bench.grip_n > 0.3
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -104,6 +121,25 @@ def test_it_is_measured_at_a_start_where_it_is_due(
     assert kept.exists() == (times > 0)
     if times:
         assert seen[1][0] == seen[0][1]
+
+
+def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
+    said = call("zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
+    assert said.startswith("pads meet at ")
+    assert abs(json.loads((tmp_path / "zero.json").read_text())["opening_m"]) < 2e-4
+    config = CellConfig()
+    here = config.model_copy(
+        update={"recording": config.recording.model_copy(update={"directory": str(tmp_path)})}
+    )
+    finding = next(one for one in examine(here) if one.what == "self-zero")
+    assert (finding.verdict, finding.advice) == (Verdict.PASS, "")
+    assert "pads meet at" in finding.found
+    bench, reports = make_bench().ready(), []
+    bench.simulated.remove()
+    assert isinstance(checked_goal({"task": "zero"}), ZeroGoal)
+    found = tasks.zero(bench.controller, reports.append)
+    assert reports[-1]["zero"] == zero_values(found)
+    assert bench.controller.self_zero == found
 
 
 def test_fingers_that_cannot_meet_are_gauged(make_bench, make_config) -> None:
