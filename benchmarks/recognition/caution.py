@@ -16,7 +16,7 @@ from recognition.recognizer import UNKNOWN
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 
 CAUTIONS = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Factors on the odds that an object is new."""
+"""Factors on the likelihood of a new object."""
 _DRIFT = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
 _GROUPS = 6
 
@@ -35,13 +35,12 @@ def main(effort: float = 1.0) -> None:
     answers: dict[tuple[str, float], list[tuple[bool, str, str]]] = defaultdict(list)
     for out in groups[: repeats(len(groups), effort)]:
         taught = ForceRampTrainer().fit([grasp for grasp in train if grasp.label not in out])
-        for caution in CAUTIONS:
-            recognizer = replace(taught, caution=caution)
-            for day, tested in days.items():
-                answers[day, caution] += [
-                    (grasp.label in out, grasp.label, recognizer.posterior(grasp).name)
-                    for grasp in tested
-                ]
+        for day, tested in days.items():
+            for grasp in tested:
+                evidence = taught.evidence(grasp)
+                for caution in CAUTIONS:
+                    name = replace(taught, caution=caution).answer(grasp, evidence).name
+                    answers[day, caution].append((grasp.label in out, grasp.label, name))
     line("compared", f"{len(labels)} objects, {len(test)} grasps tested for each group left out")
     missed = {}
     for (day, caution), given in answers.items():

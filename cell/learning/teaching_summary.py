@@ -66,9 +66,11 @@ class TeachingSummary:
     def _series_note(self) -> str:
         if not self.again:
             return (
-                "each object was taught in one go. On another day, with another placing or on "
-                "another cell expect UNKNOWN and wrong names; gauge the model then (`tactile-cell "
-                "calibrate --gauge LABEL`)"
+                "each object was taught in one go, so by one individual: where a label is a kind, "
+                "as of fruit, teach several of it, an hour apart or later. On another day, with "
+                "another placing or on another cell expect UNKNOWN and wrong names; measure the "
+                "zero (`tactile-cell zero`) or gauge with two objects (`tactile-cell calibrate "
+                "--gauge LABEL --gauge OTHER`)"
             )
         once = self.n_objects - len(self.again)
         if once:

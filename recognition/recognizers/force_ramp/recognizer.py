@@ -92,7 +92,10 @@ class ForceRamp:
 
         A grasp that never touched both pads gives even probabilities and is surely unknown.
         """
-        evidence = self.evidence(grasp)
+        return self.answer(grasp, self.evidence(grasp))
+
+    def answer(self, grasp: Grasp, evidence: Evidence | None) -> Posterior:
+        """Return the posterior of a grasp from its `evidence`."""
         if evidence is None:
             return Posterior.uninformed(self.labels)
         grid = self.grid_at(grasp)
