@@ -35,7 +35,7 @@ _WRONG = (
     "unit.pads_swapped",
     "taxels.force_gain=0.8",
 )
-_WIDTH = 118
+_WIDTH = 96
 """Characters of a line of the page."""
 _BOOT_S = 1.0
 """Time in s after which the simulated servos have booted."""
