@@ -167,6 +167,7 @@ class GripControl:
         self._observer: ContactObserver | None = None
         self._motion: RampMotion | None = None
         self._moved_s = now_s
+        self._measured_n = drive_n
         self._falls = False
         self._lacking_n = {False: 0.0, True: 0.0}
 
@@ -300,6 +301,8 @@ class GripControl:
         self, moment: Moment, setpoint_n: float, force_n: float, *, falls: bool = False
     ) -> None:
         """Begin a motion of the force from what it is now."""
+        paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
+        self._measured_n = _driving_n(moment.state, paths)
         before = self._observer
         if before is not None:
             self._pad_n_m = before.stiffness_n_m
@@ -331,17 +334,20 @@ class GripControl:
         """Return the driving force in N of one period of a fast rise."""
         observer = self._observer
         assert observer is not None
+        paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
+        measured_n = _driving_n(moment.state, paths)
         jumped = self._controller.jumps(
             sample, observer.unexplained_n(sample), self.setpoint_n, friction_n
         )
         observer.step(
             moment.now_s,
             moment.dt_s,
-            drive_n=self._drive_n,
+            drive_n=0.5 * (self._measured_n + measured_n),
             friction_n=friction_n,
             speed_m_s=-0.5 * moment.state.aperture_velocity_m_s,
             sample=None if jumped else sample,
         )
+        self._measured_n = measured_n
         drive_n = motion.drive_n(
             moment.dt_s,
             self.setpoint_n,
@@ -500,6 +506,14 @@ class GripControl:
                 angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD, widest_rad)
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         return tuple(goals)
+
+
+def _driving_n(state: GripperState, paths: Sequence[Transmission]) -> float:
+    """Return the driving force in N that the measured currents make, friction left aside."""
+    return sum(
+        -servo.current_a * path.kt_nm_a / path.radius_m
+        for servo, path in zip(state.servos, paths, strict=True)
+    ) / len(paths)
 
 
 class StiffnessEstimate:

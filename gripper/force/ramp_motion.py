@@ -148,7 +148,6 @@ class ContactObserver:
             [0.0, 0.0, (_DISTURBANCE_SHARE * max(drive_n, 1.0)) ** 2, 0.0],
             [0.0, 0.0, 0.0, _LOG_STIFFNESS_SD**2],
         ]
-        self._acting_n = drive_n
         self._history = History()
         self._history.add(now_s, force_n)
         self._sample_s = now_s
@@ -193,7 +192,7 @@ class ContactObserver:
         now_s, dt_s
             Monotonic time and time since the last step in s.
         drive_n
-            Driving force in N of the goals that were written in the last period.
+            Driving force in N since the last step, by the measured currents.
         friction_n
             Friction of a finger in N.
         speed_m_s
@@ -217,18 +216,12 @@ class ContactObserver:
         return sample.grip_n - self._history.at(sample.measured_s)
 
     def _predict(self, dt_s: float, drive_n: float, friction_n: float) -> None:
-        # The goals were written after the last feedback, and the current follows with a lag.
-        waits_s = min(_WRITE_S, dt_s)
-        left = exp(-(dt_s - waits_s) / _CURRENT_S)
-        old = (waits_s + _CURRENT_S * (1.0 - left)) / dt_s
-        mean_n = drive_n + (self._acting_n - drive_n) * min(1.0, old)
-        self._acting_n = drive_n + (self._acting_n - drive_n) * left
         stiffness, mass = self.stiffness_n_m, self._mass_kg
         speed = self.speed_m_s
-        change = self.acceleration_m_s2(mean_n, friction_n) * dt_s
+        change = self.acceleration_m_s2(drive_n, friction_n) * dt_s
         after = speed + change
         locked = speed * after <= 0.0 and (
-            abs(mean_n - self.lacking_n - self.force_n) <= _STICTION * friction_n
+            abs(drive_n - self.lacking_n - self.force_n) <= _STICTION * friction_n
         )
         if locked:
             after = 0.0
