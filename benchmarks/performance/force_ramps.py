@@ -30,7 +30,7 @@ PARTS = {
     "cork, 5 N/mm": Part(width_m=0.012, stiffness_n_m=5e3),
     "foam ball, 0.2 N/mm": Part(width_m=0.06, stiffness_n_m=200.0),
 }
-RATES_N_S = (1.0, 3.0, 10.0)
+RATES_N_S = (1.0, 3.0, 10.0, 20.0, 40.0)
 FINALS_N = (2.0, 4.0, 8.0)
 LONGEST_WAY_M = 0.025
 TRUTHS = (
@@ -74,7 +74,9 @@ class Setup:
         if self.law is None:
             yield ForceLoopSettings()
             return
-        with mock.patch.object(grip_control, "ForceController", self.law):
+        # A plain law has no planned motion beside it: no sample is young enough for one.
+        alone = mock.patch.object(grip_control, "_YOUNG_S", -1.0)
+        with alone, mock.patch.object(grip_control, "ForceController", self.law):
             yield _PLAIN
 
 

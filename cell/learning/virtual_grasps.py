@@ -159,7 +159,7 @@ class Course:
     """Standard deviation in m of the measured opening, the same over one grasp."""
     impact_n: tuple[float, float] = (0.6, 1.1)
     """(low, high): grip force in N with which the ramp begins."""
-    slip_n: float = 0.2
+    slip_n: float = 0.1
     """Largest lag in N behind the set-point before the fingers move on."""
     force_sd: float = 0.02
     """Relative standard deviation of the force at the end of the ramp."""

@@ -337,7 +337,7 @@ class GripControl:
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
         measured_n = _driving_n(moment.state, paths)
         jumped = self._controller.jumps(
-            sample, observer.unexplained_n(sample), self.setpoint_n, friction_n
+            sample, observer.unexplained_n(sample), self.setpoint_n, sticking_n=0.0
         )
         observer.step(
             moment.now_s,

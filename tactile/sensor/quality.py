@@ -24,6 +24,8 @@ second, while its neighbours change by less than the third, is broken. It is no 
 spreads every force over the neighbours."""
 _CONSECUTIVE = 2
 """Frames whose counters differ by no more than this are compared for jumps."""
+_FOLLOWS = 2.0
+"""Multiples of ``QualityLimits.frozen_s`` within which the samples follow what is wanted."""
 _ROUNDING_S = 1e-3
 """Allowance in s for the jitter of the frames' times."""
 _DRIFT_SIGMA = 6.0
@@ -81,6 +83,7 @@ class QualityWatch:
         self._tare = tare
         self._last = last
         self._changed_s = 0.0 if last is None else last.t_s
+        self._aimed_s: float | None = None
         self._aim_at_change = self._aim
         self._repeats = np.zeros(n, dtype=np.int64)
         self._broken = np.zeros(n, dtype=np.bool_)
@@ -116,11 +119,13 @@ class QualityWatch:
             self._look_for_jumps(last.counts, frame.counts, saturated)
         if self._tare is None or not same.all():
             self._changed_s, self._aim_at_change = frame.t_s, self._aim
+            self._aimed_s = None
             return
-        self._check_frozen(frame.t_s - self._changed_s, touched=touched)
+        self._check_frozen(frame.t_s, touched=touched)
 
-    def _check_frozen(self, frozen_s: float, *, touched: bool) -> None:
+    def _check_frozen(self, now_s: float, *, touched: bool) -> None:
         limits = self._limits
+        frozen_s = now_s - self._changed_s
         if frozen_s < limits.frozen_s - _ROUNDING_S:
             return
         if self._tare is not None and self._tare.health.noisy:
@@ -129,6 +134,10 @@ class QualityWatch:
             force_n = abs(self._aim[0] - self._aim_at_change[0])
             width_m = abs(self._aim[1] - self._aim_at_change[1]) if touched else 0.0
             if force_n < limits.force_step_n and width_m < limits.width_step_m:
+                return
+            # Fingers take their time, and a frame is of before.
+            self._aimed_s = now_s if self._aimed_s is None else self._aimed_s
+            if now_s - self._aimed_s < _FOLLOWS * limits.frozen_s - _ROUNDING_S:
                 return
             why = f"while the force changed by {force_n:.1f} N, the width by {1e3 * width_m:.1f} mm"
         raise FrameTimeout(

@@ -137,7 +137,7 @@ def test_a_size_that_the_drawing_excludes_is_no_name(taught: Any, tmp_path: Path
     def drawn(label: str, text: str, n: int, at_ms: int, **known: Any) -> list[Any]:
         return teach_drawing(config, label, drawn_shape(text), n, start_ms=at_ms, **known)
 
-    pin = "cylinder:diameter=4mm,length=20mm"
+    pin = "cylinder:diameter=3mm,length=20mm"
     write_dataset(path, [*taught.grasps[:5], *drawn("pin", pin, 40, soon_ms)])
     trained = train(read_dataset(path), "force_ramp").recognizer
     save_model(path, trained, trainer_name="force_ramp", pads=taught.grasps[0].pads)
