@@ -24,8 +24,8 @@ second, while its neighbours change by less than the third, is broken. It is no 
 spreads every force over the neighbours."""
 _CONSECUTIVE = 2
 """Frames whose counters differ by no more than this are compared for jumps."""
-_FOLLOWS = 2.0
-"""Multiples of ``QualityLimits.frozen_s`` within which the samples follow what is wanted."""
+_FALLS = 2.0
+"""Multiples of ``QualityLimits.frozen_s`` within which samples follow a force that is to fall."""
 _ROUNDING_S = 1e-3
 """Allowance in s for the jitter of the frames' times."""
 _DRIFT_SIGMA = 6.0
@@ -135,9 +135,10 @@ class QualityWatch:
             width_m = abs(self._aim[1] - self._aim_at_change[1]) if touched else 0.0
             if force_n < limits.force_step_n and width_m < limits.width_step_m:
                 return
-            # Fingers take their time, and a frame is of before.
+            # Friction holds a force for a while that is to fall, and a frame is of before.
             self._aimed_s = now_s if self._aimed_s is None else self._aimed_s
-            if now_s - self._aimed_s < _FOLLOWS * limits.frozen_s - _ROUNDING_S:
+            falls = self._aim[0] < self._aim_at_change[0]
+            if falls and now_s - self._aimed_s < _FALLS * limits.frozen_s - _ROUNDING_S:
                 return
             why = f"while the force changed by {force_n:.1f} N, the width by {1e3 * width_m:.1f} mm"
         raise FrameTimeout(
