@@ -444,6 +444,18 @@ GRIP = (
     FaultRow(28, "part slips", "the held part slides along the pads with 20 mm/s",
              "object.slips=20@contact+1.5s", "HOLD", 0.2,
              partial(grasp_with_fault, look_again=False), LONG_HOLD),
+    *(FaultRow(28, f"{variant} at {rate_n_s:g} N/s", f"{fault}, with a ramp of {rate_n_s:g} N/s",
+               injected, reaction, limit_s, scenario,
+               LONG_HOLD | {"sequence.ramp.rate_n_s": rate_n_s})
+      for rate_n_s in (20.0, 40.0)
+      for variant, fault, injected, reaction, limit_s, scenario in (
+          ("part lost in the ramp", "the part is taken out of the fingers in the ramp",
+           "object.gone@contact+0.1s", "PART LOST", 0.03, servo.part_leaves),
+          ("part lost in a hold", "the part is taken out of the fingers while it is held",
+           "object.gone@contact+1.0s", "PART LOST", 0.025, servo.part_leaves),
+          ("part slips", "the held part slides along the pads with 20 mm/s",
+           "object.slips=20@contact+1.0s", "HOLD", 0.2,
+           partial(grasp_with_fault, look_again=False)))),
     *(FaultRow(kind, f"{variant} in a carry", f"{fault}, while a part is kept for the host",
                f"{injected}@contact+2.5s", reaction, limit_s, carry_with_fault, near)
       for kind, variant, fault, injected, reaction, limit_s in (
