@@ -236,7 +236,7 @@ class PadsAtRestStep:
             contact_force_n=gripper.contact_force_n,
             most_force_n=sequence_forces_n(bench)[1],
         )
-        settings: dict[str, Any] = {}
+        settings: dict[str, Any] = {"tactile.board_serial_numbers": None}
         if boards[0] != boards[1]:
             settings["tactile.board_serial_numbers"] = list(boards)
         else:

@@ -45,6 +45,8 @@ _BURST_SHARE = 0.85
 """Share of the period of SYNC in which a burst has to be through; see `LinkSettings.window_s`."""
 _CAN_INTERFACE = "280"
 """Type of a CAN network interface in sysfs (ARPHRD_CAN of linux/if_arp.h)."""
+_NO_CHANNEL = "none"
+"""Channel in the config of a gripper that has no control unit."""
 _PATIENCE_S = 0.5
 """Silence in s that a unit may keep while a person presses its pads."""
 _FRAMES = 10
@@ -132,7 +134,7 @@ class UnitStep:
                     "(tactile.channel: none); a cell needs the control unit.",
                 ),
                 values={"gripper_alone": True},
-                settings={"tactile.interface": "socketcan", "tactile.channel": "none"},
+                settings={"tactile.interface": "socketcan", "tactile.channel": _NO_CHANNEL},
             )
         except (_Unusable, ConfigError, TactileError) as why:
             return Finding(status=Verdict.FAIL, lines=(*lines, str(why)))
@@ -145,6 +147,9 @@ class UnitStep:
             "tactile.interface": interface,
             "tactile.channel": channel,
             "tactile.bitrate": bitrate,
+            # Found anew by the steps of the pads.
+            "tactile.board_serial_numbers": None,
+            "tactile.mounting": [],
         }
         with bench.can_bus(interface, channel, bitrate) as bus:
             node_id = _node(bus, heard, dialog, lines)
@@ -173,11 +178,12 @@ class _Alone(Exception):
 
 def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
     """Return interface and channel: as given, the only one there is, or as the person says."""
-    known: dict[str, Any] = {**bench.settings, **bench.given}
-    interface, channel = known.get("tactile.interface"), known.get("tactile.channel")
-    if interface and interface != SIMULATED:
-        return str(interface), str(channel or "")
-    servos = os.path.realpath(str(known.get("gripper.port", "")))
+    config = bench.tactile()
+    interface = str(bench.given.get("tactile.interface", config.interface))
+    channel = str(bench.given.get("tactile.channel", config.channel))
+    if interface != SIMULATED and channel != _NO_CHANNEL:
+        return interface, channel
+    servos = os.path.realpath(str(bench.given.get("gripper.port", bench.gripper().port)))
     places = [("socketcan", name) for name in network_interfaces()]
     places += [
         ("slcan", port) for port in bench.lines.serial_ports() if os.path.realpath(port) != servos
@@ -366,8 +372,8 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     for name, make in LAYOUTS.items():
         if unit.matches(layout := make()):
             return layout, name
-    given = bench.given.get("tactile.layout")
-    if given is not None and unit.matches(own := layout_from_config(bench.tactile(layout=given))):
+    given = bench.given.get("tactile.layout") or bench.tactile().model_dump(mode="json")["layout"]
+    if unit.matches(own := layout_from_config(bench.tactile(layout=given, mounting=[]))):
         return own, given
     shapes = ", ".join(f"{rows} x {columns}" for rows, columns in unit.pad_shapes)
     raise _Unusable(

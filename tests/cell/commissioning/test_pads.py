@@ -115,7 +115,7 @@ def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(tmp_path: P
         finding = PadsAtRestStep().run(bench_of(cell, tmp_path), Script())
     assert finding.status is Verdict.WARN
     assert "press each pad after every work" in "\n".join(finding.lines)
-    assert finding.settings == {}
+    assert finding.settings == {"tactile.board_serial_numbers": None}
 
 
 def test_pads_where_the_layout_has_them_pass(tmp_path: Path) -> None:

@@ -50,6 +50,8 @@ def test_a_unit_is_found_and_set_up_and_named(tmp_path: Path) -> None:
         "tactile.node_id": 17,
         "tactile.serial_number": 4711,
         "tactile.layout": "pinch",
+        "tactile.board_serial_numbers": None,
+        "tactile.mounting": [],
     }
     assert not script.asked
     assert [write.where for write in script.writes] == ["control unit, node 17"] * 5
