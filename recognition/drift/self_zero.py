@@ -277,10 +277,7 @@ def _meeting(
 
 def _ratio(load: NDArray[np.float64]) -> tuple[float, float]:
     """Return the ratio of two loads (2, n_frames) and the deviation of its logarithm."""
-    ratio = (
-        float(load[0] @ load[0] / (load[0] @ load[1])) ** 0.5
-        * float(load[0] @ load[1] / (load[1] @ load[1])) ** 0.5
-    )
+    ratio = float(np.linalg.norm(load[0]) / np.linalg.norm(load[1]))
     off = load[0] / ratio - load[1]
     return ratio, float(off.std() / np.sqrt(load.shape[1]) / load.mean())
 
