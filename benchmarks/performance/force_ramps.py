@@ -1,6 +1,6 @@
 """Force ramps on a simulated gripper: the force loop, a plain PI and plain current feed-forward.
 
-Parts of three stiffnesses between foam pads, ramps of 1, 3 and 10 N/s, in virtual time. The laws
+Parts of three stiffnesses between foam pads, ramps of 1 to 40 N/s, in virtual time. The laws
 take turns on the same plant with the same approach and noise, with force messages and with frames;
 the torque figures are right in one run and wrong in the two others. Each figure is the worst of the
 runs, of the true force. The seeds are none of those that the loop was tuned with. The force loop
