@@ -151,7 +151,9 @@ def test_the_same_objects_are_named_in_less_time(
 ) -> None:
     results = {}
     for decide_early in (False, True):
-        config = make_config(sequence__decide_early=decide_early)
+        # What an early end saves is the rest of the ramp: of a fast one, next to nothing.
+        slow = {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.3}
+        config = make_config(sequence__decide_early=decide_early, sequence__ramp=slow)
         bench = make_bench(config)
         bench.controller.start()
         results[decide_early] = teach_and_identify(
@@ -166,13 +168,13 @@ def test_the_same_objects_are_named_in_less_time(
         )
     whole, early = results[False], results[True]
     assert [t.found.label for t in early.trials] == [t.found.label for t in whole.trials]
-    assert (whole.n_ended_early, early.n_ended_early) == (0, 2)
-    assert early.grasp_s < whole.grasp_s - 0.05
+    assert whole.n_ended_early == 0 < early.n_ended_early
+    assert early.grasp_s < whole.grasp_s - 0.1
     data = early.as_json()
-    assert data["ramps_ended_early"] == 2
+    assert data["ramps_ended_early"] == early.n_ended_early
     assert data["grasp_seconds"] == early.grasp_s
     page = main_report(early, config, bench.cell, tmp_path / "report.html").read_text()
-    assert "2 of 2 ended early" in page
+    assert f"{early.n_ended_early} of 2 ended early" in page
     assert "ended early at" in page
 
 
