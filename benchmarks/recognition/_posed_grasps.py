@@ -67,7 +67,7 @@ def posed_grasp(
         rotation_rad=command.rotation_rad,
         roll_rad=command.roll_rad,
     )
-    press = Press(thing, resting_pose(thing, pose), _GRIDS, _FOAM)
+    press = Press(thing, resting_pose(thing, pose), _GRIDS, (_FOAM, _FOAM))
     n_rest, n_hold = round(REST_S / FRAME_S), round(_HOLD_S / FRAME_S)
     n_ramp = max(2, round(command.force_n / _RATE_N_S / FRAME_S))
     ramp_n = np.linspace(0.0, command.force_n, n_ramp + 1)[1:]

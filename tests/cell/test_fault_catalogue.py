@@ -54,7 +54,7 @@ FROZEN = {
 
 REPORTS_ANOTHER = {"JobFailed"}
 """Errors with the number of their cause."""
-NOT_FOR_HOSTS = ("cell.pytest_plugin",)
+NOT_FOR_HOSTS = ("cell.pytest_plugin", "cell.commissioning")
 
 
 def error_classes() -> Iterator[type[BaseException]]:

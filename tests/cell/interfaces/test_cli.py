@@ -936,10 +936,11 @@ def test_an_empty_gripper_tells_that_nothing_is_held(
     config: Path, tmp_path: Path, fail: Any, meddle: Any
 ) -> None:
     def take_away(made: Any) -> None:
-        def approaching() -> bool:
-            return made.controller.hand.phase is GripperPhase.APPROACHING
+        def look(_now_s: float) -> None:
+            if made.controller.hand.phase is GripperPhase.APPROACHING:
+                made.simulated.remove()
 
-        once(made.simulated.clock, approaching, made.simulated.remove)
+        made.simulated.clock.on_advance.append(look)
 
     meddle(take_away)
     said = fail("teach", "ball", "-o", tmp_path / "d.npz", "-c", config)

@@ -43,7 +43,7 @@ def test_each_object_is_taught_and_identified(taught: Any) -> None:
 
 
 def test_the_papers_check_names_the_likeliest_also_in_doubt(taught: Any) -> None:
-    doubtful = Posterior(labels=("ball", "box"), probability=np.array([0.55, 0.45]), unknown=0.4)
+    doubtful = Posterior(labels=("ball", "box"), probability=np.array([0.55, 0.45]), unknown=0.6)
     (trial, _) = taught.result.trials
     trial = replace(trial, first={"force_ramp": doubtful, BASELINE: doubtful})
     scores = _scores([trial], ("ball", "box"), "force_ramp")
