@@ -15,7 +15,7 @@ PRINTED = (
     r"force_reached (4\.[6-9]|5\.[0-4]) N\n",
     r"\(408,\) \(0\.0, 0\.0\)\n",
     "8 mm\n",
-    "box\n",
+    "ball\n",
     r"\['(\[TxRxResult\] Communication success!)', '\1'\]\n2213 25\n",
 )
 FACES = ("gripper", "tactile", "motion", "recognition", "simulator", "cell")
