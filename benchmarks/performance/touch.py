@@ -167,7 +167,10 @@ class TouchRig(Rig):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impact:
-    """Force beyond that of a contact in N, and times in s until the contact and the ramp."""
+    """Force beyond that of a contact in N, and times in s until the contact and the ramp.
+
+    All are infinite where the grasp ended with a fault.
+    """
 
     over_n: float
     contact_s: float
@@ -185,7 +188,10 @@ def impact(rate_hz: float | None, seed: int, *, part: Part, speed_m_s: float) ->
 
     rig.gripper.start()
     start_s = rig.now_s
-    outcome = rig.gripper.grasp(ForceRamp.linear(3.0, 3.0), observe)
+    try:
+        outcome = rig.gripper.grasp(ForceRamp.linear(3.0, 3.0), observe)
+    except GripperError:
+        return Impact(over_n=math.inf, contact_s=math.inf, ramp_s=math.inf)
     if outcome.contact_t_s is None:
         raise SystemExit(f"the fingers did not find the part: {outcome}")
     return Impact(
@@ -324,9 +330,11 @@ def _times(found_s: Sequence[float]) -> str:
 
 def _impacts(found: Sequence[Impact]) -> str:
     over_n = [one.over_n for one in found]
+    missed = over_n.count(math.inf)
     return (
         f"{median(over_n):5.2f}{max(over_n):5.2f} "
         f"{median(one.contact_s for one in found):5.2f}{median(one.ramp_s for one in found):5.2f}"
+        + (f" ({missed} missed)" if missed else "")
     )
 
 
