@@ -19,7 +19,14 @@ from cell.control.states import (
 from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, error_text
 from cell.fault_catalogue import fault_number
 from cell.hand.interface import Hand
-from gripper.errors import GraspStopped, GripperError, PartLost, PartSlipped, fingers_left
+from gripper.errors import (
+    GraspStopped,
+    GripperError,
+    PartLost,
+    PartSlipped,
+    ServoFault,
+    fingers_left,
+)
 from gripper.state import Clock, GraspResult, GripperPhase
 
 _HOLDING = (
@@ -167,8 +174,10 @@ class CellLifecycle:
         try:
             self._hand.clear_fault(reboot=reboot)
         except BaseException as error:
-            if self.fault is None:
-                self.fault, self.fault_number = error_text(error), fault_number(error)
+            # An error that a servo has latched needs other steps than the fault that it followed.
+            if self.fault is None or isinstance(error, ServoFault):
+                before = "" if self.fault is None else f" (first: {self.fault})"
+                self.fault, self.fault_number = error_text(error) + before, fault_number(error)
                 self.fault_since_s = time.time()
             self.go(Event.FAULT)
             self.go(Event.ABORTED)

@@ -54,6 +54,11 @@ _STILL_M_S = 0.002
 
 _FAST_N_S = 6.0
 """Rate in N/s from which on a rise is a planned motion: below, friction at rest decides."""
+_FAST_PERIOD_S = 0.0065
+"""Longest time in s between two goals of a planned motion, half of the time constant of its speed:
+in a slower loop the fingers would run too far."""
+_LATE_PERIOD_S = 0.012
+"""Time in s since the last period from which on a motion is given up for slower control."""
 _CORRECTED_N, _CORRECTED_DOUBT_N = 0.1, 0.06
 """Error in N of a hold that is made up for by a motion, and how well the force must be known."""
 _PAUSE_S = 0.05
@@ -246,7 +251,10 @@ class GripControl:
             if self._motion.over:
                 self._filter.force_n = setpoint_n
             self._motion, self._moved_s = None, moment.now_s
-        if self._motion is None and young and moment.dt_s > 0.0:
+        quick = self._settings.period_s <= _FAST_PERIOD_S and moment.dt_s <= _LATE_PERIOD_S
+        if not quick:
+            self._motion = None
+        if self._motion is None and quick and young and moment.dt_s > 0.0:
             if rises_n > _FAST_N_S * moment.dt_s:
                 now_n = self._controller.model_n + self._controller.bias_n
                 self._begin_motion(moment, setpoint_n - rises_n, now_n)

@@ -167,7 +167,7 @@ class ServoGroup:
         """Keep the last goals, without the crest of the square wave on the drive."""
         state, last, earlier = self._feedback.last, self._goals.last, self._goals.earlier
         if state is not None and len(earlier) == len(last) > 0:
-            self._goals.write(stop_goals.frozen(last, earlier), state)
+            self._goals.write(stop_goals.frozen(last, earlier, state), state)
 
     def hold_position(self) -> None:
         """Set the goals to the last read positions."""

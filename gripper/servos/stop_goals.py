@@ -13,14 +13,20 @@ from gripper.settings import GripperSettings
 from gripper.state import GripperState
 
 
-def frozen(last: Sequence[ServoGoal], earlier: Sequence[ServoGoal]) -> list[ServoGoal]:
+def frozen(
+    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: GripperState
+) -> list[ServoGoal]:
     """Return the last goals with the lower current of the last two periods.
 
-    While the force changes a square wave is on the drive: its crest must not stay.
+    While the force changes a square wave is on the drive: its crest must not stay. A goal that
+    opens would let the part go: such a finger is held where it is, with the higher current, of
+    which position control takes what it needs.
     """
     return [
         ServoGoal(angle_rad=goal.angle_rad, current_a=min(goal.current_a, before.current_a))
-        for goal, before in zip(last, earlier, strict=True)
+        if goal.angle_rad <= servo.angle_rad
+        else ServoGoal(angle_rad=servo.angle_rad, current_a=max(goal.current_a, before.current_a))
+        for goal, before, servo in zip(last, earlier, state.servos, strict=True)
     ]
 
 
@@ -33,7 +39,7 @@ def holding_position(
     """
     return [
         ServoGoal(angle_rad=servo.angle_rad, current_a=goal.current_a)
-        for goal, servo in zip(frozen(last, earlier), state.servos, strict=True)
+        for goal, servo in zip(frozen(last, earlier, state), state.servos, strict=True)
     ]
 
 
