@@ -30,9 +30,9 @@ _SPEED_NOISE_M_S = 0.0007
 """Noise in m/s of the speed that the servos report: half of its grain of 1.4 mm/s."""
 _SPEED_WANDER_M_S, _FORCE_WANDER_N = 0.0004, 0.02
 """What a period adds by itself to speed in m/s and force in N: ripple and creep."""
-_BELIEVED_SDS = 3.0
-"""Deviations of a sample that are made up for at once: pads that jump by more lie, or a part slips,
-slips, and what watches over them ends the ramp."""
+_BELIEVED_SDS, _BELIEVED_N = 3.0, 0.2
+"""Deviations of a sample that are made up for at once, and at least so many N: pads that jump by
+more lie, or a part slips, and what watches over them ends the ramp."""
 _RATE_S = 0.025
 """Time in s in which the rate of a plan gets to that of its ramp, and back to 0."""
 _INERTIA_N = 2.0
@@ -209,7 +209,7 @@ class ContactObserver:
         self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2)
         if sample is not None and sample.t_s > self._sample_s:
             self._sample_s = sample.t_s
-            most_n = _BELIEVED_SDS * sqrt(self._p[0][0] + sample.noise_n**2)
+            most_n = max(_BELIEVED_N, _BELIEVED_SDS * sqrt(self._p[0][0] + sample.noise_n**2))
             error_n = min(max(self.unexplained_n(sample), -most_n), most_n)
             before_n = self.force_n
             self._correct(0, error_n, sample.noise_n**2)
