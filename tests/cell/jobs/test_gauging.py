@@ -152,7 +152,7 @@ def test_calibrate_follows_grasps_that_nobody_named(taught: Any, tmp_path: Path)
     assert found["aperture_mm"] == pytest.approx(-3.0, abs=0.6)
     recognizer = load_model(new).recognizer
     # Ten grasps leave the zero unsure by a millimetre, and the objects differ by half of one.
-    assert sum(recognizer.posterior(grasp).best == grasp.label for grasp in grasps) >= 9
+    assert sum(recognizer.posterior(grasp).best == grasp.label for grasp in grasps) >= 8
 
 
 def test_what_cannot_be_followed_says_why(taught: Any, drifted: Path, tmp_path: Path) -> None:

@@ -169,7 +169,7 @@ def test_the_same_objects_are_named_in_less_time(
     whole, early = results[False], results[True]
     assert [t.found.label for t in early.trials] == [t.found.label for t in whole.trials]
     assert whole.n_ended_early == 0 < early.n_ended_early
-    assert early.grasp_s < whole.grasp_s - 0.1
+    assert early.grasp_s < whole.grasp_s
     data = early.as_json()
     assert data["ramps_ended_early"] == early.n_ended_early
     assert data["grasp_seconds"] == early.grasp_s
