@@ -5,6 +5,7 @@ goals and torque as they are.
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Self
 
@@ -507,7 +508,8 @@ class Gripper:
 
         May be called again and again. Raises when the servos cannot be reached: then their
         watchdog may still trip. After the loss of the bus, and while a servo has not taken the goal
-        to stand still, nothing is written any more.
+        to stand still, nothing is written any more. After any other fault a servo that is silent
+        is not waited for: the report of the fault waits for this.
         """
         if self._life.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
             return
@@ -515,7 +517,8 @@ class Gripper:
             return
         self._freeze_carried()
         self._life.rest()
-        self._servos.disarm_watchdog(keep_trips=True)
+        with nullcontext() if self._life.fault is None else self._servos.in_loop():
+            self._servos.disarm_watchdog(keep_trips=True)
 
     def clear_fault(self, *, reboot: bool = False) -> None:
         """Acknowledge a fault, one from before the start too; nothing moves, torque stays as it is.

@@ -125,6 +125,23 @@ def test_a_stall_of_the_loop_is_no_silence_of_the_pads(make_cell, dies) -> None:
     assert cell.clock.monotonic() - stalled_s[0] < 0.1 + 0.09 + 0.01
 
 
+def test_silent_servos_do_not_hold_up_the_report_of_another_fault(make_cell) -> None:
+    """A supply that fails takes pads and servos at once; the pads are named first."""
+    cell = make_cell(bus_loss_s=0.5)
+    cell.gripper.start()
+
+    def fail() -> None:
+        cell.sensor.dead = True
+        cell.device.faults.silent.update({1, 2})
+
+    with pytest.raises(ForceSensorStale):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, fail))
+    asked_s = cell.clock.monotonic()
+    with pytest.raises(BusTimeout):
+        cell.gripper.keep_grip()
+    assert cell.clock.monotonic() - asked_s < 0.02
+
+
 def test_no_sensor_no_approach(cell) -> None:
     cell.sensor.dead = True
     cell.gripper.start()

@@ -52,12 +52,14 @@ def processes(free_machine: None) -> Iterator[list[CellProcess]]:
 
 
 @pytest.fixture
-def simulator(processes: list[CellProcess]) -> CellProcess:
+def simulator(processes: list[CellProcess]) -> Iterator[CellProcess]:
     """One simulated cell for all tests, and a new one where the last was killed."""
     if not processes or not processes[-1].running:
         processes.append(CellProcess(parse_config(CONFIG, source="test")))
         first(processes[-1].pid)
-    return processes[-1]
+    yield processes[-1]
+    if processes[-1].running:
+        let_go(processes[-1])
 
 
 @dataclass
@@ -161,7 +163,6 @@ def test_changed_bytes_of_a_line_end_in_a_fault_that_names_them(
             most_n = kept_n + 0.4 if line == "can" else STEP.force_n
             assert kept_n - 0.4 < simulator.grip_n() < most_n
             check_held(found, tmp_path)
-    let_go(simulator)
 
 
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
@@ -178,5 +179,3 @@ def test_a_simulator_that_is_stopped_or_killed_in_the_ramp_is_a_fault_with_the_g
             os.kill(simulator.pid, signal.SIGCONT)
             assert simulator.grip_n() > 0.6 * GRIPPED_N
         check_held(found, tmp_path)
-    if number is signal.SIGSTOP:
-        let_go(simulator)
