@@ -55,9 +55,11 @@ pictures: $(DEV)  ## pictures of the docs and transcripts of the tutorial, of a 
 bench: $(DEV)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks
 
-campaign: $(DEV)  ## every fault, then a million inputs and random steps from where the last one ended; CAMPAIGN_SECONDS=40 for a look
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.faults
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.campaign --seconds $(or $(CAMPAIGN_SECONDS),inf)
+campaign: $(DEV)  ## every fault, then 2,000 new inputs for each parser and new random walks; ROUNDS=500 for a million inputs
+	$(TESTS) -m "not real_time" -o junit_family=xunit1 --junitxml=out/fault-campaign.xml tests/faults/test_fault_rows.py
+	$(BIN)/python -m pytest -m real_time tests/faults/test_fault_rows.py
+	for round in $$(seq $(or $(ROUNDS),1)); do \
+	TACTILE_CELL_INPUTS=2000 $(TESTS) -m "not real_time" --timeout=3600 tests/fuzz tests/faults/test_state_machine.py || exit; done
 
 damage: $(DEV)  ## each kind of damage to the bytes of both lines between two processes, five minutes
 	$(BIN)/python -m pytest -m real_time -n 0 -rP -k under_damage $(PYTEST_ARGS) tests/hil/test_damage.py

@@ -2,6 +2,5 @@
 
 ``table`` has the rows as data, ``campaign`` the cell that they run on, ``scenarios`` those faults
 that need code, ``invariants`` what may never happen, ``state_machine`` and ``driver`` the random
-commands and faults. The tests run all of it; ``python -m tests.faults`` runs it at length and
-writes out/fault-campaign.md.
+commands and faults. `make campaign` runs all of it.
 """

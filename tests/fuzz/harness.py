@@ -1,36 +1,31 @@
-"""Properties over bad input: damage for good bytes, limits of time and memory, how many inputs.
+"""Properties over bad input: damage for good bytes, limits of time and memory.
 
-Under pytest each property meets some dozens of inputs of Hypothesis, the same ones in every run.
-`tests.campaign` gives it as many as are wanted, each from a seed. What a property is given is made
-by functions of a source of random numbers, so that a campaign needs no Hypothesis, which takes
-ten times as long as the parsers themselves; parsers of files have strategies of Hypothesis, too.
+Each property meets some dozens of inputs of Hypothesis, the same ones in every run; a campaign
+(`make campaign`) gives it as many new ones as TACTILE_CELL_INPUTS says.
 """
 
 import functools
 import gc
 import logging
+import os
 import resource
 import signal
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from random import Random
+from random import Random, SystemRandom
 from typing import Any
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, seed, settings, strategies as st
+from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 
 from recognition.grasp import Grasp, PadArray
 
-SEEDED_PIECE = 5000
-"""Inputs of one piece of a campaign, where they are made without Hypothesis."""
-DRAWN_PIECE = 200
-"""Inputs of one piece of a campaign, where Hypothesis draws them; it keeps what it has tried."""
-SHOWN_FAILURES = 3
-"""Failures of one piece that are kept as text."""
+INPUTS = int(os.environ.get("TACTILE_CELL_INPUTS", "0"))
+"""New inputs that each property meets in a campaign; 0 for the same few in every run."""
 MEMORY_KB = 64 << 10
 """What one input may take beyond what the process has: four times the largest chunk unpacked."""
 
@@ -135,30 +130,9 @@ json_values = st.recursive(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Piece:
-    """What became of the inputs of one piece of a campaign."""
-
-    outcomes: Mapping[str, int]
-    """How many inputs ended how."""
-    failures: Sequence[str] = ()
-    """What was broken, with the seed and the input; empty for nothing."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Property:
-    """A property of a parser, for campaigns."""
-
-    name: str
-    """Module and function."""
-    seeded: bool
-    """Whether its inputs are made without Hypothesis."""
-    run: Callable[[int], Piece] = field(repr=False)
-    """Tries the piece with that number: each number stands for the same inputs in every run."""
-
-
-PROPERTIES: dict[str, Property] = {}
-"""The properties of the modules that were imported, by name."""
+def seed_of_run(usual: int) -> int:
+    """Return the seed of a random walk: the usual one, or in a campaign one that is new."""
+    return SystemRandom().randrange(1 << 32) if INPUTS else usual
 
 
 @contextmanager
@@ -182,7 +156,7 @@ def bad_input(
     Parameters
     ----------
     examples
-        Inputs under pytest.
+        Inputs of a run that is no campaign.
     limit_s
         Processor time for one input in s.
     using
@@ -195,87 +169,42 @@ def bad_input(
         name: drawn(how) if callable(how) else how  # no strategy can be called
         for name, how in inputs.items()
     }
-    makers = {name: how for name, how in inputs.items() if callable(how)}
+    chosen = settings(
+        max_examples=INPUTS or examples,
+        derandomize=not INPUTS,
+        deadline=None,
+        phases=(Phase.reuse, Phase.generate, Phase.shrink),
+        suppress_health_check=list(HealthCheck),
+    )
 
     def decorate(test: Callable[..., str]) -> Callable[[], None]:
-        found: Counter[str] = Counter()
         opening = dict(using or {})
         if "tmp_path" in test.__code__.co_varnames[: test.__code__.co_argcount]:
             opening["tmp_path"] = _folder
 
-        def drawn_inputs(number: int | None, n_inputs: int) -> None:
-            """Give the function inputs that Hypothesis draws; without a number the same ones."""
-            with _opened(opening) as opened:
+        def check() -> None:
+            found: Counter[str] = Counter()
+            with ExitStack() as stack:
+                opened = {name: stack.enter_context(how()) for name, how in opening.items()}
 
                 def once(**values: Any) -> None:
                     with limits(limit_s):
                         outcome = test(**opened, **values)
                     found[outcome] += 1
 
-                chosen = settings(
-                    max_examples=n_inputs,
-                    derandomize=number is None,
-                    database=None,
-                    deadline=None,
-                    phases=(Phase.generate, Phase.shrink),
-                    suppress_health_check=list(HealthCheck),
-                )
-                asked = chosen(given(**strategies)(once))
-                (asked if number is None else seed(number)(asked))()
-
-        def run(number: int) -> Piece:
-            found.clear()
-            failures: list[str] = []
-            if len(makers) < len(inputs):
+                once.__name__ = test.__name__  # by which Hypothesis keeps what broke
+                logging.disable(logging.CRITICAL)  # libraries log each damage, pytest keeps it all
                 try:
-                    drawn_inputs(number, DRAWN_PIECE)
-                except (Exception, ExceptionGroup) as error:
-                    failures.append(_text(number, error))
-                return Piece(outcomes=dict(found), failures=failures)
-            with _opened(opening) as opened:
-                for input_seed in range(number * SEEDED_PIECE, (number + 1) * SEEDED_PIECE):
-                    random = Random(input_seed)
-                    values = {name: make(random) for name, make in makers.items()}
-                    try:
-                        with limits(limit_s):
-                            outcome = test(**opened, **values)
-                    except Exception as error:
-                        error.add_note(f"input: {values!r}")
-                        failures.append(_text(input_seed, error))
-                        outcome = "BROKEN"
-                    found[outcome] += 1
-            return Piece(outcomes=dict(found), failures=failures[:SHOWN_FAILURES])
-
-        def check() -> None:
-            found.clear()
-            logging.disable(logging.CRITICAL)  # libraries log each damage, pytest keeps it all
-            try:
-                drawn_inputs(None, examples)
-            finally:
-                logging.disable(logging.NOTSET)
+                    chosen(given(**strategies)(once))()
+                finally:
+                    logging.disable(logging.NOTSET)
             assert len(found) > 1, f"the same became of all inputs: {dict(found)}"
 
-        name = f"{test.__module__.rpartition('.')[2]}.{test.__name__}"
-        PROPERTIES[name] = Property(name=name, seeded=len(makers) == len(inputs), run=run)
         for attribute in ("__module__", "__name__", "__qualname__", "__doc__"):
             setattr(check, attribute, getattr(test, attribute))
         return check
 
     return decorate
-
-
-@contextmanager
-def _opened(
-    opening: Mapping[str, Callable[[], AbstractContextManager[Any]]],
-) -> Iterator[dict[str, Any]]:
-    """Open what a property needs beside its inputs."""
-    with ExitStack() as stack:
-        yield {name: stack.enter_context(how()) for name, how in opening.items()}
-
-
-def _text(number: int, error: BaseException) -> str:
-    notes = "; ".join(getattr(error, "__notes__", ()))
-    return f"seed {number}: {type(error).__name__}: {error}; {notes}"[:2000]
 
 
 class _Hangs(BaseException):

@@ -1,0 +1,42 @@
+"""The figures of the fault campaign, made from its table of rows."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+from tests.faults.campaign import FaultRow
+from tests.faults.table import GROUPS, REACTIONS, ROWS
+
+
+def campaign_page() -> str:
+    """Return how many rows there are, by what fails and by the required reaction."""
+    lines = [
+        f"{len(ROWS)} variants of {len({row.row for row in ROWS})} kinds of fault, "
+        f"{sum(row.real_time for row in ROWS)} of them between real processes in real time, "
+        f"{sum(row.limit_s is not None for row in ROWS)} with a limit for the time until the fault "
+        "is detected. `make campaign` runs all of them, `make test` one of each kind; both run "
+        "random commands and faults.\n",
+        "| what fails | kinds | variants | required reactions |\n|---|---|--:|---|",
+        *(
+            f"| {name} | {_ranges({row.row for row in rows})} | {len(rows)} | {_counted(rows)} |"
+            for name, rows in GROUPS.items()
+        ),
+        "\n| reaction | meaning |\n|---|---|",
+        *(f"| {name} | {meaning} |" for name, meaning in REACTIONS.items()),
+    ]
+    return "\n".join(lines)
+
+
+def _counted(rows: Sequence[FaultRow]) -> str:
+    numbers = Counter(row.reaction for row in rows)
+    return ", ".join(f"{numbers[name]} {name}" for name in REACTIONS if numbers[name])
+
+
+def _ranges(numbers: set[int]) -> str:
+    """Return numbers as ``22 to 27, 30``."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and runs[-1][-1] == number - 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
