@@ -9,7 +9,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --e
 PYTEST_ARGS ?=
 TESTS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
-.PHONY: run serve test test-long test-real-time coverage wheel-test check format docs docs-pages pictures bench paper campaign damage soak vcan clients help clean distclean
+.PHONY: run serve test test-long test-real-time coverage wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -60,9 +60,6 @@ campaign: $(DEV)  ## every fault, then 2,000 new inputs for each parser and new 
 	$(BIN)/python -m pytest -m real_time tests/faults/test_fault_rows.py
 	for round in $$(seq $(or $(ROUNDS),1)); do \
 	TACTILE_CELL_INPUTS=2000 $(TESTS) -m "not real_time" --timeout=3600 tests/fuzz tests/faults/test_state_machine.py || exit; done
-
-damage: $(DEV)  ## each kind of damage to the bytes of both lines between two processes, five minutes
-	$(BIN)/python -m pytest -m real_time -n 0 -rP -k under_damage $(PYTEST_ARGS) tests/hil/test_damage.py
 
 soak: $(DEV)  ## 10,000 connections to each door, 10,000 grasps, a watched shift, an hour and more: memory, files, threads stay flat
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.connects --connects $(or $(CONNECTS),10000)

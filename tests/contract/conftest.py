@@ -35,10 +35,10 @@ from motion import object_dictionary as od
 from motion.axes import Axes
 from motion.bus import DriveBus
 from motion.drive import Cia402Drive
+from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
 from tactile.unit.link import LinkSettings, TactileLink
 from tests.faults.scenarios.axes import CHANGES
-from tests.hil.relay import crc16
 
 ANSWER_S = 0.05
 BOOT_S = 3.0

@@ -17,9 +17,9 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-PYTEST = ("-m", "pytest", "-m", "real_time and not long", "-k", "not further")
-"""Damage beyond a small set is for `make damage`; what is long, as the whole commissioning in a
-terminal, runs with the option ``-m "real_time and long"``."""
+PYTEST = ("-m", "pytest", "-m", "real_time and not long")
+"""What is long, as the whole commissioning in a terminal, runs with the option
+``-m "real_time and long"``."""
 ATTEMPTS = 2
 
 

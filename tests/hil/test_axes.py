@@ -15,11 +15,33 @@ from cell.config.model import CellConfig
 from cell.errors import PositionerFault
 from cell.interfaces.plugin.plugin import IdentifyGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
+from gripper.errors import (
+    BusCorrupt,
+    BusTimeout,
+    BusUnreliable,
+    ForceSensorStale,
+    LimitExceeded,
+)
+from tactile.errors import LinkFault
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
-from tests.hil.damage import CONFIG, LABELS, SLOW_ERRORS, TRIES, first, teach
+from tests.hil.program import first
 
 pytestmark = pytest.mark.real_time
 
+CONFIG = """
+tactile: {tare_frames: 15, sync_period_ms: 50.0, force_period_ms: 10}
+gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0, force_stale_ms: 300.0}
+sequence:
+  x_mm: [0, 0]
+  y_mm: [0, 0]
+  force_n: [4, 4]
+  max_grasps: 1
+  ramp: {kind: linear, rate_n_s: 6.0, hold_s: 0.3}
+"""
+"""Half the rate: other tests may take turns on the same processors."""
+LABELS = ("box", "cylinder")
+TRIES = 4
+"""Jobs after which a machine counts as too slow: each ended before the fault began."""
 LIMIT_S = 60.0
 X_MM, ROTATION_DEG, ROLL_DEG = -2.0, 20.0, 30.0
 """Pose of the identification."""
@@ -37,7 +59,10 @@ FIRST = {"x_mm": X_MM, "rotation_deg": ROTATION_DEG, "roll_deg": ROLL_DEG}
 FAR = {"x_mm": FAR_X_MM, "rotation_deg": FAR_DEG, "roll_deg": FAR_DEG}
 
 
-SLOW = (*SLOW_ERRORS, PositionerFault)
+SLOW = (
+    *(BusTimeout, BusCorrupt, BusUnreliable, LimitExceeded),
+    *(LinkFault, ForceSensorStale, PositionerFault),
+)
 """What ends a job on a machine that is too slow, before a fault is injected."""
 
 
@@ -125,7 +150,10 @@ def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(
         },
     )
     model = tmp_path / "model.npz"
-    teach(base, model)
+    with TactileCellPlugin(base) as plugin:
+        for label in LABELS:
+            plugin.result(plugin.start(TeachGoal(label=label, grasps=6)), LIMIT_S)
+        plugin.save(model)
     slow: list[str] = []
     while len(slow) < TRIES:
         try:

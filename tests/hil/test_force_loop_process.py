@@ -22,7 +22,7 @@ from cell.pytest_plugin.process import CellProcess
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.state import Cycle, GraspResult, GripperPhase
-from tests.hil.damage import first
+from tests.hil.program import first
 
 pytestmark = pytest.mark.real_time
 

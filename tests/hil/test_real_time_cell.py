@@ -17,8 +17,7 @@ from cell.data.recording_reader import read_recording
 from cell.interfaces.plugin.plugin import GripGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
 from gripper.errors import PortLost, ServoFault
-from tests.hil.damage import first
-from tests.hil.program import CONFIG, LIMIT_S, end, hurry, run, running
+from tests.hil.program import CONFIG, LIMIT_S, end, first, hurry, run, running
 
 pytestmark = pytest.mark.real_time
 
@@ -176,18 +175,29 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     assert simulator.grip_n() == 0.0
 
 
-@pytest.mark.parametrize("line", ["servos", "can"])
-def test_a_line_that_comes_back_is_opened_anew_by_clear_and_reset(
-    simulator: CellProcess, line: str
+@pytest.mark.parametrize(
+    ("fault", "errors"),
+    [
+        ("servos.unplugged", "PortLost|BusTimeout"),
+        ("servos.corrupt=1", "BusCorrupt|BusTimeout"),
+        ("servos.lagging", "Bus"),
+        ("servos.chatter", "Bus|FingerSilent"),
+        ("can.unplugged", "BusOff"),
+        ("can.garbage=1", "FrameTimeout|BusDisturbed"),
+    ],
+)
+def test_a_line_that_fails_is_a_fault_with_the_grip_kept_until_clear_and_reset(
+    simulator: CellProcess, fault: str, errors: str
 ) -> None:
     with TactileCellPlugin(simulator.config_path) as plugin:
-        unplugged = simulator.inject(f"{line}.unplugged@contact+0.3s")
-        with pytest.raises(JobFailed, match="ABORTED"):
+        failing = simulator.inject(f"{fault}@contact+0.3s")
+        with pytest.raises(JobFailed, match=f"ABORTED.*({errors})"):
             plugin.result(plugin.start(TeachGoal(label="box", grasps=2)), LIMIT_S)
-        if line == "servos":
+        assert simulator.grip_n() > 0.5
+        if fault == "servos.unplugged":
             with pytest.raises(PortLost, match="cannot open serial port"):
                 plugin.clear(LIMIT_S)
-        unplugged.clear()
+        failing.clear()
         assert plugin.state() == "ABORTED"
         plugin.clear(LIMIT_S)
         plugin.release(LIMIT_S)

@@ -13,8 +13,7 @@ import pytest
 
 from cell.interfaces.service.service import RELEASE_KEY
 from tests.hil import program
-from tests.hil.damage import first
-from tests.hil.program import CONFIG, LIMIT_S
+from tests.hil.program import CONFIG, LIMIT_S, first
 
 pytestmark = pytest.mark.real_time
 

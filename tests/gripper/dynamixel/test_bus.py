@@ -25,7 +25,7 @@ from gripper.errors import (
     ServoRejected,
 )
 from simulator.cell import SimulatedCell
-from tests.hil.relay import crc16
+from simulator.servo.protocol2 import crc16
 
 PING_1 = "FFFFFD00 01 0300 01 194E"
 PONG_1 = "FFFFFD00 01 0700 55 00 060426 655D"

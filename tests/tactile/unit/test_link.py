@@ -347,9 +347,14 @@ def test_too_much_garbage_is_a_fault_within_60_ms(bench) -> None:
     assert bench.clock.monotonic() - start_s <= 0.06
 
 
-def test_too_many_damaged_messages_are_a_fault(bench) -> None:
+@pytest.mark.parametrize("what", ["messages", "lines of a serial adapter"])
+def test_too_many_damaged_messages_are_a_fault(bench, monkeypatch, what: str) -> None:
     bench.run(0.1)
-    bench.clock.on_advance.append(lambda now_s: bench.put(0x80 + NODE, b"\x10\x81"))
+    if what == "messages":
+        bench.clock.on_advance.append(lambda now_s: bench.put(0x80 + NODE, b"\x10\x81"))
+    else:
+        lines = itertools.count()
+        monkeypatch.setattr("tactile.unit.session.bad_lines", lambda _bus: next(lines))
     with pytest.raises(BusDisturbed, match=r"1\d damaged messages"):
         bench.run(1.0)
 
