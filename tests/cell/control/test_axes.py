@@ -232,5 +232,8 @@ def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
     with pytest.raises(Exception, match="servo"):
         bench.controller.grasp(GraspStep(pose=Pose(x_m=5e-3), force_n=3.0))
     assert bench.controller.state is CellState.ABORTED
+    stood_m = axes["x"].position
+    assert stood_m < 4e-3
+    bench.simulated.clock.sleep(0.3)
+    assert axes["x"].position == pytest.approx(stood_m, abs=1e-5)
     assert not any(axis.moving for axis in axes.values())
-    assert axes["x"].position < 4e-3
