@@ -1,16 +1,15 @@
 """Step `axes`: finds a wrist servo on a port of its own, and CiA 402 drives; they are named."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from os.path import realpath
 from typing import Any
 
 from cell.commissioning.backup import read_table
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Choice, Dialog, Finding, Question, Verdict
+from cell.commissioning.engine import Dialog, Notes, Step, choice
 from cell.commissioning.ports import by_id
-from cell.commissioning.servos import Scan, model_name, scan, supply_complaints
-from cell.commissioning.unit import gripper_alone, network_interfaces
+from cell.commissioning.servos import Scan, check_supply, model_name, scan
+from cell.commissioning.unit import network_interfaces
 from gripper.dynamixel.models import MODELS
 from gripper.errors import GripperError
 from tactile.can.bus import CanBus
@@ -23,56 +22,46 @@ _NO = "none"
 """Answer that there is no further axis."""
 
 
-@dataclass(frozen=True, slots=True)
-class AxesStep:
+class AxesStep(Step):
     """Finds the drives and servos that move the object or the gripper."""
 
-    key: str = "axes"
-    title: str = "Axes"
-    purpose: str = (
+    key = "axes"
+    title = "Axes"
+    purpose = (
         "Looks for a wrist servo on a further serial port and for CiA 402 drives on the CAN buses, "
         "and names them. Nothing is written and nothing moves; a cell without axes passes by."
     )
-    needs: tuple[str, ...] = ("ports", "unit")
-    undo: str = "nothing to undo"
+    needs = ("ports", "unit")
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         """Look for both kinds of axes."""
-        lines: list[str] = []
-        failures: list[str] = []
         axes: list[dict[str, Any]] = []
         for port in _further_ports(bench):
-            if not _leads_to_a_servo(port, dialog):
-                continue
-            try:
-                found, said, wrong = _servo_axis(bench, dialog, port)
-            except GripperError as error:
-                found, said, wrong = [], [], [str(error)]
-            axes += found
-            lines += said
-            failures += wrong
+            if _leads_to_a_servo(port, dialog):
+                try:
+                    axes += _servo_axis(bench, dialog, port, notes)
+                except GripperError as error:
+                    notes.fail(str(error))
         for interface, channel, bitrate in _can_buses(bench, dialog):
             try:
                 with bench.can_bus(interface, channel, bitrate) as bus:
                     drives = list(_drives(bus))
             except TactileError as error:
-                failures.append(f"{channel} ({interface}): {error}")
+                notes.fail(f"{channel} ({interface}): {error}")
                 continue
             for node_id, name in drives:
-                lines.append(f"drive {name or 'without a name'}, node {node_id} on {channel}")
+                notes.fact(f"drive {name or 'without a name'}, node {node_id} on {channel}")
                 axes.append({"kind": "cia402", "node_id": node_id, "channel": channel})
+        notes.values["axes"] = axes
+        if notes.failed:
+            return
         if axes:
-            lines.append(
+            notes.fact(
                 "name what each of them moves, its increments and limits under positioner.axes in "
                 "the config: docs/how-to/move-the-object.md"
             )
-        elif not failures:
-            lines.append("no axes: a person brings the parts, or a host program does")
-        return Finding(
-            status=Verdict.FAIL if failures else Verdict.PASS,
-            lines=(*lines, *failures),
-            values={"axes": axes},
-        )
+        else:
+            notes.fact("no axes: a person brings the parts, or a host program does")
 
 
 def _further_ports(bench: Bench) -> list[str]:
@@ -84,44 +73,40 @@ def _further_ports(bench: Bench) -> list[str]:
 def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:
     """Ask before bytes are sent to a port of an unknown device."""
     answer = dialog.ask(
-        Question(
-            key="axes.port",
-            text=f"Does the serial port {by_id(port)} lead to the servo of an axis? It is scanned "
-            "then.",
-            choices=(
-                Choice(key="no", text="no, or another device: leave it alone"),
-                Choice(key="yes", text="yes, scan it"),
-            ),
-            default="no",
+        choice(
+            "axes.port",
+            f"Does the serial port {by_id(port)} lead to the servo of an axis? It is scanned then.",
+            {"no": "no, or another device: leave it alone", "yes": "yes, scan it"},
+            "no",
         )
     )
     return answer == "yes"
 
 
-def _servo_axis(
-    bench: Bench, dialog: Dialog, port: str
-) -> tuple[list[dict[str, Any]], list[str], list[str]]:
-    """Scan a port; return its axis as the config names it, lines and failures."""
+def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Notes) -> list[dict[str, Any]]:
+    """Scan a port; return its axis as the config names it, none where it cannot be driven."""
     found = scan(bench, port, dialog)
-    complaint = _complaint(port, found)
-    if complaint:
-        return [], [], [complaint]
+    if complaint := _complaint(port, found):
+        notes.fail(complaint)
+        return []
     (servo,) = found.servos
     servo_id, name = servo.identity.servo_id, model_name(servo.identity.model_number)
-    line = f"servo {name}, ID {servo_id} at {servo.baud_rate} bit/s on {by_id(port)}"
+    notes.fact(f"servo {name}, ID {servo_id} at {servo.baud_rate} bit/s on {by_id(port)}")
     model = MODELS.get(name)
     if model is None:
-        return [], [line], [f"the cell drives {', '.join(MODELS)}; {name} is none of them"]
+        notes.fail(f"the cell drives {', '.join(MODELS)}; {name} is none of them")
+        return []
     with bench.servo_bus(port, servo.baud_rate) as bus:
-        low, scarce = supply_complaints(servo_id, model, read_table(bus, servo_id))
-    axis = {
-        "kind": "dynamixel",
-        "port": by_id(port),
-        "baud_rate": servo.baud_rate,
-        "id": servo_id,
-        "model": name,
-    }
-    return [axis], [line, *scarce], low
+        check_supply(servo_id, model, read_table(bus, servo_id), notes)
+    return [
+        {
+            "kind": "dynamixel",
+            "port": by_id(port),
+            "baud_rate": servo.baud_rate,
+            "id": servo_id,
+            "model": name,
+        }
+    ]
 
 
 def _complaint(port: str, found: Scan) -> str:
@@ -143,21 +128,18 @@ def _can_buses(bench: Bench, dialog: Dialog) -> Iterator[tuple[str, str, int]]:
     """Return the buses on which drives may be: that of the control unit, and one more if named."""
     tactile = bench.tactile()
     own: tuple[str, ...] = ()
-    if not gripper_alone(bench):
+    if not bench.gripper_alone:
         own = (tactile.channel,)
         yield tactile.interface, tactile.channel, tactile.bitrate
     others = [name for name in network_interfaces() if name not in own]
     if not others:
         return
     answer = dialog.ask(
-        Question(
-            key="axes.can",
-            text="Are there drives on a CAN bus of their own? Its nodes are asked who they are.",
-            choices=(
-                Choice(key=_NO, text="no"),
-                *(Choice(key=name, text=name) for name in others),
-            ),
-            default=_NO,
+        choice(
+            "axes.can",
+            "Are there drives on a CAN bus of their own? Its nodes are asked who they are.",
+            {_NO: "no"} | {name: name for name in others},
+            _NO,
         )
     )
     if answer != _NO:

@@ -4,11 +4,11 @@ A file for each servo in the cell's folder: backup-servo1.json is of the servo t
 The first backup stays: it holds the servo as it came.
 """
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Write
@@ -22,7 +22,6 @@ from gripper.dynamixel.control_table import (
     REGISTERS,
     SERVO_ID,
     TORQUE_ENABLE,
-    Register,
 )
 from gripper.errors import GripperError, ServoRejected
 
@@ -39,6 +38,25 @@ class Backup:
     """Where the servo is reached after its commissioning: ID, baud rate in bit/s."""
     found: Mapping[str, int]
     """Raw values by the name of the item, read before the first write."""
+
+
+_BACKUP = TypeAdapter(Backup)
+
+
+def register_writes(
+    where: str, changes: Mapping[str, tuple[object, object]], undo: str
+) -> list[Write]:
+    """Return the writes of some items of a servo, by name with present and coming value."""
+    return [
+        Write(
+            where=where,
+            what=f"{name} ({REGISTERS[name].address})",
+            before=str(before),
+            after=str(after),
+            undo=undo,
+        )
+        for name, (before, after) in changes.items()
+    ]
 
 
 def read_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
@@ -73,12 +91,8 @@ def keep(folder: Path, backup: Backup) -> Path | None:
             number += 1
         path.rename(aside)
     folder.mkdir(parents=True, exist_ok=True)
-    values = {
-        "servo_id": backup.servo_id,
-        "baud_rate": backup.baud_rate,
-        "found": dict(backup.found),
-    }
-    write_text(path, json.dumps(values, indent=2) + "\n", error=CellError, what="backup")
+    text = _BACKUP.dump_json(backup, indent=2).decode() + "\n"
+    write_text(path, text, error=CellError, what="backup")
     return path
 
 
@@ -105,16 +119,11 @@ def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
             continue
         with bench.servo_bus(port, backup.baud_rate) as bus:
             changes[backup.servo_id] = _differing(bus, backup)
+    undo = "run `tactile-cell commission --redo servos`"
     writes = [
-        Write(
-            where=f"servo {servo_id}",
-            what=f"{name} ({REGISTERS[name].address})",
-            before=str(before),
-            after=str(after),
-            undo="run `tactile-cell commission --redo servos`",
-        )
+        write
         for servo_id, found in changes.items()
-        for name, (before, after) in found.items()
+        for write in register_writes(f"servo {servo_id}", found, undo)
     ]
     if not writes:
         return ("all servos are as they were found",)
@@ -131,13 +140,8 @@ def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
 
 def _read(path: Path) -> Backup:
     try:
-        values: dict[str, Any] = json.loads(path.read_text("utf-8"))
-        return Backup(
-            servo_id=int(values["servo_id"]),
-            baud_rate=int(values["baud_rate"]),
-            found={str(name): int(raw) for name, raw in values["found"].items()},
-        )
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        return _BACKUP.validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
         raise CellError(f"{path} is no backup of a servo: {error}") from error
 
 
@@ -159,14 +163,11 @@ def _is_back(bench: Bench, port: str, backup: Backup) -> bool:
         return bool(bus.scan([backup.found[SERVO_ID.name]]))
 
 
-def _restorable() -> Sequence[Register]:
-    """Return the items of the EEPROM, those last with which a servo is reached otherwise."""
-    items = [r for r in REGISTERS.values() if r.eeprom and r.name not in _LAST]
-    return (*items, *(REGISTERS[name] for name in _LAST))
-
-
 def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
-    """Return the items of the EEPROM that differ from a backup: present and wanted value."""
+    """Return the items of the EEPROM that differ from a backup: present and wanted value.
+
+    Those come last with which a servo is reached otherwise.
+    """
     servo_id = backup.servo_id
     try:
         now = read_table(bus, servo_id)
@@ -185,12 +186,10 @@ def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
             f"servo {servo_id} has its torque on and may hold a part, nothing was written: release "
             "it first"
         )
+    items = [r.name for r in REGISTERS.values() if r.eeprom and r.name not in _LAST]
+    both = [name for name in (*items, *_LAST) if name in now and name in backup.found]
     return {
-        register.name: (now[register.name], backup.found[register.name])
-        for register in _restorable()
-        if register.name in now
-        and register.name in backup.found
-        and now[register.name] != backup.found[register.name]
+        name: (now[name], backup.found[name]) for name in both if now[name] != backup.found[name]
     }
 
 

@@ -3,34 +3,31 @@
 `tactile-cell doctor` compares with it. What differs names the steps that are to be done again.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
-from math import isfinite
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Left, Question, Verdict, Write, confirmation
+from cell.commissioning.engine import Dialog, Notes, Question, Step, StepFailed, Write, confirmation
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.first_force import bench_hand, look_after, start_free, told_if_held
 from cell.commissioning.motion import WatchedMotion
 from cell.commissioning.pads import taxel_names
 from cell.commissioning.servos import model_name
-from cell.commissioning.unit import gripper_alone, without_unit
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
 from cell.config.tactile import layout_from_config, make_calibration
-from cell.errors import CellError
 from cell.hand.interface import Hand
 from gripper.errors import GripperError
-from gripper.state import Clock, Cycle, GraspResult
+from gripper.state import Clock, GraspResult
 from tactile.errors import TactileError
-from tactile.frames.codec import TactileFrame
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.sensor.tare import assess_health
 from tactile.sensor.taxel_forces import TaxelForces
@@ -70,6 +67,18 @@ class Change:
         return f"`tactile-cell commission{place} --redo {self.step}` does what depends on it again"
 
 
+def _change(
+    what: str, step: str, was: Any, now: Any, text: str, *, differs: bool | None = None
+) -> list[Change]:
+    """Return the change of one value, none where it is equal, or ``differs`` denies it.
+
+    ``text`` formats the value as it was and as it is.
+    """
+    if (was == now) if differs is None else not differs:
+        return []
+    return [Change(what=what, was=text.format(was), found=text.format(now), step=step)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gauge:
     """How a gauge object felt."""
@@ -106,46 +115,19 @@ def changed_unit(
         Of the unit that answers now.
     """
     unit, pads = found.get("unit", {}), found.get("pads_at_rest", {})
-    changes = []
-    if unit.get("serial_number", serial) != serial:
-        changes.append(
-            Change(
-                what="control unit",
-                was=f"serial {unit['serial_number']}",
-                found=f"serial {serial}",
-                step="unit",
-            )
+    was_serial, was_revision = unit.get("serial_number", serial), unit.get("revision", revision)
+    firmware = "firmware of the control unit"
+    changes = _change("control unit", "unit", was_serial, serial, "serial {}") or _change(
+        firmware, "unit", was_revision, revision, "revision {:#x}"
+    )
+    step, was = "pads_at_rest", tuple(pads.get("board_serial_numbers", boards))
+    if was == boards[::-1] != boards:
+        both = f"serial {was[0]} on finger 0, {was[1]} on finger 1"
+        return [*changes, Change(what="pads", was=both, found="exchanged", step=step)]
+    for finger in (0, 1):
+        changes += _change(
+            f"pads of finger {finger}", step, was[finger], boards[finger], "serial {}"
         )
-    elif unit.get("revision", revision) != revision:
-        changes.append(
-            Change(
-                what="firmware of the control unit",
-                was=f"revision {unit['revision']:#x}",
-                found=f"revision {revision:#x}",
-                step="unit",
-            )
-        )
-    commissioned = tuple(pads.get("board_serial_numbers", boards))
-    if commissioned == boards[::-1] and commissioned != boards:
-        changes.append(
-            Change(
-                what="pads",
-                was=f"serial {commissioned[0]} on finger 0, {commissioned[1]} on finger 1",
-                found="exchanged",
-                step="pads_at_rest",
-            )
-        )
-    else:
-        changes += [
-            Change(
-                what=f"pads of finger {finger}",
-                was=f"serial {commissioned[finger]}",
-                found=f"serial {boards[finger]}",
-                step="pads_at_rest",
-            )
-            for finger in (0, 1)
-            if commissioned[finger] != boards[finger]
-        ]
     return changes
 
 
@@ -155,16 +137,9 @@ def changed_servos(
     """Return how servos differ from those that were commissioned; ``servos``: model, firmware."""
     changes = []
     for was in found.get("servos", {}).get("servos", ()):
-        now = servos.get(was["id"])
-        if now is not None and now != (was["model"], was["firmware"]):
-            changes.append(
-                Change(
-                    what=f"servo {was['id']}",
-                    was=f"{was['model']}, firmware {was['firmware']}",
-                    found=f"{now[0]}, firmware {now[1]}",
-                    step="servos",
-                )
-            )
+        before = (was["model"], was["firmware"])
+        now = servos.get(was["id"], before)
+        changes += _change(f"servo {was['id']}", "servos", before, now, "{0[0]}, firmware {0[1]}")
     return changes
 
 
@@ -193,39 +168,20 @@ def changed_pads(
     known = np.isin(taxel_order(layout, mounts), was["bad_taxels"])
     bad = assess_health(frames, layout.adc_max).bad
     new = np.flatnonzero(bad & ~known).tolist()
-    changes = []
+    step, changes = "pads_at_rest", []
     if new:
-        changes.append(
-            Change(
-                what="broken taxels",
-                was=str(len(was["bad_taxels"])),
-                found=f"{np.count_nonzero(bad)}, new: {taxel_names(layout, new)}",
-                step="pads_at_rest",
-            )
-        )
+        broken = f"{np.count_nonzero(bad)}, new: {taxel_names(layout, new)}"
+        was_broken = str(len(was["bad_taxels"]))
+        changes.append(Change(what="broken taxels", was=was_broken, found=broken, step=step))
     for number, pad in enumerate(layout.pads):
-        taxels = layout.taxels_of(number)
-        place = sent_as.get(number, number)
+        taxels, place = layout.taxels_of(number), sent_as.get(number, number)
         before, now = was["zero_counts"][place], float(np.median(zero[taxels]))
-        if abs(now - before) > _ZERO_SHARE * layout.adc_max:
-            changes.append(
-                Change(
-                    what=f"zero of {pad.name}",
-                    was=f"{before:.1f} counts",
-                    found=f"{now:.1f} counts",
-                    step="pads_at_rest",
-                )
-            )
+        drifted = abs(now - before) > _ZERO_SHARE * layout.adc_max
+        text = "{:.1f} counts"
+        changes += _change(f"zero of {pad.name}", step, before, now, text, differs=drifted)
         before, now = was["noise_counts"][place], float(np.median(noise[taxels]))
-        if now > _NOISE_FACTOR * max(before, _LEAST_NOISE):
-            changes.append(
-                Change(
-                    what=f"noise of {pad.name}",
-                    was=f"{before:.1f} counts",
-                    found=f"{now:.1f} counts",
-                    step="pads_at_rest",
-                )
-            )
+        noisy = now > _NOISE_FACTOR * max(before, _LEAST_NOISE)
+        changes += _change(f"noise of {pad.name}", step, before, now, text, differs=noisy)
     return changes
 
 
@@ -236,39 +192,34 @@ def changed_gauge(was: Gauge, now: Gauge) -> list[Change]:
         ("opening at the contact", was.contact_mm, now.contact_mm),
         ("opening on the gauge object", was.held_mm, now.held_mm),
     ):
-        if abs(after - before) > _OPENING_MM:
-            changes.append(
-                Change(what=what, was=f"{before:.2f} mm", found=f"{after:.2f} mm", step="fingers")
-            )
+        moved = abs(after - before) > _OPENING_MM
+        changes += _change(what, "fingers", before, after, "{:.2f} mm", differs=moved)
     ratio = [(one.held_n[0] - one.held_n[1]) / (0.5 * sum(one.held_n)) for one in (was, now)]
-    if abs(ratio[1] - ratio[0]) > _FINGERS_SHARE:
-        changes.append(
-            Change(
-                what="forces of both fingers",
-                was=f"{was.held_n[0]:.2f} and {was.held_n[1]:.2f} N",
-                found=f"{now.held_n[0]:.2f} and {now.held_n[1]:.2f} N",
-                step="pads_law",
-            )
-        )
-    if abs(now.current_ma - was.current_ma) > _CURRENT_SHARE * was.current_ma:
-        changes.append(
-            Change(
-                what="current of the motors at the same force",
-                was=f"{was.current_ma:.0f} mA",
-                found=f"{now.current_ma:.0f} mA: friction, or another law of the pads",
-                step="pads_law",
-            )
-        )
+    changes += _change(
+        "forces of both fingers",
+        "pads_law",
+        was.held_n,
+        now.held_n,
+        "{0[0]:.2f} and {0[1]:.2f} N",
+        differs=abs(ratio[1] - ratio[0]) > _FINGERS_SHARE,
+    )
+    current = _change(
+        "current of the motors at the same force",
+        "pads_law",
+        was.current_ma,
+        now.current_ma,
+        "{:.0f} mA",
+        differs=abs(now.current_ma - was.current_ma) > _CURRENT_SHARE * was.current_ma,
+    )
+    cause = "friction, or another law of the pads"
+    changes += [replace(one, found=f"{one.found}: {cause}") for one in current]
     return changes
 
 
 def gauge_of(found: Mapping[str, Mapping[str, Any]]) -> Gauge | None:
     """Return the gauge object of the commissioning; None where there is none."""
     values = found.get("baseline", {}).get("gauge")
-    if values is None:
-        return None
-    pairs = {name: tuple(values[name]) for name in ("held_n", "patch_taxels")}
-    return Gauge(**{**values, **pairs})
+    return None if values is None else TypeAdapter(Gauge).validate_python(values)
 
 
 def changed_hardware(bench: Bench) -> list[Change]:
@@ -294,43 +245,32 @@ def changed_hardware(bench: Bench) -> list[Change]:
     return changes
 
 
-@dataclass(frozen=True, slots=True)
-class BaselineStep:
+class BaselineStep(Step):
     """Grasps a gauge object and keeps how it felt, for `tactile-cell doctor` to compare."""
 
-    key: str = "baseline"
-    title: str = "Gauge object"
-    purpose: str = (
+    key = "baseline"
+    title = "Gauge object"
+    purpose = (
         "Grasps a stiff object that you keep for it, and notes opening, forces, current and "
         "patches: from then on `tactile-cell doctor --gauge` says whether the cell is as it was."
     )
-    needs: tuple[str, ...] = ("first_force",)
-    undo: str = "nothing is written; the torque goes off at the end"
+    needs = ("first_force",)
+    needs_pads = True
+    undo = "nothing is written; the torque goes off at the end"
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
-        """Carry it out; see `Step.run`."""
-        if gripper_alone(bench):
-            return without_unit()
-        try:
-            gauge, counts = measure_gauge(bench, bench.config, dialog)
-        except Left:
-            raise
-        except (CellError, GripperError, TactileError) as error:
-            return Finding(status=Verdict.FAIL, lines=(f"{type(error).__name__}: {error}",))
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        """Grasp the gauge object, and keep how it felt."""
+        gauge, force_on_taxels_n = measure_gauge(bench, bench.config, dialog)
         layout = layout_from_config(bench.config.tactile)
-        return Finding(
-            status=Verdict.PASS,
-            lines=(
-                f"{gauge.gauge} at {gauge.force_n:g} N: {gauge.held_n[0]:.2f} and "
-                f"{gauge.held_n[1]:.2f} N, opening {gauge.held_mm:.2f} mm, "
-                f"{gauge.current_ma:.0f} mA, {gauge.patch_taxels[0]} and {gauge.patch_taxels[1]} "
-                "taxels touched. Keep this object with the cell.",
-            ),
-            values={"gauge": asdict(gauge)},
-            figures={
-                "patch": pads_figure("The gauge object on the pads", layout, counts, unit="N")
-            },
+        notes.fact(
+            f"{gauge.gauge} at {gauge.force_n:g} N: {gauge.held_n[0]:.2f} and "
+            f"{gauge.held_n[1]:.2f} N, opening {gauge.held_mm:.2f} mm, {gauge.current_ma:.0f} mA, "
+            f"{gauge.patch_taxels[0]} and {gauge.patch_taxels[1]} taxels touched. Keep this object "
+            "with the cell."
         )
+        notes.values["gauge"] = asdict(gauge)
+        title = "The gauge object on the pads"
+        notes.figures["patch"] = pads_figure(title, layout, force_on_taxels_n, unit="N")
 
 
 def measure_gauge(
@@ -349,8 +289,10 @@ def measure_gauge(
     ------
     Left
         When the person leaves; a part that is held then stays held.
+    StepFailed
+        When nothing is held.
     CellError, GripperError, TactileError
-        As the hand raises them; CellError when nothing is held.
+        As the hand raises them.
     """
     if gauge is None:
         gauge = str(
@@ -399,32 +341,32 @@ def measure_gauge(
         if outcome.result is not GraspResult.FORCE_REACHED:
             if outcome.result is GraspResult.FORCE_NOT_REACHED:
                 _let_go(hand, bench.clock, dialog)
-            raise CellError(
+            raise StepFailed(
                 f"{gauge} was not gripped ({outcome.result.value}): hold it in the middle between "
                 "the pads, and run the step again"
             )
-        held = _Held()
-        hand.carry(force_n, _HOLD_S, motion.also(held.watch))
+        since = len(motion.cycles), len(motion.frames)
+        hand.carry(force_n, _HOLD_S, motion)
+        held, frames = motion.cycles[since[0] :], motion.frames[since[1] :]
         _let_go(hand, bench.clock, dialog)
     layout = layout_from_config(config.tactile)
     forces = TaxelForces(layout, make_calibration(config.tactile, layout), zero)
-    force_on_taxels_n = np.mean([forces.of(counts) for counts in held.counts], axis=0)
+    force_on_taxels_n = np.mean([forces.of(frame.counts) for frame in frames], axis=0)
     touched = [
         int(np.count_nonzero(force_on_taxels_n[layout.taxels_of(pad)] > 0.0))
         for pad in layout.gripping_pads
     ]
-    return (
-        Gauge(
-            gauge=gauge,
-            force_n=force_n,
-            held_n=(_mean(held.first_n), _mean(held.second_n)),
-            contact_mm=round(1e3 * (outcome.contact_aperture_m or 0.0), 3),
-            held_mm=_mean(held.opening_mm),
-            current_ma=_mean(held.current_ma),
-            patch_taxels=(touched[0], touched[1]),
-        ),
-        force_on_taxels_n,
+    samples = [one.force.force_n for one in held if one.force is not None and one.force.valid]
+    felt = Gauge(
+        gauge=gauge,
+        force_n=force_n,
+        held_n=(_mean(n for n, _ in samples), _mean(n for _, n in samples)),
+        contact_mm=round(1e3 * (outcome.contact_aperture_m or 0.0), 3),
+        held_mm=_mean(1e3 * one.state.aperture_m for one in held),
+        current_ma=_mean(1e3 * one.goal_current_a for one in held),
+        patch_taxels=(touched[0], touched[1]),
     )
+    return felt, force_on_taxels_n
 
 
 def _let_go(hand: Hand, clock: Clock, dialog: Dialog) -> None:
@@ -435,26 +377,6 @@ def _let_go(hand: Hand, clock: Clock, dialog: Dialog) -> None:
     hand.release()
 
 
-class _Held:
-    """What a hold showed, period by period."""
-
-    def __init__(self) -> None:
-        self.first_n: list[float] = []
-        self.second_n: list[float] = []
-        self.opening_mm: list[float] = []
-        self.current_ma: list[float] = []
-        self.counts: list[NDArray[np.uint16]] = []
-
-    def watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-        """Take one period of the loop."""
-        if cycle.force is not None and cycle.force.valid:
-            self.first_n.append(cycle.force.force_n[0])
-            self.second_n.append(cycle.force.force_n[1])
-        self.opening_mm.append(1e3 * cycle.state.aperture_m)
-        self.current_ma.append(1e3 * cycle.goal_current_a)
-        self.counts += [frame.counts for frame in frames]
-
-
-def _mean(values: Sequence[float]) -> float:
-    known = [value for value in values if isfinite(value)]
+def _mean(values: Iterable[float]) -> float:
+    known = [value for value in values if np.isfinite(value)]
     return round(float(np.mean(known)), 4) if known else 0.0

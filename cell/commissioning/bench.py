@@ -1,19 +1,17 @@
 """Bench of the commissioning wizard: the lines of the cell, its folder, and the config so far."""
 
-import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from cell.config.file import changed_config, load_config
 from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
-from cell.errors import ConfigError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream, serial_candidates
 from gripper.state import Clock
@@ -121,6 +119,11 @@ class Bench:
         return self.lines.clock
 
     @property
+    def gripper_alone(self) -> bool:
+        """Whether the gripper has no control unit: its force is known by current alone."""
+        return bool(self.found.get("unit", {}).get("gripper_alone", False))
+
+    @property
     def config(self) -> CellConfig:
         """The whole config so far; ConfigError while it lacks what makes it valid."""
         changes: dict[str, Any] = {"simulator.faults": []}
@@ -138,20 +141,10 @@ class Bench:
         return self._section("tactile", self._base.tactile, changes)
 
     def _section(self, name: str, base: _Section, changes: Mapping[str, Any]) -> _Section:
-        values = base.model_dump(mode="json")
         found = {
             k.partition(".")[2]: v for k, v in self.settings.items() if k.startswith(f"{name}.")
         }
-        for key, value in (found | dict(changes)).items():
-            owner = values
-            *way, last = key.split(".")
-            for part in way:
-                owner = owner[part]
-            owner[last] = value
-        try:
-            return type(base).model_validate_json(json.dumps(values))
-        except ValidationError as error:
-            raise ConfigError(f"the config of the {name} that was found: {error}") from error
+        return changed_config(base, found | dict(changes))
 
     @contextmanager
     def servo_bus(

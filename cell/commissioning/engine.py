@@ -4,16 +4,17 @@ A person may leave at any moment. What was found by then stands in commissioning
 cell's folder, and the next run begins with the first step that is not done.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, Literal, NoReturn, Protocol
+
+from pydantic import TypeAdapter, ValidationError
 
 from cell.commissioning.bench import CONFIG_NAME, Bench
-from cell.config.file import config_text, schema_text
+from cell.config.file import config_text, problem_text, schema_text
 from cell.data.files import write_atomically, write_text
 from cell.errors import CellError, error_text
 from gripper.errors import GripperError
@@ -23,10 +24,14 @@ STORE_NAME = "commissioning.json"
 """File in the cell's folder that keeps the entries of the steps."""
 LOOK_S = 0.05
 """Time in s between two calls of `Dialog.live` while motors move: a person may stop them there."""
+Picture = bytes | Mapping[str, Any]
+"""PNG or SVG bytes, or one of `cell.commissioning.figures`."""
 _PNG = b"\x89PNG"
 """First bytes of a PNG picture."""
-_VERSION = 1
-"""Version of commissioning.json."""
+
+
+class StepFailed(CellError):
+    """A step cannot be done as things are; the message has the cause, and what to do next."""
 
 
 class Left(CellError):
@@ -74,9 +79,15 @@ class Question:
     """Answer where the person just confirms; None where there is none."""
 
 
+def choice(key: str, text: str, answers: Mapping[str, str], default: str | None = None) -> Question:
+    """Return a question with some answers, their texts by key."""
+    choices = tuple(Choice(key=name, text=answer) for name, answer in answers.items())
+    return Question(key=key, text=text, choices=choices, default=default)
+
+
 def confirmation(key: str, text: str, done: str = "done") -> Question:
     """Return a question that asks for something to be done by hand, and waits for it."""
-    return Question(key=key, text=text, choices=(Choice(key="done", text=done),), default="done")
+    return choice(key, text, {"done": done}, "done")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,8 +117,55 @@ class Finding:
     """Measured values for later steps, the record and `doctor`: anything that JSON can hold."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Values of the config by dotted key, as ``{"gripper.baud_rate": 1000000}``."""
-    figures: Mapping[str, bytes | Mapping[str, Any]] = field(default_factory=dict)
-    """Pictures by name: PNG or SVG bytes, or one of `cell.commissioning.figures`."""
+    figures: Mapping[str, Picture] = field(default_factory=dict)
+    """Pictures by name; commissioning.json names a file in the place of bytes."""
+    began: str = ""
+    ended: str = ""
+    """Wall-clock times of the step (ISO 8601, UTC), which the engine sets."""
+
+
+class Notes:
+    """What a step has found so far: lines, the worst verdict, values, settings and figures.
+
+    The engine makes the finding of it, also where an error ends the step.
+    """
+
+    def __init__(self) -> None:
+        self.status = Verdict.PASS
+        self.lines: list[str] = []
+        self.values: dict[str, Any] = {}
+        self.settings: dict[str, Any] = {}
+        self.figures: dict[str, Picture] = {}
+
+    def fact(self, line: str) -> None:
+        """Add a line that is as it should be."""
+        self.lines.append(line)
+
+    def warn(self, line: str) -> None:
+        """Add a line that is worth a word to the operator."""
+        self.lines.append(line)
+        if self.status is Verdict.PASS:
+            self.status = Verdict.WARN
+
+    def fail(self, line: str) -> None:
+        """Add a line for which the step has to run again; it sets nothing in the config then."""
+        self.lines.append(line)
+        self.status = Verdict.FAIL
+
+    @property
+    def failed(self) -> bool:
+        """Whether a line failed."""
+        return self.status is Verdict.FAIL
+
+    def finding(self) -> Finding:
+        """Return what was found."""
+        return Finding(
+            status=self.status,
+            lines=tuple(self.lines),
+            values=self.values,
+            settings={} if self.failed else self.settings,
+            figures=self.figures,
+        )
 
 
 class Dialog(Protocol):
@@ -142,35 +200,22 @@ class Dialog(Protocol):
         ...
 
 
-class Step(Protocol):
+class Step:
     """One step: finds something out, and sets it where the person approves."""
 
-    @property
-    def key(self) -> str:
-        """Name in commissioning.json and for ``--redo``."""
-        ...
+    key: str
+    """Name in commissioning.json and for ``--redo``."""
+    title: str
+    purpose: str
+    """Heading, and in a sentence or two what it finds, what it writes and what it moves."""
+    needs: tuple[str, ...] = ()
+    """Keys of the steps whose findings it uses; redoing one of them redoes this step."""
+    needs_pads: bool = False
+    """Whether a gripper without a control unit passes it by."""
+    undo: str = "nothing to undo"
+    """How a person takes back what it writes."""
 
-    @property
-    def title(self) -> str:
-        """Heading."""
-        ...
-
-    @property
-    def purpose(self) -> str:
-        """What it finds, what it writes and what it moves, in a sentence or two."""
-        ...
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Keys of the steps whose findings it uses; redoing one of them redoes this step."""
-        ...
-
-    @property
-    def undo(self) -> str:
-        """How a person takes back what it writes."""
-        ...
-
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         """Carry it out, from the beginning even where it was left half done.
 
         Nothing is written or moved that `Dialog.approve` did not show. However it ends, no servo
@@ -180,18 +225,34 @@ class Step(Protocol):
         ------
         Left
             When the person leaves or refuses; nothing of the step is kept then.
+        CellError, GripperError, TactileError
+            What ends the step; `carry_out` adds it to the notes.
         """
-        ...
+        raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
-    """What commissioning.json keeps of a step."""
+def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Finding:
+    """Run a step and return what it found; an error of cell or lines is a failure of the step.
 
-    finding: Finding
-    began: str
-    ended: str
-    """Wall-clock times (ISO 8601, UTC)."""
+    Raises
+    ------
+    Left
+        When the person leaves or refuses.
+    """
+    notes = Notes()
+    if step.needs_pads and bench.gripper_alone:
+        notes.warn("This gripper has no pads yet: `--redo unit` once its control unit is there.")
+        return notes.finding()
+    try:
+        step.run(bench, dialog, notes)
+    except Left:
+        raise
+    except StepFailed as why:
+        notes.fail(str(why))
+    except (CellError, GripperError, TactileError) as error:
+        # A cable that was pulled, a disk that is full: mended, the step runs again.
+        notes.fail(error_text(error))
+    return notes.finding()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,6 +264,18 @@ class Approved:
     at: str
     """Wall-clock time (ISO 8601, UTC)."""
     write: Write
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Store:
+    """Content of commissioning.json."""
+
+    version: Literal[1]
+    steps: dict[str, Finding]
+    approved: list[Approved]
+
+
+_STORE = TypeAdapter(_Store)
 
 
 class _Logged:
@@ -255,14 +328,15 @@ class Engine:
                 raise CellError(f"step {step.key} needs {', '.join(missing)} before it")
             known.append(step.key)
         self.path = bench.folder / STORE_NAME
-        kept, self.approved = _read(self.path)
-        self.entries: dict[str, Entry] = {k: kept[k] for k in known if k in kept}
+        kept = _read(self.path)
+        self.approved = kept.approved
+        self.findings = {key: kept.steps[key] for key in known if key in kept.steps}
         self._fill_bench()
 
     def done(self, step: Step) -> bool:
         """Return whether a step has ended without a failure."""
-        entry = self.entries.get(step.key)
-        return entry is not None and entry.finding.status is not Verdict.FAIL
+        finding = self.findings.get(step.key)
+        return finding is not None and finding.status is not Verdict.FAIL
 
     def redo(self, key: str) -> tuple[str, ...]:
         """Forget a step and all that need it; return their keys.
@@ -281,7 +355,7 @@ class Engine:
                 affected.add(step.key)
         ordered = tuple(step.key for step in self.steps if step.key in affected)
         for name in ordered:
-            self.entries.pop(name, None)
+            self.findings.pop(name, None)
         self._store()
         return ordered
 
@@ -316,70 +390,38 @@ class Engine:
             self._store()
 
         began = _now()
-        try:
-            finding = step.run(self.bench, _Logged(dialog, log))
-        except Left:
-            raise
-        except (CellError, GripperError, TactileError) as error:
-            # A cable that was pulled, a disk that is full: mended, the step runs again.
-            finding = Finding(status=Verdict.FAIL, lines=(error_text(error),))
-        self.entries[step.key] = Entry(finding=finding, began=began, ended=_now())
+        finding = carry_out(step, self.bench, _Logged(dialog, log))
+        figures = {
+            name: _stored(self.bench.folder, step.key, name, figure)
+            for name, figure in finding.figures.items()
+        }
+        self.findings[step.key] = replace(finding, began=began, ended=_now(), figures=figures)
         self._store()
-        dialog.found(step, self.entries[step.key].finding)
+        dialog.found(step, self.findings[step.key])
 
     def _again(self, step: Step, dialog: Dialog) -> None:
         answer = dialog.ask(
-            Question(
-                key=f"{step.key}.again",
-                text=f"{step.title} failed. Mend it, then run the step again.",
-                choices=(
-                    Choice(key="again", text="run the step again"),
-                    Choice(key="leave", text="leave; what was found is kept"),
-                ),
-                default="again",
+            choice(
+                f"{step.key}.again",
+                f"{step.title} failed. Mend it, then run the step again.",
+                {"again": "run the step again", "leave": "leave; what was found is kept"},
+                "again",
             )
         )
         if answer == "leave":
             leave(f"{step.title} failed")
 
     def _store(self) -> None:
-        folder = self.bench.folder
-        folder.mkdir(parents=True, exist_ok=True)
-        for key, entry in self.entries.items():
-            finding = entry.finding
-            figures = {n: _stored(folder, key, n, f) for n, f in finding.figures.items()}
-            shown = Finding(
-                status=finding.status,
-                lines=finding.lines,
-                values=finding.values,
-                settings=finding.settings,
-                figures=figures,
-            )
-            self.entries[key] = Entry(finding=shown, began=entry.began, ended=entry.ended)
-        steps = {
-            key: {
-                "status": entry.finding.status.value,
-                "lines": list(entry.finding.lines),
-                "values": entry.finding.values,
-                "settings": entry.finding.settings,
-                "figures": entry.finding.figures,
-                "began": entry.began,
-                "ended": entry.ended,
-            }
-            for key, entry in self.entries.items()
-        }
-        content = {"version": _VERSION, "steps": steps, "approved": [*map(asdict, self.approved)]}
-        text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+        content = _Store(version=1, steps=self.findings, approved=self.approved)
+        text = _STORE.dump_json(content, indent=2).decode() + "\n"
+        self.path.parent.mkdir(parents=True, exist_ok=True)
         write_text(self.path, text, error=CellError, what="findings")
         self._fill_bench()
 
     def _fill_bench(self) -> None:
-        self.bench.settings = {
-            key: value
-            for entry in self.entries.values()
-            for key, value in entry.finding.settings.items()
-        }
-        self.bench.found = {key: entry.finding.values for key, entry in self.entries.items()}
+        found = self.findings.values()
+        self.bench.settings = {k: v for one in found for k, v in one.settings.items()}
+        self.bench.found = {key: one.values for key, one in self.findings.items()}
 
 
 def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
@@ -390,8 +432,7 @@ def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
     CellError
         If commissioning.json cannot be read.
     """
-    entries, _approved = _read(folder / STORE_NAME)
-    return {key: entry.finding.values for key, entry in entries.items()}
+    return {key: finding.values for key, finding in _read(folder / STORE_NAME).steps.items()}
 
 
 def leave(why: str) -> NoReturn:
@@ -403,47 +444,24 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _stored(folder: Path, step: str, name: str, figure: Any) -> Any:
+def _stored(folder: Path, step: str, name: str, figure: Picture) -> Mapping[str, Any]:
     """Return a figure as commissioning.json keeps it: numbers, or ``{"file": name}``."""
     if not isinstance(figure, bytes):
         return figure
     file = f"{step}-{name}.{'png' if figure.startswith(_PNG) else 'svg'}"
+    folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / file, lambda out: out.write(figure), error=CellError, what="figure")
     return {"file": file}
 
 
-def _read(path: Path) -> tuple[dict[str, Entry], list[Approved]]:
-    """Return entries and log of commissioning.json; none where there is no such file."""
+def _read(path: Path) -> _Store:
+    """Return the content of commissioning.json; an empty one where there is no such file."""
     try:
-        data = json.loads(path.read_text("utf-8"))
-        if data["version"] != _VERSION:
-            raise CellError(
-                f"{path} is of version {data['version']}, this program reads {_VERSION}: "
-                "move it away to commission anew"
-            )
-        entries = {
-            key: Entry(
-                finding=Finding(
-                    status=Verdict(item["status"]),
-                    lines=tuple(item["lines"]),
-                    values=item["values"],
-                    settings=item["settings"],
-                    figures=item["figures"],
-                ),
-                began=item["began"],
-                ended=item["ended"],
-            )
-            for key, item in data["steps"].items()
-        }
-        approved = [
-            Approved(step=item["step"], at=item["at"], write=Write(**item["write"]))
-            for item in data["approved"]
-        ]
+        return _STORE.validate_json(path.read_bytes())
     except FileNotFoundError:
-        return {}, []
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        return _Store(version=1, steps={}, approved=[])
+    except (OSError, ValidationError) as error:
+        why = problem_text(error) if isinstance(error, ValidationError) else str(error)
         raise CellError(
-            f"{path} cannot be read ({type(error).__name__}: {error}): move it away to commission "
-            "anew"
+            f"{path} cannot be read by this program ({why}): move it away to commission anew"
         ) from error
-    return entries, approved

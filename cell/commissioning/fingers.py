@@ -17,13 +17,14 @@ from scipy.optimize import least_squares
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     LOOK_S,
-    Choice,
     Dialog,
-    Finding,
+    Notes,
     Number,
     Question,
-    Verdict,
+    Step,
+    StepFailed,
     Write,
+    choice,
     confirmation,
 )
 from cell.commissioning.servos import torque_off
@@ -37,7 +38,6 @@ from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
 
 Kind = Literal["parallel", "pinion", "swinging"]
 KINDS: dict[Kind, str] = {
@@ -157,11 +157,14 @@ def fit_linkages(measured: Sequence[Measured]) -> tuple[LinkageFit, ...]:
     n = len(measured[0].angles_rad)
     angles = np.array([one.angles_rad for one in measured])
     sizes_m = np.array([one.aperture_m for one in measured])
-    mean = 2.0 * angles.mean(axis=1)
-    radius_m = float(mean @ sizes_m / (mean @ mean))
-    rack = RackPinion(pinion_radius_m=radius_m, n_servos=n)
-    rise = 2.0 * np.sin(angles).mean(axis=1)
-    parallel = ParallelLinkage(link_m=float(rise @ sizes_m / (rise @ rise)), n_servos=n)
+
+    def scale_m(way: NDArray[np.float64]) -> float:
+        """Return the length that makes openings of ways of the fingers, by least squares."""
+        both = 2.0 * way.mean(axis=1)
+        return float(both @ sizes_m / (both @ both))
+
+    rack = RackPinion(pinion_radius_m=scale_m(angles), n_servos=n)
+    parallel = ParallelLinkage(link_m=scale_m(np.sin(angles)), n_servos=n)
     fits = [
         _fit("parallel", parallel, 0.0, angles, sizes_m),
         _fit("pinion", rack, 0.0, angles, sizes_m),
@@ -232,65 +235,63 @@ def first_current_max_a(settings: GripperSettings) -> float:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class FingersStep:
+class FingersStep(Step):
     """Finds directions, zeros, ends and linkage by hand, then makes the first motion."""
 
-    key: str = "fingers"
-    title: str = "Fingers"
-    purpose: str = (
+    key = "fingers"
+    title = "Fingers"
+    purpose = (
         "You move the limp fingers by hand, then close them on blocks of known size: that gives "
         "directions, zero, ends and linkage. At the end each finger opens by itself, by about "
         "3 mm at the least current that moves it, and goes limp again."
     )
-    needs: tuple[str, ...] = ("servos",)
-    undo: str = "nothing is written; run `tactile-cell commission --redo fingers`"
+    needs = ("servos",)
+    undo = "nothing is written; run `tactile-cell commission --redo fingers`"
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         """Measure by hand, fit, move."""
         gripper = bench.gripper()
         ids = [servo.id for servo in gripper.servos]
         with bench.servo_bus() as bus:
             for servo_id in ids:
                 torque_off(bus, dialog, servo_id, bus.read(servo_id, TORQUE_ENABLE))
-            return _Hands(bench, dialog, bus, gripper).run()
+            _Hands(bench, dialog, bus, gripper, notes).run()
 
 
 class _Hands:
     """One run of the step."""
 
-    def __init__(self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig) -> None:
+    def __init__(
+        self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig, notes: Notes
+    ) -> None:
         self._bench = bench
         self._dialog = dialog
         self._bus = bus
         self._gripper = gripper
+        self._notes = notes
         self._servos = list(gripper.servos)
         self._shown: Callable[[], str] = self._pulses
 
-    def run(self) -> Finding:
+    def run(self) -> None:
         closed, opened = self._ends()
         if crossing := [
             f"servo {s.id}: {a} to {b} pulses"
             for s, a, b in zip(self._servos, closed, opened, strict=True)
             if not (min(a, b) >= 0 and max(a, b) < PULSES_PER_TURN)
         ]:
-            return self._failed(
+            raise StepFailed(
                 f"a finger crosses the end of its encoder's turn ({'; '.join(crossing)}): take "
                 "off the horn, turn the servo by half a turn and mount it again"
             )
         signs = directions(closed, opened)
-        self._servos = [
-            servo.model_copy(update={"direction": sign})
-            for servo, sign in zip(self._servos, signs, strict=True)
-        ]
         try:
             measured = self._blocks(closed, signs)
             fits = fit_linkages(measured)
         except ValueError as error:
-            return self._failed(str(error))
+            raise StepFailed(str(error)) from error
         fit = self._chosen(fits)
         if fit.residual_m > _UNUSABLE_FIT_M:
-            return self._failed(
+            raise StepFailed(
                 f"the linkage ({fit.linkage}) misses a measured opening by "
                 f"{fit.residual_m * 1e3:.1f} mm, at most {_UNUSABLE_FIT_M * 1e3:g} mm: was a "
                 "thickness typed wrong, or a block not held flat? Nothing has moved by itself"
@@ -299,26 +300,25 @@ class _Hands:
             zero_pulse(raw, sign, fit.closed_rad) for raw, sign in zip(closed, signs, strict=True)
         ]
         if any(not 0 <= zero < PULSES_PER_TURN for zero in zeros):
-            return self._failed(
+            raise StepFailed(
                 f"the zero of the linkage lies at {zeros} pulses, beyond the encoder's turn (0 to "
                 f"{PULSES_PER_TURN - 1}): turn the horn so that the closed finger stands near "
                 f"{_MID_PULSE}"
             )
         self._servos = [
-            servo.model_copy(update={"zero_pulse": zero})
-            for servo, zero in zip(self._servos, zeros, strict=True)
+            servo.model_copy(update={"direction": sign, "zero_pulse": zero})
+            for servo, sign, zero in zip(self._servos, signs, zeros, strict=True)
         ]
         widest_m = fit.linkage.aperture_m(
-            [
-                fit.closed_rad + sign * (b - a) * RAD_PER_PULSE
-                for a, b, sign in zip(closed, opened, signs, strict=True)
-            ]
+            [fit.closed_rad + way for way in _turned(opened, closed, signs)]
         )
-        n_unknown = 2 if fit.kind == "swinging" else 1
-        return self._finding(fit, fits, widest_m, proven=len(measured) > n_unknown)
-
-    def _failed(self, line: str) -> Finding:
-        return Finding(status=Verdict.FAIL, lines=(line,))
+        self._judge(fit, widest_m, proven=len(measured) > (2 if fit.kind == "swinging" else 1))
+        self._notes.values |= {
+            "widest_mm": round(widest_m * 1e3, 2),
+            "residual_mm": round(fit.residual_m * 1e3, 3),
+            "fits": {one.kind: round(one.residual_m * 1e3, 3) for one in fits},
+        }
+        self._first_motion(widest_m)
 
     # By hand
 
@@ -377,16 +377,9 @@ class _Hands:
 
     def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[Measured]:
         """Return the fingers on blocks of known size: two, a third where no simple law fits."""
-
-        def turned(raws: Sequence[int]) -> tuple[float, ...]:
-            return tuple(
-                sign * (raw - zero) * RAD_PER_PULSE
-                for raw, zero, sign in zip(raws, closed, signs, strict=True)
-            )
-
         self._shown = lambda: ", ".join(
             f"finger {number}: {degrees(angle):.1f} deg open"
-            for number, angle in enumerate(turned(self._read()))
+            for number, angle in enumerate(_turned(self._read(), closed, signs))
         )
         measured: list[Measured] = []
         for number, (text, least) in enumerate(_BLOCKS, start=1):
@@ -407,7 +400,8 @@ class _Hands:
                 f"Hold the block of {float(size_mm):g} mm between the pads and close both fingers "
                 "by hand until they just touch it, flat.",
             )
-            measured.append(Measured(angles_rad=turned(raws), aperture_m=float(size_mm) * 1e-3))
+            angles_rad = _turned(raws, closed, signs)
+            measured.append(Measured(angles_rad=angles_rad, aperture_m=float(size_mm) * 1e-3))
             if sum(measured[-1].angles_rad) <= 0.0:
                 raise ValueError(
                     f"on the block of {float(size_mm):g} mm the fingers stand closer than when "
@@ -419,28 +413,24 @@ class _Hands:
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
         """Return the linkage that the person sees; the fit proposes one."""
         answer = self._dialog.ask(
-            Question(
-                key="fingers.kind",
-                text="How do the fingers move? The measurements fit the first one best.",
-                choices=tuple(
-                    Choice(
-                        key=fit.kind,
-                        text=f"{KINDS[fit.kind]} ({fit.linkage}; residual "
-                        f"{fit.residual_m * 1e3:.2f} mm)",
-                    )
+            choice(
+                "fingers.kind",
+                "How do the fingers move? The measurements fit the first one best.",
+                {
+                    fit.kind: f"{KINDS[fit.kind]} ({fit.linkage}; residual "
+                    f"{fit.residual_m * 1e3:.2f} mm)"
                     for fit in fits
-                ),
-                default=fits[0].kind,
+                },
+                fits[0].kind,
             )
         )
         return next(fit for fit in fits if fit.kind == answer)
 
     # The result
 
-    def _finding(
-        self, fit: LinkageFit, fits: Sequence[LinkageFit], widest_m: float, *, proven: bool
-    ) -> Finding:
-        drive = fit.linkage
+    def _judge(self, fit: LinkageFit, widest_m: float, *, proven: bool) -> None:
+        """Note what was measured by hand, and set it."""
+        notes, drive = self._notes, fit.linkage
         if isinstance(drive, ParallelLinkage):
             linkage = {
                 "kind": "parallel_linkage",
@@ -453,53 +443,41 @@ class _Hands:
                 "pinion_radius_mm": round(drive.pinion_radius_m * 1e3, 3),
                 "offset_mm": 0.0,
             }
-        settings: dict[str, object] = {
+        notes.settings |= {
             "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],
             "gripper.linkage": linkage,
         }
         reach_mm = round((widest_m - _END_MARGIN_M) * 1e3, 2)
         if reach_mm < self._gripper.aperture_open_mm:
-            settings["gripper.aperture_open_mm"] = reach_mm
-        lines = [
-            f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
-            f"{servo.zero_pulse} pulses"
-            for number, servo in enumerate(self._servos)
-        ]
-        lines += [
-            f"servo {servo.id}: its zero is {off:+d} pulses ({degrees(off * RAD_PER_PULSE):+.1f} "
-            "deg) from the middle of its encoder: the horn sits some splines off. The config makes "
-            "up for it"
-            for servo in self._servos
-            if abs(off := servo.zero_pulse - _MID_PULSE) > _OFF_PULSES
-        ]
-        lines.append(
-            f"linkage: {linkage['kind']}, {drive}; residual {fit.residual_m * 1e3:.2f} mm"
-            + ("" if proven else " (as many blocks as unknowns: check an opening with a ruler)")
-        )
-        lines.append(f"widest opening by hand: {widest_m * 1e3:.1f} mm")
+            notes.settings["gripper.aperture_open_mm"] = reach_mm
+        for number, servo in enumerate(self._servos):
+            notes.fact(
+                f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
+                f"{servo.zero_pulse} pulses"
+            )
+        for servo in self._servos:
+            off = servo.zero_pulse - _MID_PULSE
+            if abs(off) > _OFF_PULSES:
+                notes.fact(
+                    f"servo {servo.id}: its zero is {off:+d} pulses "
+                    f"({degrees(off * RAD_PER_PULSE):+.1f} deg) from the middle of its encoder: "
+                    "the horn sits some splines off. The config makes up for it"
+                )
+        found = f"linkage: {linkage['kind']}, {drive}; residual {fit.residual_m * 1e3:.2f} mm"
+        if proven:
+            notes.fact(found)
+        else:
+            notes.warn(f"{found} (as many blocks as unknowns: check an opening with a ruler)")
+        notes.fact(f"widest opening by hand: {widest_m * 1e3:.1f} mm")
         if fit.residual_m > _BAD_FIT_M:
-            lines.append(
+            notes.warn(
                 f"the residual is above {_BAD_FIT_M * 1e3:g} mm: measure the blocks again, look "
                 "for play, and run `tactile-cell commission --redo fingers`"
             )
-        warned = fit.residual_m > _BAD_FIT_M or not proven
-        moved, failure = self._first_motion(settings, fit.linkage, widest_m)
-        lines += moved
-        return Finding(
-            status=Verdict.FAIL if failure else Verdict.WARN if warned else Verdict.PASS,
-            lines=(*lines, *failure),
-            values={
-                "widest_mm": round(widest_m * 1e3, 2),
-                "residual_mm": round(fit.residual_m * 1e3, 3),
-                "fits": {one.kind: round(one.residual_m * 1e3, 3) for one in fits},
-            },
-            settings={} if failure else settings,
-        )
 
-    def _first_motion(
-        self, found: dict[str, object], linkage: Linkage, widest_m: float
-    ) -> tuple[list[str], list[str]]:
-        """Open each finger by a little, at the least current; return lines and failures."""
+    def _first_motion(self, widest_m: float) -> None:
+        """Open each finger by a little, at the least current."""
+        found = self._notes.settings
         config = self._bench.gripper(
             **{key.removeprefix("gripper."): value for key, value in found.items()}
         )
@@ -545,49 +523,40 @@ class _Hands:
                 for number, servo in enumerate(self._servos)
             ]
         )
-        lines, failures = [], []
         try:
             group.make_ready(part_possible=False, releasing=False)
-            for number in range(len(self._servos)):
+            for number, servo in enumerate(self._servos):
                 current_a, way_rad = self._open_a_little(group, settings, number)
-                name = f"finger {number} (servo {self._servos[number].id})"
-                if way_rad >= _FIRST_WAY_RAD / 2.0:
-                    lines.append(
-                        f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
-                    )
-                elif way_rad <= -_WRONG_WAY_RAD:
-                    failures.append(
+                name = f"finger {number} (servo {servo.id})"
+                if way_rad <= -_WRONG_WAY_RAD:
+                    raise StepFailed(
                         f"{name}: closed instead of opening, and was switched off: its direction "
                         "is wrong; run the step again"
                     )
-                    break
-                else:
-                    failures.append(
+                if way_rad < _FIRST_WAY_RAD / 2.0:
+                    raise StepFailed(
                         f"{name}: did not move with {cap_a:.2f} A: look for what blocks or pinches "
                         "it, and check the supply"
                     )
-                    break
+                self._notes.fact(
+                    f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
+                )
         except GripperError as error:
-            failures.append(f"the first motion ended, the servos are limp: {error}")
+            raise StepFailed(f"the first motion ended, the servos are limp: {error}") from error
         finally:
             group.go_limp()
-        if not failures:
-            answer = self._dialog.ask(
-                Question(
-                    key="fingers.opened",
-                    text="Did each finger open by itself, one after the other?",
-                    choices=(
-                        Choice(key="yes", text="yes, both opened"),
-                        Choice(key="no", text="no: one closed, or did not move"),
-                    ),
-                )
+        answer = self._dialog.ask(
+            choice(
+                "fingers.opened",
+                "Did each finger open by itself, one after the other?",
+                {"yes": "yes, both opened", "no": "no: one closed, or did not move"},
             )
-            if answer == "no":
-                failures.append(
-                    "what the servos report and what the fingers do differ: was a horn loose, or "
-                    "a finger moved by hand meanwhile? Fasten the horns and run the step again"
-                )
-        return lines, failures
+        )
+        if answer == "no":
+            raise StepFailed(
+                "what the servos report and what the fingers do differ: was a horn loose, or a "
+                "finger moved by hand meanwhile? Fasten the horns and run the step again"
+            )
 
     def _open_a_little(
         self, group: ServoGroup, settings: GripperSettings, index: int
@@ -600,7 +569,7 @@ class _Hands:
         state = group.read_patiently()
         start = state.angles_rad
         hold_a = group.goal_current_a
-        current_a, shown_s = 0.0, clock.monotonic()
+        current_a, way_rad, shown_s = 0.0, 0.0, clock.monotonic()
         while current_a < settings.current_max_a:
             current_a = min(current_a + _RAMP_A_S * period_s, settings.current_max_a)
             group.write_goals(_goals(start, index, current_a, hold_a), state)
@@ -617,7 +586,7 @@ class _Hands:
                 break
         with suppress(GripperError):
             group.hold_position()
-        return current_a, _way(state, start, index)
+        return current_a, way_rad
 
 
 def _goals(start: Sequence[float], index: int, current_a: float, hold_a: float) -> list[ServoGoal]:
@@ -629,8 +598,12 @@ def _goals(start: Sequence[float], index: int, current_a: float, hold_a: float) 
     ]
 
 
-def _way(state: GripperState, start: Sequence[float], index: int) -> float:
-    return state.angles_rad[index] - start[index]
+def _turned(raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]) -> tuple[float, ...]:
+    """Return the angles in rad from the closed fingers, growing while they open."""
+    return tuple(
+        sign * (raw - zero) * RAD_PER_PULSE
+        for raw, zero, sign in zip(raws, closed, signs, strict=True)
+    )
 
 
 def _ways(servos: Sequence[object], before: Sequence[int], after: Sequence[int]) -> str:

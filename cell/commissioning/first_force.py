@@ -3,33 +3,30 @@
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     Dialog,
-    Finding,
     Left,
+    Notes,
     Number,
     Question,
-    Verdict,
+    Step,
+    StepFailed,
     Write,
     confirmation,
 )
 from cell.commissioning.figures import Figure, curves
 from cell.commissioning.motion import WatchedMotion
-from cell.commissioning.pads import WORSE
-from cell.commissioning.unit import gripper_alone
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
-from cell.errors import CellError
 from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
-from cell.hand.interface import Hand, Watch
+from cell.hand.interface import Hand
 from cell.hand.lines import Lines
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
@@ -43,10 +40,7 @@ from gripper.state import (
     GraspResult,
     GripperPhase,
     ReleaseReport,
-    VerificationReport,
 )
-from tactile.errors import TactileError
-from tactile.frames.codec import TactileFrame
 
 FIRST_FORCE_N = 1.0
 """Force in N of the first ramp: a part that it breaks is held by nothing."""
@@ -73,97 +67,36 @@ _TICK_S = 0.08
 """Time in s for which the grip is controlled between two looks at the person's answer."""
 
 
-class Fingers(Protocol):
-    """What a first grasp commands: a hand with pads, or a gripper by itself."""
-
-    @property
-    def phase(self) -> GripperPhase:
-        """What the gripper is doing."""
-        ...
-
-    def start(self) -> VerificationReport:
-        """Verify the servos; nothing moves."""
-        ...
-
-    def open(self, watch: Watch) -> None:
-        """Open the empty fingers."""
-        ...
-
-    def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
-        """Close until the part is touched, follow the ramp."""
-        ...
-
-    def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
-        """Hold the part with a force for a time, and control it on between commands."""
-        ...
-
-    def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
-        """Follow a further ramp in the same grip."""
-        ...
-
-    def release(self, watch: Watch | None = None) -> ReleaseReport:
-        """Let go."""
-        ...
-
-    def tick(self) -> None:
-        """Look after the grip between commands."""
-        ...
-
-    def clear_fault(self, *, reboot: bool) -> None:
-        """Acknowledge a fault of the servos."""
-        ...
-
-    def request_stop(self) -> None:
-        """Let the running command end with GraspStopped."""
-        ...
-
-
-class GripperAlone:
-    """Implements `Fingers` with a gripper whose force is known by the motors' current."""
+class _GripperAlone:
+    """Commands of a hand, by a gripper whose force is known by the motors' current."""
 
     def __init__(self, gripper: Gripper) -> None:
         self._gripper = gripper
+        self.start, self.tick = gripper.start, gripper.tick
+        self.clear_fault, self.request_stop = gripper.clear_fault, gripper.request_stop
 
     @property
     def phase(self) -> GripperPhase:
-        """What the gripper is doing."""
         return self._gripper.state
 
-    def start(self) -> VerificationReport:
-        """Verify the servos; nothing moves."""
-        return self._gripper.start()
+    def open(self, watch: WatchedMotion) -> None:
+        self._gripper.open(observer=watch)
 
-    def open(self, watch: Watch) -> None:
-        """Open the empty fingers."""
-        self._gripper.open(observer=lambda cycle: watch(cycle, ()))
+    def grasp(self, ramp: ForceRamp, watch: WatchedMotion) -> GraspOutcome:
+        return self._gripper.grasp(ramp, watch)
 
-    def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
-        """Close until the part is touched, follow the ramp."""
-        return self._gripper.grasp(ramp, observer=lambda cycle: watch(cycle, ()))
+    def carry(self, force_n: float, duration_s: float, watch: WatchedMotion) -> None:
+        self._gripper.carry(force_n, duration_s, watch)
 
-    def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
-        """Hold the part with a force for a time, and control it on between commands."""
-        self._gripper.carry(force_n, duration_s, lambda cycle: watch(cycle, ()))
+    def squeeze(self, ramp: ForceRamp, watch: WatchedMotion) -> GraspOutcome:
+        return self._gripper.squeeze(ramp, watch)
 
-    def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
-        """Follow a further ramp in the same grip."""
-        return self._gripper.squeeze(ramp, lambda cycle: watch(cycle, ()))
-
-    def release(self, watch: Watch | None = None) -> ReleaseReport:
-        """Let go."""
+    def release(self) -> ReleaseReport:
         return self._gripper.release()
 
-    def tick(self) -> None:
-        """Look after the grip between commands."""
-        self._gripper.tick()
 
-    def clear_fault(self, *, reboot: bool) -> None:
-        """Acknowledge a fault of the servos."""
-        self._gripper.clear_fault(reboot=reboot)
-
-    def request_stop(self) -> None:
-        """Let the running command end with GraspStopped."""
-        self._gripper.request_stop()
+Fingers = Hand | _GripperAlone
+"""What a first grasp commands: a hand with pads, or a gripper by itself."""
 
 
 @contextmanager
@@ -197,14 +130,14 @@ def bench_hand(bench: Bench, config: CellConfig) -> Iterator[Hand]:
 
 
 @contextmanager
-def _alone(bench: Bench, config: CellConfig) -> Iterator[GripperAlone]:
+def _gripper_alone(bench: Bench, config: CellConfig) -> Iterator[_GripperAlone]:
     """Open the gripper of a config without its control unit."""
     stream = bench.lines.open_servos(config.gripper.port, config.gripper.baud_rate)
     gripper = open_gripper(
         stream, config.gripper_settings, config.linkage, baud_rate=config.gripper.baud_rate
     )
     try:
-        yield GripperAlone(gripper)
+        yield _GripperAlone(gripper)
     finally:
         gripper.close()
         gripper.bus.close()
@@ -251,117 +184,87 @@ def look_after(fingers: Fingers, clock: Clock, period_s: float) -> str:
     return f"fingers: {fingers.phase.value.replace('_', ' ')}"
 
 
-@dataclass(slots=True)
-class Course:
-    """Course of the force over a trial."""
+def _course(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
+    """Return time in s, force asked for, and measured on finger 0 and 1 in N, of each period.
 
-    t_s: list[float] = field(default_factory=list)
-    asked_n: list[float] = field(default_factory=list)
-    first_n: list[float] = field(default_factory=list)
-    second_n: list[float] = field(default_factory=list)
-    """Time in s, force asked for, and measured on finger 0 and 1, in N; NaN without a sample."""
-
-    def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
-        """Take one period of the loop."""
-        if cycle.setpoint_n <= 0.0:
-            return
-        nan = float("nan")
-        if self.t_s and cycle.t_s - self.t_s[-1] > _GAP_S:
-            # No line goes from one motion to the next.
-            self.t_s.append(cycle.t_s)
-            self.asked_n.append(nan)
-            self.first_n.append(nan)
-            self.second_n.append(nan)
-        first_n, second_n = (nan, nan) if cycle.force is None else cycle.force.force_n
-        self.t_s.append(cycle.t_s)
-        self.asked_n.append(cycle.setpoint_n)
-        self.first_n.append(first_n)
-        self.second_n.append(second_n)
-
-    def last_n(self, since: int) -> tuple[float, float]:
-        """Return the force on finger 0 and 1 in N in the last periods, of those since one."""
-        means = [
-            float(np.nanmean(values[since:][-_LAST_PERIODS:]))
-            for values in (self.first_n, self.second_n)
-        ]
-        return round(means[0], 3), round(means[1], 3)
-
-    @property
-    def grip_n(self) -> list[float]:
-        """Mean of both fingers in N."""
-        return [0.5 * (a + b) for a, b in zip(self.first_n, self.second_n, strict=True)]
-
-    def held_n(self, since: int) -> tuple[float, float]:
-        """Return mean and largest measured grip force in N from a period on."""
-        known = [force_n for force_n in self.grip_n[since:] if np.isfinite(force_n)]
-        return (float(np.mean(known)), max(known)) if known else (0.0, 0.0)
-
-    def figure(self, cap_n: float) -> Figure:
-        """Return the picture of asked and measured force over time."""
-        begin_s = self.t_s[0] if self.t_s else 0.0
-        return curves(
-            "Force asked for and measured",
-            [t_s - begin_s for t_s in self.t_s],
-            {
-                "asked": self.asked_n,
-                "measured": self.grip_n,
-                "finger 0": self.first_n,
-                "finger 1": self.second_n,
-            },
-            x_label="time / s",
-            y_label="force / N",
-            limits={"cap": cap_n},
-        )
+    (n, 4) float64, NaN without a sample; periods in which no force is asked for are left out.
+    """
+    rows = [
+        (one.t_s, one.setpoint_n, *((np.nan, np.nan) if one.force is None else one.force.force_n))
+        for one in cycles
+        if one.setpoint_n > 0.0
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 4)
 
 
-@dataclass(frozen=True, slots=True)
-class FirstForceStep:
+def _grip_n(course: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean of both fingers in N where it was measured; 0 without any."""
+    grip_n = course[:, 2:].mean(axis=1)
+    known = grip_n[np.isfinite(grip_n)]
+    return known if known.size else np.zeros(1)
+
+
+def _figure(course: NDArray[np.float64], cap_n: float) -> Figure:
+    """Return the picture of asked and measured force over time."""
+    # No line goes from one motion to the next.
+    gaps = np.flatnonzero(np.diff(course[:, 0]) > _GAP_S) + 1
+    t_s = np.insert(course[:, 0], gaps, course[gaps, 0])
+    asked_n, first_n, second_n = np.insert(course[:, 1:], gaps, np.nan, axis=0).T
+    return curves(
+        "Force asked for and measured",
+        t_s - t_s[0],
+        {
+            "asked": asked_n,
+            "measured": 0.5 * (first_n + second_n),
+            "finger 0": first_n,
+            "finger 1": second_n,
+        },
+        x_label="time / s",
+        y_label="force / N",
+        limits={"cap": cap_n},
+    )
+
+
+class FirstForceStep(Step):
     """Makes the first grasp: empty fingers, watchdog, 1 N, then the cap."""
 
-    key: str = "first_force"
-    title: str = "First force"
-    purpose: str = (
+    key = "first_force"
+    title = "First force"
+    purpose = (
         "The empty fingers open and prove direction and zero; their bus watchdog has to stop them "
         "when this program falls silent; then they press a soft part with 1 N, and with as much as "
         "you allow, and, empty again, each other. Measured and asked force are compared. Keep your "
         "hands away while they move."
     )
-    needs: tuple[str, ...] = ("fingers", "unit", "pads_law", "link_quality")
-    undo: str = "nothing is written; the torque goes off at the end"
+    needs = ("fingers", "unit", "pads_law", "link_quality")
+    undo = "nothing is written; the torque goes off at the end"
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
-        """Carry it out; see `Step.run`."""
-        lines: list[str] = []
-        course = Course()
-        try:
-            config = changed_config(bench.config, {"gripper.watchdog_self_test": True})
-            alone = gripper_alone(bench)
-            cap_n = config.gripper.force_max_n
-            if alone:
-                cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
-            most_n = _asked(dialog, round(largest_setpoint_n(cap_n), 1))
-            dialog.approve(_motions(config, most_n, alone=alone))
-            dialog.ask(
-                confirmation(
-                    "first_force.empty",
-                    "Take everything out of the fingers, and your hands away from them.",
-                )
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        """Open, prove, grasp, release; with pads the empty fingers meet at last."""
+        config = changed_config(bench.config, {"gripper.watchdog_self_test": True})
+        alone = bench.gripper_alone
+        cap_n = config.gripper.force_max_n
+        if alone:
+            cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
+        most_n = _asked(dialog, round(largest_setpoint_n(cap_n), 1))
+        dialog.approve(_motions(config, most_n, alone=alone))
+        dialog.ask(
+            confirmation(
+                "first_force.empty",
+                "Take everything out of the fingers, and your hands away from them.",
             )
-            trial = _Trial(config, dialog, bench.clock, course, lines, most_n=most_n, cap_n=cap_n)
-            if alone:
-                with _alone(bench, config) as fingers:
-                    return trial.run(fingers)
-            with bench_hand(bench, config) as hand:
-                return trial.run(hand, hand)
-        except (CellError, GripperError, TactileError) as error:
-            if isinstance(error, Left):
-                raise
-            figures = {"force": course.figure(cap_n)} if course.t_s else {}
-            return Finding(
-                status=Verdict.FAIL,
-                lines=(*lines, f"{type(error).__name__}: {error}"),
-                figures=figures,
-            )
+        )
+        with (
+            (_gripper_alone if alone else bench_hand)(bench, config) as fingers,
+            told_if_held(fingers),
+            WatchedMotion(dialog, fingers.request_stop) as motion,
+        ):
+            trial = _Trial(config, dialog, bench.clock, notes, motion, most_n=most_n, cap_n=cap_n)
+            try:
+                trial.run(fingers)
+            finally:
+                if len(course := _course(motion.cycles)):
+                    notes.figures["force"] = _figure(course, cap_n)
 
 
 def _asked(dialog: Dialog, limit_n: float) -> float:
@@ -424,8 +327,8 @@ class _Trial:
         config: CellConfig,
         dialog: Dialog,
         clock: Clock,
-        course: Course,
-        lines: list[str],
+        notes: Notes,
+        motion: WatchedMotion,
         *,
         most_n: float,
         cap_n: float,
@@ -433,165 +336,132 @@ class _Trial:
         self._config = config
         self._dialog = dialog
         self._clock = clock
-        self._course = course
-        self._lines = lines
+        self._notes = notes
+        self._motion = motion
         self._most_n = most_n
         self._cap_n = cap_n
-        self._first_n = max(FIRST_FORCE_N, 1.5 * config.gripper.contact_force_n)
-        self._status = Verdict.PASS
-        self._values: dict[str, object] = {}
-        self._watch: Watch = course.watch
 
-    def run(self, fingers: Fingers, hand: Hand | None = None) -> Finding:
-        """Open, prove, grasp, release; the hand is given where there are pads."""
-        with (
-            told_if_held(fingers),
-            WatchedMotion(self._dialog, fingers.request_stop) as motion,
-        ):
-            self._watch = motion.also(self._course.watch)
-            return self._run(fingers, hand)
-
-    def _run(self, fingers: Fingers, hand: Hand | None) -> Finding:
+    def run(self, fingers: Fingers) -> None:
+        hand = None if isinstance(fingers, _GripperAlone) else fingers
         start_free(fingers, self._dialog)
         if hand is not None:
             hand.start_sensor()
         self._open(fingers)
-        self._lines.append(
+        self._notes.fact(
             "The empty fingers opened as direction, zero and linkage say, and the bus watchdog "
             "stopped them when this program fell silent."
         )
-        if hand is not None and not self._empty(hand):
-            return self._finding(Verdict.FAIL)
-        self._dialog.ask(
-            confirmation(
-                "first_force.part",
-                "Hold the soft part between the pads, and keep it there until the fingers hold it.",
-            ),
-            watch=lambda: self._looked_after(fingers),
+        if hand is not None:
+            self._check_empty(hand)
+        self._ask(
+            fingers,
+            "part",
+            "Hold the soft part between the pads, and keep it there until the fingers hold it.",
         )
-        if not self._grasp(fingers):
-            return self._finding(Verdict.FAIL)
+        self._grasp(fingers)
         if hand is not None and meets(self._config):
             self._meet(hand)
-        return self._finding(self._status)
+
+    def _ask(self, fingers: Fingers, key: str, text: str) -> None:
+        """Ask for something by hand, while the grip is looked after."""
+        period_s = 1.0 / self._config.gripper.loop_rate_hz
+        self._dialog.ask(
+            confirmation(f"first_force.{key}", text),
+            watch=lambda: look_after(fingers, self._clock, period_s),
+        )
 
     def _open(self, fingers: Fingers) -> None:
         """Open the empty fingers; where that fails their torque may go off at the end."""
         try:
-            fingers.open(self._watch)
+            fingers.open(self._motion)
         except GripperError:
             with suppress(GripperError):
                 fingers.clear_fault(reboot=False)
             raise
 
-    def _empty(self, hand: Hand) -> bool:
-        """Take the zero, and return whether the pads of the open fingers show no force."""
+    def _check_empty(self, hand: Hand) -> None:
+        """Take the zero; the pads of the open fingers show no force then."""
         hand.tare(self._config.tactile.tare_frames)
         first_n, second_n = hand.read_sensor(timeout_s=1.0).finger_force_n
         limit_n = _EMPTY_SHARE * self._config.gripper.contact_force_n
-        self._values["empty_n"] = [round(first_n, 4), round(second_n, 4)]
-        self._lines.append(
+        self._notes.values["empty_n"] = [round(first_n, 4), round(second_n, 4)]
+        self._notes.fact(
             f"Empty fingers: the pads show {first_n:.2f} and {second_n:.2f} N after a new zero."
         )
-        if max(first_n, second_n) <= limit_n:
-            return True
-        self._lines.append(
-            f"More than {limit_n:.2f} N: something touches a pad, or its zero drifts. Clear the "
-            "pads, let the unit warm up for ten minutes, and run the step again."
-        )
-        return False
+        if max(first_n, second_n) > limit_n:
+            raise StepFailed(
+                f"More than {limit_n:.2f} N: something touches a pad, or its zero drifts. Clear "
+                "the pads, let the unit warm up for ten minutes, and run the step again."
+            )
 
     def _meet(self, hand: Hand) -> None:
         """Close the empty fingers onto each other: the zero of the opening, and pad against pad."""
-        self._dialog.ask(
-            confirmation(
-                "first_force.empty_again",
-                "Take the part away, and your hands: the empty fingers press on each other next.",
-            ),
-            watch=lambda: self._looked_after(hand),
+        self._ask(
+            hand,
+            "empty_again",
+            "Take the part away, and your hands: the empty fingers press on each other next.",
         )
-        begun = len(self._course.t_s)
-        outcome = hand.meet(ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S), self._watch)
-        first_n, second_n = self._course.last_n(since=begun)
-        hand.release(self._watch)
+        begun = len(self._motion.cycles)
+        ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
+        outcome = hand.meet(ramp, self._motion)
+        last = _course(self._motion.cycles[begun:])[-_LAST_PERIODS:]
+        first_n, second_n = (round(float(n), 3) for n in np.nanmean(last[:, 2:], axis=0))
+        hand.release(self._motion)
         opening_mm = 1e3 * outcome.final_aperture_m
-        self._values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
-        self._lines.append(
+        self._notes.values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
+        self._notes.fact(
             f"The empty fingers met at an opening of {opening_mm:+.2f} mm, with {first_n:.2f} and "
             f"{second_n:.2f} N."
         )
         if abs(opening_mm) > _MEET_MM:
-            self._status = max(self._status, Verdict.WARN, key=WORSE.index)
-            self._lines.append(
+            self._notes.warn(
                 "The zero of the opening is off: close the fingers by hand again with "
                 "`tactile-cell commission --redo fingers`."
             )
 
-    def _grasp(self, fingers: Fingers) -> bool:
-        """Press the soft part and let it go; returns whether it was held."""
-        ramp = self._config.sequence.ramp
-        first_n = self._first_n
-        forces_n = [first_n] + ([self._most_n] if self._most_n > first_n else [])
-        measured, begun = [], False
-        for force_n in forces_n:
-            follow = fingers.squeeze if begun else fingers.grasp
-            outcome = follow(force_ramp(ramp, force_n), self._watch)
+    def _grasp(self, fingers: Fingers) -> None:
+        """Press the soft part, and let it go."""
+        ramp, motion = self._config.sequence.ramp, self._motion
+        first_n = max(FIRST_FORCE_N, 1.5 * self._config.gripper.contact_force_n)
+        measured: list[list[float]] = []
+        for force_n in dict.fromkeys((first_n, max(first_n, self._most_n))):
+            follow = fingers.squeeze if measured else fingers.grasp
+            outcome = follow(force_ramp(ramp, force_n), motion)
             if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
-                self._lines.append(
+                raise StepFailed(
                     f"The fingers hold nothing ({outcome.result.value}): hold the part in the "
                     "middle between the pads, and run the step again."
                 )
-                return False
-            begun = True
-            since = len(self._course.t_s)
-            fingers.carry(force_n, _HOLD_S, self._watch)
-            held_n, peak_n = self._course.held_n(since)
-            measured.append([force_n, round(held_n, 3), round(peak_n, 3)])
-            self._judge(force_n, held_n, outcome)
-        fingers.carry(first_n, 0.0, self._watch)
-        peak_n = max((n for n in self._course.grip_n if np.isfinite(n)), default=0.0)
-        self._values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
+            since = len(motion.cycles)
+            fingers.carry(force_n, _HOLD_S, motion)
+            held_n = _grip_n(_course(motion.cycles[since:]))
+            measured.append([force_n, *(round(float(n), 3) for n in (held_n.mean(), held_n.max()))])
+            self._judge(force_n, float(held_n.mean()), outcome)
+        fingers.carry(first_n, 0.0, motion)
+        peak_n = float(_grip_n(_course(motion.cycles)).max())
+        self._notes.values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
         if peak_n > self._cap_n + _WRONG_N:
-            self._status = Verdict.FAIL
-            self._lines.append(
+            self._notes.fail(
                 f"The force reached {peak_n:.2f} N, above the cap of {self._cap_n:g} N: lower "
                 "gripper.contact.approach_force_n, or gripper.approach_speed_mm_s, and run the "
                 "step again."
             )
-        self._dialog.ask(
-            confirmation(
-                "first_force.release",
-                "Take hold of the part; the fingers open when you confirm.",
-            ),
-            watch=lambda: self._looked_after(fingers),
-        )
+        self._ask(fingers, "release", "Take hold of the part; the fingers open when you confirm.")
         fingers.release()
-        return True
 
     def _judge(self, asked_n: float, held_n: float, outcome: GraspOutcome) -> None:
-        """Say how a force was reached and held."""
-        self._lines.append(
+        """Note how a force was reached and held."""
+        self._notes.fact(
             f"{asked_n:g} N asked: {held_n:.2f} N held, overshoot {outcome.overshoot_n:.2f} N, "
             f"opening {1e3 * outcome.final_aperture_m:.2f} mm."
         )
         if outcome.result is GraspResult.FORCE_NOT_REACHED:
-            self._status = max(self._status, Verdict.WARN, key=WORSE.index)
-            self._lines.append(
+            self._notes.warn(
                 "That force was not reached: raise gripper.current_max_a where servos and parts "
                 "allow it, or ask for less."
             )
         elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):
-            self._status = max(self._status, Verdict.WARN, key=WORSE.index)
-            self._lines.append(
+            self._notes.warn(
                 f"That is {held_n - asked_n:+.2f} N off: check the law of the pads (`tactile-cell "
                 "commission --redo pads_law`), and the linkage for friction."
             )
-
-    def _looked_after(self, fingers: Fingers) -> str:
-        return look_after(fingers, self._clock, 1.0 / self._config.gripper.loop_rate_hz)
-
-    def _finding(self, status: Verdict) -> Finding:
-        figures = {"force": self._course.figure(self._cap_n)} if self._course.t_s else {}
-        return Finding(
-            status=status, lines=tuple(self._lines), values=self._values, figures=figures
-        )

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Choice, Dialog, Finding, Number, Question, Verdict
+from cell.commissioning.engine import Dialog, Notes, Number, Question, Step, StepFailed, choice
 from cell.commissioning.figures import curves
 from cell.commissioning.pads import sequence_forces_n
-from cell.commissioning.unit import gripper_alone, unit_sensor, without_unit
+from cell.commissioning.unit import unit_sensor
 from cell.config.tactile import LinearCalibrationConfig, TactileConfig
-from tactile.errors import TactileError
 from tactile.sensor.sensor import TactileSensor
 
 GRAVITY_N_KG = 9.80665
@@ -75,55 +74,45 @@ def fit_factor(true_n: ArrayLike, shown_n: ArrayLike) -> Factor:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class LawStep:
+class LawStep(Step):
     """Has each inner pad loaded three times, and sets the factor of the law."""
 
-    key: str = "pads_law"
-    title: str = "Newtons of the pads"
-    purpose: str = (
+    key = "pads_law"
+    title = "Newtons of the pads"
+    purpose = (
         "You load each inner pad three times with a weight or against a kitchen scale and type "
         "its reading in grams: the law from counts to newtons is checked, and its factor set. "
         "Nothing moves."
     )
-    needs: tuple[str, ...] = ("pads_pressed",)
-    undo: str = "nothing to undo: it is a setting of the config (tactile.calibration)"
+    needs = ("pads_pressed",)
+    needs_pads = True
+    undo = "nothing to undo: it is a setting of the config (tactile.calibration)"
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
-        """Carry it out; see `Step.run`."""
-        if gripper_alone(bench):
-            return without_unit()
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        """Ask for the loads, and judge them."""
         answer = dialog.ask(
-            Question(
-                key="pads_law.with",
-                text="Do you have weights of up to a kilogram, or a kitchen scale? Nothing may "
-                "touch the pads while you answer: their zero is taken next.",
-                choices=(
-                    Choice(key="scale", text="yes"),
-                    Choice(key="skip", text="no: forces stay unchecked"),
-                ),
-                default="scale",
+            choice(
+                "pads_law.with",
+                "Do you have weights of up to a kilogram, or a kitchen scale? Nothing may touch "
+                "the pads while you answer: their zero is taken next.",
+                {"scale": "yes", "skip": "no: forces stay unchecked"},
+                "scale",
             )
         )
         if answer == "skip":
-            return Finding(
-                status=Verdict.WARN,
-                lines=(
-                    "The forces of the pads were not checked: they may be wrong by a fifth and "
-                    "more. Run this step again with a kitchen scale before parts that can break.",
-                ),
+            notes.warn(
+                "The forces of the pads were not checked: they may be wrong by a fifth and more. "
+                "Run this step again with a kitchen scale before parts that can break."
             )
+            return
         dialog.say(
             "Lay a flat stamp of about 10 mm across on the middle of the pad. Press it against the "
             "scale, or lay the weight on it, and keep it so until the next question."
         )
-        try:
-            with unit_sensor(bench) as sensor:
-                sensor.tare(bench.tactile().tare_frames)
-                loads = [_loads(sensor, dialog, finger, _targets_n(bench)) for finger in (0, 1)]
-        except TactileError as error:
-            return Finding(status=Verdict.FAIL, lines=(str(error),))
-        return law_finding(bench.tactile(), loads)
+        with unit_sensor(bench) as sensor:
+            sensor.tare(bench.tactile().tare_frames)
+            loads = [_loads(sensor, dialog, finger, _targets_n(bench)) for finger in (0, 1)]
+        judge_law(bench.tactile(), loads, notes)
 
 
 Load = tuple[float, float]
@@ -170,8 +159,8 @@ def _shown_n(sensor: TactileSensor, pad: int, n_frames: int) -> float:
     return float(sensor.calibration.force_n(counts)[sensor.layout.taxels_of(pad)].sum())
 
 
-def law_finding(tactile: TactileConfig, loads: Sequence[Sequence[Load]]) -> Finding:
-    """Return what the loads on both inner pads say of the law.
+def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Notes) -> None:
+    """Note what the loads on both inner pads say of the law, and set it right.
 
     Parameters
     ----------
@@ -179,70 +168,62 @@ def law_finding(tactile: TactileConfig, loads: Sequence[Sequence[Load]]) -> Find
         Config by whose law the forces were shown.
     loads
         True and shown force in N of each load, by finger.
+    notes
+        What is found.
+
+    Raises
+    ------
+    StepFailed
+        Where the loads show no law.
     """
     both = [load for of_finger in loads for load in of_finger if load[0] >= _LEAST_LOAD_N]
-    figure = {
-        "law": curves(
-            "Force by the pads over that of the scale",
-            sorted(true_n for true_n, _ in both),
-            {
-                f"finger {finger}": _at(sorted(of_finger), sorted(true_n for true_n, _ in both))
-                for finger, of_finger in enumerate(loads)
-            }
-            | {"a pad that is right": sorted(true_n for true_n, _ in both)},
-            x_label="scale / N",
-            y_label="pads / N",
-        )
-    }
+    true_n = sorted(true_n for true_n, _ in both)
+    shown = {f"finger {n}": _at(sorted(loads[n]), true_n) for n in range(len(loads))}
+    notes.figures["law"] = curves(
+        "Force by the pads over that of the scale",
+        true_n,
+        shown | {"a pad that is right": true_n},
+        x_label="scale / N",
+        y_label="pads / N",
+    )
     try:
         fits = [fit_factor(*zip(*of_finger, strict=True)) for of_finger in loads]
         fit = fit_factor(*zip(*both, strict=True))
     except (ValueError, TypeError) as error:
-        return Finding(
-            status=Verdict.FAIL,
-            lines=(f"No law can be found: {error}. Press on the middle of each pad.",),
-            figures=figure,
-        )
-    lines = [
-        f"{len(both)} loads up to {max(both)[0]:.1f} N: the pads show "
-        f"{(1.0 / fit.factor - 1.0):+.0%} of the scale's force, residual {fit.residual_n:.2f} N."
-    ]
-    apart = abs(fits[0].factor - fits[1].factor) / fit.factor
-    values = {
+        raise StepFailed(
+            f"No law can be found: {error}. Press on the middle of each pad."
+        ) from error
+    notes.values |= {
         "loads_n": [list(map(list, of_finger)) for of_finger in loads],
         "factor": fit.factor,
         "factors": [one.factor for one in fits],
         "residual_n": fit.residual_n,
     }
+    notes.fact(
+        f"{len(both)} loads up to {max(both)[0]:.1f} N: the pads show "
+        f"{(1.0 / fit.factor - 1.0):+.0%} of the scale's force, residual {fit.residual_n:.2f} N."
+    )
     if max(one.residual_share for one in fits) > _RESIDUAL_SHARE or not _rising(loads):
-        lines.append(
+        raise StepFailed(
             "The loads do not lie on one law: was the stamp beside the pad, or moved it? Load the "
             "middle of the pad again; where it stays so, the pads need another calibration "
             "(tactile.calibration.kind)."
         )
-        return Finding(status=Verdict.FAIL, lines=tuple(lines), values=values, figures=figure)
-    status = Verdict.PASS
-    if apart > _FINGERS_APART:
-        status = Verdict.WARN
-        lines.append(
+    if abs(fits[0].factor - fits[1].factor) / fit.factor > _FINGERS_APART:
+        notes.warn(
             f"The pads differ: factor {fits[0].factor:.2f} on finger 0, {fits[1].factor:.2f} on "
             "finger 1; one factor is set for both. Check whether both have the same foam."
         )
-    settings = {}
     if abs(fit.factor - 1.0) > _RIGHT_SHARE:
-        status = Verdict.WARN
         law = tactile.calibration
         linear = isinstance(law, LinearCalibrationConfig)
-        key = "force_per_count_n" if linear else "gain"
+        key = f"tactile.calibration.{'force_per_count_n' if linear else 'gain'}"
         before = law.force_per_count_n if isinstance(law, LinearCalibrationConfig) else law.gain
-        settings[f"tactile.calibration.{key}"] = round(before * fit.factor, 6)
-        lines.append(
-            f"The law was {abs(1.0 / fit.factor - 1.0):.0%} off: tactile.calibration.{key} is set "
-            f"from {before:g} to {before * fit.factor:.3g}."
+        notes.settings[key] = round(before * fit.factor, 6)
+        notes.warn(
+            f"The law was {abs(1.0 / fit.factor - 1.0):.0%} off: {key} is set from {before:g} to "
+            f"{before * fit.factor:.3g}."
         )
-    return Finding(
-        status=status, lines=tuple(lines), values=values, settings=settings, figures=figure
-    )
 
 
 def _rising(loads: Sequence[Sequence[Load]]) -> bool:

@@ -3,22 +3,20 @@
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Verdict
+from cell.commissioning.engine import Dialog, Notes, Step
 from cell.commissioning.figures import curves
-from cell.commissioning.unit import gripper_alone, unit_sensor
+from cell.commissioning.unit import unit_sensor
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.transactions import BusStatistics
-from gripper.errors import BusCorrupt, BusTimeout, GripperError
+from gripper.errors import BusCorrupt, BusTimeout
 from gripper.state import Clock
-from tactile.errors import TactileError
 from tactile.sensor.sensor import TactileSensor
 from tactile.unit.settings import LinkStatistics
 
@@ -114,190 +112,144 @@ def _known(values: Sequence[float]) -> list[float]:
 
 
 @dataclass(frozen=True, slots=True)
-class LinkQualityStep:
+class LinkQualityStep(Step):
     """Watches both lines at the rate of the force loop."""
 
-    key: str = "link_quality"
-    title: str = "Quality of the lines"
-    purpose: str = (
+    key = "link_quality"
+    title = "Quality of the lines"
+    purpose = (
         "Asks the servos and takes in the pads at the rate of the force loop for a minute, and "
         "counts what is late or lost. Move cables and plugs by hand meanwhile: a loose one shows. "
         "Nothing moves by itself."
     )
-    needs: tuple[str, ...] = ("servos", "unit")
-    undo: str = "nothing to undo"
+    needs = ("servos", "unit")
     duration_s: float = DURATION_S
     """How long the lines are watched, in s."""
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
-        """Carry it out; see `Step.run`."""
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        """Watch both lines, and judge what was counted."""
         gripper = bench.gripper()
         ids = [servo.id for servo in gripper.servos]
         period_s = 1.0 / gripper.loop_rate_hz
         dialog.say(f"Both lines are watched for {self.duration_s:.0f} s. Move each cable a little.")
-        try:
-            with contextlib.ExitStack() as undo:
-                sensor = None
-                if not gripper_alone(bench):
-                    sensor = undo.enter_context(unit_sensor(bench, patient=False))
-                bus = undo.enter_context(bench.servo_bus())
-                check_link(bus, ids, period_s)
-                before = bus.statistics
-                if sensor is not None:
-                    sensor.read(timeout_s=1.0)
-                    sensor.take_forces()
-                quality = watch_lines(
-                    sensor,
-                    bus,
-                    ids,
-                    bench.clock,
-                    period_s=period_s,
-                    duration_s=self.duration_s,
-                    dialog=dialog,
-                )
-                statistics = None if sensor is None else sensor.link.statistics
-                servos = bus.statistics
-        except (GripperError, TactileError) as error:
-            return Finding(status=Verdict.FAIL, lines=(str(error),))
-        return quality_finding(
-            quality,
-            statistics,
-            before,
-            servos,
-            period_s=period_s,
-            force_period_s=1e-3 * bench.tactile().force_period_ms,
-        )
-
-
-def quality_finding(
-    quality: Quality,
-    link: LinkStatistics | None,
-    before: BusStatistics,
-    servos: BusStatistics,
-    *,
-    period_s: float,
-    force_period_s: float,
-) -> Finding:
-    """Return what was counted in words, numbers and one picture.
-
-    Parameters
-    ----------
-    quality, link
-        What was watched, and the counters of the link to the control unit; None without one.
-    before, servos
-        Counters of the servos' line at the start and at the end.
-    period_s, force_period_s
-        Periods of the force loop and of the force messages in s.
-    """
-    parts = [_servos(quality, before, servos, period_s)]
-    if link is not None:
-        parts.append(_pads(quality, link, force_period_s))
-    words = [word for part in parts for word in part.words]
-    if quality.overruns > _OVERRUN_SHARE * quality.periods:
-        words.append(
-            "This machine is too busy for the force loop: end other programs, and grant the loop "
-            "its real-time priority (`ulimit -r`, limits.conf: rtprio)."
-        )
-    loop = (
-        f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took too "
-        "long, without the real-time priority that the loop of the cell has."
-    )
-    values: dict[str, Any] = {"overruns": quality.overruns, "periods": quality.periods}
-    for part in parts:
-        values |= part.values
-    return Finding(
-        status=Verdict.WARN if words else Verdict.PASS,
-        lines=(*(part.line for part in parts), loop, *words),
-        values=values,
-        figures={
-            "lines": curves(
-                "Longest wait of each second",
-                quality.second_s,
-                {
-                    "answer of the servos": quality.worst_answer_ms,
-                    "gap between force messages": quality.worst_force_ms,
-                },
-                x_label="time / s",
-                y_label="wait / ms",
-                limits={"period of the force loop": 1e3 * period_s},
+        with contextlib.ExitStack() as undo:
+            sensor = None
+            if not bench.gripper_alone:
+                sensor = undo.enter_context(unit_sensor(bench, patient=False))
+            bus = undo.enter_context(bench.servo_bus())
+            check_link(bus, ids, period_s)
+            before = bus.statistics
+            if sensor is not None:
+                sensor.read(timeout_s=1.0)
+                sensor.take_forces()
+            quality = watch_lines(
+                sensor,
+                bus,
+                ids,
+                bench.clock,
+                period_s=period_s,
+                duration_s=self.duration_s,
+                dialog=dialog,
             )
-        },
-    )
+            link = None if sensor is None else sensor.link.statistics
+            after = bus.statistics
+        advice = _judge_servos(quality, before, after, period_s, notes)
+        if link is not None:
+            force_period_s = 1e-3 * bench.tactile().force_period_ms
+            advice += _judge_pads(quality, link, force_period_s, notes)
+        notes.fact(
+            f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took "
+            "too long, without the real-time priority that the loop of the cell has."
+        )
+        if quality.overruns > _OVERRUN_SHARE * quality.periods:
+            advice.append(
+                "This machine is too busy for the force loop: end other programs, and grant the "
+                "loop its real-time priority (`ulimit -r`, limits.conf: rtprio)."
+            )
+        for line in advice:
+            notes.warn(line)
+        notes.values |= {"overruns": quality.overruns, "periods": quality.periods}
+        notes.figures["lines"] = curves(
+            "Longest wait of each second",
+            quality.second_s,
+            {
+                "answer of the servos": quality.worst_answer_ms,
+                "gap between force messages": quality.worst_force_ms,
+            },
+            x_label="time / s",
+            y_label="wait / ms",
+            limits={"period of the force loop": 1e3 * period_s},
+        )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Part:
-    """What was found of one line: in a sentence, in numbers, and what to mend."""
-
-    line: str
-    values: dict[str, Any]
-    words: list[str]
-
-
-def _servos(
-    quality: Quality, before: BusStatistics, servos: BusStatistics, period_s: float
-) -> _Part:
+def _judge_servos(
+    quality: Quality, before: BusStatistics, after: BusStatistics, period_s: float, notes: Notes
+) -> list[str]:
+    """Note what was counted on the line of the servos; returns what to mend."""
     asked, answers = len(quality.answer_s), _known(quality.answer_s)
-    lost, retries = asked - len(answers), servos.retries - before.retries
-    damaged = servos.corrupt - before.corrupt
+    lost, retries = asked - len(answers), after.retries - before.retries
+    damaged = after.corrupt - before.corrupt
     middle_s, high_s, worst_s = _quantiles(answers)
-    words = []
+    notes.fact(
+        f"Servos: {asked} questions, answers after {1e3 * middle_s:.2f} ms (median), "
+        f"{1e3 * high_s:.2f} ms (99 %), {1e3 * worst_s:.2f} ms at most; {lost} without an answer, "
+        f"{retries} asked twice, {damaged} damaged."
+    )
+    notes.values |= {
+        "answer_ms": [round(1e3 * value, 4) for value in (middle_s, high_s, worst_s)],
+        "lost_answers": lost,
+        "retries": retries,
+    }
+    advice = []
     if lost + retries + damaged > _LOSS_SHARE * asked:
-        words.append(
+        advice.append(
             "The servos' line loses answers: check its plugs, the ground between adapter and "
             "servos, and keep its cable away from the motors' supply."
         )
     if middle_s > _LATE_SHARE * period_s:
-        words.append(
+        advice.append(
             f"The servos answer after {1e3 * middle_s:.1f} ms, too late for a period of "
             f"{1e3 * period_s:g} ms: set the latency timer of the adapter to 1 ms or raise the "
             "baud rate."
         )
-    return _Part(
-        line=f"Servos: {asked} questions, answers after {1e3 * middle_s:.2f} ms (median), "
-        f"{1e3 * high_s:.2f} ms (99 %), {1e3 * worst_s:.2f} ms at most; {lost} without an answer, "
-        f"{retries} asked twice, {damaged} damaged.",
-        values={
-            "answer_ms": [round(1e3 * value, 4) for value in (middle_s, high_s, worst_s)],
-            "lost_answers": lost,
-            "retries": retries,
-        },
-        words=words,
-    )
+    return advice
 
 
-def _pads(quality: Quality, link: LinkStatistics, force_period_s: float) -> _Part:
+def _judge_pads(
+    quality: Quality, link: LinkStatistics, force_period_s: float, notes: Notes
+) -> list[str]:
+    """Note what was counted on the CAN bus; returns what to mend."""
     frames, forces = link.frames, link.forces
     lost = frames.lost + frames.torn + frames.corrupt
     _, high_s, worst_s = _quantiles(_known(quality.force_gap_s))
-    words = []
+    notes.fact(
+        f"Pads: {frames.complete} frames, {lost} lost or damaged; {forces.received} force "
+        f"messages, {forces.lost} lost, {1e3 * high_s:.1f} ms between two (99 %), "
+        f"{1e3 * worst_s:.1f} ms at most; {link.malformed} damaged messages, "
+        f"{link.error_frames} error frames."
+    )
+    notes.values |= {
+        "force_gap_ms": [round(1e3 * value, 3) for value in (high_s, worst_s)],
+        "frames": frames.complete,
+        "lost_frames": lost,
+        "forces": forces.received,
+        "lost_forces": forces.lost,
+    }
+    advice = []
     n_messages = max(1, frames.complete + forces.received)
     if lost + forces.lost + link.malformed > _LOSS_SHARE * n_messages:
-        words.append(
+        advice.append(
             "The CAN bus loses messages: check both terminating resistors (60 Ohm between CAN_H "
             "and CAN_L, switched off), the plugs, and the bus load."
         )
     if link.error_frames:
-        words.append("The CAN controller reports errors: check termination and cable.")
+        advice.append("The CAN controller reports errors: check termination and cable.")
     if force_period_s and high_s > _GAP_PERIODS * force_period_s:
-        words.append(
+        advice.append(
             f"Force messages come with gaps of {1e3 * high_s:.0f} ms: another program or the "
             "adapter holds them up."
         )
-    return _Part(
-        line=f"Pads: {frames.complete} frames, {lost} lost or damaged; {forces.received} force "
-        f"messages, {forces.lost} lost, {1e3 * high_s:.1f} ms between two (99 %), "
-        f"{1e3 * worst_s:.1f} ms at most; {link.malformed} damaged messages, "
-        f"{link.error_frames} error frames.",
-        values={
-            "force_gap_ms": [round(1e3 * value, 3) for value in (high_s, worst_s)],
-            "frames": frames.complete,
-            "lost_frames": lost,
-            "forces": forces.received,
-            "lost_forces": forces.lost,
-        },
-        words=words,
-    )
+    return advice
 
 
 def _quantiles(values_s: Sequence[float]) -> tuple[float, float, float]:

@@ -4,8 +4,7 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
-from cell.commissioning.engine import LOOK_S, Dialog, Left
-from cell.hand.interface import Watch
+from cell.commissioning.engine import LOOK_S, Dialog, Left, StepFailed
 from gripper.errors import GraspStopped
 from gripper.state import Cycle
 from tactile.frames.codec import TactileFrame
@@ -14,7 +13,8 @@ from tactile.frames.codec import TactileFrame
 class WatchedMotion:
     """Shows opening and force while fingers move; within ``with`` a person who leaves stops them.
 
-    Empty fingers then stand where they are; a part that is held stays held.
+    Empty fingers then stand where they are; a part that is held stays held. It is the watch of the
+    commands.
 
     Parameters
     ----------
@@ -22,6 +22,11 @@ class WatchedMotion:
         The person.
     request_stop
         Lets the running command end with GraspStopped.
+
+    Attributes
+    ----------
+    cycles, frames
+        Periods of the loop and tactile frames of all motions so far.
     """
 
     def __init__(self, dialog: Dialog, request_stop: Callable[[], None]) -> None:
@@ -29,6 +34,8 @@ class WatchedMotion:
         self._request_stop = request_stop
         self._left: Left | None = None
         self._due_s = 0.0
+        self.cycles: list[Cycle] = []
+        self.frames: list[TactileFrame] = []
 
     def __enter__(self) -> Self:
         return self
@@ -39,20 +46,14 @@ class WatchedMotion:
         error: BaseException | None,
         _traceback: TracebackType | None,
     ) -> None:
-        if self._left is not None and (error is None or isinstance(error, GraspStopped)):
+        ends = error is None or isinstance(error, GraspStopped | StepFailed)
+        if self._left is not None and ends:
             raise self._left from None
 
-    def also(self, watch: Watch) -> Watch:
-        """Return what shows a period and hands it on."""
-
-        def both(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-            watch(cycle, frames)
-            self(cycle, frames)
-
-        return both
-
-    def __call__(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
-        """Show one period of the loop where the last one shown is old enough."""
+    def __call__(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
+        """Keep one period of the loop, and show it where the last one shown is old enough."""
+        self.cycles.append(cycle)
+        self.frames += frames
         if self._left is not None or cycle.t_s < self._due_s:
             return
         self._due_s = cycle.t_s + LOOK_S

@@ -1,29 +1,28 @@
 """The pads: their zero, noise and broken taxels at rest, and which pad sits where, by a fingertip.
 
-What is judged is judged by pure functions of frames: `rest_of`, `judged`, `pressed_at`,
+What is judged is judged by pure functions of frames: `rest_of`, `judge_rest`, `pressed_at`,
 `mounts_of`.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Choice, Dialog, Finding, Question, Verdict
+from cell.commissioning.engine import Dialog, Notes, Step, choice
 from cell.commissioning.figures import pads as pads_figure
-from cell.commissioning.unit import gripper_alone, unit_sensor, without_unit
+from cell.commissioning.unit import unit_sensor
 from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
 from cell.errors import ConfigError
 from tactile.clock import Clock
-from tactile.errors import TactileError, TareRefused
+from tactile.errors import TareRefused
 from tactile.layout import PadMount, TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import Neighbourhood
 from tactile.sensor.sensor import TactileSensor
-from tactile.sensor.tare import TareLimits, assess_health, compute_tare, too_many_bad
+from tactile.sensor.tare import TareLimits, TaxelHealth, assess_health, compute_tare, too_many_bad
 from tactile.unit.mounting import Mounting
 
 _REST_FRAMES = 100
@@ -67,10 +66,6 @@ def read_frames(sensor: TactileSensor, n_frames: int) -> Counts:
     return np.stack([sensor.read(timeout_s=1.0).frame.counts for _ in range(n_frames)])
 
 
-WORSE = (Verdict.PASS, Verdict.WARN, Verdict.FAIL)
-"""Verdicts, the worse the later."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rest:
     """Pads that nothing touches."""
@@ -78,8 +73,8 @@ class Rest:
     zero_counts: NDArray[np.float64]
     noise_counts: NDArray[np.float64]
     """(n_taxels,) float64: mean and standard deviation of the counts."""
-    bad: NDArray[np.bool_]
-    """(n_taxels,) bool: dead, stuck or saturated taxels."""
+    health: TaxelHealth
+    """Dead, stuck and saturated taxels."""
     noise_n: tuple[float, ...]
     """Standard deviation in N of the force of each pad at rest, over the mean of three frames."""
     full_n: tuple[float, ...]
@@ -89,16 +84,16 @@ class Rest:
 def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> Rest:
     """Return what frames (n, n_taxels) at rest show."""
     zero = frames.mean(axis=0, dtype=np.float64)
-    bad = assess_health(frames, layout.adc_max).bad
+    health = assess_health(frames, layout.adc_max)
     n = len(frames) // _MEAN_FRAMES
-    tared = np.where(bad, 0.0, frames[: n * _MEAN_FRAMES] - zero)
+    tared = np.where(health.bad, 0.0, frames[: n * _MEAN_FRAMES] - zero)
     force_n = calibration.force_n(tared.reshape(n, _MEAN_FRAMES, -1).mean(axis=1))
     full_n = calibration.force_n(layout.adc_max - zero)
     slices = [layout.taxels_of(pad) for pad in range(layout.n_pads)]
     return Rest(
         zero_counts=zero,
         noise_counts=frames.std(axis=0, dtype=np.float64),
-        bad=bad,
+        health=health,
         noise_n=tuple(float(force_n[:, one].sum(axis=1).std(ddof=1)) for one in slices),
         full_n=tuple(float(np.median(full_n[one])) for one in slices),
     )
@@ -120,157 +115,132 @@ def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
     return ", ".join(named) + (f" and {more} more" if more > 0 else "")
 
 
-def judged(
+def judge_rest(
     layout: TaxelLayout,
     frames: Counts,
     rest: Rest,
+    notes: Notes,
     *,
     limits: TareLimits,
     contact_force_n: float,
     most_force_n: float,
-) -> tuple[Verdict, list[str]]:
-    """Return whether pads at rest are fit for grasps, and why not.
+) -> None:
+    """Note why pads at rest are not fit for grasps.
 
     Parameters
     ----------
     layout, frames, rest
         The taxels, frames (n, n_taxels) at rest, and what they show.
+    notes
+        What is found.
     limits
         Limits of the zero.
     contact_force_n, most_force_n
         Force in N that has to be felt, and the largest one that has to be measured.
     """
-    failed, warned, lines = False, False, []
-    health = assess_health(frames, layout.adc_max)
-    for name, mask in (
-        ("dead", health.dead),
-        ("stuck", health.stuck),
-        ("at full scale", health.saturated),
-    ):
+    health = rest.health
+    kinds = {"dead": health.dead, "stuck": health.stuck, "at full scale": health.saturated}
+    for name, mask in kinds.items():
         if mask.any():
-            warned = True
             taxels = np.flatnonzero(mask).tolist()
-            lines.append(
+            notes.warn(
                 f"{len(taxels)} taxel{'s are' if len(taxels) > 1 else ' is'} {name}: "
                 f"{taxel_names(layout, taxels)}. Their neighbours stand in for them."
             )
     for index, pad in enumerate(layout.pads):
         n_bad = int(np.count_nonzero(health.bad[layout.taxels_of(index)]))
         if too_many_bad(n_bad, pad.n_taxels, limits.bad_share):
-            failed = True
-            lines.append(
+            notes.fail(
                 f"{n_bad} of {pad.n_taxels} taxels of {pad.name} are bad, allowed are "
                 f"{limits.bad_share:.0%}: check its plug and cable, then replace the pad."
             )
     if not health.noisy:
-        warned = True
-        lines.append(
-            "The counts do not move at rest: dead and stuck taxels show only under a press."
-        )
+        notes.warn("The counts do not move at rest: dead and stuck taxels show only under a press.")
     noise = _by_pad(layout, rest.noise_counts)
     quiet = max(min(noise), 1.0)
     for pad, counts in zip(layout.pads, noise, strict=True):
         if counts > _NOISY_FACTOR * quiet:
-            warned = True
-            lines.append(
+            notes.warn(
                 f"{pad.name} is noisy: {counts:.1f} counts, the quietest pad {quiet:.1f}. Check "
                 "the shield of its cable, its ground and its plug."
             )
-    for pad_index in layout.gripping_pads:
-        pad, noise_n = layout.pads[pad_index], rest.noise_n[pad_index]
+    for index in layout.gripping_pads:
+        name, noise_n = layout.pads[index].name, rest.noise_n[index]
         if noise_n > _NOISE_PER_CONTACT * contact_force_n:
-            failed = True
-            lines.append(
-                f"The force of {pad.name} at rest shakes by {noise_n:.2f} N, contact is to be felt "
+            notes.fail(
+                f"The force of {name} at rest shakes by {noise_n:.2f} N, contact is to be felt "
                 f"at {contact_force_n:g} N: mend its noise, or raise gripper.contact_force_n."
             )
-        largest_n = TAXELS_OF_SMALL_PART * rest.full_n[pad_index]
+        largest_n = TAXELS_OF_SMALL_PART * rest.full_n[index]
         if most_force_n > largest_n:
-            warned = True
-            lines.append(
-                f"A small part saturates {pad.name} at {largest_n:.1f} N, the sequence asks for up "
+            notes.warn(
+                f"A small part saturates {name} at {largest_n:.1f} N, the sequence asks for up "
                 f"to {most_force_n:g} N: ask for less, or grasp larger parts only."
             )
-    if not failed:
+    if not notes.failed:
         try:
             compute_tare(Neighbourhood(layout), frames, limits, 0.0)
         except TareRefused as why:
-            failed = True
-            lines.append(f"No zero can be taken: {why}.")
-    return Verdict.FAIL if failed else Verdict.WARN if warned else Verdict.PASS, lines
+            notes.fail(f"No zero can be taken: {why}.")
 
 
-@dataclass(frozen=True, slots=True)
-class PadsAtRestStep:
+class PadsAtRestStep(Step):
     """Takes zero and noise of each taxel, finds broken ones, compares full scale and forces."""
 
-    key: str = "pads_at_rest"
-    title: str = "Pads at rest"
-    purpose: str = (
+    key = "pads_at_rest"
+    title = "Pads at rest"
+    purpose = (
         "Reads the taxels for two seconds while nothing touches the pads: zero, noise, dead and "
         "stuck taxels, and whether the forces of the config can be felt and measured. Nothing "
         "moves."
     )
-    needs: tuple[str, ...] = ("unit",)
-    undo: str = "nothing to undo"
+    needs = ("unit",)
+    needs_pads = True
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
-        """Carry it out; see `Step.run`."""
-        if gripper_alone(bench):
-            return without_unit()
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        """Read frames, and judge them."""
         dialog.say("Keep your hands and everything else off the pads for two seconds.")
-        try:
-            with unit_sensor(bench) as sensor:
-                frames = read_frames(sensor, _REST_FRAMES)
-                layout, calibration = sensor.layout, sensor.calibration
-                boards = (0, 0) if sensor.identity is None else sensor.identity.boards
-        except TactileError as error:
-            return Finding(status=Verdict.FAIL, lines=(str(error),))
+        with unit_sensor(bench) as sensor:
+            frames = read_frames(sensor, _REST_FRAMES)
+            layout, calibration = sensor.layout, sensor.calibration
+            boards = (0, 0) if sensor.identity is None else sensor.identity.boards
         rest = rest_of(layout, calibration, frames)
-        tactile, gripper = bench.tactile(), bench.gripper()
-        status, lines = judged(
-            layout,
-            frames,
-            rest,
-            limits=TareLimits(bad_share=tactile.bad_taxels_max_share),
-            contact_force_n=gripper.contact_force_n,
-            most_force_n=sequence_forces_n(bench)[1],
-        )
-        settings: dict[str, Any] = {"tactile.board_serial_numbers": None}
-        if boards[0] != boards[1]:
-            settings["tactile.board_serial_numbers"] = list(boards)
-        else:
-            status = max(status, Verdict.WARN, key=WORSE.index)
-            lines.append(
-                "The boards of both fingers have the same serial number, so pads that are "
-                "exchanged later are not noticed: press each pad after every work on their cables."
-            )
         zero, noise = _by_pad(layout, rest.zero_counts), _by_pad(layout, rest.noise_counts)
         grip = layout.gripping_pads
-        lines.insert(
-            0,
+        notes.fact(
             f"{layout.n_taxels} taxels read: zero {min(zero):.1f} to {max(zero):.1f}, noise "
             f"{min(noise):.1f} to {max(noise):.1f} counts of {layout.adc_max} by pad; at rest the "
             f"force of the inner pads shakes by {rest.noise_n[grip[0]]:.2f} and "
-            f"{rest.noise_n[grip[1]]:.2f} N.",
+            f"{rest.noise_n[grip[1]]:.2f} N."
         )
-        return Finding(
-            status=status,
-            lines=tuple(lines),
-            settings=settings,
-            values={
-                "board_serial_numbers": list(boards),
-                "zero_counts": zero,
-                "noise_counts": noise,
-                "noise_n": list(rest.noise_n),
-                "full_n": list(rest.full_n),
-                "bad_taxels": np.flatnonzero(rest.bad).tolist(),
-            },
-            figures={
-                "zero": pads_figure("Zero", layout, rest.zero_counts, unit="counts"),
-                "noise": pads_figure("Noise", layout, rest.noise_counts, unit="counts"),
-            },
+        judge_rest(
+            layout,
+            frames,
+            rest,
+            notes,
+            limits=TareLimits(bad_share=bench.tactile().bad_taxels_max_share),
+            contact_force_n=bench.gripper().contact_force_n,
+            most_force_n=sequence_forces_n(bench)[1],
         )
+        alike = boards[0] == boards[1]
+        notes.settings["tactile.board_serial_numbers"] = None if alike else list(boards)
+        if alike:
+            notes.warn(
+                "The boards of both fingers have the same serial number, so pads that are "
+                "exchanged later are not noticed: press each pad after every work on their cables."
+            )
+        notes.values |= {
+            "board_serial_numbers": list(boards),
+            "zero_counts": zero,
+            "noise_counts": noise,
+            "noise_n": list(rest.noise_n),
+            "full_n": list(rest.full_n),
+            "bad_taxels": np.flatnonzero(rest.health.bad).tolist(),
+        }
+        notes.figures |= {
+            "zero": pads_figure("Zero", layout, rest.zero_counts, unit="counts"),
+            "noise": pads_figure("Noise", layout, rest.noise_counts, unit="counts"),
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -370,63 +340,46 @@ def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True, slots=True)
-class PadsPressedStep:
+class PadsPressedStep(Step):
     """Has each pad pressed at a corner, and sets which pad sits where and how it is turned."""
 
-    key: str = "pads_pressed"
-    title: str = "Which pad is where"
-    purpose: str = (
+    key = "pads_pressed"
+    title = "Which pad is where"
+    purpose = (
         "You press each pad with a fingertip, one after another: exchanged fingers, turned and "
         "mirrored pads are found and set in the config. Nothing moves."
     )
-    needs: tuple[str, ...] = ("pads_at_rest",)
-    undo: str = "nothing to undo: it is a setting of the config (tactile.mounting)"
+    needs = ("pads_at_rest",)
+    needs_pads = True
+    undo = "nothing to undo: it is a setting of the config (tactile.mounting)"
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
-        """Carry it out; see `Step.run`."""
-        if gripper_alone(bench):
-            return without_unit()
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        """Have the pads pressed, and judge where they sit."""
         dialog.say(
             "Finger 0 is the one that the first servo drives. Nothing may touch the pads at first."
         )
-        try:
-            with unit_sensor(bench, mounted=False) as sensor:
-                layout = sensor.layout
-                sensor.tare(bench.tactile().tare_frames)
-                presses = _Presses(sensor, bench.clock, dialog)
-                grip = list(layout.gripping_pads)
-                others = [pad for pad in range(layout.n_pads) if pad not in grip]
-                missing = [pad for pad in (*grip, *others) if not presses.press(pad)]
-        except TactileError as error:
-            return Finding(status=Verdict.FAIL, lines=(str(error),))
-        return _pressed_finding(layout, presses.patches, missing, presses.shown_n)
-
-
-def _pressed_finding(
-    layout: TaxelLayout,
-    patches: Mapping[int, Patch],
-    missing: Sequence[int],
-    shown: NDArray[np.float64],
-) -> Finding:
-    """Return the finding of the pads that were pressed, and of those that showed nothing."""
-    lines = [f"{len(patches)} pads were pressed, one after another."]
-    mounts = mounts_of(layout, patches)
-    lines += mount_lines(layout, mounts)
-    for pad in missing:
-        lines.append(
-            f"{layout.pads[pad].name} was not seen: no pad of its size that was not found before "
-            "showed a patch. Check its plug and cable."
+        with unit_sensor(bench, mounted=False) as sensor:
+            layout = sensor.layout
+            sensor.tare(bench.tactile().tare_frames)
+            presses = _Presses(sensor, bench.clock, dialog)
+            grip = layout.gripping_pads
+            in_turn = sorted(range(layout.n_pads), key=lambda pad: pad not in grip)
+            missing = [pad for pad in in_turn if not presses.press(pad)]
+        patches = presses.patches
+        mounts = mounts_of(layout, patches)
+        notes.fact(f"{len(patches)} pads were pressed, one after another.")
+        for line in mount_lines(layout, mounts):
+            notes.warn(line)
+        for pad in missing:
+            (notes.fail if pad in grip else notes.warn)(
+                f"{layout.pads[pad].name} was not seen: no pad of its size that was not found "
+                "before showed a patch. Check its plug and cable."
+            )
+        notes.values["patches"] = {layout.pads[pad].name: asdict(p) for pad, p in patches.items()}
+        notes.settings["tactile.mounting"] = [asdict(mount) for mount in mounts]
+        notes.figures["patches"] = pads_figure(
+            "Patches as the unit sends them", layout, presses.shown_n, unit="N"
         )
-    dead = set(missing) & set(layout.gripping_pads)
-    values = {layout.pads[pad].name: asdict(patch) for pad, patch in patches.items()}
-    return Finding(
-        status=Verdict.FAIL if dead else Verdict.WARN if mounts or missing else Verdict.PASS,
-        lines=tuple(lines),
-        values={"patches": values},
-        settings={} if dead else {"tactile.mounting": [asdict(mount) for mount in mounts]},
-        figures={"patches": pads_figure("Patches as the unit sends them", layout, shown, unit="N")},
-    )
 
 
 class _Presses:
@@ -444,6 +397,7 @@ class _Presses:
         self._sensor, self._clock, self._dialog = sensor, clock, dialog
         self.patches: dict[int, Patch] = {}
         self.shown_n = np.zeros(sensor.layout.n_taxels)
+        self._force_n = self.shown_n
 
     def press(self, pad: int) -> bool:
         """Have a pad pressed, and keep its patch; returns whether it was seen."""
@@ -460,55 +414,49 @@ class _Presses:
                 return True
             dialog.say(complaint)
             answer = dialog.ask(
-                Question(
-                    key="pads_pressed.again",
-                    text=f"Press {name} again?",
-                    choices=(
-                        Choice(key="again", text="press it again"),
-                        Choice(key="skip", text="it shows nothing: go on without it"),
-                    ),
-                    default="again",
+                choice(
+                    "pads_pressed.again",
+                    f"Press {name} again?",
+                    {
+                        "again": "press it again",
+                        "skip": "it shows nothing: go on without it",
+                    },
+                    "again",
                 ),
-                watch=self._seen,
+                watch=lambda: _patch_text(layout, self._look()[-1]),
             )
             if answer == "skip":
                 return False
             self._lifted()
+
+    def _look(self) -> list[Patch | None]:
+        """Take in some frames, which keeps the link alive, and return the patch in each."""
+        patches = []
+        for _ in range(_LOOK_FRAMES):
+            self._force_n = self._sensor.read(timeout_s=1.0).force_n
+            patches.append(pressed_at(self._sensor.layout, self._force_n))
+        return patches
 
     def _patch(self) -> Patch | None:
         """Wait until a fingertip rests on a pad, and return where; None after the time-out."""
         deadline_s = self._clock.monotonic() + _PRESS_TIMEOUT_S
         steady: list[Patch] = []
         while self._clock.monotonic() < deadline_s:
-            for _ in range(_LOOK_FRAMES):
-                reading = self._sensor.read(timeout_s=1.0)
-                patch = pressed_at(self._sensor.layout, reading.force_n)
+            for patch in self._look():
                 if patch is None or (steady and not _same_place(patch, steady[0])):
                     steady = []
                 if patch is not None:
                     steady.append(patch)
             if len(steady) >= _PRESS_FRAMES:
-                np.maximum(self.shown_n, reading.force_n, out=self.shown_n)
+                np.maximum(self.shown_n, self._force_n, out=self.shown_n)
                 return steady[-1]
-            shown = "nothing" if patch is None else _patch_text(self._sensor.layout, patch)
-            self._dialog.live("fingertip", shown)
+            self._dialog.live("fingertip", _patch_text(self._sensor.layout, patch))
         return None
-
-    def _seen(self) -> str:
-        """Take in some frames, which keeps the link alive, and return what they show as text."""
-        for _ in range(_LOOK_FRAMES):
-            reading = self._sensor.read(timeout_s=1.0)
-        patch = pressed_at(self._sensor.layout, reading.force_n)
-        return "nothing" if patch is None else _patch_text(self._sensor.layout, patch)
 
     def _lifted(self) -> None:
         """Wait until nothing presses a pad, or for so long as a press may take."""
         deadline_s = self._clock.monotonic() + _PRESS_TIMEOUT_S
-        while self._clock.monotonic() < deadline_s:
-            for _ in range(_LOOK_FRAMES):
-                reading = self._sensor.read(timeout_s=1.0)
-            if pressed_at(self._sensor.layout, reading.force_n) is None:
-                return
+        while self._clock.monotonic() < deadline_s and self._look()[-1] is not None:
             self._dialog.live("fingertip", "still there")
 
 
@@ -545,7 +493,9 @@ def _same_place(one: Patch, other: Patch) -> bool:
     return one.pad == other.pad and apart < _PRESS_APART
 
 
-def _patch_text(layout: TaxelLayout, patch: Patch) -> str:
+def _patch_text(layout: TaxelLayout, patch: Patch | None) -> str:
+    if patch is None:
+        return "nothing"
     pad = layout.pads[patch.pad]
     row = round((patch.along + 1.0) * 0.5 * pad.rows + 0.5)
     column = round((patch.across + 1.0) * 0.5 * pad.columns + 0.5)

@@ -4,16 +4,10 @@ import grp
 import os
 import pwd
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    Dialog,
-    Finding,
-    Verdict,
-    confirmation,
-)
+from cell.commissioning.engine import Dialog, Notes, Step, confirmation
 from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms
 from gripper.errors import PortLost
 
@@ -27,41 +21,34 @@ _LATENCY_MS = 1
 """Latency timer in ms with which the force loop of 200 Hz works."""
 
 
-@dataclass(frozen=True, slots=True)
-class PortsStep:
+class PortsStep(Step):
     """Finds the servos' port: named, the only one, or the one that vanishes when it is pulled."""
 
-    key: str = "ports"
-    title: str = "Ports"
-    purpose: str = (
+    key = "ports"
+    title = "Ports"
+    purpose = (
         "Finds the serial port of the servos' adapter and checks that this user may open it, that "
         "no other program has it, and how fast it hands on answers. Writes and moves nothing."
     )
-    needs: tuple[str, ...] = ()
-    undo: str = "nothing to undo"
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         """Find the port and check it."""
         named = bench.given.get("gripper.port")
         port = str(named) if named else _found(bench, dialog)
-        lines, failures = [f"servo port: {port}"], list(_obstacles(bench, port))
         timer_ms = latency_timer_ms(port)
-        slow = timer_ms is not None and timer_ms > _LATENCY_MS
+        notes.values |= {"port": port, "latency_timer_ms": timer_ms}
+        notes.settings["gripper.port"] = port
+        notes.fact(f"servo port: {port}")
         if timer_ms is not None:
-            lines.append(f"latency timer of its adapter: {timer_ms} ms")
-        if slow:
-            lines.append(
+            notes.fact(f"latency timer of its adapter: {timer_ms} ms")
+        if timer_ms is not None and timer_ms > _LATENCY_MS:
+            notes.warn(
                 f"each answer waits {timer_ms} ms in the adapter, {_LATENCY_MS} ms is needed. "
                 f"Until the next start: echo {_LATENCY_MS} | sudo tee {latency_timer_file(port)}. "
                 f"For good: {udev_rule()}"
             )
-        status = Verdict.FAIL if failures else Verdict.WARN if slow else Verdict.PASS
-        return Finding(
-            status=status,
-            lines=(*lines, *failures),
-            values={"port": port, "latency_timer_ms": timer_ms},
-            settings={"gripper.port": port},
-        )
+        for obstacle in _obstacles(bench, port):
+            notes.fail(obstacle)
 
 
 def by_id(port: str, folder: Path = BY_ID) -> str:

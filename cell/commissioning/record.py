@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from cell.commissioning.engine import Engine, Entry, Verdict
+from cell.commissioning.engine import Engine, Finding, Step, Verdict
 from cell.commissioning.figures import svg
 from cell.data.files import write_text
 from cell.errors import CellError
@@ -20,8 +20,6 @@ _HARDWARE = ("serial", "firmware", "model", "revision", "hardware", "layout")
 """Parts of the names of values that say which hardware was commissioned."""
 _LONGEST_LIST = 8
 """Numbers of a list that are printed; longer ones are in the figures, or in commissioning.json."""
-_CLASSES = {Verdict.PASS: "ok", Verdict.WARN: "warn", Verdict.FAIL: "bad"}
-"""Style of each verdict."""
 _MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 
 
@@ -41,57 +39,50 @@ def write_record(engine: Engine) -> tuple[Path, ...]:
 def render_record(engine: Engine) -> str:
     """Return the record as HTML that needs nothing else: no script, no font, no network."""
     folder = engine.bench.folder
-    steps = [
-        _step_view(engine, number, step.key, step.title, step.undo)
-        for number, step in enumerate(engine.steps, start=1)
-    ]
-    verdicts = [entry.finding.status for entry in engine.entries.values()]
-    ends = [_time(entry.ended) for entry in engine.entries.values()]
+    findings = engine.findings
+    verdicts = [one.status for one in findings.values()]
     return page_template("commissioning.html.j2").render(
         cell=engine.bench.config.name,
-        began=min((_time(entry.began) for entry in engine.entries.values()), default=""),
-        ended=max(ends, default=""),
+        began=min((_time(one.began) for one in findings.values()), default=""),
+        ended=max((_time(one.ended) for one in findings.values()), default=""),
         program=f"tactile-cell {version('tactile-cell')}",
         machine=f"{platform.node()}, {platform.system()} {platform.release()}, "
         f"Python {platform.python_version()}",
-        counts=[(_CLASSES[v], v.value, verdicts.count(v)) for v in Verdict],
+        counts=[(verdict.value, verdicts.count(verdict)) for verdict in Verdict],
         n_steps=len(engine.steps),
         hardware=[
             (f"{step}: {name}", value)
-            for step, entry in engine.entries.items()
-            for name, value in _flat(entry.finding.values)
+            for step, finding in findings.items()
+            for name, value in _flat(finding.values)
             if any(part in name.lower() for part in _HARDWARE)
         ],
-        steps=steps,
+        steps=[_step_view(engine, step) for step in engine.steps],
         settings=[(name, _text(value)) for name, value in engine.bench.settings.items()],
         folder=folder.resolve(),
     )
 
 
-def _step_view(engine: Engine, number: int, key: str, title: str, undo: str) -> dict[str, Any]:
-    entry = engine.entries.get(key)
-    view: dict[str, Any] = {"number": number, "key": key, "title": title, "undo": undo}
-    view["writes"] = [
-        {"at": _time(one.at), **asdict(one.write)} for one in engine.approved if one.step == key
-    ]
-    if entry is None:
-        empty = dict.fromkeys(("lines", "measured", "figures", "began"), ())
-        return view | empty | {"state": "", "status": "not done"}
-    finding = entry.finding
-    return view | {
-        "state": _CLASSES[finding.status],
-        "status": finding.status.value,
-        "began": _time(entry.began),
-        "ended": _time(entry.ended),
+def _step_view(engine: Engine, step: Step) -> dict[str, Any]:
+    """Return what the template shows of a step."""
+    done = step.key in engine.findings
+    finding = engine.findings[step.key] if done else Finding(status=Verdict.FAIL, lines=())
+    writes = [one for one in engine.approved if one.step == step.key]
+    return {
+        "key": step.key,
+        "title": step.title,
+        "undo": step.undo,
+        "writes": [{"at": _time(one.at), **asdict(one.write)} for one in writes],
+        "status": finding.status.value if done else "not done",
+        "time": f"{_time(finding.began)} to {_time(finding.ended)}" if done else "",
         "lines": finding.lines,
         "measured": list(_flat(finding.values)),
-        "figures": list(_figures(engine.bench.folder, key, entry)),
+        "figures": list(_figures(engine.bench.folder, step.key, finding)),
     }
 
 
-def _figures(folder: Path, key: str, entry: Entry) -> Iterator[tuple[str, str]]:
+def _figures(folder: Path, key: str, finding: Finding) -> Iterator[tuple[str, str]]:
     """Yield the title and the HTML of each figure of a step."""
-    for name, figure in entry.finding.figures.items():
+    for name, figure in finding.figures.items():
         if isinstance(figure, Mapping) and "file" in figure:
             path = folder / str(figure["file"])
             try:

@@ -1,18 +1,17 @@
 """Step `servos`: finds the servos at any baud rate, numbers new ones, checks and sets each."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from cell.commissioning.backup import Backup, keep, read_table
+from cell.commissioning.backup import Backup, keep, read_table, register_writes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
-    Choice,
     Dialog,
-    Finding,
-    Question,
-    Verdict,
-    Write,
+    Notes,
+    Step,
+    StepFailed,
+    choice,
     confirmation,
     leave,
 )
@@ -113,79 +112,60 @@ def model_name(number: int) -> str:
     return known.get(number, f"of model number {number}")
 
 
-@dataclass(frozen=True, slots=True)
-class ServosStep:
+class ServosStep(Step):
     """Finds, numbers, checks and sets the servos of the fingers."""
 
-    key: str = "servos"
-    title: str = "Servos"
-    purpose: str = (
+    key = "servos"
+    title = "Servos"
+    purpose = (
         "Scans all baud rates, gives new servos their IDs one at a time, compares model, firmware, "
         "supply and registers. Keeps each control table in a backup before it writes; shows each "
         "write before. Nothing moves."
     )
-    needs: tuple[str, ...] = ("ports",)
-    undo: str = "`tactile-cell commission --restore` writes the backups back"
+    needs = ("ports",)
+    undo = "`tactile-cell commission --restore` writes the backups back"
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         """Find, number, check and set the servos."""
         port, rate = bench.gripper().port, bench.gripper().baud_rate
-        try:
-            placed = _numbered(bench, dialog, port, rate)
-        except _Nothing as nothing:
-            return Finding(status=Verdict.FAIL, lines=(str(nothing),))
+        placed = _numbered(bench, dialog, port, rate)
         fingers, others = _of_fingers(placed, dialog)
-        lines: list[str] = [
-            f"servo {one.servo_id}: {model_name(one.model_number)}, firmware {one.firmware}"
+        servos = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]
+        notes.settings |= {"gripper.baud_rate": rate, "gripper.servos": servos}
+        notes.values["servos"] = [
+            {"id": one.servo_id, "model": model_name(one.model_number), "firmware": one.firmware}
             for one in placed
         ]
-        failures = [_unusable(one) for one in fingers if _model(one) is None]
+        for one in placed:
+            notes.fact(
+                f"servo {one.servo_id}: {model_name(one.model_number)}, firmware {one.firmware}"
+            )
+        for one in fingers:
+            if _model(one) is None:
+                notes.fail(
+                    f"servo {one.servo_id} is {model_name(one.model_number)}, whose grip force "
+                    f"cannot be bounded here. Use one of {', '.join(MODELS)}"
+                )
         volts = {m.nominal_voltage_v for one in fingers if (m := _model(one)) is not None}
         if len(volts) > 1:
-            failures.append(
+            notes.fail(
                 f"the servos of the fingers need different supplies "
                 f"({', '.join(f'{v:g} V' for v in sorted(volts))}): use two of one model"
             )
-        if failures:
-            return Finding(status=Verdict.FAIL, lines=(*lines, *failures))
+        if notes.failed:
+            return
         with bench.servo_bus(port, rate) as bus:
-            found, failures, warnings = _set_up(bench, bus, dialog, fingers)
-            lines += found
+            _set_up(bench, bus, dialog, fingers, notes)
             try:
                 timing = check_link(bus, [one.servo_id for one in fingers], _period_s(bench))
-                lines.append(f"round trip of a ping: {timing.median_s * 1e3:.2f} ms (median)")
+                notes.fact(f"round trip of a ping: {timing.median_s * 1e3:.2f} ms (median)")
             except LinkTooSlow as error:
-                failures.append(str(error))
+                notes.fail(str(error))
         for other in others:
-            lines.append(
+            notes.fact(
                 f"servo {other.servo_id} drives no finger: an axis needs a port of its own, see "
                 "the step `axes`"
             )
-        status = Verdict.FAIL if failures else Verdict.WARN if warnings else Verdict.PASS
-        return Finding(
-            status=status,
-            lines=(*lines, *warnings, *failures),
-            values={
-                "servos": [
-                    {
-                        "id": one.servo_id,
-                        "model": model_name(one.model_number),
-                        "firmware": one.firmware,
-                    }
-                    for one in placed
-                ],
-            },
-            settings={
-                "gripper.baud_rate": rate,
-                "gripper.servos": [
-                    {"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers
-                ],
-            },
-        )
-
-
-class _Nothing(Exception):
-    """No servo answers, or their answers cannot be told apart."""
 
 
 def _period_s(bench: Bench) -> float:
@@ -195,13 +175,6 @@ def _period_s(bench: Bench) -> float:
 def _model(identity: ServoIdentity) -> ServoModel | None:
     """Return the model where it can limit its current, else None."""
     return next((m for m in MODELS.values() if m.number == identity.model_number), None)
-
-
-def _unusable(identity: ServoIdentity) -> str:
-    return (
-        f"servo {identity.servo_id} is {model_name(identity.model_number)}, whose grip force "
-        f"cannot be bounded here. Use one of {', '.join(MODELS)}"
-    )
 
 
 # Finding and numbering
@@ -215,7 +188,7 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
             n_wanted = _MOST_FINGER_SERVOS
             _ask_for_one_alone(dialog, found)
         elif not found.servos:
-            raise _Nothing(
+            raise StepFailed(
                 "no servo answers at any baud rate: check the supply (12 V at the servos, its LED "
                 "flashes once at power-on), the three or four wires to the adapter, and that the "
                 "adapter is one for half-duplex lines (U2D2)"
@@ -263,14 +236,11 @@ def _count(dialog: Dialog, placed: Sequence[ServoIdentity]) -> int:
     if len(placed) > 1:
         return len(placed)
     answer = dialog.ask(
-        Question(
-            key="servos.count",
-            text=f"One servo answers: {model_name(placed[0].model_number)}. Does it drive both "
+        choice(
+            "servos.count",
+            f"One servo answers: {model_name(placed[0].model_number)}. Does it drive both "
             "fingers, or does a second servo drive the other finger?",
-            choices=(
-                Choice(key="1", text="one servo drives both fingers"),
-                Choice(key="2", text="there is a second one"),
-            ),
+            {"1": "one servo drives both fingers", "2": "there is a second one"},
         )
     )
     return int(answer)
@@ -288,11 +258,7 @@ def _placed(bench: Bench, dialog: Dialog, port: str, rate: int, found: Scan) -> 
             new_id = next(number for number in range(1, 253) if number not in used)
         _renumber(bench, dialog, port, servo, new_id=new_id, rate=rate)
         taken.add(new_id)
-        at_home.append(
-            ServoIdentity(
-                servo_id=new_id, model_number=identity.model_number, firmware=identity.firmware
-            )
-        )
+        at_home.append(replace(identity, servo_id=new_id))
     return sorted(at_home, key=lambda one: one.servo_id)
 
 
@@ -304,21 +270,12 @@ def _renumber(
     with bench.servo_bus(port, servo.baud_rate) as bus:
         table = read_table(bus, old_id)
         torque_off(bus, dialog, old_id, table[TORQUE_ENABLE.name])
-        writes = [
-            Write(
-                where=f"servo {old_id} at {servo.baud_rate} bit/s",
-                what=f"{register.name} ({register.address})",
-                before=before,
-                after=after,
-                undo=ServosStep().undo,
-            )
-            for register, before, after in (
-                (SERVO_ID, str(old_id), str(new_id)),
-                (BAUD_RATE, f"{servo.baud_rate} bit/s", f"{rate} bit/s"),
-            )
-            if before != after
-        ]
-        dialog.approve(writes)
+        changes: dict[str, tuple[object, object]] = {}
+        if new_id != old_id:
+            changes[SERVO_ID.name] = (old_id, new_id)
+        changes[BAUD_RATE.name] = (f"{servo.baud_rate} bit/s", f"{rate} bit/s")
+        where = f"servo {old_id} at {servo.baud_rate} bit/s"
+        dialog.approve(register_writes(where, changes, ServosStep.undo))
         kept = keep(bench.folder, Backup(servo_id=new_id, baud_rate=rate, found=table))
         if kept is not None:
             dialog.say(f"backup of the servo: {kept}")
@@ -336,27 +293,21 @@ def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> Non
     if not torque:
         return
     answer = dialog.ask(
-        Question(
-            key="servos.torque",
-            text=f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be "
+        choice(
+            "servos.torque",
+            f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be "
             "written without torque only. Take the part out, or hold it: it falls otherwise.",
-            choices=(
-                Choice(key="off", text="nothing is held; switch the torque off"),
-                Choice(key="leave", text="leave it as it is"),
-            ),
-            default="leave",
+            {
+                "off": "nothing is held; switch the torque off",
+                "leave": "leave it as it is",
+            },
+            "leave",
         )
     )
     if answer != "off":
         leave(f"servo {servo_id} has its torque on")
-    write = Write(
-        where=f"servo {servo_id}",
-        what=f"{TORQUE_ENABLE.name} ({TORQUE_ENABLE.address})",
-        before="on",
-        after="off",
-        undo="release or start the cell",
-    )
-    dialog.approve([write])
+    change = {TORQUE_ENABLE.name: ("on", "off")}
+    dialog.approve(register_writes(f"servo {servo_id}", change, "release or start the cell"))
     bus.write(servo_id, TORQUE_ENABLE, 0)
 
 
@@ -367,16 +318,13 @@ def _of_fingers(
     fingers = list(placed)
     while len(fingers) > _MOST_FINGER_SERVOS:
         answer = dialog.ask(
-            Question(
-                key="servos.other",
-                text="A gripper has one or two servos. Which one drives no finger?",
-                choices=tuple(
-                    Choice(
-                        key=str(one.servo_id),
-                        text=f"servo {one.servo_id} ({model_name(one.model_number)})",
-                    )
+            choice(
+                "servos.other",
+                "A gripper has one or two servos. Which one drives no finger?",
+                {
+                    str(one.servo_id): f"servo {one.servo_id} ({model_name(one.model_number)})"
                     for one in fingers
-                ),
+                },
             )
         )
         fingers = [one for one in fingers if str(one.servo_id) != answer]
@@ -387,61 +335,48 @@ def _of_fingers(
 
 
 def _set_up(
-    bench: Bench, bus: ServoBus, dialog: Dialog, fingers: Sequence[ServoIdentity]
-) -> tuple[list[str], list[str], list[str]]:
-    """Compare the registers of the servos and set what differs; return lines, failures, warnings.
+    bench: Bench, bus: ServoBus, dialog: Dialog, fingers: Sequence[ServoIdentity], notes: Notes
+) -> None:
+    """Compare the registers of the servos and set what differs.
 
     Nothing is set while a supply is too low or an error is latched: these are mended first.
     """
     tables = {one.servo_id: read_table(bus, one.servo_id) for one in fingers}
-    failures: list[str] = []
-    warnings: list[str] = []
-    changes: dict[int, dict[str, tuple[int, int]]] = {}
-    for one in fingers:
-        model = _model(one)
-        if model is None:
-            continue
-        table = tables[one.servo_id]
-        failure, warning = supply_complaints(one.servo_id, model, table)
-        failures += failure
-        warnings += warning
-        error = table["hardware_error_status"]
-        if error:
-            failures.append(
-                f"servo {one.servo_id} reports {', '.join(hardware_error_names(error))}: remedy "
-                "the cause, switch its supply off and on"
+    models = {one.servo_id: MODELS[model_name(one.model_number)] for one in fingers}
+    changes = {}
+    for servo_id, table in tables.items():
+        check_supply(servo_id, models[servo_id], table, notes)
+        if error := table["hardware_error_status"]:
+            notes.fail(
+                f"servo {servo_id} reports {', '.join(hardware_error_names(error))}: remedy the "
+                "cause, switch its supply off and on"
             )
-        changes[one.servo_id] = wanted_changes(model, bench, table)
-    if failures:
-        return [], failures, warnings
+        changes[servo_id] = wanted_changes(models[servo_id], bench, table)
+    if notes.failed:
+        return
     writes = [
-        Write(
-            where=f"servo {servo_id}",
-            what=f"{name} ({REGISTERS[name].address})",
-            before=str(before),
-            after=str(after),
-            undo=ServosStep().undo,
-        )
+        write
         for servo_id, found in changes.items()
-        for name, (before, after) in found.items()
+        for write in register_writes(f"servo {servo_id}", found, ServosStep.undo)
     ]
     if not writes:
-        return ["all registers are as the cell needs them"], failures, warnings
-    for one in fingers:
-        torque_off(bus, dialog, one.servo_id, tables[one.servo_id][TORQUE_ENABLE.name])
+        notes.fact("all registers are as the cell needs them")
+        return
+    for servo_id, table in tables.items():
+        torque_off(bus, dialog, servo_id, table[TORQUE_ENABLE.name])
     dialog.approve(writes)
-    for one in fingers:
-        servo_id = one.servo_id
-        backup = Backup(servo_id=servo_id, baud_rate=bus.baudrate, found=tables[servo_id])
+    for servo_id, table in tables.items():
+        backup = Backup(servo_id=servo_id, baud_rate=bus.baudrate, found=table)
         if (kept := keep(bench.folder, backup)) is not None:
             dialog.say(f"backup of servo {servo_id}: {kept}")
         for name, (_, after) in changes[servo_id].items():
             bus.write(servo_id, REGISTERS[name], after)
-        model = MODELS[model_name(one.model_number)]
-        found = {name: bus.read(servo_id, REGISTERS[name]) for name in tables[servo_id]}
-        rows = compare(servo_id, _required(model, bench), found, frozenset(changes[servo_id]))
-        failures += [f"{row}, after it was written" for row in rows if not row.ok]
-    return [f"{len(writes)} registers set and read back"], failures, warnings
+        found = {name: bus.read(servo_id, REGISTERS[name]) for name in table}
+        required = _required(models[servo_id], bench)
+        for row in compare(servo_id, required, found, frozenset(changes[servo_id])):
+            if not row.ok:
+                notes.fail(f"{row}, after it was written")
+    notes.fact(f"{len(writes)} registers set and read back")
 
 
 def _required(model: ServoModel, bench: Bench) -> tuple[Requirement, ...]:
@@ -470,10 +405,8 @@ def wanted_changes(
     return changes
 
 
-def supply_complaints(
-    servo_id: int, model: ServoModel, table: Mapping[str, int]
-) -> tuple[list[str], list[str]]:
-    """Return what is wrong with the supply of a servo: failures, warnings."""
+def check_supply(servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Notes) -> None:
+    """Note what is wrong with the supply of a servo."""
     supply_v = table[PRESENT_INPUT_VOLTAGE.name] * PRESENT_INPUT_VOLTAGE.lsb
     least_v, most_v = model.min_voltage_raw * 0.1, model.max_voltage_raw * 0.1
     text = (
@@ -481,7 +414,6 @@ def supply_complaints(
         f"{most_v:.1f} V"
     )
     if not least_v <= supply_v <= most_v:
-        return [f"{text}: check the power supply and the wires to the servo"], []
-    if supply_v < _VOLTAGE_MARGIN * least_v:
-        return [], [f"{text}: scarce, with load it drops; use {model.nominal_voltage_v:g} V"]
-    return [], []
+        notes.fail(f"{text}: check the power supply and the wires to the servo")
+    elif supply_v < _VOLTAGE_MARGIN * least_v:
+        notes.warn(f"{text}: scarce, with load it drops; use {model.nominal_voltage_v:g} V")

@@ -4,21 +4,14 @@ import json
 import math
 import os
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    Choice,
-    Dialog,
-    Finding,
-    Question,
-    Verdict,
-    Write,
-)
+from cell.commissioning.engine import Dialog, Notes, Step, StepFailed, Write, choice
 from cell.config.section import SIMULATED
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.errors import ConfigError
@@ -29,7 +22,7 @@ from tactile.frames.codec import FrameFormat
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
-from tactile.unit.commissioning import Check, identity_checks
+from tactile.unit.commissioning import identity_checks
 from tactile.unit.search import FoundUnit, Heard, listen, read_unit, read_vendor, scan
 from tactile.unit.settings import ExpectedIdentity
 
@@ -51,19 +44,6 @@ _PATIENCE_S = 0.5
 """Silence in s that a unit may keep while a person presses its pads."""
 _FRAMES = 10
 """Frames that show that the link runs."""
-
-
-def gripper_alone(bench: Bench) -> bool:
-    """Return whether the gripper has no control unit: its force is known by current alone."""
-    return bool(bench.found.get("unit", {}).get("gripper_alone", False))
-
-
-def without_unit() -> Finding:
-    """Return the finding of a step of the pads on a gripper that has none."""
-    return Finding(
-        status=Verdict.WARN,
-        lines=("This gripper has no pads yet: `--redo unit` once its control unit is there.",),
-    )
 
 
 @contextmanager
@@ -106,44 +86,35 @@ def unit_sensor(
         yield sensor
 
 
-@dataclass(frozen=True, slots=True)
-class UnitStep:
+class UnitStep(Step):
     """Finds the control unit, sets it up as each start does, and keeps who it is."""
 
-    key: str = "unit"
-    title: str = "Control unit and its CAN bus"
-    purpose: str = (
+    key = "unit"
+    title = "Control unit and its CAN bus"
+    purpose = (
         "Finds the CAN interface, its bit rate, the node-ID of the control unit, its identity and "
         "its taxels. Other devices on the same bus may be disturbed for some seconds. Nothing "
         "moves; what is set in the unit is shown before, and is gone when it is switched off."
     )
-    needs: tuple[str, ...] = ("ports",)
-    undo: str = "Switch the control unit off and on: nothing is stored in it."
+    needs = ("ports",)
+    undo = "Switch the control unit off and on: nothing is stored in it."
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
-        """Carry it out; see `Step.run`."""
-        lines: list[str] = []
-        try:
-            return self._run(bench, dialog, lines)
-        except _Alone:
-            return Finding(
-                status=Verdict.WARN,
-                lines=(
-                    "A gripper without pads: its force is known by the motors' current alone, "
-                    "which is less exact. The config names a bus that is none "
-                    "(tactile.channel: none); a cell needs the control unit.",
-                ),
-                values={"gripper_alone": True},
-                settings={"tactile.interface": "socketcan", "tactile.channel": _NO_CHANNEL},
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        """Find the unit, judge it, start its link."""
+        place = _interface(bench, dialog)
+        if place is None:
+            notes.values["gripper_alone"] = True
+            notes.settings |= {"tactile.interface": "socketcan", "tactile.channel": _NO_CHANNEL}
+            notes.warn(
+                "A gripper without pads: its force is known by the motors' current alone, which is "
+                "less exact. The config names a bus that is none (tactile.channel: none); a cell "
+                "needs the control unit."
             )
-        except (_Unusable, ConfigError, TactileError) as why:
-            return Finding(status=Verdict.FAIL, lines=(*lines, str(why)))
-
-    def _run(self, bench: Bench, dialog: Dialog, lines: list[str]) -> Finding:
-        interface, channel = _interface(bench, dialog)
+            return
+        interface, channel = place
         bitrate, heard, how = _bit_rate(bench, dialog, interface, channel)
-        lines.append(f"Bit rate {bitrate:,} bit/s on {channel} ({interface}), found by {how}.")
-        settings: dict[str, Any] = {
+        notes.fact(f"Bit rate {bitrate:,} bit/s on {channel} ({interface}), found by {how}.")
+        notes.settings |= {
             "tactile.interface": interface,
             "tactile.channel": channel,
             "tactile.bitrate": bitrate,
@@ -152,32 +123,38 @@ class UnitStep:
             "tactile.mounting": [],
         }
         with bench.can_bus(interface, channel, bitrate) as bus:
-            node_id = _node(bus, heard, dialog, lines)
-            unit = read_unit(bus, node_id)
-            layout, warned = _judge(unit, bench, lines, settings)
-            settings |= _period(layout, bitrate, bench, lines)
-            changes = {key.removeprefix("tactile."): value for key, value in settings.items()}
-            tactile = bench.tactile(**changes)
+            unit = read_unit(bus, _node(bus, heard, dialog, notes))
+            layout = _judge(unit, bench, notes)
+            _fit_period(layout, bitrate, bench, notes)
+            found = {key.removeprefix("tactile."): v for key, v in notes.settings.items()}
+            tactile = bench.tactile(**found)
             dialog.approve(_writes(unit, tactile))
-            lines.append(_started(bus, tactile, layout))
-        return Finding(
-            status=Verdict.WARN if warned else Verdict.PASS,
-            lines=tuple(lines),
-            values=_values(unit, bitrate, heard),
-            settings=settings,
-        )
+            link = link_settings(tactile)
+            with open_sensor(bus, layout, node_id=tactile.node_id, link=link) as sensor:
+                for _ in range(_FRAMES):
+                    sensor.read()
+                forces = len(sensor.take_forces())
+        notes.fact(f"The unit boots, keeps its set-up and sends frames ({forces} force messages).")
+        identity = unit.identity
+        notes.values |= {
+            "bitrate": bitrate,
+            "nodes_heard": list(heard.nodes),
+            "node_id": unit.node_id,
+            "name": identity.name,
+            "serial_number": identity.serial,
+            "revision": identity.revision,
+            "board_serial_numbers": list(identity.boards),
+            "layout_hash": unit.layout_hash,
+            "pads": [list(shape) for shape in unit.pad_shapes],
+            "sends_forces": unit.sends_forces,
+        }
 
 
-class _Unusable(Exception):
-    """Without a unit that can be used the step ends; the message has the cause and what to do."""
+def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
+    """Return interface and channel: as given, the only one there is, or as the person says.
 
-
-class _Alone(Exception):
-    """The person has a gripper without a control unit."""
-
-
-def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
-    """Return interface and channel: as given, the only one there is, or as the person says."""
+    None for a gripper without a control unit.
+    """
     config = bench.tactile()
     interface = str(bench.given.get("tactile.interface", config.interface))
     channel = str(bench.given.get("tactile.channel", config.channel))
@@ -190,37 +167,35 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
     ]
     if not places:
         answer = dialog.ask(
-            Question(
-                key="unit.none",
-                text="No CAN interface is there. Does this gripper have a control unit?",
-                choices=(
-                    Choice(key="yes", text="yes: its adapter has to be plugged in"),
-                    Choice(key="alone", text="no: a gripper without pads, for now"),
-                ),
-                default="yes",
+            choice(
+                "unit.none",
+                "No CAN interface is there. Does this gripper have a control unit?",
+                {
+                    "yes": "yes: its adapter has to be plugged in",
+                    "alone": "no: a gripper without pads, for now",
+                },
+                "yes",
             )
         )
         if answer == "alone":
-            raise _Alone
-        raise _Unusable(
+            return None
+        raise StepFailed(
             "No CAN interface was found: neither a network interface of CAN (`ip link`) nor a "
             "serial port that the servos do not use. Plug the adapter in; for SocketCAN "
             "`ip link set can0 up type can bitrate 1000000`."
         )
     if len(places) == 1:
         return places[0]
+    by_key = {" ".join(place): place for place in places}
     answer = dialog.ask(
-        Question(
-            key="unit.interface",
-            text="Which CAN interface leads to the control unit?",
-            choices=tuple(
-                Choice(key=f"{kind} {name}", text=f"{name} ({kind})") for kind, name in places
-            ),
-            default=" ".join(places[0]),
+        choice(
+            "unit.interface",
+            "Which CAN interface leads to the control unit?",
+            {key: f"{name} ({kind})" for key, (kind, name) in by_key.items()},
+            next(iter(by_key)),
         )
     )
-    kind, _, name = str(answer).partition(" ")
-    return kind, name
+    return by_key[str(answer)]
 
 
 def network_interfaces() -> list[str]:
@@ -281,7 +256,7 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
         else "the interface has the bit rate that the system gave it: set it to that of the unit "
         f"with `ip link set {channel} down`, then `ip link set {channel} up type can bitrate RATE`"
     )
-    raise _Unusable(
+    raise StepFailed(
         f"Nobody is heard and nobody answers on {channel} ({interface}) at {tried} bit/s. Check "
         "the supply of the control unit, CAN_H and CAN_L, the common ground and both terminating "
         f"resistors (60 Ohm between CAN_H and CAN_L, switched off); {remedy}."
@@ -289,7 +264,7 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
     )
 
 
-def _node(bus: CanBus, heard: Heard, dialog: Dialog, lines: list[str]) -> int:
+def _node(bus: CanBus, heard: Heard, dialog: Dialog, notes: Notes) -> int:
     """Return the node-ID of the control unit among those who are there."""
     expected = ExpectedIdentity()
     units, others = [], []
@@ -307,64 +282,58 @@ def _node(bus: CanBus, heard: Heard, dialog: Dialog, lines: list[str]) -> int:
             )
     if not units:
         there = "; ".join(others) or f"{heard.messages} messages were heard and no node answers"
-        raise _Unusable(
+        raise StepFailed(
             f"No control unit is on the bus: {there}. A control unit of this software has vendor "
             f"{expected.vendor_id:#x}, product {expected.product_code:#x} (object 1018h): check "
             "which device is plugged in, its supply and its firmware."
         )
-    lines += [f"Beside it, {other}." for other in others]
+    for other in others:
+        notes.fact(f"Beside it, {other}.")
     if len(units) == 1:
         return units[0]
     answer = dialog.ask(
-        Question(
-            key="unit.node",
-            text="Several control units answer. Which one belongs to this gripper?",
-            choices=tuple(Choice(key=str(node), text=f"node {node}") for node in units),
-            default=str(units[0]),
+        choice(
+            "unit.node",
+            "Several control units answer. Which one belongs to this gripper?",
+            {str(node): f"node {node}" for node in units},
+            str(units[0]),
         )
     )
     return int(answer)
 
 
-def _judge(
-    unit: FoundUnit, bench: Bench, lines: list[str], settings: dict[str, Any]
-) -> tuple[TaxelLayout, bool]:
-    """Judge a unit by identity and taxels; returns its layout, and whether there is a warning."""
+def _judge(unit: FoundUnit, bench: Bench, notes: Notes) -> TaxelLayout:
+    """Judge a unit by identity and taxels; returns its layout."""
     identity = unit.identity
-    lines.append(
+    notes.fact(
         f"Node {unit.node_id}: {identity.name}, serial number {identity.serial}, revision "
         f"{identity.revision >> 16}.{identity.revision & 0xFFFF}; boards of the pads "
         f"{identity.boards[0]} and {identity.boards[1]}."
     )
-    wrong = [check for check in identity_checks(identity, ExpectedIdentity()) if not check.ok]
+    wrong = "; ".join(
+        f"{check.what}: expected {check.expected}, found {check.found}"
+        for check in identity_checks(identity, ExpectedIdentity())
+        if not check.ok
+    )
     if wrong:
-        raise _Unusable(_revision(wrong))
+        raise StepFailed(
+            f"Its EDS is not that of this software: {wrong}. Another major revision behaves "
+            "otherwise on the bus: update the unit's firmware, or this software."
+        )
     layout, written = _layout(unit, bench)
-    lines.append(f"Layout {layout.name}: {layout.n_taxels} taxels on {layout.n_pads} pads.")
-    settings |= {
+    notes.fact(f"Layout {layout.name}: {layout.n_taxels} taxels on {layout.n_pads} pads.")
+    notes.settings |= {
         "tactile.node_id": unit.node_id,
         "tactile.serial_number": identity.serial,
         "tactile.layout": written,
     }
-    warned = False
     if not unit.sends_forces:
-        warned = True
-        lines.append(
+        notes.warn(
             "The unit has no force messages (object 2140h): the force comes from whole frames and "
             "is slower. New firmware of the unit brings them; without, set "
             "gripper.approach_speed_mm_s to 12."
         )
-    return layout, warned
-
-
-def _revision(wrong: Sequence[Check]) -> str:
-    rows = "; ".join(
-        f"{check.what}: expected {check.expected}, found {check.found}" for check in wrong
-    )
-    return (
-        f"Its EDS is not that of this software: {rows}. Another major revision behaves otherwise "
-        "on the bus: update the unit's firmware, or this software."
-    )
+    return layout
 
 
 def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
@@ -376,7 +345,7 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     if unit.matches(own := layout_from_config(bench.tactile(layout=given, mounting=[]))):
         return own, given
     shapes = ", ".join(f"{rows} x {columns}" for rows, columns in unit.pad_shapes)
-    raise _Unusable(
+    raise StepFailed(
         f"Its taxels are of no known layout (hash {unit.layout_hash}): {unit.n_taxels} taxels on "
         f"{len(unit.pad_shapes)} pads of {shapes}, full scale {unit.adc_max}. Known are "
         f"{', '.join(LAYOUTS)}: write the pads of another one with faces and pitches into "
@@ -384,26 +353,26 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     )
 
 
-def _period(layout: TaxelLayout, bitrate: int, bench: Bench, lines: list[str]) -> dict[str, Any]:
-    """Return the setting of a period of SYNC in which a frame fits; none where it does already."""
+def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Notes) -> None:
+    """Set a period of SYNC in which a frame fits, where that of the config is too short."""
     messages = FrameFormat.of(layout).n_messages
     burst_ms = 1e3 * messages * _MESSAGE_BITS / bitrate
     least_ms = float(math.ceil(burst_ms / _BURST_SHARE))
     if least_ms <= bench.tactile().sync_period_ms:
-        return {}
+        return
     taken = f"At {bitrate:,} bit/s a frame of {messages} messages takes {burst_ms:.0f} ms"
     try:
         bench.tactile(sync_period_ms=least_ms)
     except ConfigError as error:
-        raise _Unusable(
+        raise StepFailed(
             f"{taken}, too long for a grip: set the control unit to a faster bit rate, 1,000,000 "
             "bit/s at best."
         ) from error
-    lines.append(
+    notes.settings["tactile.sync_period_ms"] = least_ms
+    notes.fact(
         f"{taken}: the period of SYNC is set to {least_ms:g} ms. A faster bit rate makes the grip "
         "softer."
     )
-    return {"tactile.sync_period_ms": least_ms}
 
 
 def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[Write]:
@@ -427,29 +396,3 @@ def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[Write]:
         )
         for (name, before), after in zip(unit.registers, coming, strict=False)
     ]
-
-
-def _started(bus: CanBus, tactile: TactileConfig, layout: TaxelLayout) -> str:
-    """Start the link as a cell does, and return what came."""
-    link = link_settings(tactile)
-    with open_sensor(bus, layout, node_id=tactile.node_id, link=link) as sensor:
-        for _ in range(_FRAMES):
-            sensor.read()
-        forces = len(sensor.take_forces())
-    return f"The unit boots, keeps its set-up and sends frames ({forces} force messages)."
-
-
-def _values(unit: FoundUnit, bitrate: int, heard: Heard) -> dict[str, Any]:
-    identity = unit.identity
-    return {
-        "bitrate": bitrate,
-        "nodes_heard": list(heard.nodes),
-        "node_id": unit.node_id,
-        "name": identity.name,
-        "serial_number": identity.serial,
-        "revision": identity.revision,
-        "board_serial_numbers": list(identity.boards),
-        "layout_hash": unit.layout_hash,
-        "pads": [list(shape) for shape in unit.pad_shapes],
-        "sends_forces": unit.sends_forces,
-    }

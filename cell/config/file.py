@@ -8,7 +8,7 @@ import stat
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError, WithJsonSchema
 from pydantic.fields import FieldInfo
@@ -22,9 +22,11 @@ from cell.config.model import CellConfig
 from cell.config.section import OneOf
 from cell.errors import ConfigError
 
+_Section = TypeVar("_Section", bound=BaseModel)
 
-def changed_config(config: CellConfig, changes: Mapping[str, Any]) -> CellConfig:
-    """Return a config with some values changed.
+
+def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
+    """Return a config, or a section of one, with some values changed.
 
     Parameters
     ----------
@@ -48,13 +50,17 @@ def changed_config(config: CellConfig, changes: Mapping[str, Any]) -> CellConfig
             raise ConfigError(f"the config has no value {path!r}")
         owner[last] = value
     try:
-        return CellConfig.model_validate_json(json.dumps(values))
+        return type(config).model_validate_json(json.dumps(values))
     except ValidationError as error:
-        complaints = "; ".join(
-            f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}"
-            for item in error.errors(include_url=False)
-        )
-        raise ConfigError(f"the changed config is not valid: {complaints}") from error
+        raise ConfigError(f"the changed config is not valid: {problem_text(error)}") from error
+
+
+def problem_text(error: ValidationError) -> str:
+    """Return in one line where values are not valid, and why."""
+    return "; ".join(
+        f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}"
+        for item in error.errors(include_url=False)
+    )
 
 
 SCHEMA_LINE = "# yaml-language-server: $schema=tactile-cell.schema.json\n"

@@ -184,7 +184,7 @@ class Wizard:
             self._step, self._said, self._live = step.key, [], {}
 
     def found(self, step: Step, finding: Finding) -> None:
-        """Show what a step found: the state has the entries of the engine."""
+        """Show what a step found: the state has the findings of the engine."""
         with self._changed:
             self._live = {}
             self._look()
@@ -282,13 +282,12 @@ class Wizard:
             "needs": list(step.needs),
             "undo": step.undo,
         }
-        entry = self.engine.entries.get(step.key)
-        if entry is None:
+        finding = self.engine.findings.get(step.key)
+        if finding is None:
             return view | {"status": "", "ended": "", "lines": [], "figures": {}}
-        finding = entry.finding
         return view | {
             "status": finding.status.value,
-            "ended": entry.ended,
+            "ended": finding.ended,
             "lines": list(finding.lines),
             "figures": {
                 name: figure.get("title", name) if isinstance(figure, dict) else name
@@ -381,8 +380,8 @@ class WizardApi(GuardedApi):
 
     def figure(self, key: str, name: str) -> Response:
         """Return a picture of a step, SVG or PNG."""
-        entry = self._wizard.engine.entries.get(key)
-        figure = None if entry is None else entry.finding.figures.get(name)
+        finding = self._wizard.engine.findings.get(key)
+        figure = None if finding is None else finding.figures.get(name)
         if not isinstance(figure, dict):
             raise HTTPException(404, f"step {key!r:.40} has no figure {name!r:.40}")
         headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}

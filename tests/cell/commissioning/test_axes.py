@@ -8,7 +8,7 @@ import pytest
 from cell.commissioning import axes
 from cell.commissioning.axes import AxesStep
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Verdict
+from cell.commissioning.engine import Finding, Verdict, carry_out
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.simulation import simulated_cell
@@ -61,7 +61,7 @@ def found(
         "tactile.interface": "socketcan",
         "tactile.channel": "can0",
     }
-    return AxesStep().run(bench, script)
+    return carry_out(AxesStep(), bench, script)
 
 
 def test_a_wrist_and_drives_are_found_and_named(

@@ -18,7 +18,7 @@ from cell.commissioning.baseline import (
     changed_unit,
     gauge_of,
 )
-from cell.commissioning.engine import STORE_NAME, Left, Verdict
+from cell.commissioning.engine import STORE_NAME, Left, Verdict, carry_out
 from cell.errors import CellError
 from cell.jobs.doctor import gauge_again
 from simulator.cell import SimulatedCell
@@ -152,7 +152,7 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(tmp_path:
     with SimulatedCell(settings) as cell:
         script = Script({"baseline.place": lambda: cell.place("ball") and None})
         bench = bench_of(cell, tmp_path)
-        finding = BaselineStep().run(bench, script)
+        finding = carry_out(BaselineStep(), bench, script)
         assert finding.status is Verdict.PASS, finding.lines
         was = gauge_of({"baseline": finding.values})
         assert was is not None
@@ -182,5 +182,5 @@ def test_a_person_stops_the_grasp_of_the_gauge_object(tmp_path: Path) -> None:
 
         script.moment = stop
         with pytest.raises(Left, match="at the page"):
-            BaselineStep().run(bench_of(cell, tmp_path), script)
+            carry_out(BaselineStep(), bench_of(cell, tmp_path), script)
         assert script.asked[-1] == "baseline.place"

@@ -13,9 +13,10 @@ from cell.commissioning.engine import (
     STORE_NAME,
     Dialog,
     Engine,
-    Finding,
     Left,
+    Notes,
     Question,
+    Step,
     Verdict,
 )
 from cell.config.file import changed_config, config_text, load_config
@@ -31,7 +32,7 @@ REAL = {
 
 
 @dataclass
-class Asking:
+class Asking(Step):
     """A step that asks one question."""
 
     key: str
@@ -44,17 +45,14 @@ class Asking:
     undo: str = "nothing to undo"
     seen: list[dict[str, Any]] = field(default_factory=list)
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         self.seen.append(dict(bench.settings))
         answer = dialog.ask(Question(key=f"{self.key}.q", text="?", default="yes"))
-        verdict = self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
-        return Finding(
-            status=verdict,
-            lines=(f"{self.key}: {answer}",),
-            values={"answer": answer},
-            settings=self.settings,
-            figures=self.figures,
-        )
+        notes.status = self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
+        notes.fact(f"{self.key}: {answer}")
+        notes.values["answer"] = answer
+        notes.settings |= self.settings
+        notes.figures |= self.figures
 
 
 def steps() -> list[Asking]:
@@ -88,7 +86,7 @@ def test_redo_forgets_a_step_and_all_that_need_it(tmp_path: Path) -> None:
     engine = Engine(steps(), Bench(tmp_path))
     engine.run(Script())
     assert engine.redo("servos") == ("servos", "force")
-    assert list(Engine(steps(), Bench(tmp_path)).entries) == ["ports", "unit"]
+    assert list(Engine(steps(), Bench(tmp_path)).findings) == ["ports", "unit"]
     Engine(steps(), Bench(tmp_path)).run(again := Script())
     assert again.asked == ["servos.q", "force.q"]
     with pytest.raises(CellError, match="the steps are ports, servos, unit, force"):
@@ -100,15 +98,15 @@ def test_a_failed_step_runs_again_or_is_left(tmp_path: Path) -> None:
     with pytest.raises(Left, match="tactile-cell commission"):
         Engine([step], Bench(tmp_path)).run(Script({"ports.again": ["again", "leave"]}))
     engine = Engine([step], Bench(tmp_path))
-    assert engine.entries["ports"].finding.status is Verdict.FAIL
+    assert engine.findings["ports"].status is Verdict.FAIL
     engine.run(script := Script())
     assert script.asked == ["ports.q"]
-    assert engine.entries["ports"].finding.status is Verdict.WARN
+    assert engine.findings["ports"].status is Verdict.WARN
 
 
 def test_a_line_that_is_lost_fails_the_step(tmp_path: Path) -> None:
     class Lost(Asking):
-        def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
             raise PortLost("the cable is out")
 
     with pytest.raises(Left):
@@ -121,7 +119,7 @@ def test_figures_are_files_or_numbers(tmp_path: Path) -> None:
     step = Asking("pads", settings=REAL, figures={"noise": b"\x89PNG1", "zero": numbers})
     engine = Engine([step], Bench(tmp_path), finish=lambda e: [e.path])
     assert engine.run(Script())[-1] == tmp_path / STORE_NAME
-    kept = Engine([step], Bench(tmp_path)).entries["pads"].finding.figures
+    kept = Engine([step], Bench(tmp_path)).findings["pads"].figures
     assert kept == {"noise": {"file": "pads-noise.png"}, "zero": numbers}
     assert (tmp_path / "pads-noise.png").read_bytes() == b"\x89PNG1"
 
@@ -168,5 +166,5 @@ def test_sections_are_there_before_the_config_is_whole(tmp_path: Path) -> None:
     assert bench.tactile(node_id=9).node_id == 9
     with pytest.raises(ConfigError, match="must both be"):
         _ = bench.config
-    with pytest.raises(ConfigError, match="gripper"):
+    with pytest.raises(ConfigError, match="baud_rate"):
         bench.gripper(baud_rate=3)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Left, Verdict
+from cell.commissioning.engine import Left, Verdict, carry_out
 from cell.commissioning.first_force import FirstForceStep
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
@@ -68,7 +68,7 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(
     cell: SimulatedCell, tmp_path: Path
 ) -> None:
     script = person(cell)
-    finding = FirstForceStep().run(bench_of(cell, tmp_path), script)
+    finding = carry_out(FirstForceStep(), bench_of(cell, tmp_path), script)
     assert finding.status is Verdict.PASS, finding.lines
     (one, four) = finding.values["asked_held_peak_n"]
     assert one[:2] == pytest.approx([1.0, 1.0], abs=0.1)
@@ -85,7 +85,7 @@ def test_nothing_moves_that_was_not_shown(cell: SimulatedCell, tmp_path: Path) -
     script.leave_at = ["approve"]
     before = cell.devices.mechanics.aperture_m
     with pytest.raises(Left):
-        FirstForceStep().run(bench_of(cell, tmp_path), script)
+        carry_out(FirstForceStep(), bench_of(cell, tmp_path), script)
     assert cell.devices.mechanics.aperture_m == before
 
 
@@ -96,11 +96,11 @@ def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_t
     script = person(cell)
     script.leave_at = ["first_force.release"]
     with pytest.raises(Left, match="keep their grip: take hold of the part"):
-        FirstForceStep().run(bench_of(cell, tmp_path), script)
+        carry_out(FirstForceStep(), bench_of(cell, tmp_path), script)
     assert torque(cell) == [1, 1]
     assert min(cell.world.contact_force_n()) > 0.5
     again = person(cell)
-    finding = FirstForceStep().run(bench_of(cell, tmp_path), again)
+    finding = carry_out(FirstForceStep(), bench_of(cell, tmp_path), again)
     assert again.asked[2] == "fingers.held"
     assert finding.status is Verdict.PASS, finding.lines
 
@@ -121,7 +121,7 @@ def test_a_person_stops_a_motion_while_it_runs(
 
     script.moment = stop
     with pytest.raises(Left, match="at the page"):
-        FirstForceStep().run(bench_of(cell, tmp_path), script)
+        carry_out(FirstForceStep(), bench_of(cell, tmp_path), script)
     stood_m = cell.devices.mechanics.aperture_m
     cell.clock.sleep(1.0)
     assert cell.devices.mechanics.aperture_m == pytest.approx(stood_m, abs=5e-4)
@@ -144,7 +144,7 @@ def test_what_is_wrong_is_named_and_leaves_no_torque(
     cell: SimulatedCell, tmp_path: Path, fault: str, named: str
 ) -> None:
     cell.inject(fault)
-    finding = FirstForceStep().run(bench_of(cell, tmp_path), person(cell))
+    finding = carry_out(FirstForceStep(), bench_of(cell, tmp_path), person(cell))
     assert finding.status is Verdict.FAIL
     assert any(word in "\n".join(finding.lines) for word in named.split("|")), finding.lines
     assert torque(cell) == [0, 0]
@@ -152,7 +152,7 @@ def test_what_is_wrong_is_named_and_leaves_no_torque(
 
 def test_fingers_that_find_no_part_fail_the_step(cell: SimulatedCell, tmp_path: Path) -> None:
     script = person(cell, **{"first_force.part": None})
-    finding = FirstForceStep().run(bench_of(cell, tmp_path), script)
+    finding = carry_out(FirstForceStep(), bench_of(cell, tmp_path), script)
     assert finding.status is Verdict.FAIL
     assert "The fingers hold nothing (no_contact)" in finding.lines[-1]
     assert torque(cell) == [0, 0]
@@ -161,7 +161,7 @@ def test_fingers_that_find_no_part_fail_the_step(cell: SimulatedCell, tmp_path: 
 def test_a_gripper_without_pads_presses_by_current(cell: SimulatedCell, tmp_path: Path) -> None:
     cell.inject("unit.off")
     bench = bench_of(cell, tmp_path, unit={"gripper_alone": True})
-    finding = FirstForceStep().run(bench, person(cell, 3.0))
+    finding = carry_out(FirstForceStep(), bench, person(cell, 3.0))
     assert finding.status is not Verdict.FAIL, finding.lines
     assert min(finding.values["asked_held_peak_n"][1]) == pytest.approx(3.0, abs=1.0)
     assert torque(cell) == [0, 0]

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Verdict
-from cell.commissioning.law import GRAVITY_N_KG, LawStep, fit_factor, law_finding
+from cell.commissioning.engine import Finding, Notes, StepFailed, Verdict, carry_out
+from cell.commissioning.law import GRAVITY_N_KG, LawStep, fit_factor, judge_law
 from cell.config.tactile import TactileConfig
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
@@ -45,7 +45,7 @@ def weighed(
                 for number, force_n in enumerate(LOADS_N, start=1)
             }
         )
-        return LawStep().run(bench, script)
+        return carry_out(LawStep(), bench, script)
 
 
 PAPER: dict[str, Any] = {"layout": paper_layout(), "settings": {"tactile.layout": "paper"}}
@@ -80,7 +80,7 @@ def test_a_linear_law_is_set_by_its_force_of_a_count(tmp_path: Path) -> None:
 
 
 def test_without_a_scale_the_forces_are_unchecked(tmp_path: Path) -> None:
-    finding = LawStep().run(Bench(tmp_path), Script({"pads_law.with": "skip"}))
+    finding = carry_out(LawStep(), Bench(tmp_path), Script({"pads_law.with": "skip"}))
     assert finding.status is Verdict.WARN
     assert "not checked" in finding.lines[0]
 
@@ -94,15 +94,14 @@ def test_without_a_scale_the_forces_are_unchecked(tmp_path: Path) -> None:
     ],
 )
 def test_loads_that_are_no_law_fail(loads: Any, named: str) -> None:
-    finding = law_finding(TactileConfig(), loads)
-    assert finding.status is Verdict.FAIL
-    assert named in finding.lines[-1]
-    assert not finding.settings
+    with pytest.raises(StepFailed, match=named):
+        judge_law(TactileConfig(), loads, notes := Notes())
+    assert not notes.settings
 
 
 def test_pads_that_differ_are_a_word_to_the_operator() -> None:
     one, other = [[(n, factor * n) for n in LOADS_N] for factor in (1.1, 0.92)]
-    finding = law_finding(TactileConfig(), [one, other])
+    judge_law(TactileConfig(), [one, other], finding := Notes())
     assert finding.status is Verdict.WARN
     assert "The pads differ: factor 0.91 on finger 0, 1.09 on finger 1" in finding.lines[1]
 

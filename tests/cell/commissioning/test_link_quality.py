@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Verdict
+from cell.commissioning.engine import Finding, Verdict, carry_out
 from cell.commissioning.link_quality import LinkQualityStep
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
@@ -27,7 +27,7 @@ def watched(tmp_path: Path, *faults: str, alone: bool = False) -> Finding:
         bench.found = {"unit": {"gripper_alone": alone}}
         for fault in faults:
             cell.inject(fault)
-        return LinkQualityStep(duration_s=2.5).run(bench, Script())
+        return carry_out(LinkQualityStep(duration_s=2.5), bench, Script())
 
 
 def test_sound_lines_pass(tmp_path: Path) -> None:

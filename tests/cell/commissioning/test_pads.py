@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Left, Verdict
+from cell.commissioning.engine import Finding, Left, Notes, Verdict, carry_out
 from cell.commissioning.pads import (
     PadsAtRestStep,
     PadsPressedStep,
     Patch,
     corner_text,
-    judged,
+    judge_rest,
     mounts_of,
     pressed_at,
     rest_of,
@@ -69,13 +69,13 @@ def at_rest(tmp_path: Path, *faults: str, layout: TaxelLayout | None = None) -> 
     with SimulatedCell(made) as cell:
         name = "pinch" if layout is None else layout.name
         bench = bench_of(cell, tmp_path, **{"tactile.layout": name})
-        return PadsAtRestStep().run(bench, Script())
+        return carry_out(PadsAtRestStep(), bench, Script())
 
 
 def pressed(tmp_path: Path, *faults: str, mounts: tuple[PadMount, ...] = ()) -> Finding:
     made = SimulatorSettings(layout=pinch_layout(), faults=faults, mounts=mounts)
     with SimulatedCell(made) as cell:
-        return PadsPressedStep().run(bench_of(cell, tmp_path), Person(cell).script)
+        return carry_out(PadsPressedStep(), bench_of(cell, tmp_path), Person(cell).script)
 
 
 @pytest.mark.parametrize("layout", [None, paper_layout()])
@@ -112,7 +112,7 @@ def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(tmp_path: P
     with SimulatedCell(
         SimulatorSettings(layout=pinch_layout(), board_serial_numbers=(0, 0))
     ) as cell:
-        finding = PadsAtRestStep().run(bench_of(cell, tmp_path), Script())
+        finding = carry_out(PadsAtRestStep(), bench_of(cell, tmp_path), Script())
     assert finding.status is Verdict.WARN
     assert "press each pad after every work" in "\n".join(finding.lines)
     assert finding.settings == {"tactile.board_serial_numbers": None}
@@ -170,7 +170,7 @@ def test_a_dead_pad_is_named_and_fails_the_step(tmp_path: Path) -> None:
     with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
         person = Person(cell, lambda pad: pad if pad == 1 else None)
         person.script.replies = {"pads_pressed.again": "skip"}
-        finding = PadsPressedStep().run(bench_of(cell, tmp_path), person.script)
+        finding = carry_out(PadsPressedStep(), bench_of(cell, tmp_path), person.script)
     assert finding.status is Verdict.FAIL
     assert "finger0.inner was not seen" in finding.lines[-1]
     assert "No pad showed a fingertip within 30 s" in person.script.text
@@ -192,7 +192,7 @@ def test_the_wrong_pad_or_its_middle_is_asked_for_again(tmp_path: Path) -> None:
                 world.press(wrong.pop(), 0.0, 0.0, 2.0)
 
         person.script.moment = moment
-        finding = PadsPressedStep().run(bench_of(cell, tmp_path), person.script)
+        finding = carry_out(PadsPressedStep(), bench_of(cell, tmp_path), person.script)
     assert finding.status is Verdict.PASS, finding.lines
 
 
@@ -201,7 +201,7 @@ def test_leaving_while_a_pad_is_pressed_ends_the_step(tmp_path: Path) -> None:
         raise Left("left")
 
     with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell, pytest.raises(Left):
-        PadsPressedStep().run(bench_of(cell, tmp_path), Script(moment=leave))
+        carry_out(PadsPressedStep(), bench_of(cell, tmp_path), Script(moment=leave))
 
 
 def test_corners_are_named_as_a_person_sees_them() -> None:
@@ -220,10 +220,11 @@ def test_a_full_scale_below_the_forces_of_the_sequence_is_a_word_to_the_operator
     frames = np.random.default_rng(0).normal(100.0, 20.0, (30, 156)).astype(np.uint16)
     rest = rest_of(layout, LinearCalibration(0.0001, layout.adc_max), frames)
     limits: dict[str, Any] = {"limits": TareLimits(), "contact_force_n": 0.3}
-    verdict, lines = judged(layout, frames, rest, most_force_n=8.0, **limits)
-    assert verdict is Verdict.WARN
-    assert lines[0].startswith("A small part saturates finger0.inner at 3.2 N")
-    assert judged(layout, frames, rest, most_force_n=3.0, **limits) == (Verdict.PASS, [])
+    judge_rest(layout, frames, rest, notes := Notes(), most_force_n=8.0, **limits)
+    assert notes.status is Verdict.WARN
+    assert notes.lines[0].startswith("A small part saturates finger0.inner at 3.2 N")
+    judge_rest(layout, frames, rest, notes := Notes(), most_force_n=3.0, **limits)
+    assert notes.lines == []
 
 
 def test_places_and_mounts_of_patches() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from cell.commissioning import ports
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Verdict
+from cell.commissioning.engine import Verdict, carry_out
 from cell.commissioning.ports import PortsStep, by_id, users_of
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
@@ -23,7 +23,7 @@ def lines() -> SimulatedLines:
 
 def test_the_only_port_is_taken_unasked(tmp_path: Path) -> None:
     bench = Bench(tmp_path, SimulatedLines(SimulatedCell()))
-    found = PortsStep().run(bench, script := Script())
+    found = carry_out(PortsStep(), bench, script := Script())
     assert found.settings == {"gripper.port": "/dev/ttyUSB0"}
     assert script.asked == []
 
@@ -40,7 +40,7 @@ def test_a_port_is_found_by_pulling_and_putting_back_its_plug(
 
     both = [lambda: without("/dev/ttyUSB0", "/dev/ttyACM0"), lambda: without("/dev/ttyUSB1")]
     script = Script({"ports.unplug": [*both], "ports.plug_back": [lambda: None, back]})
-    found = PortsStep().run(Bench(tmp_path, lines), script)
+    found = carry_out(PortsStep(), Bench(tmp_path, lines), script)
     assert found.settings == {"gripper.port": "/dev/ttyUSB2"}
     assert "2 ports are gone" in script.text
     assert script.asked.count("ports.plug_back") == 2
@@ -53,7 +53,7 @@ def test_a_cell_without_any_port_asks_for_the_plug(tmp_path: Path, lines: Simula
         lines.ports = ("/dev/ttyUSB0",)
 
     script = Script({"ports.plug_in": [lambda: None, plug_in]})
-    assert PortsStep().run(Bench(tmp_path, lines), script).status is Verdict.PASS
+    assert carry_out(PortsStep(), Bench(tmp_path, lines), script).status is Verdict.PASS
     assert script.asked == ["ports.plug_in"] * 2
 
 
@@ -61,7 +61,7 @@ def test_a_slow_latency_timer_is_named_with_the_command_that_mends_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ports, "latency_timer_ms", lambda _port: 16)
-    found = PortsStep().run(Bench(tmp_path, SimulatedLines(SimulatedCell())), Script())
+    found = carry_out(PortsStep(), Bench(tmp_path, SimulatedLines(SimulatedCell())), Script())
     assert found.status is Verdict.WARN
     advice = found.lines[-1]
     assert "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer" in advice
@@ -75,7 +75,7 @@ def test_a_port_of_another_group_is_named_with_the_command(
     device.touch(mode=0o600)
     monkeypatch.setattr(ports.os, "access", lambda *_: False)
     bench = Bench(tmp_path, given={"gripper.port": str(device)})
-    found = PortsStep().run(bench, Script())
+    found = carry_out(PortsStep(), bench, Script())
     assert found.status is Verdict.FAIL
     assert "sudo usermod -a -G" in found.lines[-1]
 
@@ -86,7 +86,7 @@ def test_a_port_that_is_taken_or_gone_is_named(tmp_path: Path, lines: SimulatedL
             raise PortLost(f"serial port {port} is used by another program")
 
     bench = Bench(tmp_path, Taken(lines.cell))
-    found = PortsStep().run(bench, Script())
+    found = carry_out(PortsStep(), bench, Script())
     assert found.status is Verdict.FAIL
     assert "used by another program" in found.lines[-1]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Engine, Finding, Left, Verdict, Write
+from cell.commissioning.engine import Dialog, Engine, Left, Notes, Write
 from cell.commissioning.figures import curves, pads, svg
 from cell.commissioning.record import RECORD_NAME, write_record
 from tactile.layout import pinch_layout
@@ -32,9 +32,9 @@ NOISE = pads("Noise of each taxel", LAYOUT, np.arange(LAYOUT.n_taxels) / 100, un
 class Writing(Asking):
     """A step that shows a write, then asks."""
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         dialog.approve([WRITE])
-        return super().run(bench, dialog)
+        super().run(bench, dialog, notes)
 
 
 def test_the_record_has_steps_writes_pictures_and_a_place_to_sign(tmp_path: Path) -> None:
@@ -67,14 +67,10 @@ def test_the_record_of_a_commissioning_that_is_not_done_says_so(tmp_path: Path) 
 
 def test_values_that_name_hardware_stand_at_the_top(tmp_path: Path) -> None:
     class Servos(Asking):
-        def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
             servo = {"model": "XM430-W350", "firmware": 52}
-            return Finding(
-                status=Verdict.PASS,
-                lines=("two servos",),
-                values={"servos": [servo, servo], "zeros": list(range(50))},
-                settings=REAL,
-            )
+            notes.values |= {"servos": [servo, servo], "zeros": list(range(50))}
+            notes.settings |= REAL
 
     engine = Engine([Servos("servos")], Bench(tmp_path), finish=write_record)
     page = engine.run(Script())[-1].read_text("utf-8")

@@ -66,7 +66,7 @@ class Walk:
             engine._run(step, self.script)
             if not engine.done(step):
                 break
-        return {key: entry.finding for key, entry in engine.entries.items()}
+        return dict(engine.findings)
 
     def torques(self) -> list[int]:
         return [

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Left, Step, Verdict
+from cell.commissioning.engine import Finding, Left, Step, Verdict, carry_out
 from cell.commissioning.law import LawStep
 from cell.commissioning.pads import PadsAtRestStep, PadsPressedStep
 from cell.commissioning.unit import UnitStep
@@ -36,7 +36,7 @@ def found(
     made = SimulatorSettings(**{"layout": pinch_layout()} | settings, faults=faults)
     with SimulatedCell(made) as cell:
         bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN if given is None else given)
-        return UnitStep().run(bench, script or Script())
+        return carry_out(UnitStep(), bench, script or Script())
 
 
 def test_a_unit_is_found_and_set_up_and_named(tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(tmp_path: Path)
     with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
         cell.clock.sleep(0.1)  # it has booted
         bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN)
-        first, second = (UnitStep().run(bench, Script()) for _ in range(2))
+        first, second = (carry_out(UnitStep(), bench, Script()) for _ in range(2))
     assert "found by asking each node-ID" in first.lines[0]
     assert "found by listening" in second.lines[0]
 
@@ -72,7 +72,7 @@ def test_nothing_is_written_that_is_refused(tmp_path: Path) -> None:
     with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
         bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN)
         with pytest.raises(Left):
-            UnitStep().run(bench, Script(leave_at=["approve"]))
+            carry_out(UnitStep(), bench, Script(leave_at=["approve"]))
         assert cell.unit.dictionary.number(0x1017) == 0
 
 
@@ -97,11 +97,11 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(tmp_path: Path
     settings = SimulatorSettings(layout=pinch_layout(), faults=("can.bit_rate=500000",))
     with SimulatedCell(settings) as cell:
         lines = Adapter(cell)
-        finding = UnitStep().run(Bench(tmp_path, lines, given=GIVEN), Script())
+        finding = carry_out(UnitStep(), Bench(tmp_path, lines, given=GIVEN), Script())
         assert finding.settings["tactile.bitrate"] == 500_000
         lines.rates = ()
-        finding = UnitStep().run(Bench(tmp_path, lines, given=GIVEN), Script())
-        assert finding.lines == ("invalid bit rate 1000000",)
+        finding = carry_out(UnitStep(), Bench(tmp_path, lines, given=GIVEN), Script())
+        assert finding.lines == ("BusNotOpened: invalid bit rate 1000000",)
 
 
 def test_a_bit_rate_that_is_too_slow_for_a_frame_is_refused(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(tmp_path: Path) -> No
         mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
         cell.devices.can_devices.add(SimulatedDrive(mount))
         bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN)
-        finding = UnitStep().run(bench, Script())
+        finding = carry_out(UnitStep(), bench, Script())
     assert finding.status is Verdict.PASS, finding.lines
     assert finding.settings["tactile.node_id"] == 5
     assert "Beside it, node 3 is another device" in "\n".join(finding.lines)
@@ -144,13 +144,13 @@ def test_the_interface_is_asked_for_only_where_there_are_several(tmp_path: Path)
         ports = ("/dev/ttyUSB0", "/dev/ttyACM0", "/dev/ttyACM1")
         bench = Bench(tmp_path, SimulatedLines(cell, ports), given={"gripper.port": ports[0]})
         script = Script({"unit.interface": "slcan /dev/ttyACM1"})
-        finding = UnitStep().run(bench, script)
+        finding = carry_out(UnitStep(), bench, script)
         assert finding.settings["tactile.channel"] == "/dev/ttyACM1"
         one = Bench(tmp_path, SimulatedLines(cell, ports[:1]), given={"gripper.port": ports[0]})
-        finding = UnitStep().run(one, Script())
+        finding = carry_out(UnitStep(), one, Script())
         assert finding.status is Verdict.FAIL
         assert "No CAN interface was found" in finding.lines[0]
-        finding = UnitStep().run(one, Script({"unit.none": "alone"}))
+        finding = carry_out(UnitStep(), one, Script({"unit.none": "alone"}))
     assert finding.status is Verdict.WARN
     assert finding.values == {"gripper_alone": True}
 
@@ -159,7 +159,7 @@ def test_the_interface_is_asked_for_only_where_there_are_several(tmp_path: Path)
 def test_steps_of_the_pads_pass_by_where_there_are_none(tmp_path: Path, step: Step) -> None:
     bench = Bench(tmp_path)
     bench.found = {"unit": {"gripper_alone": True}}
-    finding = step.run(bench, Script())
+    finding = carry_out(step, bench, Script())
     assert finding.status is Verdict.WARN
     assert "no pads yet" in finding.lines[0]
 
@@ -173,15 +173,15 @@ def test_a_unit_of_another_bit_rate_is_found_over_a_real_serial_adapter(tmp_path
     try:
         given = {"tactile.interface": "slcan", "tactile.channel": cell.can_channel}
         bench = Bench(tmp_path, given=given)
-        finding = UnitStep().run(bench, Script())
+        finding = carry_out(UnitStep(), bench, Script())
         assert finding.status is Verdict.PASS, finding.lines
         assert finding.settings["tactile.bitrate"] == 500_000
         bench.settings = finding.settings
         cell.ask(press=1, x_m=0.015, y_m=0.006, force_n=2.0)
-        finding = PadsAtRestStep().run(bench, Script())
+        finding = carry_out(PadsAtRestStep(), bench, Script())
         assert finding.status is Verdict.FAIL
         assert "for an untouched taxel: clear the pads" in finding.lines[-1]
         cell.ask(lift=True)
-        assert PadsAtRestStep().run(bench, Script()).status is Verdict.PASS
+        assert carry_out(PadsAtRestStep(), bench, Script()).status is Verdict.PASS
     finally:
         cell.end()

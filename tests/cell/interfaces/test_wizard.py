@@ -19,10 +19,10 @@ from cell.commissioning.engine import (
     Choice,
     Dialog,
     Engine,
-    Finding,
+    Notes,
     Number,
     Question,
-    Verdict,
+    StepFailed,
     Write,
 )
 from cell.commissioning.figures import curves, pads
@@ -58,10 +58,10 @@ class Ports(Asking):
     mistakes: int = 0
     wrong: int = 0
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         if self.wrong:
             self.wrong -= 1
-            return Finding(status=Verdict.FAIL, lines=("No adapter is plugged in.",))
+            raise StepFailed("No adapter is plugged in.")
         if self.mistakes:
             self.mistakes -= 1
             raise RuntimeError("this step has a mistake")
@@ -70,11 +70,8 @@ class Ports(Asking):
         question = Question(
             key="ports.which", text="Which port leads to the servos?", choices=choices, default="0"
         )
-        return Finding(
-            status=Verdict.PASS,
-            lines=(f"The servos are at {names[int(dialog.ask(question))]}.",),
-            settings=self.settings,
-        )
+        notes.fact(f"The servos are at {names[int(dialog.ask(question))]}.")
+        notes.settings |= self.settings
 
 
 @dataclass
@@ -88,7 +85,7 @@ class Moving(Asking):
     limp: bool = False
     go: threading.Event = field(default_factory=threading.Event)
 
-    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         dialog.approve(WRITES)
         dialog.say("Both servos answer at 1,000,000 bit/s.")
         angles = iter(range(10_000))
@@ -116,20 +113,18 @@ class Moving(Asking):
         thick = float(dialog.ask(block))
         t_s = np.linspace(0.0, 2.0, 200)
         measured = 1.0 - np.exp(-t_s)
-        return Finding(
-            status=Verdict.WARN,
-            lines=(f"A block of {thick:g} mm closes the fingers.", "Finger 1 is a spline off."),
-            figures={
-                "ramp": curves(
-                    "Ramp",
-                    t_s,
-                    {"asked": t_s / 2, "measured": measured},
-                    x_label="time / s",
-                    y_label="force / N",
-                ),
-                "noise": pads("Noise", LAYOUT, np.arange(LAYOUT.n_taxels) / 100, unit="counts"),
-            },
-        )
+        notes.fact(f"A block of {thick:g} mm closes the fingers.")
+        notes.warn("Finger 1 is a spline off.")
+        notes.figures |= {
+            "ramp": curves(
+                "Ramp",
+                t_s,
+                {"asked": t_s / 2, "measured": measured},
+                x_label="time / s",
+                y_label="force / N",
+            ),
+            "noise": pads("Noise", LAYOUT, np.arange(LAYOUT.n_taxels) / 100, unit="counts"),
+        }
 
 
 class Client:
