@@ -26,21 +26,14 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import CATALOGUE
+from cell.interfaces.http_server import LONGEST, Scope
 from cell.interfaces.page import mount_page
 from cell.interfaces.plugin.goals import goal_schema
 from cell.interfaces.service.photos import LONGEST_PHOTO
 from cell.interfaces.service.replay import UPLOAD_BYTES, Replay
 from cell.interfaces.service.service import Service
 from cell.interfaces.service.state import plain, state_values
-from cell.interfaces.web_server import (
-    LONGEST,
-    GuardedApi,
-    Paths,
-    RequestBody,
-    Scope,
-    WebServer,
-    is_here,
-)
+from cell.interfaces.web_server import GuardedApi, Paths, RequestBody, WebServer, is_here
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A number in a request."""

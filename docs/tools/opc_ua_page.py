@@ -1,12 +1,11 @@
 """The table of the OPC UA variables, made from the variables themselves."""
 
-from cell.interfaces.opc_ua.door import ARRAYS, PLATE, VALUES
+from cell.interfaces.opc_ua.door import ARRAYS, NODES
 
 
 def opc_ua_page() -> str:
     """Return one row for each variable."""
     rows = ["| variable | type | |", "| --- | --- | --- |"]
-    for value in (*PLATE, *VALUES):
-        array = "[]" if value.path in ARRAYS else ""
-        rows.append(f"| `{value.path}` | {value.type.name}{array} | {value.text} |")
+    for path, (kind, text) in NODES.items():
+        rows.append(f"| `{path}` | {kind.name}{'[]' if path in ARRAYS else ''} | {text} |")
     return "\n".join(rows)

@@ -1,5 +1,6 @@
 """A short run of connections: what a client leaves behind in a door shows after two blocks."""
 
+import os
 import subprocess
 import sys
 from contextlib import closing
@@ -8,8 +9,8 @@ from typing import Any
 import pytest
 
 from benchmarks.performance import connects
+from cell.interfaces.http_server import Connection
 from cell.interfaces.service.serving import open_doors
-from cell.interfaces.xml_rpc import _Server
 
 pytestmark = pytest.mark.long
 
@@ -41,12 +42,13 @@ def test_connections_leave_nothing_behind_and_the_part_is_held() -> None:
 
 
 def test_a_door_that_keeps_its_connections_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    kept: list[Any] = []
+    kept, made = [], Connection.connection_made
 
-    def keep(_server: Any, request: Any) -> None:
-        kept.append(request)
+    def keep(connection: Any, transport: Any) -> None:
+        kept.append(os.dup(transport.get_extra_info("socket").fileno()))
+        made(connection, transport)
 
-    monkeypatch.setattr(_Server, "shutdown_request", keep)
+    monkeypatch.setattr(Connection, "connection_made", keep)
     monkeypatch.setattr(connects, "BLOCK", N // 2)
     monkeypatch.setattr(connects, "REST_S", 0.0)
     with closing(connects.serve()) as service, open_doors(service) as found:
@@ -54,5 +56,5 @@ def test_a_door_that_keeps_its_connections_is_found(monkeypatch: pytest.MonkeyPa
         door = connects.requests(found)["xmlrpc"]
         with pytest.raises(SystemExit, match=r"xmlrpc (has descriptors|gives no answer)"):
             list(connects.hammer(service, "xmlrpc", door, N))
-    for request in kept:
-        request.close()
+    for descriptor in kept:
+        os.close(descriptor)

@@ -7,11 +7,12 @@ changes; a client that connects anew first writes the acknowledged number. The p
 
 import itertools
 import struct
-from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import version
+from collections.abc import Mapping, Sequence
 from math import degrees
+from typing import Any
 
-from cell.control.states import CellState, Command, GraspState
+from cell.control.plan import Pose
+from cell.control.states import CellState, GraspState
 from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
 from cell.interfaces.modbus.protocol import (
@@ -21,9 +22,10 @@ from cell.interfaces.modbus.protocol import (
     ModbusError,
     ModbusServer,
 )
-from cell.interfaces.plugin.goals import goal_of
 from cell.interfaces.service.doors import may_connect, read_secret, same_secret
-from cell.interfaces.service.service import JobView, Service, Snapshot
+from cell.interfaces.service.host_calls import COMMANDS
+from cell.interfaces.service.host_values import PLATE, VALUES, Value
+from cell.interfaces.service.service import JobView, Service
 from recognition.recognizer import UNKNOWN
 
 SIGNATURE = 0x5443
@@ -41,6 +43,8 @@ KEEP_ALWAYS, KEEP_NAMED = 1, 2
 REBOOT = 4
 """Bit of `OPTIONS`: `clear` restarts servos at fault."""
 
+_REGISTERS = {"grasps": GRASPS, "max_grasps": GRASPS, "parts": OBJECT, "key": KEY}
+"""Holding register of each field of a command that stands there as it is."""
 READY, REMOTE, RUNNING, DONE, REFUSED, FAULT, HOLDING, NO_PART, LOST, UNNAMED, NEEDS_RESET = (
     1 << bit for bit in range(11)
 )
@@ -57,20 +61,20 @@ ANSWERED, ANSWER_UNKNOWN, ANSWER_KEPT = 1, 2, 4
 """Bits of the last identification: it has an answer; that is UNKNOWN; its part was kept."""
 
 
-def _word(value: float | None, unit: float = 1.0) -> int:
-    """Return a value in units as 16 bit, two's complement, limited to what fits; 0 for None."""
-    number = 0 if value is None else round(value / unit)
-    return max(-0x8000, min(0xFFFF, number)) & 0xFFFF
-
-
-def _measured(value: float | None, unit: float = 1.0) -> int:
-    if value is None:
-        return NOT_MEASURED
+def _two(value: float, unit: float) -> int:
+    """Return a value in units as 16 bit, two's complement, limited to what fits."""
     return max(-0x7FFF, min(0x7FFF, round(value / unit))) & 0xFFFF
 
 
-def _age(age_s: float | None) -> int:
-    return OLDEST_MS if age_s is None else min(OLDEST_MS, round(1e3 * age_s))
+def _word(value: Value, found: Any) -> int:
+    """Return a value as it stands in its register; numbers begin anew after 65535."""
+    if value.kind is int:
+        return (found or 0) & 0xFFFF
+    if ".live." not in value.source:
+        return _two(found or 0.0, value.unit)
+    if value.source.endswith("age_s"):
+        return OLDEST_MS if found is None else min(OLDEST_MS, round(found / value.unit))
+    return NOT_MEASURED if found is None else _two(found, value.unit)
 
 
 def _text(text: str) -> list[int]:
@@ -80,10 +84,11 @@ def _text(text: str) -> list[int]:
 
 
 def input_registers(
-    now: Snapshot, *, life: int, remote: bool, seq: int, result: int, refusal: Refusal, boot: int
+    service: Service, *, life: int, remote: bool, seq: int, result: int, refusal: Refusal
 ) -> list[int]:
-    """Return all input registers of one moment."""
-    status, job, pose, live = now.status, now.job, now.pose, now.status.live
+    """Return all input registers of this moment."""
+    now = service.snapshot()
+    status, job, pose = now.status, now.job, now.pose or Pose()
     answer = now.last_answer or JobView()
     flags = (
         (ANSWERED, answer.number > 0),
@@ -104,42 +109,25 @@ def input_registers(
         (NEEDS_RESET, status.needs_reset),
         (ON_HOLD, bool(now.held_by)),
     )
-    values = [
-        SIGNATURE,
-        life,
-        sum(bit for bit, on in bits if on),
-        status.state_number,
-        status.grasp_number,
-        seq,
-        result,
-        status.fault_number or job.fault_number,
-        job.number & 0xFFFF,
-        job.outcome_number,
-        answer.label_id,
-        _word(answer.probability, 1e-4),
-        job.n_grasps,
-        _measured(live.force_n, 0.01),
-        _measured(live.opening_mm, 0.01),
-        _word(answer.size_mm, 0.01),
-        now.pose_seq,
-        _word(None if pose is None else pose.x_m, 1e-5),
-        _word(None if pose is None else pose.y_m, 1e-5),
-        _word(None if pose is None else degrees(pose.rotation_rad), 0.1),
-        _word(None if pose is None else degrees(pose.roll_rad), 0.1),
-        _age(live.frame_age_s),
-        _measured(live.temperature_c),
-        _age(live.force_age_s),
-        answer.number & 0xFFFF,
-        sum(bit for bit, on in flags if on),
-        refusal.number,
-        boot,
-    ]
+    words = [0] * TEXT_AT
+    for value in (*VALUES, *PLATE):
+        if value.register:
+            words[value.register] = _word(value, value.of(service if value in PLATE else now))
+    words[:3] = SIGNATURE, life, sum(bit for bit, on in bits if on)
+    words[5:8] = seq, result, status.fault_number or job.fault_number
+    words[17:21] = (
+        _two(pose.x_m, 1e-5),
+        _two(pose.y_m, 1e-5),
+        _two(degrees(pose.rotation_rad), 0.1),
+        _two(degrees(pose.roll_rad), 0.1),
+    )
+    words[25:27] = sum(bit for bit, on in flags if on), refusal.number
     on_hold = f"on hold by {', '.join(now.held_by)}" if now.held_by else ""
     if status.fault:
         shown = for_display(status.fault_number, status.fault)
     else:
         shown = on_hold or for_display(job.fault_number, job.error)
-    return values + [0] * (TEXT_AT - len(values)) + _text(shown) + _text(refusal.text)
+    return [*words, *_text(shown), *_text(refusal.text)]
 
 
 class ModbusDoor:
@@ -167,7 +155,7 @@ class ModbusDoor:
         self.identification: Mapping[int, str] = {
             0: "tactile-cell maintainers",
             1: "tactile-cell",
-            2: version("tactile-cell"),
+            2: service.version,
             4: "tactile-cell",
             5: "simulated cell" if service.config.simulated else "cell",
             6: service.config.name,
@@ -197,13 +185,12 @@ class ModbusDoor:
             self._holding[HOLD] = client.hold  # each client has its own
             return self._holding[address : address + count]
         everything = input_registers(
-            self._service.snapshot(),
+            self._service,
             life=next(self._life) & 0xFFFF,
             remote=self._has_lease(),
             seq=self._seq,
             result=self._result,
             refusal=client.refusal,
-            boot=self._service.boot,
         )
         return everything[address : address + count]
 
@@ -287,11 +274,20 @@ class ModbusDoor:
     def _run(self) -> Refusal:
         """Carry the command out and return why it is refused; number 0 where it is not."""
         asked = self._holding
-        command = _COMMANDS.get(asked[COMMAND])
+        service, number = self._service, asked[COMMAND]
         try:
-            if command is None:
-                raise RequestRefused(f"command {asked[COMMAND]} is not one of {list(_COMMANDS)}")
-            command(self._service, self._lease, asked)
+            match number:
+                case 4:
+                    service.hold("by its client over Modbus")
+                case 40 | 41:
+                    service.pose_reached(self._lease, asked[OBJECT], ok=number == 40)
+                case _ if number in _COMMANDS:
+                    name, fields, *_ = _COMMANDS[number]
+                    given = {field: _field(service, asked, field) for field in fields}
+                    service.request(self._lease, name, **given)
+                case _:
+                    known = sorted((4, 40, 41, *_COMMANDS))
+                    raise RequestRefused(f"command {number} is not one of {known}")
         except Exception as error:
             return Refusal.of(error)
         return Refusal()
@@ -323,53 +319,23 @@ class _Client:
         self._door.disconnected(self)
 
 
-def _teach(service: Service, lease: int, asked: Sequence[int]) -> None:
-    number = asked[OBJECT]
-    if not 1 <= number <= len(service.labels):
-        raise RequestRefused(f"object {number} has no label; serve.objects names it")
-    goal = goal_of("teach", label=service.labels[number - 1], grasps=asked[GRASPS], seed=number)
-    service.start(lease, goal)
+_COMMANDS = {number: command for command in COMMANDS for number in command.numbers}
+"""Command of each number; beside them 4 hold, 40 pose reached, 41 pose refused."""
 
 
-def _identify(service: Service, lease: int, asked: Sequence[int]) -> None:
-    options = asked[OPTIONS]
-    keep = "always" if options & KEEP_ALWAYS else "when_named" if options & KEEP_NAMED else ""
-    force_n = 0.01 * asked[FORCE]
-    goal = goal_of("identify", max_grasps=asked[GRASPS], force_n=force_n, keep=keep)
-    service.start(lease, goal)
-
-
-def _sort(service: Service, lease: int, asked: Sequence[int]) -> None:
-    goal = goal_of(
-        "sort", parts=asked[OBJECT], max_grasps=asked[GRASPS], force_n=0.01 * asked[FORCE]
-    )
-    service.start(lease, goal)
-
-
-def _pose(service: Service, lease: int, asked: Sequence[int], *, ok: bool) -> None:
-    service.pose_reached(lease, asked[OBJECT], ok=ok)
-
-
-_COMMANDS: dict[int, Callable[[Service, int, Sequence[int]], object]] = {
-    1: lambda service, lease, _: service.command(lease, Command.RESET),
-    2: _identify,
-    3: lambda service, lease, _: service.command(lease, Command.SHUTDOWN),
-    4: lambda service, _, __: service.hold("by its client over Modbus"),
-    9: lambda service, lease, asked: service.command(
-        lease, Command.CLEAR, reboot=bool(asked[OPTIONS] & REBOOT)
-    ),
-    20: _teach,
-    21: _identify,
-    22: lambda service, lease, asked: service.start(
-        lease, {"task": "grip", "force_n": 0.01 * asked[FORCE]}
-    ),
-    23: lambda service, lease, _: service.start(lease, {"task": "verify"}),
-    24: _sort,
-    25: lambda service, lease, _: service.start(lease, {"task": "zero"}),
-    30: lambda service, lease, asked: service.command(lease, Command.RELEASE, key=asked[KEY]),
-    40: lambda service, lease, asked: _pose(service, lease, asked, ok=True),
-    41: lambda service, lease, asked: _pose(service, lease, asked, ok=False),
-}
-"""Commands: below 20 CntrlCmd of PackTags (1 reset, 2 start, 3 stop, 4 hold, 9 clear), then those
-of the cell: 20 teach, 21 identify, 22 grip, 23 verify, 24 sort, 25 zero, 30 release, 40 pose
-reached, 41 refused."""
+def _field(service: Service, asked: Sequence[int], name: str) -> Any:
+    """Return a field of a command, as the registers of the host have it."""
+    match name:
+        case "label":
+            if not 1 <= asked[OBJECT] <= len(service.labels):
+                raise RequestRefused(f"object {asked[OBJECT]} has no label; serve.objects names it")
+            return service.labels[asked[OBJECT] - 1]
+        case "force_n":
+            return 0.01 * asked[FORCE]
+        case "keep":
+            kept = {KEEP_ALWAYS: "always", KEEP_NAMED: "when_named"}
+            return next((how for bit, how in kept.items() if asked[OPTIONS] & bit), "")
+        case "reboot":
+            return bool(asked[OPTIONS] & REBOOT)
+        case _:
+            return asked[_REGISTERS[name]]

@@ -8,9 +8,8 @@ from concurrent.futures import Future
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from asyncua import ua
 from asyncua.ua import StatusCodes
@@ -19,93 +18,25 @@ from cryptography.x509 import ExtensionNotFound
 from cell.errors import ConfigError
 from cell.fault_catalogue import BY_NUMBER
 from cell.interfaces.opc_ua.server import CellServer, Clients, Sessions
+from cell.interfaces.service.host_calls import Calls, methods
+from cell.interfaces.service.host_values import PLATE, REFUSAL, VALUES, ur_pose
 from cell.interfaces.service.service import Service, Snapshot
-from cell.interfaces.xml_rpc import Calls, methods, ur_pose
 
 NAMESPACE = "urn:tactile-cell:cell"
 """Namespace of the nodes; their ids are their paths, as ``Cell.Job.Label``."""
 PERIOD_S = 0.1
 """Time in s between two looks at the cell: no value changes more often."""
-_BOOL, _INT, _REAL = ua.VariantType.Boolean, ua.VariantType.Int32, ua.VariantType.Double
-_TEXT, _COUNT = ua.VariantType.String, ua.VariantType.UInt16
-_TYPES = {bool: _BOOL, int: _INT, float: _REAL, str: _TEXT}
-
-
-class Value(NamedTuple):
-    """A variable: its path below ``Cell``, its type, what it is, and how it is taken."""
-
-    path: str
-    type: ua.VariantType
-    text: str
-    of: Callable[[Any], Any]
-
-
-def _counts(now: Snapshot) -> list[int] | None:
-    counts = now.status.live.counts
-    return None if counts is None else counts.tolist()
-
-
-def _live(name: str) -> Callable[[Snapshot], Any]:
-    return lambda now: getattr(now.status.live, name)
-
-
-def _last(name: str) -> Callable[[Snapshot], Any]:
-    return lambda now: getattr(now.last_answer, name, None)
-
-
-PLATE = (
-    Value("Identification.Name", _TEXT, "Name of the cell", lambda of: of.config.name),
-    Value("Identification.Simulated", _BOOL, "No hardware", lambda of: of.config.simulated),
-    Value("Identification.Version", _TEXT, "Of this program", lambda _: version("tactile-cell")),
-    Value("Identification.Boot", _INT, "Differs after each start", lambda of: of.boot),
-    Value("Identification.Labels", _TEXT, "By id, from 1", lambda of: list(of.labels)),
-)
-"""Variables that are taken from the service."""
-REFUSALS = (
-    Value("LastRefusal.Number", _INT, "Of the last refused call; 0", lambda last: last.number),
-    Value("LastRefusal.Text", _TEXT, "Why it was refused", lambda last: last.text),
-    Value("LastRefusal.Remedy", _TEXT, "What to do", lambda last: last.remedy),
-)
-"""Variables that are taken from the last refusal of this door."""
-VALUES = (
-    Value("State.Number", _INT, "PackTags number", lambda now: now.status.state_number),
-    Value("State.Name", _TEXT, "PackML name", lambda now: now.status.state),
-    Value("State.NeedsReset", _BOOL, "Waits for reset", lambda now: now.status.needs_reset),
-    Value("State.Commander", _TEXT, "Client in command", lambda now: now.commander),
-    Value("State.HeldBy", _TEXT, "Clients on hold", lambda now: ", ".join(now.held_by)),
-    Value("Grip.Number", _INT, "State, 0 to 7", lambda now: now.status.grasp_number),
-    Value("Grip.Name", _TEXT, "State", lambda now: now.status.grasp),
-    Value("Grip.Holding", _BOOL, "A part may be held", lambda now: now.status.holding),
-    Value("Grip.Force", _REAL, "N", _live("force_n")),
-    Value("Grip.ForceAge", _REAL, "Of the newest valid force, s", _live("force_age_s")),
-    Value("Grip.Setpoint", _REAL, "Force asked for, N", _live("setpoint_n")),
-    Value("Grip.Opening", _REAL, "mm", _live("opening_mm")),
-    Value("Grip.Temperature", _REAL, "Warmest servo, deg C", _live("temperature_c")),
-    Value("Job.Number", _INT, "The newest; 0: none", lambda now: now.job.number),
-    Value("Job.Task", _TEXT, "What was asked for", lambda now: now.job.task),
-    Value("Job.State", _INT, "As job_state", lambda now: now.job.outcome_number),
-    Value("Job.FaultNumber", _INT, "Why it failed; 0", lambda now: now.job.fault_number),
-    Value("Job.FaultText", _TEXT, "Why it failed", lambda now: now.job.error),
-    Value("Job.Label", _TEXT, "Likeliest, at the end found", lambda now: now.job.label),
-    Value("Job.LabelId", _INT, "From 1; 0: unknown", lambda now: now.job.label_id),
-    Value("Job.Probability", _REAL, "Of the label, 0 to 1", lambda now: now.job.probability),
-    Value("Job.Shape", _TEXT, "Empty: not felt", lambda now: now.job.shape),
-    Value("Job.Size", _REAL, "mm; 0: not felt", lambda now: now.job.size_mm),
-    Value("Job.Grasps", _INT, "Grasps so far", lambda now: now.job.n_grasps),
-    Value("Job.Kept", _BOOL, "The part is kept", lambda now: now.job.kept),
-    Value("LastAnswer.Job", _INT, "Of the last identification", _last("number")),
-    Value("LastAnswer.Label", _TEXT, "What it found", _last("label")),
-    Value("LastAnswer.LabelId", _INT, "From 1; 0: unknown", _last("label_id")),
-    Value("LastAnswer.Probability", _REAL, "Of the label, 0 to 1", _last("probability")),
-    Value("LastAnswer.Kept", _BOOL, "The part was kept", _last("kept")),
-    Value("Pose.Number", _INT, "The one waited for; 0: none", lambda now: now.pose_seq),
-    Value("Pose.Value", _REAL, "m, rotation vector", lambda now: list(ur_pose(now.pose).values())),
-    Value("Taxels", _COUNT, "Counts of the newest frame", _counts),
-    Value("FrameAge", _REAL, "Of that frame, s", _live("frame_age_s")),
-    Value("FaultNumber", _INT, "The latched one; 0: none", lambda now: now.status.fault_number),
-    Value("FaultText", _TEXT, "The latched one", lambda now: now.status.fault or ""),
-)
-"""Variables that are taken from a snapshot; what is not there at the moment has a bad status."""
+_INT, _REAL, _TEXT = ua.VariantType.Int32, ua.VariantType.Double, ua.VariantType.String
+_TYPES = {bool: ua.VariantType.Boolean, int: _INT, float: _REAL, str: _TEXT}
+NODES: dict[str, tuple[ua.VariantType, str]] = {
+    **{one.node: (_TYPES[one.kind], one.text) for one in PLATE},
+    "Identification.Labels": (_TEXT, "Labels by their id, from 1"),
+    **{one.node: (_TYPES[one.kind], one.text) for one in VALUES},
+    "Pose.Value": (_REAL, "That pose in m, with a rotation vector in rad"),
+    "Taxels": (ua.VariantType.UInt16, "Counts of the newest frame"),
+    **{one.node: (_TYPES[one.kind], one.text) for one in REFUSAL},
+}
+"""Type and text of each variable by its path; what is not there at the moment has a bad status."""
 ARRAYS = ("Identification.Labels", "Pose.Value", "Taxels")
 """Paths of variables that are arrays."""
 FAULT_EVENT, SHUTDOWN_EVENT = "CellFault", "CellShutdown"
@@ -203,7 +134,7 @@ class OpcUaDoor:
         name = partial(ua.QualifiedName, NamespaceIndex=space)
         cell = await server.nodes.objects.add_object(_id("", space), name("Cell"))
         groups = {"": cell}
-        for path, kind, text, _of in (*PLATE, *VALUES, *REFUSALS):
+        for path, (kind, text) in NODES.items():
             group, _, last = path.rpartition(".")
             if group not in groups:
                 groups[group] = await cell.add_object(_id(group, space), name(group))
@@ -227,12 +158,17 @@ class OpcUaDoor:
         missing = StatusCodes.BadNoData
         try:
             now = await asyncio.to_thread(self._service.snapshot)
-            found = {one.path: one.of(now) for one in VALUES}
-            found |= {one.path: one.of(self._service) for one in PLATE}
-            found |= {one.path: one.of(self._calls.refusal) for one in REFUSALS}
+            counts = now.status.live.counts
+            found = {
+                "Identification.Labels": list(self._service.labels),
+                "Pose.Value": list(ur_pose(now.pose).values()),
+                "Taxels": None if counts is None else counts.tolist(),
+            }
+            shown = (now, VALUES), (self._service, PLATE), (self._calls.refusal, REFUSAL)
+            found |= {one.node: one.of(what) for what, values in shown for one in values}
         except Exception:
             missing = StatusCodes.BadNoCommunication
-        for path, kind, *_ in (*PLATE, *VALUES, *REFUSALS):
+        for path, (kind, _) in NODES.items():
             value = found.get(path)
             variant = ua.Variant() if value is None else ua.Variant(value, kind)
             status = ua.StatusCode(missing if value is None else StatusCodes.Good)

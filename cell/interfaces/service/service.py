@@ -31,6 +31,7 @@ from cell.interfaces.plugin.goals import (
     IdentifyGoal,
     SortGoal,
     checked_goal,
+    goal_of,
 )
 from cell.interfaces.plugin.part_report import OnPart
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
@@ -183,6 +184,8 @@ class Service:
         The replay that stands for the cell; None for a cell.
     shift, photos
         The ledger of the parts; the photos of taught objects.
+    version
+        Of this program.
     boot
         Number of this start, 1 to 65535: seconds of its time, so that it differs after each start.
     """
@@ -198,6 +201,7 @@ class Service:
         clock: Clock = time,
     ) -> None:
         self.config = config
+        self.version = version("tactile-cell")
         self.boot = int(time.time()) % 0xFFFF + 1
         self.replay = plugin if isinstance(plugin, Replay) else None
         self.shift = Shift() if self.replay is None else self.replay.shift
@@ -317,7 +321,7 @@ class Service:
         """Return what stays as it is, as plain data; lengths in mm, forces in N."""
         return self._plugin.info() | {
             "mode": "cell" if self.replay is None else "replay",
-            "version": version("tactile-cell"),
+            "version": self.version,
             "labels": list(self.labels),
             "lease_timeout_s": self.config.serve.lease_timeout_s,
         }
@@ -417,6 +421,25 @@ class Service:
 
         given = {"reboot": True} if reboot else {}
         return self._begin(lease, command.value, given, number, begin)
+
+    def request(self, lease: int, name: str, *, number: int = 0, **fields: Any) -> int:
+        """Start a task or command as hosts with plain numbers ask for it; return its job.
+
+        Parameters
+        ----------
+        lease, number
+            As `start`.
+        name, fields
+            Of `cell.interfaces.service.host_calls.COMMANDS`. ``keep`` may be a bool; fields of a
+            task that are 0 or empty are as the config has them.
+
+        Raises as `start`.
+        """
+        if name not in TASKS:
+            return self.command(lease, Command(name), number=number, **fields)
+        if isinstance(keep := fields.get("keep"), bool):
+            fields["keep"] = "always" if keep else "never"
+        return self.start(lease, goal_of(name, **fields), number=number)
 
     def forget_drift(self, lease: int, *, number: int = 0) -> int:
         """Start to follow the drift of the sensors anew and return the number of the job.

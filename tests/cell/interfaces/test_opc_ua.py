@@ -38,10 +38,9 @@ from cell.errors import CellError, ConfigError
 from cell.interfaces.opc_ua.door import (
     FAULT_EVENT,
     NAMESPACE,
+    NODES,
     PERIOD_S,
-    PLATE,
     SHUTDOWN_EVENT,
-    VALUES,
     OpcUaDoor,
 )
 from cell.interfaces.service.service import RELEASE_KEY
@@ -173,9 +172,9 @@ async def test_an_anonymous_session_reads_and_does_nothing_else(opened: Served) 
                 await link.call(name)
         with pytest.raises(BadUserAccessDenied):
             await link.call("acquire", "nobody")
-        for value in (*PLATE, *VALUES):
+        for path in NODES:
             with pytest.raises(BadUserAccessDenied):
-                await link.node(value.path).write_value(1)
+                await link.node(path).write_value(1)
         with pytest.raises(BadUserAccessDenied):
             await link.cell.add_variable(link.space, "More", 1)
         _, (status,) = await link.client.delete_nodes([link.cell])
@@ -315,7 +314,7 @@ async def test_a_trusted_client_walks_a_simulated_cell_through_all_commands(
         assert await link.call("identify", lease, 1, 0.0, True, 1) == 1
         assert await link.call("identify", lease, 1, 0.0, True, 1) == 1  # not done twice
         await link.ended(1)
-        shown = {value.path: await link.read(value.path) for value in (*PLATE, *VALUES)}
+        shown = {path: await link.read(path) for path in NODES}
         job = served.service.job(1)
         assert shown["Job.Label"] == await link.call("label", 1) == job.label == "ball"
         assert shown["Job.LabelId"] == await link.call("label_id", 1) == 1
