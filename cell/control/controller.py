@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TypeVar
 
 from cell.config.sequence import SequenceConfig
 from cell.control.grasping import NOTHING_HELD, Grasper
@@ -17,7 +18,7 @@ from cell.control.keeping import HeldCheck, Judge, Keep
 from cell.control.lifecycle import ON_REQUEST, CellLifecycle
 from cell.control.live import FRESH_S, LiveValues, live_values
 from cell.control.plan import GraspStep, Pose
-from cell.control.positioner import Destination, Positioner
+from cell.control.positioner import Destination, Positioner, in_thread
 from cell.control.records import GraspRecord
 from cell.control.self_zero import SelfZeros
 from cell.control.states import CellState, CellStatus, Command, Event, GraspState
@@ -41,6 +42,7 @@ from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDec
 from tactile.sensor.sensor import TactileSensor
 from tactile.sensor.tare import TareResult
 
+_T = TypeVar("_T")
 _UNSUPERVISED = (
     CellState.STOPPED,
     CellState.ABORTING,
@@ -586,7 +588,8 @@ class CellController(CellView):
         """Grasp and classify until the stop rule is satisfied or the plan is at its end.
 
         A part that is to be kept is held while its grasp is looked at. It stays in the grip after
-        the last one, and the cell is COMPLETE, until `release`.
+        the last one, and the cell is COMPLETE, until `release`. One that is not to be kept is let
+        go meanwhile.
 
         With ``early`` a ramp ends as soon as it satisfies the stop rule together with the grasps
         before it. With a ``chooser`` each step of the plan is a proposal that it may replace. With
@@ -602,7 +605,7 @@ class CellController(CellView):
         steps = self._checked(plan)
 
         def grasp(
-            step: GraspStep, looks: EarlyDecider | None, judge: Judge | None
+            step: GraspStep, looks: EarlyDecider | None, judge: Judge
         ) -> tuple[GraspRecord, bool]:
             self._check_cancelled_between()
             self._grasper.check(step)
@@ -619,6 +622,7 @@ class CellController(CellView):
             chooser=chooser,
             read_shape=read_shape,
             on_grasp=on_grasp,
+            begin=self._begin_answer,
         )
         self._journal.result(result)
         return result
@@ -628,6 +632,10 @@ class CellController(CellView):
         self._journal.note(kind, text)
 
     # -- inside --------------------------------------------------------------------------------
+
+    def _begin_answer(self, answer: Callable[[], _T]) -> Callable[[], _T]:
+        """Begin to compute beside the motions, where that delays no force loop; else do it last."""
+        return in_thread(answer).result if self._hand.own_process else answer
 
     def _grasp(
         self,

@@ -152,14 +152,15 @@ class Grasper:
     ) -> tuple[GraspRecord, bool]:
         """Go to the pose, grasp, record, let go; with ``looks`` end the ramp where these decide.
 
-        With a ``judge`` the part is held with the force of a carry while it looks at the record:
-        it decides whether the part is let go, squeezed once more, or kept. Returns the record of
-        the grasp, and whether the part was kept.
+        With a ``judge`` that holds, the part is held with the force of a carry until it has
+        decided whether the part is let go, squeezed once more, or kept. Returns the record of the
+        grasp, and whether the part was kept.
         """
         record = self._close(step, self._move_to(step.pose), label, looks)
         kept = False
         if judge is not None and record.outcome.result not in NOTHING_HELD:
-            kept = self._judged(record, judge)
+            judge.begin(record)
+            kept = judge.holds and self._judged(record, judge)
         if not kept:
             self._hand.release(self.watch)
         return record, kept
@@ -172,7 +173,8 @@ class Grasper:
         if record.outcome.result in NOTHING_HELD:
             self._hand.release(self.watch)
         else:
-            self._keep(record)
+            zero = open_counts(record.grasp)
+            self._held = (zero, self._look_at_held(zero))
         return record
 
     def verify(self) -> HeldCheck:
@@ -265,17 +267,21 @@ class Grasper:
         return record
 
     def _judged(self, record: GraspRecord, judge: Judge) -> bool:
-        """Hold the part until it is judged; return whether it was kept."""
-        first = record
+        """Hold the part, and measure it, until it is judged; return whether it was kept."""
+        first, zero = record, open_counts(record.grasp)
         while True:
-            self._hand.carry(self._sequence.carry_force_n, 0.0, self.watch)
-            verdict = judge(record)
+            if judge.keeps:
+                held = (zero, self._look_at_held(zero))
+            else:
+                self._hand.carry(self._sequence.carry_force_n, 0.0, self.watch)
+            verdict = judge.decide()
             self._life.check_cancelled()
             if verdict.further is None:
                 break
             record = self._squeeze(first, replace(verdict.further, pose=first.step.pose))
+            judge.begin(record)
         if verdict.keep:
-            self._keep(first)
+            self._held = held
         return verdict.keep
 
     def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
@@ -303,12 +309,8 @@ class Grasper:
             same_grip=True,
         )
 
-    def _keep(self, record: GraspRecord) -> None:
-        """Hold the part of a record for the host, and measure it for a later comparison."""
-        zero = open_counts(record.grasp)
-        self._held = (zero, self._look_at_held(zero))
-
     def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
+        """Hold the part with the force of a carry, and measure it for a comparison."""
         collector, watch = self._collecting()
         carry_n = self._sequence.carry_force_n
         self._hand.carry(carry_n, 0.0, self.watch)

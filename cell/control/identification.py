@@ -82,6 +82,13 @@ What it raises does not end the sequence, whose answer does not depend on it; it
 """
 
 
+_Answer = tuple[Posterior, ShapeAnswer | None, Exception | None]
+"""Answer to one grasp: what it is, its shape, and why that could not be read."""
+
+Begin = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
+"""Begins to compute, or not yet, and returns the function that waits for the answer."""
+
+
 class Evidence:
     """Answers to the grasps of one sequence so far, and the decision after each.
 
@@ -95,6 +102,8 @@ class Evidence:
         Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`.
     on_grasp
         Called after each grasp.
+    begin
+        How the answers are computed.
 
     Attributes
     ----------
@@ -109,7 +118,10 @@ class Evidence:
         *,
         read_shape: ReadShape | None,
         on_grasp: OnGrasp | None,
+        begin: Begin,
     ) -> None:
+        self._begin = begin
+        self._coming: tuple[GraspRecord, Callable[[], _Answer]] | None = None
         self._recognizer = recognizer
         self._rule = rule
         self._read_shape = read_shape
@@ -132,23 +144,36 @@ class Evidence:
         """Whether no further grasp is wanted."""
         return self.decision.kind is not DecisionKind.CONTINUE
 
-    def add(self, record: GraspRecord) -> None:
-        """Take a grasp into account."""
+    def begin(self, record: GraspRecord) -> None:
+        """Begin to compute the answer to a grasp; `add` follows."""
+        self._coming = record, self._begin(lambda: self._answer(record))
+
+    def _answer(self, record: GraspRecord) -> _Answer:
+        """Return the answer to a grasp, perhaps on a thread of its own."""
         posterior = (
             self._recognizer.posterior(record.grasp)
             if record.early is None
             else record.early.posterior
         )
+        try:
+            shape = None if self._read_shape is None else self._read_shape(record.grasp)
+        except Exception as error:
+            return posterior, None, error
+        return posterior, shape, None
+
+    def add(self) -> None:
+        """Wait for the answer that was begun, and take it into account."""
+        if self._coming is None:
+            raise ValueError("nothing was grasped yet")
+        record, answer = self._coming
+        posterior, shape, error = answer()
         if record.same_grip:
             posterior = replace(posterior, dependence=SAME_GRIP_DEPENDENCE)
         self.records.append(record)
         number = len(self.records)
-        shape: ShapeAnswer | None = None
+        if error is not None:
+            self._complain(f"shape of grasp {number}", error)
         if self._read_shape is not None:
-            try:
-                shape = self._read_shape(record.grasp)
-            except Exception as error:
-                self._complain(f"shape of grasp {number}", error)
             self._shapes.append(shape)
         if shape is not None:
             posterior = posterior.with_size(shape.low_m, shape.high_m)
@@ -191,7 +216,7 @@ class Evidence:
 
 
 def grasp_and_classify(
-    grasp: Callable[[GraspStep, EarlyDecider | None, Judge | None], tuple[GraspRecord, bool]],
+    grasp: Callable[[GraspStep, EarlyDecider | None, Judge], tuple[GraspRecord, bool]],
     recognizer: Recognizer,
     plan: Sequence[GraspStep],
     *,
@@ -202,6 +227,7 @@ def grasp_and_classify(
     chooser: StepChooser | None = None,
     read_shape: ReadShape | None = None,
     on_grasp: OnGrasp | None = None,
+    begin: Begin = lambda answer: answer,
 ) -> Identification:
     """Grasp until the stop rule is satisfied or the plan is at its end.
 
@@ -226,29 +252,31 @@ def grasp_and_classify(
     early
         Looks at each ramp while it runs: together with the earlier grasps it may decide before the
         ramp is at its end, whose answer is then the one of that moment. None: whole ramps only.
+    begin
+        How answers are computed; by default when they are waited for.
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
-    evidence = Evidence(recognizer, rule, read_shape=read_shape, on_grasp=on_grasp)
+    evidence = Evidence(recognizer, rule, read_shape=read_shape, on_grasp=on_grasp, begin=begin)
     heads = None if early is None else early.with_drift_of(recognizer)
     steps = iter(plan)
-    holds = keep is not Keep.NEVER or not regrasps
-
     def next_step() -> GraspStep:
         planned = next(steps)
         return planned if chooser is None else chooser.next_step(evidence.posteriors, planned)
 
-    def judge(record: GraspRecord) -> Verdict:
-        evidence.add(record)
+    def decide() -> Verdict:
+        evidence.add()
         if evidence.over:
             return Verdict(keep=keep.keeps(evidence.decision.label))
         return Verdict() if regrasps else Verdict(further=next_step())
 
+    keeps = keep is not Keep.NEVER
+    judge = Judge(begin=evidence.begin, decide=decide, holds=keeps or not regrasps, keeps=keeps)
     kept = False
     while not (evidence.records and evidence.over):
         looks = None
         if heads is not None:
             looks = EarlyDecider(heads, evidence.posteriors, rule)
-        record, kept = grasp(next_step(), looks, judge if holds else None)
-        if not holds:
-            evidence.add(record)
+        _, kept = grasp(next_step(), looks, judge)
+        if not judge.holds:
+            evidence.add()
     return evidence.identification(kept=kept)

@@ -49,8 +49,19 @@ class Verdict:
     """Step whose force is the end of a further ramp in the same grip; None for no more of them."""
 
 
-Judge = Callable[[GraspRecord], Verdict]
-"""Function that looks at a grasp while its part is held, and decides what becomes of it."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judge:
+    """Computes the answer to a grasp, and decides what becomes of its part."""
+
+    begin: Callable[[GraspRecord], None]
+    """Called at the end of a ramp: the answer is computed during the motion that follows, where the
+    force loop has a process of its own."""
+    decide: Callable[[], Verdict]
+    """Waits for the answer and decides; called while the part is held, where it is."""
+    holds: bool
+    """Whether the part is held until the decision; else it is let go during the computing."""
+    keeps: bool
+    """Whether it may be kept, so that it is measured for a later comparison."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -75,6 +75,20 @@ class Positioner(Protocol):
         ...
 
 
+def in_thread(call: Callable[[], _T]) -> Future[_T]:
+    """Begin a call on a thread of its own; return its result to come."""
+    future: Future[_T] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(call())
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, name="beside", daemon=True).start()
+    return future
+
+
 class PatientCaller:
     """Runs calls that block on a thread of their own, while the cell stays supervised.
 
@@ -87,7 +101,7 @@ class PatientCaller:
     def __init__(self, clock: Clock, period_s: float) -> None:
         self._clock = clock
         self._period_s = period_s
-        self._thread: threading.Thread | None = None
+        self._last: Future[Any] | None = None
 
     def call(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
         """Make a call and return what it returns; ``supervise`` is called meanwhile.
@@ -100,24 +114,14 @@ class PatientCaller:
         PositionerError
             If an earlier call still goes on: two must never move at once.
         """
-        if self._thread is not None and self._thread.is_alive():
+        if self._last is not None and not self._last.done():
             raise PositionerError(
                 "the last move was given up and has not ended yet; end it, then go on"
             )
-        future: Future[_T] = Future()
-
-        def run() -> None:
-            try:
-                future.set_result(call())
-            except BaseException as error:
-                future.set_exception(error)
-
-        self._thread = threading.Thread(target=run, name="positioner", daemon=True)
-        self._thread.start()
+        self._last = future = in_thread(call)
         while not future.done():
             supervise()
             self._clock.sleep(self._period_s)
-        self._thread.join()
         return future.result()
 
 

@@ -224,6 +224,8 @@ class HandProcess:
     As `LoopProcess`.
     """
 
+    own_process = True
+
     def __init__(
         self, config: CellConfig, *, partial: bool = False, silence_s: float = 5.0
     ) -> None:

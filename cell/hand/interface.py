@@ -95,6 +95,10 @@ class Hand(Protocol):
         """Period of the loop in s."""
 
     @property
+    def own_process(self) -> bool:
+        """Whether the loop runs in a process of its own, so that no computing here delays it."""
+
+    @property
     def phase(self) -> GripperPhase:
         """What the gripper is doing, as of the last message."""
 

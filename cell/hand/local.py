@@ -31,6 +31,8 @@ class LocalHand:
     Gripper and sensor are public for tests and benchmarks: commands go through the hand.
     """
 
+    own_process = False
+
     def __init__(
         self,
         *,

@@ -15,6 +15,7 @@ from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
+from cell.hand.local import LocalHand
 from cell.learning.model import load_model
 from gripper.errors import PartLost, PartSlipped
 from gripper.state import GripperPhase
@@ -146,6 +147,47 @@ def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, kee
     assert [record.reached.x_m for record in found.records] == pytest.approx([0.0, 1e-3])
     wanted_n = 0.0 if keep is Keep.NEVER else CARRY_N
     assert recognizer.seen == pytest.approx([wanted_n, wanted_n], abs=TOLERANCE_N)
+
+
+def until(bench: Any, happens: Callable[[], bool]) -> Callable[[], bool]:
+    """Return what waits on another thread until something has happened in the cell."""
+    happened = threading.Event()
+    bench.simulated.clock.on_advance.append(lambda _now_s: happened.set() if happens() else None)
+    return lambda: happened.wait(20.0)
+
+
+@pytest.mark.parametrize(
+    ("keep", "phase"),
+    [(Keep.NEVER, GripperPhase.RELEASING), (Keep.ALWAYS, GripperPhase.BACKING_OFF)],
+)
+def test_a_hand_in_a_process_of_its_own_moves_on_while_the_answer_is_computed(
+    bench: Any, monkeypatch: pytest.MonkeyPatch, keep: Keep, phase: GripperPhase
+) -> None:
+    monkeypatch.setattr(LocalHand, "own_process", True)
+    bench.ready()
+    reached = until(bench, lambda: bench.controller.hand.phase is phase)
+    recognizer = Scripted(SURE, look=reached)
+    found = identify(bench, recognizer, keep)
+    assert recognizer.seen == [True]
+    assert (found.label, found.kept) == ("ball", keep is Keep.ALWAYS)
+    assert (bench.grip_n > 1.0) is found.kept
+
+
+@pytest.mark.parametrize("stopped", [True, False])
+def test_neither_a_stop_nor_a_fault_waits_for_the_answer_and_the_part_is_kept(
+    bench: Any, monkeypatch: pytest.MonkeyPatch, stopped: bool
+) -> None:
+    monkeypatch.setattr(LocalHand, "own_process", True)
+    bench.ready()
+    over = threading.Event()
+    act = bench.controller.cancel if stopped else lambda: bench.simulated.inject("can.unplugged")
+    bench.once_in(GripperPhase.BACKING_OFF, act)
+    with pytest.raises(CellStopped if stopped else TactileError):
+        identify(bench, Scripted(SURE, look=lambda: over.wait(20.0)), Keep.ALWAYS)
+    assert not over.is_set()
+    over.set()
+    assert bench.controller.state is (CellState.HELD if stopped else CellState.ABORTED)
+    assert bench.grip_n > 1.0
 
 
 def test_a_stop_while_it_is_named_holds_the_part(bench: Any) -> None:
