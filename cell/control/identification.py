@@ -259,6 +259,7 @@ def grasp_and_classify(
     evidence = Evidence(recognizer, rule, read_shape=read_shape, on_grasp=on_grasp, begin=begin)
     heads = None if early is None else early.with_drift_of(recognizer)
     steps = iter(plan)
+
     def next_step() -> GraspStep:
         planned = next(steps)
         return planned if chooser is None else chooser.next_step(evidence.posteriors, planned)

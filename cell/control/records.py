@@ -104,12 +104,11 @@ class GraspCollector:
         return len(self._frames)
 
     @property
-    def mean_counts(self) -> NDArray[np.float64]:
-        """Mean of the frames, (n_taxels,). Raises ValueError if no frame came."""
+    def counts(self) -> NDArray[np.uint16]:
+        """Counts of all frames, (n_frames, n_taxels). Raises ValueError if no frame came."""
         if not self._frames:
-            raise ValueError("no tactile frame came while the part was held")
-        mean: NDArray[np.float64] = np.mean([frame.counts for frame in self._frames], axis=0)
-        return mean
+            raise ValueError("no tactile frame came")
+        return np.stack([frame.counts for frame in self._frames])
 
     @property
     def current_a(self) -> NDArray[np.float64]:
@@ -133,12 +132,11 @@ class GraspCollector:
         zero: SelfZero | None = None,
     ) -> Grasp:
         """Return the collected grasp. Raises ValueError if no frame came."""
-        if not self._frames:
-            raise ValueError("no tactile frame came during the grasp")
+        counts = self.counts
         t_s = np.array([frame.t_s for frame in self._frames])
         return Grasp(
             pads=pads,
-            counts=np.stack([frame.counts for frame in self._frames]),
+            counts=counts,
             t_s=t_s - t_s[0],
             aperture_m=np.array(self._apertures_m),
             force_n=np.array(self._forces_n),

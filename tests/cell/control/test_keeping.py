@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.control.keeping import Keep
+from cell.control.keeping import HeldPart, Keep, compared
 from cell.control.live import LiveValues
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
@@ -332,6 +332,22 @@ def test_a_look_at_a_kept_part_finds_it_unchanged(
     bench.cell.close()
     events = read_recording(tmp_path / "recording.mcap").events
     assert ("verify", "the same part") in {(e["kind"], e["text"]) for e in events}
+
+
+def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
+    rng = np.random.default_rng(3)
+    pressed = np.where(np.arange(408) < 40, 60.0, 0.0)
+
+    def part() -> HeldPart:
+        frames = rng.normal(pressed, 18.0, (10, 408))
+        noise = float(frames.var(axis=0).sum()) / 9
+        mean = frames.mean(axis=0)
+        return HeldPart(force_n=4.0, opening_m=0.01, footprint=mean, noise=noise)
+
+    checks = [compared(part(), part(), carry_n=CARRY_N) for _ in range(20)]
+    assert all(check.same for check in checks), [check.reasons for check in checks]
+    other = replace(part(), footprint=np.roll(pressed, 30))
+    assert not compared(other, part(), carry_n=CARRY_N).same
 
 
 def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
