@@ -5,12 +5,18 @@ collected, the recogniser says what it tells, and that becomes a decision. Five 
 by 408 simulated taxels; with the folder of recorded grasps in TACTILE_CELL_DATA, 36 real objects
 are named too, taught with the first 60 % of each object's grasps. The alternatives are the plain
 shrinkage discriminant on the same grasps and the paper's level check.
+
+Before that: where the time of the simulated cell goes from the command to a part that is named, and
+let go or kept. Computing takes none of the cell's virtual time; its CPU time is added where it
+lasts longer than the motion beside which a real-time cell computes.
 """
 
 import os
 import statistics
 import time
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +25,15 @@ import numpy as np
 
 from benchmarks._measure import in_turns, line, quantile, ratio, repeats, same, timed
 from benchmarks.recognition._made_grasps import made_grasp
+from cell.build import build_cell
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.control.identification import Identification
+from cell.control.keeping import Keep
 from cell.data.dataset import read_dataset
+from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
+from cell.learning.collection import Collection
+from cell.learning.taught_model import TaughtModel
 from recognition.evaluation.splits import chronological_split
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
@@ -122,6 +136,64 @@ def made(n_objects: int, n_train: int, n_test: int) -> tuple[list[Grasp], list[G
     return train, test
 
 
+def from_the_command(n_teach: int, rounds: int) -> None:
+    """Print the times of a cell from the command to the end of its work, by phase."""
+    config = changed_config(CellConfig(), {"self_zero": "never"})
+    labels = [entry.label for entry in config.simulator.objects]
+    with closing(build_cell(config)) as cell:
+        controller, model = cell.controller, TaughtModel(config)
+        assert cell.simulated is not None
+        clock, spent_s = cell.simulated.clock, Counter[str]()
+        controller.start()
+        for seed, label in enumerate(labels):
+            one = Collection(label=label, n_planned=n_teach)
+            model.collect(controller, one, seed=seed, on_grasp=lambda _so_far: None)
+        model.train()
+        last_s = [clock.monotonic()]
+
+        def look(now_s: float) -> None:
+            spent_s[controller.hand.phase.value] += now_s - last_s[0]
+            last_s[0] = now_s
+
+        def answers(found: Identification) -> float:
+            grasps = [record.grasp for record in found.records]
+            return timed(
+                lambda: [(model.recognizer.posterior(g), model.read_shape(g)) for g in grasps]
+            ).cpu_s
+
+        clock.on_advance.append(look)
+        for keep, beside in (
+            (Keep.NEVER, ("releasing",)),
+            (Keep.ALWAYS, ("backing_off", "holding")),
+        ):
+            totals_s, phases_s, n_grasps, right = [], dict[str, list[float]](), 0, 0
+            for turn in range(rounds * len(labels)):
+                spent_s.clear()
+                held = labels[turn % len(labels)]
+                found = model.identify(controller, held=held, seed=1000 + turn, keep=keep)
+                took_s = dict(spent_s) | {"computing": answers(found)}
+                alone_s = max(0.0, took_s["computing"] - sum(spent_s[name] for name in beside))
+                totals_s.append(sum(spent_s.values()) + alone_s)
+                for name, value_s in took_s.items():
+                    phases_s.setdefault(name, []).append(value_s)
+                right += found.label == held
+                n_grasps += len(found.records)
+                if found.kept:
+                    controller.release()
+            line(
+                "kept" if keep is Keep.ALWAYS else "let go",
+                f"from the command median {statistics.median(totals_s):.2f} s, largest "
+                f"{max(totals_s):.2f} s, n = {len(totals_s)}, {right} right, {n_grasps} grasps",
+            )
+            for name, values_s in phases_s.items():
+                line(f"  {name}", f"{statistics.median(values_s):.3f} s, {max(values_s):.3f} s")
+        tally, feed = Tally(places=Places(config, labels)), simulated_feed(config, 5 * rounds)
+        started_s = clock.monotonic()
+        sort_parts(controller, model, tally, n_parts=len(feed), feed=feed.__getitem__)
+        part_s = (clock.monotonic() - started_s) / max(1, len(tally.parts))
+        line("sort", f"{3600.0 / part_s:.0f} parts an hour, {part_s:.2f} s a part, n = {len(feed)}")
+
+
 def many(n_labels: int) -> None:
     """Print how long so many labels take to teach, each with five grasps dealt from made ones."""
     names = list(PAPER_OBJECTS)
@@ -142,6 +214,7 @@ def many(n_labels: int) -> None:
 
 
 def main(effort: float = 1.0) -> None:
+    from_the_command(repeats(20, effort, least=3), repeats(8, effort))
     rounds = repeats(9, effort)
     n_objects = repeats(len(PAPER_OBJECTS), effort, least=2)
     train, test = made(n_objects, repeats(8, effort, least=3), repeats(4, effort))

@@ -339,7 +339,7 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
     pressed = np.where(np.arange(408) < 40, 60.0, 0.0)
 
     def part() -> HeldPart:
-        frames = rng.normal(pressed, 18.0, (10, 408))
+        frames = rng.normal(pressed, 24.0, (10, 408))
         noise = float(frames.var(axis=0).sum()) / 9
         mean = frames.mean(axis=0)
         return HeldPart(force_n=4.0, opening_m=0.01, footprint=mean, noise=noise)
