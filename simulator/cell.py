@@ -120,16 +120,6 @@ class SimulatedCell:
         self.can_bus.capture.extend(capture)
         return self.can_bus
 
-    def replace_host(self) -> None:
-        """Cut the host off as if its process were killed, and make ends for the next one.
-
-        The old ends fail from now on; the devices notice nothing but silence.
-        """
-        self._close_ends()
-        self.can_bus = self._new_bus()
-        self.axes_can_bus = self._new_axes_bus()
-        self.axes_streams = self._new_axes_streams()
-
     def _new_bus(self, host_bitrate: int | None = None) -> InMemoryCanBus:
         return InMemoryCanBus(
             self.devices.can_devices,

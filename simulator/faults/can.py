@@ -1,7 +1,7 @@
 """Named faults of the CAN link, of the control unit and of its taxels."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from simulator.faults.entry import (
     knob_fault,
     moment_fault,
     turned,
+    turning,
     unplugging,
 )
 from tactile.layout import PadMount, taxel_order
@@ -118,22 +119,11 @@ _IDENTITY = {
     "pads": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS),
 }
 """Names that ``unit.wrong`` takes, and the object that each of them changes."""
+_LAYOUT_HASH = (object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH)
 _PAD = Number("pad", 0, 1000, default=0, whole=True)
 """Number of a pad in the layout."""
 _TAXELS = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 """One taxel or a range of them, first and last."""
-
-
-def _emergency(target: Target) -> None:
-    target.devices.unit.emergency(int(target.number))
-
-
-def _reboot(target: Target) -> None:
-    target.devices.unit.power_cycle()
-
-
-def _pre_operational(target: Target) -> None:
-    target.devices.unit.command("PRE-OPERATIONAL", target.now_s)
 
 
 def _check_identity(target: Target) -> None:
@@ -146,32 +136,11 @@ def _check_identity(target: Target) -> None:
         raise SimulatorSettingsError(f"unit.wrong: {number} is no number of 32 bits")
 
 
-def _wrong_identity(target: Target) -> Effect:
-    name, number = target.setting
+def _pretending(target: Target, place: tuple[int, int], value: int | str) -> Effect:
+    """Let an object of the unit's dictionary read as another value."""
     dictionary = target.devices.unit.dictionary
-    index, subindex = _IDENTITY[name]
-    before = dictionary.pretend(index, subindex, number)
-
-    def undo() -> None:
-        dictionary.pretend(index, subindex, before)
-
-    return Effect(undo=undo)
-
-
-def _other_layout(target: Target) -> Effect:
-    dictionary = target.devices.unit.dictionary
-    index, subindex = object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH
-    before = dictionary.pretend(index, subindex, "0" * 16)
-
-    def undo() -> None:
-        dictionary.pretend(index, subindex, before)
-
-    return Effect(undo=undo)
-
-
-def _second_node(target: Target) -> Effect:
-    devices = target.devices
-    return Effect(undo=devices.can_devices.add(devices.second_unit(target.now_s)))
+    before = dictionary.pretend(*place, value)
+    return Effect(undo=lambda: dictionary.pretend(*place, before))
 
 
 def _some_taxels(target: Target) -> list[int]:
@@ -185,15 +154,6 @@ def _stuck(target: Target, taxels: Iterable[int], counts: int) -> Effect:
     faults = target.devices.faults.unit
     stuck = faults.stuck_counts | dict.fromkeys(taxels, counts)
     return Effect(undo=turned(faults, "stuck_counts", stuck))
-
-
-def _stuck_share(target: Target) -> Effect:
-    return _stuck(target, _some_taxels(target), target.devices.settings.layout.adc_max)
-
-
-def _dead_taxels(target: Target) -> Effect:
-    dead = set(_some_taxels(target))
-    return Effect(undo=turned(target.devices.faults.unit, "dead_taxels", dead))
 
 
 def _chosen_taxels(target: Target) -> tuple[range, int]:
@@ -213,15 +173,12 @@ def _chosen_taxels(target: Target) -> tuple[range, int]:
     return range(first, last + 1), counts
 
 
-def _check_pad(name: str) -> Callable[[Target], None]:
-    """Return what refuses a pad that the layout does not have."""
-
-    def check(target: Target) -> None:
-        layout = target.devices.settings.layout
-        if target.number >= layout.n_pads:
-            raise SimulatorSettingsError(f"taxels.{name}: pads are 0 to {layout.n_pads - 1}")
-
-    return check
+def _taxels_of_pad(target: Target) -> range:
+    """Return the taxels of the pad that is the value; refuses one that the layout does not have."""
+    layout = target.devices.settings.layout
+    if target.number >= layout.n_pads:
+        raise SimulatorSettingsError(f"pad {target.number:g}: pads are 0 to {layout.n_pads - 1}")
+    return range(layout.n_taxels)[layout.taxels_of(int(target.number))]
 
 
 def _noisy_pad(target: Target) -> tuple[range, int]:
@@ -247,28 +204,13 @@ def _mirrored(*, rows: bool = False, columns: bool = False) -> Apply:
     """Return what turns a pad on its finger: rows, columns or both run the other way."""
 
     def apply(target: Target) -> Effect:
-        layout, pad = target.devices.settings.layout, int(target.number)
+        pad, mounted = int(target.number), target.devices.faults.unit.mounted
         mount = PadMount(pad=pad, sent_as=pad, rows_mirrored=rows, columns_mirrored=columns)
-        mounted = target.devices.faults.unit.mounted
         name = f"{pad} {rows} {columns}"
-        mounted[name] = taxel_order(layout, (mount,))
-
-        def undo() -> None:
-            mounted.pop(name, None)
-
-        return Effect(undo=undo)
+        mounted[name] = taxel_order(target.devices.settings.layout, (mount,))
+        return Effect(undo=lambda: mounted.pop(name, None))
 
     return apply
-
-
-def _force_gain(target: Target) -> Effect:
-    return Effect(undo=turned(target.devices.physical, "force_gain", target.number))
-
-
-def _saturated_pad(target: Target) -> Effect:
-    layout = target.devices.settings.layout
-    pad = layout.taxels_of(int(target.number))
-    return _stuck(target, range(layout.n_taxels)[pad], layout.adc_max)
 
 
 # fmt: off
@@ -285,21 +227,25 @@ UNIT = (
     knob_fault("unit.slow", FaultKind.SLOW, "the burst of a frame begins late after its SYNC",
                "unit", "late_s", value=Number("s", 0.0, 1.0, default=0.008)),
     moment_fault("unit.reboot", FaultKind.REBOOT, "the unit loses its supply and boots anew",
-                 _reboot),
-    moment_fault("unit.emergency", FaultKind.WRONG, "the unit reports an error (EMCY)", _emergency,
+                 lambda target: target.devices.unit.power_cycle()),
+    moment_fault("unit.emergency", FaultKind.WRONG, "the unit reports an error (EMCY)",
+                 lambda target: target.devices.unit.emergency(int(target.number)),
                  Number("code", 0, 0xFFFF, default=0x5000, whole=True)),
     moment_fault("unit.pre_operational", FaultKind.OFF,
                  "the unit falls back to pre-operational, as on another master's command",
-                 _pre_operational),
+                 lambda target: target.devices.unit.command("PRE-OPERATIONAL", target.now_s)),
     FaultEntry("unit.wrong", FaultKind.WRONG,
                "the unit is another one (vendor, product, revision, serial, taxels, pads)",
-               _wrong_identity, "identity", Setting(unit="name:number", default="serial:99"),
-               check=_check_identity),
+               lambda target: _pretending(target, _IDENTITY[target.setting[0]], target.setting[1]),
+               "identity", Setting(unit="name:number", default="serial:99"), check=_check_identity),
     FaultEntry("unit.other_layout", FaultKind.WRONG,
                "the unit has taxels of a layout that nobody knows (object 2100h:3)",
-               _other_layout, "layout_hash"),
+               lambda target: _pretending(target, _LAYOUT_HASH, "0" * 16), "layout_hash"),
     FaultEntry("unit.second_node", FaultKind.WRONG,
-               "another unit with the same node id joins the bus", _second_node, "second_node"),
+               "another unit with the same node id joins the bus",
+               lambda target: Effect(
+                   undo=target.devices.can_devices.add(target.devices.second_unit(target.now_s))),
+               "second_node"),
     knob_fault("unit.pads_swapped", FaultKind.WRONG,
                "the pads of the two fingers are exchanged at the unit", "unit", "pads_swapped"),
     knob_fault("unit.forces_off", FaultKind.OFF, "no force messages any more; frames go on",
@@ -339,28 +285,32 @@ UNIT = (
 
 TAXELS = (
     FaultEntry("taxels.stuck", FaultKind.STUCK, "this share of the taxels reads full scale",
-               _stuck_share, "stuck_counts", SHARE),
+               lambda target: _stuck(target, _some_taxels(target), target.adc_max),
+               "stuck_counts", SHARE),
     FaultEntry("taxels.stuck_at", FaultKind.STUCK,
                "one taxel, or a range of them, reads these counts (0 for dead ones)",
                lambda target: _stuck(target, *_chosen_taxels(target)), "stuck_counts",
                Setting(unit="taxel:counts", default="0:0"), check=_chosen_taxels),
-    FaultEntry("taxels.off", FaultKind.OFF, "this share of the taxels reads 0", _dead_taxels,
+    FaultEntry("taxels.off", FaultKind.OFF, "this share of the taxels reads 0",
+               turning("unit", "dead_taxels", lambda target: set(_some_taxels(target))),
                "dead_taxels", SHARE),
     FaultEntry("taxels.saturated", FaultKind.STUCK, "all taxels of this pad read full scale",
-               _saturated_pad, "stuck_counts", _PAD,
-               check=_check_pad("saturated")),
+               lambda target: _stuck(target, _taxels_of_pad(target), target.adc_max),
+               "stuck_counts", _PAD, check=_taxels_of_pad),
     FaultEntry("taxels.rows_mirrored", FaultKind.WRONG, "the rows of this pad run the other way",
-               _mirrored(rows=True), "rows_mirrored", _PAD, check=_check_pad("rows_mirrored")),
+               _mirrored(rows=True), "rows_mirrored", _PAD, check=_taxels_of_pad),
     FaultEntry("taxels.columns_mirrored", FaultKind.WRONG,
                "the columns of this pad run the other way", _mirrored(columns=True),
-               "columns_mirrored", _PAD, check=_check_pad("columns_mirrored")),
+               "columns_mirrored", _PAD, check=_taxels_of_pad),
     FaultEntry("taxels.turned", FaultKind.WRONG, "this pad sits turned by 180 degrees",
-               _mirrored(rows=True, columns=True), "turned", _PAD, check=_check_pad("turned")),
+               _mirrored(rows=True, columns=True), "turned", _PAD, check=_taxels_of_pad),
     FaultEntry("taxels.noisy", FaultKind.WRONG,
                "a pad has further noise of so many counts (standard deviation)", _noisy,
                "noisy_taxels", Setting(unit="pad:counts", default="0:30"), check=_noisy_pad),
     FaultEntry("taxels.force_gain", FaultKind.WRONG,
-               "each taxel feels so many times its force: the law of other foam", _force_gain,
+               "each taxel feels so many times its force: the law of other foam",
+               lambda target: Effect(
+                   undo=turned(target.devices.physical, "force_gain", target.number)),
                "force_gain", Number("factor", 0.0, 100.0, default=0.8)),
     knob_fault("taxels.offset", FaultKind.WRONG, "so many counts come on top of each taxel", "unit",
                "offset_counts", value=Number("counts", -65_535.0, 65_535.0, default=20.0)),

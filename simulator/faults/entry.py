@@ -91,7 +91,7 @@ class Setting:
 FaultValue = float | tuple[str, int] | None
 """Number, name and number, or nothing, as the entry of the fault wants it."""
 
-Undo = Callable[[], None]
+Undo = Callable[[], object]
 """Takes back what a fault has done."""
 
 
@@ -127,6 +127,11 @@ class Target:
     """The value, checked."""
     now_s: float
     """Time in s."""
+
+    @property
+    def adc_max(self) -> int:
+        """Full scale of the taxels in counts."""
+        return self.devices.settings.layout.adc_max
 
     @property
     def number(self) -> float:
@@ -191,6 +196,16 @@ def turning(part: str, knob: str, position: Callable[[Target], object]) -> Apply
     )
 
 
+def lasting(begin: Callable[[Target], object], end: Callable[[Target], object]) -> Apply:
+    """Return what begins something, and ends it again as it is undone."""
+
+    def apply(target: Target) -> Effect:
+        begin(target)
+        return Effect(undo=lambda: end(target))
+
+    return apply
+
+
 def unplugging(plug: str) -> Apply:
     """Return what pulls a cable: ``can`` or ``servos``."""
 
@@ -206,7 +221,7 @@ def moment_fault(
     name: str,
     kind: FaultKind,
     meaning: str,
-    act: Callable[[Target], None],
+    act: Callable[[Target], object],
     value: Number | None = None,
 ) -> FaultEntry:
     """Return a fault that is over as it happens."""

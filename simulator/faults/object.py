@@ -16,10 +16,6 @@ _SWELLING_M_S = 0.02
 """Speed in m/s at which something trapped grows: slower than fingers close in an approach."""
 
 
-def _gone(target: Target) -> None:
-    target.devices.physical.remove()
-
-
 def _slips(target: Target) -> Effect:
     world, speed_m_s, last_s = target.devices.physical, 1e-3 * target.number, target.now_s
 
@@ -45,7 +41,8 @@ def _trapped(target: Target) -> Effect:
 
 # fmt: off
 OBJECT = (
-    moment_fault("object.gone", FaultKind.OFF, "the part is taken out of the fingers", _gone),
+    moment_fault("object.gone", FaultKind.OFF, "the part is taken out of the fingers",
+                 lambda target: target.devices.physical.remove()),
     FaultEntry("object.slips", FaultKind.WRONG,
                "the part slides along the pads until it has left them", _slips, "slips",
                Number("mm/s", 0.1, 1000.0, default=20.0)),

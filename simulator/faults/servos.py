@@ -12,6 +12,7 @@ from simulator.faults.entry import (
     Setting,
     Target,
     knob_fault,
+    lasting,
     moment_fault,
     turned,
     turning,
@@ -19,7 +20,7 @@ from simulator.faults.entry import (
 )
 from simulator.servo.control_table import EEPROM_END
 from simulator.servo.faults import Chatter, ServoFaultKnobs, Trigger
-from simulator.servo.firmware import WatchdogStop
+from simulator.servo.firmware import ServoCore, WatchdogStop
 from simulator.servo.motor import AMBIENT_C
 
 _LATE = Number("s", 0.0, 1.0, default=0.04)
@@ -76,40 +77,24 @@ def _knobs(target: Target) -> ServoFaultKnobs:
     return target.devices.faults.servos[_id(target)]
 
 
-def _reboot(target: Target) -> None:
-    _knobs(target).reboot(target.now_s)
+def _core(target: Target) -> ServoCore:
+    return target.devices.servo_bus.servos[target.servo].core
+
+
+def _remount(target: Target, sign: int) -> None:
+    """Put the horn of a servo on so many pulses farther open, or back."""
+    off_rad = sign * target.number * RAD_PER_PULSE
+    target.devices.mechanics.remount(target.servo, off_rad=off_rad)
+
+
+def _turn_round(target: Target) -> None:
+    target.devices.mechanics.remount(target.servo, turned=True)
 
 
 def _factory(target: Target) -> None:
-    core = target.devices.servo_bus.servos[target.servo].core
+    core = _core(target)
     core.registers.load_factory(keep=())
     core.boot(target.now_s + _BOOT_APART_S * target.servo)
-
-
-def _overload(target: Target) -> None:
-    _knobs(target).overload()
-
-
-def _overheat(target: Target) -> Effect:
-    knobs = _knobs(target)
-    knobs.overheat(target.number)
-    return Effect(undo=lambda: knobs.overheat(AMBIENT_C))
-
-
-def _stuck(target: Target) -> Effect:
-    knobs = _knobs(target)
-    knobs.stick_encoder()
-    return Effect(undo=lambda: knobs.stick_encoder(stuck=False))
-
-
-def _jump(target: Target) -> None:
-    _knobs(target).jump_encoder(target.number)
-
-
-def _turn(target: Target) -> Effect:
-    knobs = _knobs(target)
-    knobs.offset_report(int(target.number) * PULSES_PER_TURN)
-    return Effect(undo=lambda: knobs.offset_report(0))
 
 
 def _drift(target: Target) -> Effect:
@@ -121,44 +106,13 @@ def _drift(target: Target) -> Effect:
     return Effect(undo=lambda: knobs.offset_report(0), act=act)
 
 
-def _turned_round(target: Target) -> Effect:
-    def turn() -> None:
-        target.devices.mechanics.remount(target.servo, turned=True)
-
-    turn()
-    return Effect(undo=turn)
-
-
-def _horn(target: Target) -> Effect:
-    mechanics, off_rad = target.devices.mechanics, target.number * RAD_PER_PULSE
-    mechanics.remount(target.servo, off_rad=off_rad)
-    return Effect(undo=lambda: mechanics.remount(target.servo, off_rad=-off_rad))
-
-
-def _supply(target: Target) -> Effect:
-    knobs = _knobs(target)
-    knobs.supply(target.number)
-    return Effect(undo=knobs.supply)
-
-
-def _error(target: Target) -> Effect:
-    knobs = _knobs(target)
-    knobs.hardware_error(int(target.number))
-    return Effect(undo=lambda: knobs.hardware_error(0))
-
-
-def _watchdog_off(target: Target) -> Effect:
-    core = target.devices.servo_bus.servos[target.servo].core
-    return Effect(undo=turned(core, "watchdog_stop", WatchdogStop.KEEPS_TURNING))
-
-
 def _check_register(target: Target) -> None:
     name, number = target.setting
     register = REGISTERS.get(name)
     if register is None or register.address >= EEPROM_END:
         raise SimulatorSettingsError(f"{name!r} is no EEPROM register, as current_limit is")
     if register.writable:
-        registers = target.devices.servo_bus.servos[target.servo].core.registers
+        registers = _core(target).registers
         before = registers.get(name)
         registers.configure(name, number)
         registers.put(name, before)
@@ -168,7 +122,7 @@ def _check_register(target: Target) -> None:
 
 def _wrong(target: Target) -> Effect:
     name, number = target.setting
-    registers = target.devices.servo_bus.servos[target.servo].core.registers
+    registers = _core(target).registers
     before = registers.get(name)
     registers.put(name, number)
     return Effect(undo=lambda: registers.put(name, before))
@@ -235,39 +189,55 @@ SERVO = (
     FaultEntry("servoN.slow", FaultKind.SLOW, "its answers come late",
                lambda target: _late(target, frozenset({_id(target)})), "delay", _LATE),
     moment_fault("servoN.reboot", FaultKind.REBOOT,
-                 "it reboots by itself: torque off, RAM at its defaults", _reboot),
+                 "it reboots by itself: torque off, RAM at its defaults",
+                 lambda target: _knobs(target).reboot(target.now_s)),
     moment_fault("servoN.factory", FaultKind.WRONG,
                  "it is as it left the factory: ID 1, 57600 bit/s, position mode, return delay of "
                  "500 us; with another one like it both answer at once", _factory),
     moment_fault("servoN.overload", FaultKind.OFF,
-                 "its overload protection latches and switches the torque off", _overload),
+                 "its overload protection latches and switches the torque off",
+                 lambda target: _knobs(target).overload()),
     FaultEntry("servoN.overheat", FaultKind.WRONG,
-               "its inside has this temperature, and cools down slowly", _overheat, "temperature",
-               Number("degC", -20.0, 150.0, default=90.0)),
-    FaultEntry("servoN.supply", FaultKind.WRONG, "its supply has this voltage", _supply, "supply",
-               Number("V", 0.0, 30.0, default=6.0)),
+               "its inside has this temperature, and cools down slowly",
+               lasting(lambda target: _knobs(target).overheat(target.number),
+                       lambda target: _knobs(target).overheat(AMBIENT_C)),
+               "temperature", Number("degC", -20.0, 150.0, default=90.0)),
+    FaultEntry("servoN.supply", FaultKind.WRONG, "its supply has this voltage",
+               lasting(lambda target: _knobs(target).supply(target.number),
+                       lambda target: _knobs(target).supply()),
+               "supply", Number("V", 0.0, 30.0, default=6.0)),
     FaultEntry("servoN.error", FaultKind.WRONG,
-               "these bits of Hardware Error Status (16 shock, 8 encoder)", _error, "error",
-               Number("bits", 1, 63, default=16, whole=True)),
+               "these bits of Hardware Error Status (16 shock, 8 encoder)",
+               lasting(lambda target: _knobs(target).hardware_error(int(target.number)),
+                       lambda target: _knobs(target).hardware_error(0)),
+               "error", Number("bits", 1, 63, default=16, whole=True)),
     FaultEntry("servoN.stuck", FaultKind.STUCK, "its encoder reports the same angle for ever",
-               _stuck, "stuck"),
+               lasting(lambda target: _knobs(target).stick_encoder(),
+                       lambda target: _knobs(target).stick_encoder(stuck=False)), "stuck"),
     moment_fault("servoN.jump", FaultKind.WRONG,
-                 "its encoder reports so much more from one moment to the next", _jump,
+                 "its encoder reports so much more from one moment to the next",
+                 lambda target: _knobs(target).jump_encoder(target.number),
                  Number("rad", -6.3, 6.3, default=0.5)),
     FaultEntry("servoN.turn", FaultKind.WRONG,
-               "it reports its position so many turns off, and follows its goals as before", _turn,
+               "it reports its position so many turns off, and follows its goals as before",
+               lasting(lambda target: _knobs(target).offset_report(
+                           int(target.number) * PULSES_PER_TURN),
+                       lambda target: _knobs(target).offset_report(0)),
                "report", Number("turns", -10, 10, default=1, whole=True)),
     FaultEntry("servoN.drift", FaultKind.WRONG,
                "the position that it reports drifts away, and it follows its goals as before",
                _drift, "report", Number("rad/s", -6.3, 6.3, default=0.1)),
     FaultEntry("servoN.turned", FaultKind.WRONG,
-               "it sits the other way round than gripper.servos[].direction has it", _turned_round,
-               "turned"),
+               "it sits the other way round than gripper.servos[].direction has it",
+               lasting(_turn_round, _turn_round), "turned"),
     FaultEntry("servoN.horn", FaultKind.WRONG,
                "its horn sits so many pulses farther open than gripper.servos[].zero_pulse has it",
-               _horn, "horn", Number("pulses", -1000, 1000, default=100, whole=True)),
+               lasting(lambda target: _remount(target, 1), lambda target: _remount(target, -1)),
+               "horn", Number("pulses", -1000, 1000, default=100, whole=True)),
     FaultEntry("servoN.watchdog_off", FaultKind.WRONG,
-               "its bus watchdog trips and the motor goes on (330 size)", _watchdog_off,
+               "its bus watchdog trips and the motor goes on (330 size)",
+               lambda target: Effect(
+                   undo=turned(_core(target), "watchdog_stop", WatchdogStop.KEEPS_TURNING)),
                "watchdog"),
     FaultEntry("servoN.wrong", FaultKind.WRONG,
                "an EEPROM register differs from what the config asks for", _wrong, "eeprom",

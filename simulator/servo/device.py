@@ -39,9 +39,9 @@ from simulator.servo.firmware import (
     PRESENT_START,
     TIME_BASED_PROFILE,
     ServoCore,
-    ServoPlant,
     WatchdogStop,
 )
+from simulator.servo.motor import ServoMotor
 from simulator.servo.protocol2 import ALERT, MAX_ID, Instruction, StatusError, words
 
 RESET_ALL, RESET_ALL_BUT_ID, RESET_ALL_BUT_ID_BAUD = 0xFF, 0x01, 0x02
@@ -175,7 +175,7 @@ class SimulatedServo:
         self,
         servo_id: int,
         model: ServoModel,
-        plant: ServoPlant,
+        plant: ServoMotor,
         *,
         firmware: int | None = None,
         settings: Mapping[str, int] | None = None,

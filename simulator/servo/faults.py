@@ -6,7 +6,7 @@ itself. A run with the same seed and the same traffic is always the same.
 
 import math
 import random
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from simulator.errors import SimulatorSettingsError
@@ -124,12 +124,6 @@ class WireFaults:
     _generator: random.Random | None = field(default=None, init=False, repr=False)
     _before: dict[tuple[int, int], bytes] = field(default_factory=dict, init=False, repr=False)
 
-    def reset(self) -> None:
-        """Turn every knob back to off."""
-        fresh = WireFaults(seed=self.seed)
-        for entry in fields(self):
-            setattr(self, entry.name, getattr(fresh, entry.name))
-
     def request(self, data: bytes) -> bytes:
         """Return what the servos hear of the bytes that the host wrote in one go."""
         if self.lose_request.active and self.lose_request.fires(-1, self._random()):
@@ -165,17 +159,12 @@ class WireFaults:
         return pieces
 
     def _any_answer_fault(self) -> bool:
+        triggers = (self.drop, self.delay, self.duplicate, self.bit_flip, self.truncate)
         return (
-            self.fragment_bytes > 0
+            self.lag
+            or self.fragment_bytes > 0
             or self.repeat_s > 0.0
-            or self.lag
-            or self.drop.active
-            or self.delay.active
-            or self.duplicate.active
-            or self.bit_flip.active
-            or self.truncate.active
-            or self.garbage.active
-            or self.wrong_id.active
+            or any(one.active for one in (*triggers, self.garbage, self.wrong_id))
         )
 
     def _fragments(self, delay_s: float, packet: bytes) -> list[Piece]:

@@ -8,7 +8,6 @@ import math
 import struct
 from collections.abc import Mapping
 from enum import Enum
-from typing import Protocol
 
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
@@ -35,7 +34,13 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import PULSES_PER_TURN, HardwareError, OperatingMode, ServoModel
 from simulator.servo.control_table import ServoRegisters, is_x330
-from simulator.servo.motor import OVERLOAD_BUDGET_S, PWM_COUNTS, DriveCommand, DriveMode
+from simulator.servo.motor import (
+    OVERLOAD_BUDGET_S,
+    PWM_COUNTS,
+    DriveCommand,
+    DriveMode,
+    ServoMotor,
+)
 
 PRESENT_START, PRESENT_END = REALTIME_TICK.address, PRESENT_TEMPERATURE.end
 """Addresses of the items that show the present state, 120 to 146."""
@@ -83,36 +88,10 @@ _TEMPERATURE_LIMIT, _VOLTAGE = TEMPERATURE_LIMIT.address, MAX_VOLTAGE_LIMIT.addr
 """Addresses of what is looked at in each step of the motor."""
 
 
-class ServoPlant(Protocol):
-    """The motor as the firmware sees it; `simulator.servo.motor.ServoMotor` is one."""
-
-    current_a: float
-    duty: float
-    temperature_c: float
-    voltage_v: float
-    reference_rad: float
-    reference_velocity_rad_s: float
-    load_excess_s: float
-
-    @property
-    def sensed_rad(self) -> float:
-        """Angle that the encoder reports, rad."""
-        ...
-
-    @property
-    def sensed_velocity_rad_s(self) -> float:
-        """Velocity that follows from the encoder, rad/s."""
-        ...
-
-    def drive(self, command: DriveCommand) -> None:
-        """Take a new command."""
-        ...
-
-
 class ServoPosition:
     """Angle of the motor as position in counts, with turns and offsets, and the present values."""
 
-    def __init__(self, registers: ServoRegisters, plant: ServoPlant) -> None:
+    def __init__(self, registers: ServoRegisters, plant: ServoMotor) -> None:
         self.reported_offset_raw = 0
         """What a fault adds to the counts that are reported; the servo itself follows its goals
         as without it."""
@@ -285,7 +264,7 @@ class ServoCore:
         self,
         servo_id: int,
         model: ServoModel,
-        plant: ServoPlant,
+        plant: ServoMotor,
         *,
         firmware: int,
         settings: Mapping[str, int] | None = None,

@@ -9,7 +9,6 @@ move apart within it and go on together, without a rebound, once teeth meet.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from simulator.errors import SimulatorSettingsError, require_positive
@@ -29,37 +28,6 @@ _ROUNDING_STEPS = 1e-9
 """Part of a step that rounding may add to a whole number of steps."""
 _LARGEST_LINK_ANGLE_RAD = math.radians(80.0)
 """Angle of a parallelogram's link at its open end stop, short of its singular position at 90°."""
-
-
-class FingerLinkage(Protocol):
-    """Geometry between one servo angle and the half opening of the fingers that it drives.
-
-    The half opening is the distance of a finger's pad from the centre plane in m; the linkage angle
-    grows with it. The formulas are the simulator's own and on purpose not shared with the driver:
-    an error in one of the two shows as a disagreement.
-    """
-
-    @property
-    def half_opening_max_m(self) -> float:
-        """Largest half opening in m that the geometry allows."""
-        ...
-
-    @property
-    def half_opening_min_m(self) -> float:
-        """Least half opening in m that it allows, mostly past the middle."""
-        ...
-
-    def half_opening_m(self, angle_rad: float) -> float:
-        """Return the half opening in m at a linkage angle in rad."""
-        ...
-
-    def slope_m_rad(self, angle_rad: float) -> float:
-        """Return d(half opening)/d(angle) in m/rad, which turns force into torque."""
-        ...
-
-    def angle_rad(self, half_opening_m: float) -> float:
-        """Return the linkage angle in rad; SimulatorSettingsError when out of reach."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,6 +110,13 @@ class RackLinkage:
                 f"half opening {half_opening_m} m is beyond the rack's travel of {self.travel_m} m"
             )
         return (half_opening_m - self.offset_m) / self.pinion_radius_m
+
+
+FingerLinkage = ParallelogramLinkage | RackLinkage
+"""Geometry between one servo angle and the half opening of the fingers that it drives: the distance
+of a finger's pad from the centre plane in m, which grows with the linkage angle. The formulas are
+the simulator's own and on purpose not shared with the driver: an error in one of the two shows as a
+disagreement."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
