@@ -2,7 +2,6 @@
 
 import contextlib
 import importlib.metadata
-import inspect
 import io
 import json
 import os
@@ -363,29 +362,6 @@ def test_clear_shows_the_axes_and_resets_them(tmp_path: Path, fail: Any) -> None
     assert "axis rotation (drive 12) does not answer" in said
 
 
-def test_a_sort_carries_each_part_to_its_place_with_the_axes(tmp_path: Path) -> None:
-    path = tmp_path / "axes.yaml"
-    places = [
-        {"label": label, "place": label, "pose": {"x_mm": x_mm}}
-        for label, x_mm in (("ball", -5.0), ("box", 5.0))
-    ]
-    sort = {"places": places, "reject_pose": {}}
-    objects = [
-        {"label": "ball", "shape": "sphere:diameter=9.5mm"},
-        {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
-    ]
-    changes = {"gripper.aperture_open_mm": 18.0, "sort": sort, "simulator.objects": objects}
-    path.write_text(config_text(changed_config(CellConfig(), AXES | changes)))
-    said = call("sort", "-c", path, "--out", tmp_path, "--parts", 1, "--teach", 3)
-    assert "1 parts sorted" in said
-    assert "mistakes: none" in said
-    recording = read_recording(next(tmp_path.glob("sort-*/recording.mcap")))
-    for name, least in (("x_m", 1e-3), ("rotation_rad", 0.5), ("roll_rad", 0.5)):
-        values = [pose[name] for pose in recording.poses]
-        assert max(values) - min(values) > least
-    assert {pose["y_m"] for pose in recording.poses} == {0.0}
-
-
 def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
     config: Path, tmp_path: Path, fail: Any, meddle: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -532,16 +508,6 @@ def test_evaluate_leaves_out_what_narrow_pads_cannot_teach(dataset: Path, tmp_pa
     assert data["recognizers"]["force_ramp"]["single_accuracy"] == 1.0
 
 
-def test_evaluate_can_train_on_another_file(dataset: Path, taught: Any, tmp_path: Path) -> None:
-    call(
-        *("evaluate", taught.result.recording, "--train", dataset, "--recognizer", "force_ramp"),
-        *("--fuse", "1", "--json", tmp_path / "e.json"),
-    )
-    data = read_json(tmp_path / "e.json")
-    assert (data["split"], data["n_train"], data["n_test"]) == ("separate files", 10, 10)
-    assert list(data["recognizers"]) == ["force_ramp"]
-
-
 def test_replay_sends_and_compares(config: Path, dataset: Path, tmp_path: Path) -> None:
     text = call(
         *("replay", dataset, "-c", config, "--limit", 1, "--json", tmp_path / "r.json"),
@@ -578,13 +544,6 @@ def test_a_replay_that_differs_fails(
     monkeypatch.setattr(replaying._Rig, "play", wrong)
     said = fail("replay", dataset, "--limit", 1)
     assert "frames differ: grasp 0, frame 3, taxel 7" in said
-
-
-def test_the_gauge_is_grasped_as_often_as_the_job_wants() -> None:
-    from cell.interfaces.cli.commands.calibrate import calibrate
-    from cell.jobs.calibrate import GAUGE_GRASPS
-
-    assert inspect.signature(calibrate).parameters["grasps"].default == GAUGE_GRASPS
 
 
 # -- config, doctor, simulate ----------------------------------------------------------------------
@@ -1013,16 +972,3 @@ def test_sort_prints_how_many_parts_lie_where(config: Path, taught: Any, tmp_pat
     events = [(event["kind"], event["text"]) for event in recording.events]
     assert [kind for kind, _ in events if kind in ("place", "release")] == ["place", "release"] * 4
     assert ("place", "box at box") in events
-
-
-def test_sort_that_ends_early_prints_the_count_and_keeps_the_part(
-    config: Path, taught: Any, fail: Any, tmp_path: Path
-) -> None:
-    report = tmp_path / "sort.json"
-    err = fail(
-        *("sort", "--config", config, "--model", taught.result.model, "--parts", 4),
-        *("--fault", "can.unplugged@contact+1s", "--json", report),
-    )
-    assert "the grip is kept; recording so far" in err
-    recording = read_recording(json.loads(report.read_text())["recording"])
-    assert recording.events[-1]["kind"] == "fault"

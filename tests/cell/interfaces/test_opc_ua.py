@@ -363,30 +363,6 @@ async def test_a_trusted_client_walks_a_simulated_cell_through_all_commands(
                 await link.read(path)
 
 
-async def test_a_lost_lease_holds_the_job_and_anyone_trusted_holds(
-    open_cell: Any, plc: Identity
-) -> None:
-    served = open_cell()
-
-    async with linked(served, plc) as link, linked(served) as watcher:
-        for number, stop in enumerate((served.pass_lease, None), start=1):
-            lease = await link.call("acquire", "plc")
-            served.plugin.pause()
-            assert await link.call("identify", lease, 1, 0.0, False, 0) > 0
-            await (asyncio.to_thread(stop) if stop else link.call("hold"))
-            await watcher.until("State.Name", lambda name: name == "HELD")
-            assert await watcher.until("Job.State", lambda state: state >= 4) == 5
-            assert await watcher.read("Job.FaultNumber") == 512
-            assert served.grip_n > 1.0
-            if stop is not None:
-                assert await link.call("alive", lease) < 0
-                assert await link.call("release", lease, RELEASE_KEY, 0) < 0
-                lease = await link.call("acquire", "plc")
-            assert await link.call("release", lease, RELEASE_KEY, 0) == 2 * number
-            await watcher.until("State.Name", lambda name: name == "IDLE")
-            await link.call("give_up", lease)
-
-
 async def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
     open_cell: Any, plc: Identity
 ) -> None:
@@ -411,6 +387,9 @@ async def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
                     await asyncio.sleep(0.02)
         served.plugin.pause()
         await link.call("identify", lease, 1, 0.0, False, 4)
+        assert await link.call("hold", 1, "panel") == 0
+        await link.until("State.HeldBy", lambda names: names == "OPC UA panel")
+        assert served.ended().outcome == "CANCELED"
         served.plugin.fail(FrameTimeout("no frame for 0.20 s"))
         await link.until("State.Name", lambda name: name == "ABORTED")
         status = served.service.status()

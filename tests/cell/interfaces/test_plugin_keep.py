@@ -7,14 +7,13 @@ import pytest
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.positioner import Destination
-from cell.errors import CellStateError, ConfigError
+from cell.errors import ConfigError
 from cell.interfaces.plugin.plugin import (
     GripGoal,
     IdentifyGoal,
     JobFailed,
     SortGoal,
     TactileCellPlugin,
-    VerifyGoal,
 )
 from tests.cell.interfaces.conftest import LIMIT_S, done, grip_n
 
@@ -26,34 +25,14 @@ def standing(plugin: TactileCellPlugin) -> tuple[Any, ...]:
     return status.state, status.state_number, status.needs_reset, status.holding
 
 
-def test_a_kept_part_is_verified_and_let_go_where_the_host_wants_it(
-    plugin: TactileCellPlugin,
-) -> None:
-    answer = done(plugin, IdentifyGoal(present="box", keep="when_named", seed=9))
-    assert answer.label == "box"
-    assert answer.kept
-    assert standing(plugin) == HELD
-    found = done(plugin, VerifyGoal())
-    assert (found.held, found.same, found.reasons) == (True, True, ())
-    assert found.force_n == pytest.approx(4.0, abs=0.7)
-    assert found.opening_mm == pytest.approx(9.0, abs=0.5)
-    assert standing(plugin) == HELD
-    for refused in (IdentifyGoal(), GripGoal(force_n=3.0), {"task": "sort"}):
-        with pytest.raises(CellStateError, match="COMPLETE; allowed: verify, release, shutdown"):
-            plugin.start(refused)
-    assert grip_n(plugin) > 3.0
-    plugin.release()
-    assert standing(plugin) == ("IDLE", 4, False, False)
-    with pytest.raises(CellStateError, match=r"the cell is IDLE; .* 'verify' is not allowed"):
-        plugin.start(VerifyGoal())
-
-
 def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(
     plugin: TactileCellPlugin,
 ) -> None:
-    job = plugin.start({"task": "grip", "force_n": 3.0, "present": "ball"})
+    job = plugin.start({"task": "grip", "force_n": 3.0, "present": "box"})
     found = plugin.result(job, LIMIT_S)
-    assert (found.held, found.same) == (True, True)
+    assert (found.held, found.same, found.reasons) == (True, True, ())
+    assert found.force_n == pytest.approx(4.0, abs=0.7)
+    assert found.opening_mm == pytest.approx(9.0, abs=0.5)
     assert plugin.feedback(job).progress["held_with_n"] == 4.0
     plugin.cancel(job)  # changes nothing for a kept part
     plugin._cell.controller.cancel()

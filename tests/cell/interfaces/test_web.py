@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from http.client import HTTPConnection, HTTPSConnection
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +25,6 @@ from websockets.sync.client import connect as open_socket
 from cell.errors import CellError, ConfigError
 from cell.interfaces.live_socket import LiveLink
 from cell.interfaces.plugin.goals import TASKS, checked_goal
-from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY, Service
 from cell.interfaces.service.serving import open_doors, warnings
 from cell.interfaces.web import WebDoor
@@ -314,24 +313,13 @@ def test_all_but_hold_needs_the_token(connect: Any) -> None:
     assert served.grip_n > 1.0
 
 
-def test_a_hold_is_a_level_for_each_client(connect: Any) -> None:
-    served, host = connect()
-    lease = host.post("/api/lease", name="host")["lease"]
+def test_a_hold_has_the_address_and_name_of_its_client(connect: Any) -> None:
+    _, host = connect()
     gate = "HTTP 127.0.0.1 gate"
     found = host.ask("POST", "/api/hold?latch=true&name=gate", token=None)
     assert found == (200, {"state": "IDLE", "held_by": [gate]})
-    assert host.get("/api/state")["held_by"] == [gate]
-    with host.live() as link:
-        assert json.loads(link.recv(timeout=20))["held_by"] == [gate]
-    for body in ({"lease": lease, "goal": {"task": "grip", "force_n": 3.0}},):
-        status, found = host.ask("POST", "/api/jobs", body)
-        assert (status, found["fault_number"]) == (409, 515)
-    for query in ("", "?latch=false", "?latch=false&name=door"):
-        assert host.ask("POST", f"/api/hold{query}", {})[1]["held_by"] == [gate]
-    assert host.ask("POST", "/api/hold?latch=false&name=gate")[1]["held_by"] == []
-    assert host.ask("POST", "/api/hold?latch=perhaps")[0] == 422
-    host.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
-    assert served.ended().outcome == "SUCCEEDED"
+    for query, left in (("", [gate]), ("?latch=false", [gate]), ("?latch=false&name=gate", [])):
+        assert host.ask("POST", f"/api/hold{query}", {})[1]["held_by"] == left
 
 
 def test_the_description_has_a_text_for_each_path(connect: Any) -> None:
@@ -443,24 +431,6 @@ def test_a_page_whose_name_leads_here_is_refused_everywhere(connect: Any) -> Non
     assert served.service.job().number == 0
 
 
-def test_half_sent_requests_keep_nobody_out(connect: Any) -> None:
-    _, host = connect(serve__request_timeout_s=1.0)
-    place = ("127.0.0.1", host.port)
-    with ExitStack() as slow:
-        links = [
-            slow.enter_context(socket.create_connection(place, timeout=20.0))
-            for _ in range(2 * BUSY_MAX)
-        ]
-        for link in links[::2]:
-            with suppress(OSError):
-                link.sendall(b"POST /api/hold HTTP/1.1\r\nHost: localhost\r\n")
-        assert host.ask("POST", "/api/hold", token=None)[0] == 200
-        until(lambda: all(ended(link) for link in links))
-    with host.live() as live:
-        for _ in range(20):  # a WebSocket has no such limit
-            live.recv(timeout=20)
-
-
 def test_the_second_request_of_a_connection_has_its_limit_too(connect: Any) -> None:
     _, host = connect(serve__request_timeout_s=0.3)
     whole = b"POST /api/hold HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -470,6 +440,9 @@ def test_the_second_request_of_a_connection_has_its_limit_too(connect: Any) -> N
             assert link.recv(1000).startswith(b"HTTP/1.1 200 ")
             link.sendall(second)
             until(lambda link=link: ended(link))
+    with host.live() as live:
+        for _ in range(20):  # a WebSocket has no such limit
+            live.recv(timeout=20)
 
 
 FLOOD = """
@@ -635,10 +608,6 @@ def test_tls_by_certificate_files(connect: Any, tmp_path: Path) -> None:
 
 
 def test_doors_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None:
-    taken = serve("modbus", "xmlrpc", "http").doors
-    for name in ("modbus", "xmlrpc", "http"):
-        with pytest.raises(CellError, match="cannot be opened"):
-            serve(name, **{f"serve__{name}_port": taken[f"{name}_port"]})
     with pytest.raises(ConfigError, match="no door is open"), open_doors(serve().service):
         pass
     with pytest.raises(CellError, match="cannot be opened"):

@@ -425,7 +425,7 @@ def test_poses_are_reached_or_refused(connect: Any) -> None:
         assert plc.inputs()[16:21] == [0] * 5
 
 
-def test_torn_requests_and_many_connects_change_nothing(connect: Any) -> None:
+def test_torn_requests_change_nothing(connect: Any) -> None:
     served, plc = connect()
     plc.adopt()
     plc.command(GRIP, 0, 300)
@@ -438,8 +438,6 @@ def test_torn_requests_and_many_connects_change_nothing(connect: Any) -> None:
             socket.create_connection(("127.0.0.1", port), timeout=10.0) as link,
         ):
             link.sendall(release[:cut])
-    for _ in range(200):
-        socket.create_connection(("127.0.0.1", port), timeout=10.0).close()
     with socket.create_connection(("127.0.0.1", port), timeout=10.0) as page:
         page.sendall(b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\n" + release)
         with contextlib.suppress(ConnectionResetError):

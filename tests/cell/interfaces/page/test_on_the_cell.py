@@ -11,7 +11,7 @@ from cell.control.states import Command
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.conftest import Served, until
 from tests.cell.interfaces.page.line import Line
-from tests.cell.interfaces.page.test_page import PIXEL, OpenPage, becomes, press
+from tests.cell.interfaces.page.test_page import OpenPage, becomes, press
 
 pytestmark = pytest.mark.long
 
@@ -222,9 +222,7 @@ def test_a_page_that_slept_shows_now(serve: Any, line: Any, open_page: OpenPage)
     becomes(page, "#commander", "In command: PLC")
 
 
-def test_a_part_of_the_simulated_cell_is_taught_named_and_let_go(
-    serve: Any, open_page: OpenPage
-) -> None:
+def test_a_part_of_the_simulated_cell_is_named_and_let_go(serve: Any, open_page: OpenPage) -> None:
     served = serve("http", cell={})
     page = open_page(address(served), command=True)
     becomes(page, "#state", "Ready")
@@ -239,18 +237,3 @@ def test_a_part_of_the_simulated_cell_is_taught_named_and_let_go(
     press(page, "#do_release", 1.3)
     becomes(page, "#state", "Ready")
     assert served.grip_n == 0.0
-    page.click("#tab_teach")
-    page.fill("#teach_name", "box")
-    page.fill("#teach_grasps", "2")
-    page.set_input_files(
-        "#teach_file", {"name": "box.png", "mimeType": "image/png", "buffer": PIXEL}
-    )
-    page.wait_for_selector("#teach_photo", state="visible")
-    page.click("#teach_start")
-    becomes(page, "#teach_progress", "box: 2 of 2 grasps")
-    becomes(page, "#state", "Ready")
-    page.wait_for_selector("#taught img")
-    grasps = page.text_content("#taught li:last-child small").split()[0]
-    page.click("[aria-label='Take the last grasp of box back']")
-    page.click("#sure_yes")
-    becomes(page, "#taught li:last-child small", f"^{int(grasps) - 1} grasps")

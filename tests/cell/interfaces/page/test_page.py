@@ -300,22 +300,6 @@ def test_what_a_busy_server_does_not_answer_is_asked_again(
 
 
 @pytest.mark.long
-def test_a_command_without_an_answer_is_repeated_with_its_number(
-    open_page: OpenPage, cell: FakeCell
-) -> None:
-    cell.late_s = 3.0
-    page = open_page(command=True)
-    page.click("#do_grip")
-    becomes(page, "#do_identify", "sent, waits for an answer")
-    until(lambda: len(cell.sent("POST", "jobs")) == 2)
-    first, second = cell.sent("POST", "jobs")
-    assert first == second
-    assert first["job"] == 13
-    cell.late_s = 0.0
-    becomes(page, "#do_identify", "name what is there")
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
 def test_no_dialog_stands_in_front_of_hold(open_page: OpenPage, cell: FakeCell, wide: bool) -> None:
     page = open_page(wide=wide, command=True)
