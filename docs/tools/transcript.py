@@ -22,8 +22,8 @@ from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.layout import pinch_layout
+from tests.cell.commissioning.hands import Person
 from tests.cell.commissioning.script import SimulatedLines
-from tests.cell.commissioning.test_walk import Person
 
 TUTORIAL = Path(__file__).parents[1] / "tutorials" / "hardware.md"
 _PLACE = re.compile(r"(<!-- transcript: commission -->\n).*?(<!-- end: commission -->)", flags=re.S)

@@ -1,10 +1,13 @@
-"""Hands of a person at the simulated cell in virtual time: fingers, blocks, plugs."""
+"""A person at the simulated cell in virtual time: hands at fingers, blocks and plugs, answers."""
 
+import re
 from collections.abc import Callable
+from typing import Any
 
+from cell.commissioning.law import GRAVITY_N_KG
 from simulator.cell import SimulatedCell
 from simulator.world.shapes import ObjectPose
-from tests.cell.commissioning.script import Reply
+from tests.cell.commissioning.script import Reply, Script
 
 WIDE_M = 0.05
 """Half opening in m to which a person opens a finger."""
@@ -93,3 +96,83 @@ class Hands:
             "fingers.free": self.free,
             "fingers.opened": "yes",
         }
+
+
+class Person:
+    """Answers and hands of a person who does all that the wizard asks for.
+
+    Parameters
+    ----------
+    cell
+        The cell.
+    presses
+        Returns the pad that a fingertip presses for the one that is asked for, None for no press.
+    replies
+        Other answers, by the keys of the questions, ``__`` for the point.
+
+    Attributes
+    ----------
+    script
+        The dialog, with what was asked and shown.
+    pressed_n
+        Largest force on the soft part in N.
+    """
+
+    def __init__(
+        self,
+        cell: SimulatedCell,
+        *,
+        presses: Callable[[int], int | None] = lambda pad: pad,
+        **replies: Any,
+    ) -> None:
+        self._cell = cell
+        self._layout = cell.settings.layout
+        self.pressed_n = 0.0
+        self._presses = presses
+        told: dict[str, Any] = {
+            f"pads_law.{finger}.{number}": self._load(finger, force_n)
+            for finger in (0, 1)
+            for number, force_n in enumerate((2.0, 5.0, 8.0), start=1)
+        }
+        told |= {
+            "pads_law.with": self._nothing,
+            "first_force.most": 4.0,
+            "first_force.empty": self._nothing,
+            "first_force.part": lambda: cell.place("ball") and None,
+            "first_force.empty_again": self._nothing,
+            "baseline.empty": self._nothing,
+            "baseline.place": lambda: cell.place("ball") and None,
+        }
+        told |= Hands(cell).replies()
+        told |= {key.replace("__", "."): reply for key, reply in replies.items()}
+        self.script = Script(told, moment=self.moment)
+
+    def _load(self, finger: int, force_n: float) -> Callable[[], float]:
+        # Whose finger it is, whatever the control unit calls it.
+        def reply() -> float:
+            pad = self._layout.gripping_pads[finger]
+            self._cell.devices.physical.press(pad, 0.0, 0.0, force_n)
+            return force_n / GRAVITY_N_KG * 1e3
+
+        return reply
+
+    def _nothing(self) -> None:
+        self._cell.remove()
+        self._cell.devices.physical.lift()
+
+    def moment(self) -> None:
+        """Press the pad near the corner that was asked for last, or lift the fingertip."""
+        asked = self.script.asked
+        if "first_force.part" in asked and "first_force.empty_again" not in asked:
+            self.pressed_n = max(self.pressed_n, *self._cell.world.contact_force_n())
+        last = next((t for t in reversed(self.script.said) if "fingertip" in t), "")
+        press = re.match(r"Press (\S+) with", last)
+        names = [pad.name for pad in self._layout.pads]
+        pad = self._presses(names.index(press[1])) if press else None
+        world = self._cell.devices.physical
+        if pad is None:
+            world.lift()
+            return
+        one = self._layout.pads[pad]
+        x_m, y_m = 0.4 * one.rows * one.pitch_x_m, 0.3 * one.columns * one.pitch_y_m
+        world.press(pad, x_m, y_m, 2.0)

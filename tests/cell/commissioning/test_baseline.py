@@ -1,6 +1,7 @@
 """Baseline of the wizard: a gauge object, and what has changed since, with the step it affects."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,15 +19,12 @@ from cell.commissioning.baseline import (
     changed_unit,
     gauge_of,
 )
-from cell.commissioning.engine import STORE_NAME, Left, Verdict, carry_out
+from cell.commissioning.engine import STORE_NAME, Left, Verdict
 from cell.errors import CellError
 from cell.jobs.doctor import gauge_again
-from simulator.cell import SimulatedCell
-from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
-from tests.cell.commissioning.script import Script
-from tests.cell.commissioning.test_first_force import bench_of
+from tests.cell.commissioning.conftest import Stand
 
 FOUND: dict[str, Any] = {
     "unit": {"serial_number": 7, "revision": 0x10001},
@@ -129,58 +127,52 @@ def test_a_gauge_object_that_feels_otherwise_names_the_step(
     assert (found.what, found.step) == (what, step)
 
 
-def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(tmp_path: Path) -> None:
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
-        bench = bench_of(cell, tmp_path, **FOUND | {"unit": {"serial_number": 1}})
-        servos = [{"id": n, "model": "XM430-W350", "firmware": 0} for n in (1, 2)]
-        bench.found = {**bench.found, "servos": {"servos": servos}}
-        changes = changed_hardware(bench)
-        assert {change.what for change in changes} == {"servo 1", "servo 2"}
-        bench.found = FOUND | {"servos": {"servos": []}}
-        assert [change.what for change in changed_hardware(bench)] == ["control unit"]
-        cell.inject("unit.off")
-        cell.inject("servos.off")
-        assert changed_hardware(bench) == []
-        bench.found = {}
-        assert changed_hardware(bench) == []
+def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand: Callable[..., Stand]) -> None:
+    one = stand()
+    servos = [{"id": n, "model": "XM430-W350", "firmware": 0} for n in (1, 2)]
+    one.bench.found = FOUND | {"unit": {"serial_number": 1}, "servos": {"servos": servos}}
+    assert {change.what for change in changed_hardware(one.bench)} == {"servo 1", "servo 2"}
+    one.bench.found = FOUND | {"servos": {"servos": []}}
+    assert [change.what for change in changed_hardware(one.bench)] == ["control unit"]
+    one.cell.inject("unit.off")
+    one.cell.inject("servos.off")
+    assert changed_hardware(one.bench) == []
+    one.bench.found = {}
+    assert changed_hardware(one.bench) == []
 
 
-def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(tmp_path: Path) -> None:
-    settings = SimulatorSettings(
-        layout=pinch_layout(), noise=NoiseModel(level=0.3), aperture_m=0.014
-    )
-    with SimulatedCell(settings) as cell:
-        script = Script({"baseline.place": lambda: cell.place("ball") and None})
-        bench = bench_of(cell, tmp_path)
-        finding = carry_out(BaselineStep(), bench, script)
-        assert finding.status is Verdict.PASS, finding.lines
-        was = gauge_of({"baseline": finding.values})
-        assert was is not None
-        assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
-        assert was.held_mm < was.contact_mm < 11.0
-        assert min(was.patch_taxels) > 5
-        with pytest.raises(CellError, match="no gauge object was kept"):
-            gauge_again(bench, bench.config, script)
-        kept = {"status": "pass", "lines": [], "values": finding.values, "settings": {}}
-        entry = kept | {"figures": {}, "began": "", "ended": ""}
-        store = {"version": 1, "steps": {"baseline": entry}, "approved": []}
-        (tmp_path / STORE_NAME).write_text(json.dumps(store))
-        (same,) = gauge_again(bench, bench.config, script)
-        assert (same.verdict, same.found) == (Verdict.PASS, "as at commissioning")
-        cell.inject("servo1.horn=10")
-        changed = gauge_again(bench, bench.config, script)
-        assert any("--redo fingers" in one.advice for one in changed)
+def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(
+    stand: Callable[..., Stand], tmp_path: Path
+) -> None:
+    one = stand(noise=NoiseModel(level=0.3))
+    finding = one.run(BaselineStep())
+    assert finding.status is Verdict.PASS, finding.lines
+    was = gauge_of({"baseline": finding.values})
+    assert was is not None
+    assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
+    assert was.held_mm < was.contact_mm < 11.0
+    assert min(was.patch_taxels) > 5
+    bench, script = one.bench, one.person.script
+    with pytest.raises(CellError, match="no gauge object was kept"):
+        gauge_again(bench, bench.config, script)
+    kept = {"status": "pass", "lines": [], "values": finding.values, "settings": {}}
+    entry = kept | {"figures": {}, "began": "", "ended": ""}
+    store = {"version": 1, "steps": {"baseline": entry}, "approved": []}
+    (tmp_path / STORE_NAME).write_text(json.dumps(store))
+    (same,) = gauge_again(bench, bench.config, script)
+    assert (same.verdict, same.found) == (Verdict.PASS, "as at commissioning")
+    one.cell.inject("servo1.horn=10")
+    changed = gauge_again(bench, bench.config, script)
+    assert any("--redo fingers" in one.advice for one in changed)
 
 
-def test_a_person_stops_the_grasp_of_the_gauge_object(tmp_path: Path) -> None:
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), aperture_m=0.014)) as cell:
-        script = Script()
+def test_a_person_stops_the_grasp_of_the_gauge_object(stand: Callable[..., Stand]) -> None:
+    one = stand()
 
-        def stop() -> None:
-            if "baseline.place" in script.asked:
-                raise Left("stopped at the page")
+    def stop() -> None:
+        if "baseline.place" in one.person.script.asked:
+            raise Left("stopped at the page")
 
-        script.moment = stop
-        with pytest.raises(Left, match="at the page"):
-            carry_out(BaselineStep(), bench_of(cell, tmp_path), script)
-        assert script.asked[-1] == "baseline.place"
+    with pytest.raises(Left, match="at the page"):
+        one.run(BaselineStep(), moment=stop)
+    assert one.person.script.asked[-1] == "baseline.place"

@@ -104,14 +104,19 @@ def test_a_failed_step_runs_again_or_is_left(tmp_path: Path) -> None:
     assert engine.findings["ports"].status is Verdict.WARN
 
 
-def test_a_line_that_is_lost_fails_the_step(tmp_path: Path) -> None:
+def test_a_line_that_is_lost_fails_the_step_which_keeps_what_it_has_found(tmp_path: Path) -> None:
     class Lost(Asking):
         def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+            notes.fact("the port opens")
+            notes.figures["force"] = {"x": [1.0]}
+            notes.settings |= REAL
             raise PortLost("the cable is out")
 
     with pytest.raises(Left):
         Engine([Lost("ports")], Bench(tmp_path)).run(script := Script({"ports.again": "leave"}))
-    assert script.findings["ports"].lines == ("PortLost: the cable is out",)
+    finding = script.findings["ports"]
+    assert finding.lines == ("the port opens", "PortLost: the cable is out")
+    assert (finding.figures, finding.settings) == ({"force": {"x": [1.0]}}, {})
 
 
 def test_figures_are_files_or_numbers(tmp_path: Path) -> None:

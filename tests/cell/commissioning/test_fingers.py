@@ -1,18 +1,29 @@
-"""Linkages fitted to blocks, directions and zeros found by hand: pure functions."""
+"""Fingers of badly mounted servos: linkage, directions and zeros by hand, the first motion."""
 
+from collections.abc import Callable
 from math import asin, radians, sin
+from typing import Any
 
 import pytest
 
+from cell.commissioning.engine import Left, Verdict
 from cell.commissioning.fingers import (
+    FingersStep,
     Measured,
     directions,
     fit_linkages,
     moved_alone,
     zero_pulse,
 )
+from cell.commissioning.servos import ServosStep
 from gripper.kinematics import ParallelLinkage, RackPinion
+from gripper.servos.group import ServoGroup
+from simulator.servo.mechanics import RackLinkage, ServoMount
+from simulator.settings import SimulatedServoSettings
+from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.hands import Hands
 
+STEP = FingersStep()
 BLOCKS_M = (0.010, 0.030)
 
 
@@ -79,3 +90,184 @@ def test_directions_and_zero_follow_from_the_hands() -> None:
     assert moved_alone((2048, 2048), (2050, 2048)) is None
     assert zero_pulse(2100, 1, radians(9)) == 2100 - 102
     assert zero_pulse(2100, -1, radians(9)) == 2100 + 102
+
+
+@pytest.fixture
+def limp(stand: Callable[..., Stand]) -> Callable[..., Stand]:
+    """Return what makes a cell whose servos are set up."""
+
+    def make(*faults: str) -> Stand:
+        one = stand(*faults, aperture_m=0.03)
+        assert one.run(ServosStep()).status is Verdict.PASS
+        return one
+
+    return make
+
+
+def test_one_servo_with_a_pinion(stand: Callable[..., Stand]) -> None:
+    one = stand(
+        servos=(SimulatedServoSettings(servo_id=1, mount=ServoMount(direction=-1)),),
+        linkage=RackLinkage(pinion_radius_m=0.02),
+    )
+    servos = one.run(ServosStep(), servos__count="1").settings
+    one.bench.settings = {**one.bench.settings, **servos}
+    found = one.run(STEP)
+    assert found.status is Verdict.PASS, found.lines
+    assert "fingers.open_second" not in one.person.script.asked
+    assert found.settings["gripper.servos"][0]["direction"] == -1
+    linkage = found.settings["gripper.linkage"]
+    assert linkage["kind"] == "rack_pinion"
+    assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
+
+
+def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: Callable[..., Stand]) -> None:
+    one = limp("servo2.turned", "servo1.horn=164")
+    found = one.run(STEP, **Hands(one.cell, first=2).replies())
+    assert found.status is Verdict.PASS, found.lines
+    first, second = found.settings["gripper.servos"]
+    assert (first["id"], first["direction"]) == (2, -1)
+    assert (second["id"], second["direction"]) == (1, 1)
+    assert second["zero_pulse"] == pytest.approx(2048 + 164, abs=2)
+    assert first["zero_pulse"] == pytest.approx(2048, abs=2)
+    linkage = found.settings["gripper.linkage"]
+    assert linkage["kind"] == "parallel_linkage"
+    assert linkage["link_mm"] == pytest.approx(60.0, rel=0.02)
+    assert found.values["residual_mm"] < 0.3
+    assert "servo 1: its zero is +16" in "\n".join(found.lines)
+    assert "opened by" in "\n".join(found.lines)
+    assert one.torques == [0, 0]
+    assert one.person.script.watched
+
+
+def test_a_person_stops_the_first_motion_while_it_runs(limp: Callable[..., Stand]) -> None:
+    one = limp()
+
+    def stop() -> None:
+        if one.torques == [1, 1]:
+            raise Left("stopped at the page")
+
+    with pytest.raises(Left, match="at the page"):
+        one.run(STEP, moment=stop)
+    assert one.torques == [0, 0]
+
+
+@pytest.mark.parametrize("place", ["near", "far"])
+def test_a_first_motion_begins_with_room_on_both_sides(
+    limp: Callable[..., Stand], place: str
+) -> None:
+    one = limp()
+    hands = Hands(one.cell)
+    tight = hands.close if place == "near" else lambda: hands.all_to(0.05)
+    found = one.run(STEP, fingers__free=[tight, hands.free])
+    assert found.status is Verdict.PASS, found.lines
+    assert one.person.script.asked.count("fingers.free") == 2
+
+
+def pinched(one: Stand) -> None:
+    one.cell.devices.mechanics.motors[1].friction_nm = 5.0
+
+
+def drifting(one: Stand) -> None:
+    one.cell.inject("servo1.drift=-0.2")
+
+
+@pytest.mark.parametrize(
+    ("happens", "named"),
+    [
+        (pinched, "finger 1 (servo 2): did not move"),
+        (drifting, "finger 0 (servo 1): closed instead of opening"),
+    ],
+)
+def test_a_finger_that_does_not_open_is_named_and_limp(
+    limp: Callable[..., Stand], happens: Callable[[Stand], None], named: str
+) -> None:
+    one = limp()
+
+    def free() -> None:
+        Hands(one.cell).free()
+        happens(one)
+
+    found = one.run(STEP, fingers__free=free)
+    assert found.status is Verdict.FAIL
+    assert named in found.lines[-1]
+    assert found.settings == {}
+    assert one.torques == [0, 0]
+
+
+def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(
+    limp: Callable[..., Stand],
+) -> None:
+    one = limp()
+    found = one.run(STEP, fingers__opened="no")
+    assert found.status is Verdict.FAIL
+    assert found.settings == {}
+    assert one.torques == [0, 0]
+
+
+def test_a_finger_that_was_not_moved_is_asked_for_again(limp: Callable[..., Stand]) -> None:
+    one = limp()
+    opened = [lambda: None, lambda: Hands(one.cell).move(servo1=0.05)]
+    one.run(STEP, fingers__open_first=opened)
+    assert one.person.script.asked.count("fingers.open_first") == 2
+    assert "One finger should have moved" in one.person.script.text
+
+
+def test_fingers_that_were_not_closed_are_found_out(limp: Callable[..., Stand]) -> None:
+    one = limp()
+    found = one.run(STEP, fingers__close=Hands(one.cell).close_on(20.0))
+    assert found.status is Verdict.FAIL
+    assert "something was between them" in found.lines[0]
+    assert "fingers.block2" not in one.person.script.asked
+
+
+def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(
+    limp: Callable[..., Stand],
+) -> None:
+    one = limp()
+    hands = Hands(one.cell)
+    replies: dict[str, Any] = {
+        "fingers.on_block2": hands.close_on(30.0),
+        "fingers.on_block3": hands.close_on(20.0),
+    }
+    found = one.run(STEP, fingers__block2=50.0, fingers__block3=20.0, **replies)
+    assert found.status is Verdict.FAIL
+    assert "was a thickness typed wrong" in found.lines[0]
+    assert "fingers.free" not in one.person.script.asked
+    # A smaller error, and no third block: the residual warns.
+    found = one.run(STEP, fingers__block2=33.0, fingers__block3=0.0, **replies)
+    assert found.status is Verdict.WARN
+    assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(found.lines)
+
+
+def test_one_block_is_enough_and_worth_a_word(limp: Callable[..., Stand]) -> None:
+    found = limp().run(STEP, fingers__block2=0.0)
+    assert found.status is Verdict.WARN
+    assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
+
+
+def test_leaving_at_each_question_leaves_no_torque(limp: Callable[..., Stand]) -> None:
+    one = limp()
+    one.run(STEP)
+    for place in [*one.person.script.asked, "approve"]:
+        with pytest.raises(Left):
+            one.run(STEP, leave_at=[place])
+        assert one.torques == [0, 0], place
+
+
+def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(
+    limp: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = limp()
+    write, seen = ServoGroup.write_goals, []
+
+    def interrupted(group: ServoGroup, goals: Any, state: Any, **options: Any) -> None:
+        seen.append(one.torques)
+        if len(seen) > 20:
+            raise KeyboardInterrupt
+        write(group, goals, state, **options)
+
+    monkeypatch.setattr(ServoGroup, "write_goals", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        one.run(STEP)
+    assert seen[-1] == [1, 1]
+    assert one.torques == [0, 0]

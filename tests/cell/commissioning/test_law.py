@@ -1,86 +1,60 @@
 """The law from counts to newtons of the wizard: loads on both pads, and the factor that is set."""
 
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Notes, StepFailed, Verdict, carry_out
-from cell.commissioning.law import GRAVITY_N_KG, LawStep, fit_factor, judge_law
+from cell.commissioning.engine import Notes, StepFailed, Verdict
+from cell.commissioning.law import LawStep, fit_factor, judge_law
 from cell.config.tactile import TactileConfig
-from simulator.cell import SimulatedCell
-from simulator.settings import SimulatorSettings
 from simulator.world.taxels import SensorLaw
-from tactile.layout import paper_layout, pinch_layout
-from tests.cell.commissioning.script import Script, SimulatedLines
+from tactile.layout import paper_layout
+from tests.cell.commissioning.conftest import Stand
 
 LOADS_N = (2.0, 5.0, 8.0)
+STEP = LawStep()
 
 
-def weighed(
-    tmp_path: Path, *faults: str, settings: dict[str, Any], **cell_settings: Any
-) -> Finding:
-    """Run the step with a person who presses with exact forces, and types what a scale shows."""
-    with SimulatedCell(SimulatorSettings(faults=faults, **cell_settings)) as cell:
-        bench = Bench(tmp_path, SimulatedLines(cell))
-        bench.settings = {
-            "tactile.interface": "socketcan",
-            "tactile.channel": "can0",
-            "tactile.tare_frames": 60,
-        } | settings
-        world, layout = cell.devices.physical, cell.settings.layout
+@pytest.fixture
+def paper(stand: Callable[..., Stand]) -> Callable[..., Stand]:
+    """Return what makes a cell with the pads of the paper, whose law is that of foam."""
 
-        def press(finger: int, force_n: float) -> Any:
-            def reply() -> float:
-                world.press(layout.gripping_pads[finger], 0.0, 0.0, force_n)
-                return force_n / GRAVITY_N_KG * 1e3
+    def make(*faults: str) -> Stand:
+        one = stand(*faults, layout=paper_layout())
+        one.knows(tactile__layout="paper", tactile__tare_frames=60)
+        return one
 
-            return reply
-
-        script = Script(
-            {
-                f"pads_law.{finger}.{number}": press(finger, force_n)
-                for finger in (0, 1)
-                for number, force_n in enumerate(LOADS_N, start=1)
-            }
-        )
-        return carry_out(LawStep(), bench, script)
+    return make
 
 
-PAPER: dict[str, Any] = {"layout": paper_layout(), "settings": {"tactile.layout": "paper"}}
-
-
-def test_a_law_that_is_right_passes_and_changes_nothing(tmp_path: Path) -> None:
-    finding = weighed(tmp_path, **PAPER)
+def test_a_law_that_is_right_passes_and_changes_nothing(paper: Callable[..., Stand]) -> None:
+    finding = paper().run(STEP)
     assert finding.status is Verdict.PASS, finding.lines
     assert finding.settings == {}
     assert finding.values["factor"] == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("felt", [0.8, 1.25])
-def test_a_law_that_is_off_is_named_and_set_right(tmp_path: Path, felt: float) -> None:
-    finding = weighed(tmp_path, f"taxels.force_gain={felt}", **PAPER)
+def test_a_law_that_is_off_is_named_and_set_right(paper: Callable[..., Stand], felt: float) -> None:
+    finding = paper(f"taxels.force_gain={felt}").run(STEP)
     assert finding.status is Verdict.WARN
     assert "The law was 2" in finding.lines[-1]
     assert finding.settings["tactile.calibration.gain"] == pytest.approx(1.0 / felt, rel=0.06)
 
 
-def test_a_linear_law_is_set_by_its_force_of_a_count(tmp_path: Path) -> None:
+def test_a_linear_law_is_set_by_its_force_of_a_count(stand: Callable[..., Stand]) -> None:
+    one = stand(law=SensorLaw(full_scale_n=0.0012 * 4095))
     law = {"kind": "linear", "force_per_count_n": 0.001}
-    finding = weighed(
-        tmp_path,
-        layout=pinch_layout(),
-        law=SensorLaw(full_scale_n=0.0012 * 4095),
-        settings={"tactile.layout": "pinch", "tactile.calibration": law},
-    )
+    one.knows(tactile__tare_frames=60, tactile__calibration=law)
+    finding = one.run(STEP)
     assert finding.status is Verdict.WARN, finding.lines
     found = finding.settings["tactile.calibration.force_per_count_n"]
     assert found == pytest.approx(0.0012, rel=0.05)
 
 
-def test_without_a_scale_the_forces_are_unchecked(tmp_path: Path) -> None:
-    finding = carry_out(LawStep(), Bench(tmp_path), Script({"pads_law.with": "skip"}))
+def test_without_a_scale_the_forces_are_unchecked(stand: Callable[..., Stand]) -> None:
+    finding = stand().run(STEP, pads_law__with="skip")
     assert finding.status is Verdict.WARN
     assert "not checked" in finding.lines[0]
 

@@ -1,15 +1,12 @@
 """The pads of the wizard: at rest, and pressed by a fingertip; what is wrong is named and set."""
 
-import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Left, Notes, Verdict, carry_out
+from cell.commissioning.engine import Left, Notes, Verdict
 from cell.commissioning.pads import (
     PadsAtRestStep,
     PadsPressedStep,
@@ -20,106 +17,36 @@ from cell.commissioning.pads import (
     pressed_at,
     rest_of,
 )
-from simulator.cell import SimulatedCell
-from simulator.settings import SimulatorSettings
-from tactile.layout import PadMount, TaxelLayout, paper_layout, pinch_layout
+from tactile.layout import PadMount, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration
 from tactile.sensor.tare import TareLimits
-from tests.cell.commissioning.script import Script, SimulatedLines
+from tests.cell.commissioning.conftest import Stand
 
-UNIT = {
-    "tactile.interface": "socketcan",
-    "tactile.channel": "can0",
-    "tactile.layout": "pinch",
-    "tactile.tare_frames": 30,
-}
+REST, PRESSED = PadsAtRestStep(), PadsPressedStep()
 
 
-class Person:
-    """Fingertip that presses the pad that was asked for near its corner, or another one."""
-
-    def __init__(
-        self, cell: SimulatedCell, other: Callable[[int], int | None] = lambda p: p
-    ) -> None:
-        self._world, self._layout = cell.devices.physical, cell.settings.layout
-        self._other = other
-        self.script = Script(moment=self.moment)
-        self._names = [pad.name for pad in self._layout.pads]
-
-    def moment(self) -> None:
-        last = next((t for t in reversed(self.script.said) if "fingertip" in t), "")
-        asked = re.match(r"Press (\S+) with", last)
-        pad = self._other(self._names.index(asked[1])) if asked else None
-        if pad is None:
-            self._world.lift()
-        else:
-            one = self._layout.pads[pad]
-            x_m, y_m = 0.4 * one.rows * one.pitch_x_m, 0.3 * one.columns * one.pitch_y_m
-            self._world.press(pad, x_m, y_m, 2.0)
-
-
-def bench_of(cell: SimulatedCell, folder: Path, **settings: Any) -> Bench:
-    bench = Bench(folder, SimulatedLines(cell))
-    bench.settings = UNIT | settings
-    return bench
-
-
-def at_rest(tmp_path: Path, *faults: str, layout: TaxelLayout | None = None) -> Finding:
-    made = SimulatorSettings(layout=layout or pinch_layout(), faults=faults)
-    with SimulatedCell(made) as cell:
-        name = "pinch" if layout is None else layout.name
-        bench = bench_of(cell, tmp_path, **{"tactile.layout": name})
-        return carry_out(PadsAtRestStep(), bench, Script())
-
-
-def pressed(tmp_path: Path, *faults: str, mounts: tuple[PadMount, ...] = ()) -> Finding:
-    made = SimulatorSettings(layout=pinch_layout(), faults=faults, mounts=mounts)
-    with SimulatedCell(made) as cell:
-        return carry_out(PadsPressedStep(), bench_of(cell, tmp_path), Person(cell).script)
-
-
-@pytest.mark.parametrize("layout", [None, paper_layout()])
-def test_sound_pads_at_rest_pass_without_a_word(tmp_path: Path, layout: Any) -> None:
-    finding = at_rest(tmp_path, layout=layout)
+@pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
+def test_sound_pads_at_rest_pass_without_a_word(stand: Callable[..., Stand], layout: Any) -> None:
+    one = stand(layout=layout)
+    one.knows(tactile__layout=layout.name)
+    finding = one.run(REST)
     assert finding.status is Verdict.PASS, finding.lines
     assert len(finding.lines) == 1
     assert finding.settings == {"tactile.board_serial_numbers": [1, 2]}
     assert set(finding.figures) == {"zero", "noise"}
 
 
-@pytest.mark.parametrize(
-    ("fault", "status", "named"),
-    [
-        ("taxels.noisy=1:400", Verdict.WARN, "finger1.inner is noisy: "),
-        ("taxels.noisy=1:2000", Verdict.FAIL, "The force of finger1.inner at rest shakes by"),
-        ("taxels.stuck_at=3:0", Verdict.WARN, "1 taxel is dead: finger0.inner row 0 column 3"),
-        ("taxels.stuck_at=80-81:777", Verdict.WARN, "2 taxels are stuck: finger1.inner row 0"),
-        ("taxels.off=0.2", Verdict.FAIL, "taxels of finger0.inner are bad, allowed are 5%"),
-        ("taxels.saturated=0", Verdict.FAIL, "78 of 78 taxels of finger0.inner are bad"),
-        ("taxels.offset=900", Verdict.FAIL, "No zero can be taken"),
-        ("unit.stuck", Verdict.FAIL, "The counts do not move at rest"),
-        ("unit.off", Verdict.FAIL, "did not boot"),
-    ],
-)
-def test_what_is_wrong_at_rest_is_named(
-    tmp_path: Path, fault: str, status: Verdict, named: str
+def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(
+    stand: Callable[..., Stand],
 ) -> None:
-    finding = at_rest(tmp_path, fault)
-    assert (finding.status, named in "\n".join(finding.lines)) == (status, True), finding.lines
-
-
-def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(tmp_path: Path) -> None:
-    with SimulatedCell(
-        SimulatorSettings(layout=pinch_layout(), board_serial_numbers=(0, 0))
-    ) as cell:
-        finding = carry_out(PadsAtRestStep(), bench_of(cell, tmp_path), Script())
+    finding = stand(board_serial_numbers=(0, 0)).run(REST)
     assert finding.status is Verdict.WARN
     assert "press each pad after every work" in "\n".join(finding.lines)
     assert finding.settings == {"tactile.board_serial_numbers": None}
 
 
-def test_pads_where_the_layout_has_them_pass(tmp_path: Path) -> None:
-    finding = pressed(tmp_path)
+def test_pads_where_the_layout_has_them_pass(stand: Callable[..., Stand]) -> None:
+    finding = stand().run(PRESSED)
     assert finding.status is Verdict.PASS, finding.lines
     assert finding.settings == {"tactile.mounting": []}
 
@@ -146,62 +73,60 @@ EXCHANGED = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
     ],
 )
 def test_pads_that_sit_otherwise_are_found_named_and_set(
-    tmp_path: Path, fault: str, mounts: list[PadMount], named: str
+    stand: Callable[..., Stand], fault: str, mounts: list[PadMount], named: str
 ) -> None:
-    finding = pressed(tmp_path, fault)
+    finding = stand(fault).run(PRESSED)
     assert finding.status is Verdict.WARN
     assert named in "\n".join(finding.lines)
     found = [PadMount(**one) for one in finding.settings["tactile.mounting"]]
     assert found == mounts
 
 
-def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(tmp_path: Path) -> None:
+def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(
+    stand: Callable[..., Stand],
+) -> None:
     mounts = (
         PadMount(pad=0, sent_as=1, rows_mirrored=True, columns_mirrored=True),
         PadMount(pad=1, sent_as=0, rows_mirrored=True, columns_mirrored=True),
     )
-    finding = pressed(tmp_path, mounts=mounts)
+    finding = stand(mounts=mounts).run(PRESSED)
     found = tuple(PadMount(**one) for one in finding.settings["tactile.mounting"])
     assert found == mounts
     assert "force messages cannot be used" not in "\n".join(finding.lines)
 
 
-def test_a_dead_pad_is_named_and_fails_the_step(tmp_path: Path) -> None:
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
-        person = Person(cell, lambda pad: pad if pad == 1 else None)
-        person.script.replies = {"pads_pressed.again": "skip"}
-        finding = carry_out(PadsPressedStep(), bench_of(cell, tmp_path), person.script)
+def test_a_dead_pad_is_named_and_fails_the_step(stand: Callable[..., Stand]) -> None:
+    one = stand()
+    presses = {0: None, 1: 1}
+    finding = one.run(PRESSED, presses=presses.get, pads_pressed__again="skip")
     assert finding.status is Verdict.FAIL
     assert "finger0.inner was not seen" in finding.lines[-1]
-    assert "No pad showed a fingertip within 30 s" in person.script.text
+    assert "No pad showed a fingertip within 30 s" in one.person.script.text
     assert finding.settings == {}
 
 
-def test_the_wrong_pad_or_its_middle_is_asked_for_again(tmp_path: Path) -> None:
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
-        wrong = [0, 0, 1]
-        person = Person(cell)
-        world, press = cell.devices.physical, person.moment
-        calls = {"n": 0}
+def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand: Callable[..., Stand]) -> None:
+    one = stand()
+    wrong, looks = [0, 0, 1], 0
 
-        def moment() -> None:
-            press()
-            calls["n"] += 1
-            last = person.script.said[-1]
-            if "Press finger1.inner with" in last and len(wrong) > 1 and calls["n"] > 4:
-                world.press(wrong.pop(), 0.0, 0.0, 2.0)
+    def moment() -> None:
+        nonlocal looks
+        one.person.moment()
+        looks += 1
+        last = one.person.script.said[-1]
+        if "Press finger1.inner with" in last and len(wrong) > 1 and looks > 4:
+            one.cell.devices.physical.press(wrong.pop(), 0.0, 0.0, 2.0)
 
-        person.script.moment = moment
-        finding = carry_out(PadsPressedStep(), bench_of(cell, tmp_path), person.script)
+    finding = one.run(PRESSED, moment=moment)
     assert finding.status is Verdict.PASS, finding.lines
 
 
-def test_leaving_while_a_pad_is_pressed_ends_the_step(tmp_path: Path) -> None:
+def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: Callable[..., Stand]) -> None:
     def leave() -> None:
         raise Left("left")
 
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell, pytest.raises(Left):
-        carry_out(PadsPressedStep(), bench_of(cell, tmp_path), Script(moment=leave))
+    with pytest.raises(Left):
+        stand().run(PRESSED, moment=leave)
 
 
 def test_corners_are_named_as_a_person_sees_them() -> None:

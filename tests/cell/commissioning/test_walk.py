@@ -1,17 +1,13 @@
 """The whole wizard on a simulated cell in virtual time: from the box to the baseline."""
 
-import re
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import CONFIG_NAME, Engine, Left, Step, Verdict
-from cell.commissioning.law import GRAVITY_N_KG
 from cell.commissioning.link_quality import LinkQualityStep
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
@@ -19,8 +15,8 @@ from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
-from tests.cell.commissioning.hands import Hands
-from tests.cell.commissioning.script import Script, SimulatedLines
+from tests.cell.commissioning.hands import Person
+from tests.cell.commissioning.script import SimulatedLines
 
 pytestmark = pytest.mark.long
 
@@ -32,62 +28,6 @@ def brisk_steps() -> list[Step]:
     """Return all steps, with a shorter look at the lines."""
     short = LinkQualityStep(duration_s=2.0)
     return [short if step.key == short.key else step for step in all_steps()]
-
-
-class Person:
-    """Answers and hands of a person who does all that the wizard asks for."""
-
-    def __init__(self, cell: SimulatedCell) -> None:
-        self._cell = cell
-        self._hands = Hands(cell)
-        layout = cell.settings.layout
-        self._names = [pad.name for pad in layout.pads]
-        self.pressed_n = 0.0
-        loads_n = (2.0, 5.0, 8.0)
-
-        def load(finger: int, force_n: float) -> Callable[[], float]:
-            # Whose finger it is, whatever the control unit calls it.
-            def reply() -> float:
-                pad = layout.gripping_pads[finger]
-                cell.devices.physical.press(pad, 0.0, 0.0, force_n)
-                return force_n / GRAVITY_N_KG * 1e3
-
-            return reply
-
-        replies: dict[str, Any] = {
-            f"pads_law.{finger}.{number}": load(finger, force_n)
-            for finger in (0, 1)
-            for number, force_n in enumerate(loads_n, start=1)
-        }
-        replies |= {
-            "pads_law.with": self._nothing,
-            "first_force.most": 4.0,
-            "first_force.empty": self._nothing,
-            "first_force.part": lambda: cell.place("ball") and None,
-            "first_force.empty_again": self._nothing,
-            "baseline.empty": self._nothing,
-            "baseline.place": lambda: cell.place("ball") and None,
-        }
-        self.script = Script(self._hands.replies() | replies, moment=self._moment)
-
-    def _nothing(self) -> None:
-        self._cell.remove()
-        self._cell.devices.physical.lift()
-
-    def _moment(self) -> None:
-        asked = self.script.asked
-        if "first_force.part" in asked and "first_force.empty_again" not in asked:
-            self.pressed_n = max(self.pressed_n, *self._cell.world.contact_force_n())
-        last = next((t for t in reversed(self.script.said) if "fingertip" in t), "")
-        press = re.match(r"Press (\S+) with", last)
-        world = self._cell.devices.physical
-        if press is None:
-            world.lift()
-            return
-        pad = self._names.index(press[1])
-        one = self._cell.settings.layout.pads[pad]
-        x_m, y_m = 0.4 * one.rows * one.pitch_x_m, 0.3 * one.columns * one.pitch_y_m
-        world.press(pad, x_m, y_m, 2.0)
 
 
 def brought_up(

@@ -1,0 +1,123 @@
+"""Servos that are new or set otherwise: numbered, backed up, set, read back, and brought back."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.commissioning import backup
+from cell.commissioning.backup import restore
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Left, Verdict
+from cell.commissioning.servos import ServosStep
+from cell.errors import CellError
+from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.script import Script
+
+STEP = ServosStep()
+PORT = "/dev/ttyUSB0"
+
+
+@pytest.fixture
+def new(stand: Callable[..., Stand]) -> Stand:
+    """A cell with two servos from the box: both have ID 1."""
+    one = stand("servo1.factory", "servo2.factory")
+    one.cell.clock.sleep(1.0)  # they have booted
+    return one
+
+
+def eeproms(one: Stand) -> list[bytes]:
+    return [bytes(s.core.table.data[:64]) for s in one.cell.devices.servo_bus.servos]
+
+
+def test_factory_new_servos_are_numbered_one_at_a_time(new: Stand, tmp_path: Path) -> None:
+    found, script = new.run(STEP), new.person.script
+    assert found.status is Verdict.PASS, found.lines
+    assert script.asked == ["servos.connect_one", "servos.connect_next"]
+    for name, values in {
+        "id": [1, 2],
+        "baud_rate": [3, 3],
+        "operating_mode": [5, 5],
+        "return_delay_time": [0, 0],
+    }.items():
+        assert new.registers(name) == values, name
+    shown = {(w.what, w.before, w.after) for w in script.writes}
+    assert ("id (7)", "1", "2") in shown
+    assert ("baud_rate (8)", "57600 bit/s", "1000000 bit/s") in shown
+    for number in (1, 2):
+        kept = json.loads((tmp_path / f"backup-servo{number}.json").read_text())
+        assert (kept["found"]["id"], kept["found"]["baud_rate"]) == (1, 1)
+        assert kept["found"]["return_delay_time"] == 250
+
+
+def test_restore_brings_the_servos_back_as_they_came(new: Stand, tmp_path: Path) -> None:
+    before = eeproms(new)
+    new.run(STEP)
+    lines = restore(new.bench, script := Script(), PORT)
+    assert eeproms(new) == before
+    assert len(lines) == 2
+    assert ("id (7)", "2", "1") in {(w.what, w.before, w.after) for w in script.writes}
+    # Restored servos are left alone, and are brought up again from there.
+    assert restore(new.bench, Script(), PORT) == ("all servos are as they were found",)
+    assert new.run(STEP).status is Verdict.PASS
+    with pytest.raises(CellError, match="no backup"):
+        restore(Bench(tmp_path / "other", new.lines), Script(), PORT)
+
+
+def test_a_restore_that_was_interrupted_goes_on(
+    new: Stand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = eeproms(new)
+    new.run(STEP)
+    write_back = backup._write_back
+
+    def first_only(*arguments: Any) -> None:
+        write_back(*arguments)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(backup, "_write_back", first_only)
+        with pytest.raises(KeyboardInterrupt):
+            restore(new.bench, Script(), PORT)
+    assert len(restore(new.bench, Script(), PORT)) == 1
+    assert eeproms(new) == before
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", '{"servo_id": 1, "baud_rate": 1, "found": {"id": "x"}}']
+)
+def test_a_damaged_backup_is_named(new: Stand, tmp_path: Path, text: str) -> None:
+    (tmp_path / "backup-servo1.json").write_text(text)
+    with pytest.raises(CellError, match=r"backup-servo1\.json is no backup of a servo"):
+        restore(new.bench, Script(), PORT)
+
+
+def test_nothing_is_written_that_was_refused(new: Stand, tmp_path: Path) -> None:
+    before = eeproms(new)
+    with pytest.raises(Left):
+        new.run(STEP, leave_at=["approve"])
+    assert eeproms(new) == before
+    assert not list(tmp_path.glob("backup*"))
+
+
+def test_wrong_registers_are_shown_then_set_and_read_back(stand: Callable[..., Stand]) -> None:
+    one = stand("servo1.wrong=homing_offset:100", "servo2.wrong=drive_mode:1")
+    found = one.run(STEP)
+    assert found.status is Verdict.PASS, found.lines
+    shown = {(w.where, w.what, w.before, w.after) for w in one.person.script.writes}
+    assert ("servo 1", "homing_offset (20)", "100", "0") in shown
+    assert ("servo 2", "drive_mode (10)", "1", "0") in shown
+    assert one.registers("homing_offset") == one.registers("drive_mode") == [0, 0]
+
+
+def test_torque_that_holds_a_part_is_not_switched_off_unasked(stand: Callable[..., Stand]) -> None:
+    one = stand("servo1.wrong=homing_offset:100")
+    for servo in one.cell.devices.servo_bus.servos:
+        servo.core.set_torque(on=True)
+    with pytest.raises(Left, match="torque"):
+        one.run(STEP)
+    assert one.torques == [1, 1]
+    one.run(STEP, servos__torque="off")
+    assert one.torques == [0, 0]

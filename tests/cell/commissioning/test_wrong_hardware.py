@@ -1,0 +1,82 @@
+"""What is wrong with a cell: the step that finds it names it, moves nothing, sets nothing."""
+
+from collections.abc import Callable
+
+import pytest
+
+from cell.commissioning.engine import Step, Verdict
+from cell.commissioning.first_force import FirstForceStep
+from cell.commissioning.link_quality import LinkQualityStep
+from cell.commissioning.pads import PadsAtRestStep, PadsPressedStep
+from cell.commissioning.servos import ServosStep
+from cell.commissioning.unit import UnitStep
+from cell.commissioning.walk import all_steps
+from simulator.world.taxels import NoiseModel
+from tests.cell.commissioning.conftest import Stand
+
+SERVOS, UNIT, REST, FORCE = ServosStep(), UnitStep(), PadsAtRestStep(), FirstForceStep()
+PRESSED, LINES = PadsPressedStep(), LinkQualityStep(duration_s=2.5)
+WARN, FAIL = Verdict.WARN, Verdict.FAIL
+
+
+@pytest.mark.parametrize(
+    ("step", "fault", "status", "named"),
+    [
+        (SERVOS, "servo2.supply=6", FAIL, "servo 2 has 6.0 V, a XM430-W350 takes 9.5 to 16.0 V"),
+        (SERVOS, "servo2.wrong=model_number:1060", FAIL, "servo 2 is XL430-W250"),
+        (SERVOS, "servo2.wrong=model_number:1200", FAIL, "need different supplies"),
+        (SERVOS, "servo2.error=8", FAIL, "servo 2 reports"),
+        (SERVOS, "servos.delayed=0.016", FAIL, "latency timer"),
+        (SERVOS, "servos.off", FAIL, "no servo answers at any baud rate: check the supply"),
+        (UNIT, "unit.second_node", FAIL, "more came from"),
+        (UNIT, "unit.off", FAIL, "Nobody is heard and nobody answers on can0"),
+        (UNIT, "unit.wrong=revision:0x00020001", FAIL, "not that of this software: major revision"),
+        (UNIT, "unit.wrong=vendor:99", FAIL, "node 5 is another device: vendor 0x63"),
+        (UNIT, "unit.other_layout", FAIL, "no known layout (hash 0000000000000000): 156 taxels"),
+        (UNIT, "can.unplugged", FAIL, "adapter is out"),
+        (UNIT, "unit.heartbeat_off", FAIL, "did not become operational"),
+        (UNIT, "can.bit_rate=125000", FAIL, "too long for a grip"),
+        (REST, "taxels.noisy=1:400", WARN, "finger1.inner is noisy: "),
+        (REST, "taxels.noisy=1:2000", FAIL, "The force of finger1.inner at rest shakes by"),
+        (REST, "taxels.stuck_at=3:0", WARN, "1 taxel is dead: finger0.inner row 0 column 3"),
+        (REST, "taxels.stuck_at=80-81:777", WARN, "2 taxels are stuck: finger1.inner row 0"),
+        (REST, "taxels.off=0.2", FAIL, "taxels of finger0.inner are bad, allowed are 5%"),
+        (REST, "taxels.saturated=0", FAIL, "78 of 78 taxels of finger0.inner are bad"),
+        (REST, "taxels.offset=900", FAIL, "No zero can be taken"),
+        (REST, "unit.stuck", FAIL, "The counts do not move at rest"),
+        (REST, "unit.off", FAIL, "did not boot"),
+        (PRESSED, "unit.off", FAIL, "did not boot"),
+        (LINES, "can.lose_next=20@1s", WARN, "The CAN bus loses messages"),
+        (LINES, "unit.forces_lost=0.02", WARN, "The CAN bus loses messages"),
+        (LINES, "servos.loss=0.02", WARN, "The servos' line loses answers"),
+        (LINES, "can.loss=0.003@0.6s", FAIL, "of the last 50 frames"),
+        (LINES, "unit.forces_each=5", FAIL, "ms late, allowed are 15 ms"),
+        (LINES, "unit.off@0.5s", FAIL, "no force message"),
+        (LINES, "servos.unplugged@0.5s", FAIL, "the servo line is gone"),
+        (FORCE, "servo1.watchdog_off", FAIL, "watchdog is not proven to stop the motors: servo 1"),
+        (FORCE, "taxels.stuck_at=20-60:3000", FAIL, "taxels of pad finger0.inner are bad"),
+        (FORCE, "unit.off", FAIL, "did not boot"),
+        (FORCE, "servo2.turned", FAIL, "on its own side"),
+    ],
+)
+def test_what_is_wrong_is_named(
+    stand: Callable[..., Stand], step: Step, fault: str, status: Verdict, named: str
+) -> None:
+    one = stand(noise=NoiseModel(level=0.3)) if step is FORCE else stand()
+    one.cell.inject(fault)
+    finding = one.run(step)
+    assert (finding.status, named in "\n".join(finding.lines)) == (status, True), finding.lines
+    assert one.torques == [0, 0]
+    assert status is WARN or not finding.settings
+
+
+@pytest.mark.parametrize("step", [step for step in all_steps() if step.needs_pads])
+def test_steps_of_the_pads_pass_by_where_there_are_none(
+    stand: Callable[..., Stand], step: Step
+) -> None:
+    one = stand("unit.off")
+    one.bench.found = {"unit": {"gripper_alone": True}}
+    finding = one.run(step)
+    assert finding.status is WARN
+    assert "no pads yet" in finding.lines[0]
+    assert not one.person.script.asked
