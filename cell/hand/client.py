@@ -8,8 +8,10 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import wraps
+from inspect import signature
 from multiprocessing.connection import Connection
-from typing import Any, NoReturn, TypeVar
+from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
@@ -33,18 +35,12 @@ from cell.hand.messages import (
 from gripper.errors import GripperError, copy_fingers
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.state import (
-    GraspOutcome,
     GripperPhase,
-    ReleaseReport,
-    ServoCondition,
-    VerificationReport,
 )
 from tactile.errors import TactileError
 from tactile.layout import TaxelLayout
-from tactile.sensor.sensor import TactileReading
-from tactile.sensor.tare import TareResult
-from tactile.unit.settings import NodeIdentity
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 _BOOT_S = 60.0
@@ -198,6 +194,20 @@ class LoopProcess:
         self.lose(f"has ended with exit code {code}")
 
 
+def _remote(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], T]:
+    """Return a method that has the process carry out that of `Hand`."""
+    named = signature(method)
+
+    @wraps(method)
+    def call(self: Any, /, *given: P.args, **options: P.kwargs) -> T:
+        arguments = named.bind(self, *given, **options).arguments
+        del arguments["self"]
+        answer: T = self._call(method, arguments.pop("watch", None), **arguments)
+        return answer
+
+    return call
+
+
 _AT_REST = (GripperPhase.OFF, GripperPhase.IDLE)
 """Phases in which no part is held, so that none is after the loss of the process."""
 
@@ -279,66 +289,32 @@ class HandProcess:
 
     # -- commands ------------------------------------------------------------------------------
 
-    def start(self) -> VerificationReport:
-        """Verify the servos; see `Hand`."""
-        return self._call(Hand.start)
-
-    def start_sensor(self) -> NodeIdentity:
-        """Start the tactile link; see `Hand`."""
-        return self._call(Hand.start_sensor)
+    start = _remote(Hand.start)
+    start_sensor = _remote(Hand.start_sensor)
+    open = _remote(Hand.open)
+    tare = _remote(Hand.tare)
+    grasp = _remote(Hand.grasp)
+    meet = _remote(Hand.meet)
+    carry = _remote(Hand.carry)
+    squeeze = _remote(Hand.squeeze)
+    release = _remote(Hand.release)
+    conditions = _remote(Hand.conditions)
+    inspect = _remote(Hand.inspect)
+    read_sensor = _remote(Hand.read_sensor)
+    keep_grip = _remote(Hand.keep_grip)
 
     def close_sensor(self) -> None:
         """End the tactile link; it has ended where the process is gone."""
         if self._loop.lost is None:
             self._call(Hand.close_sensor)
 
-    def open(self, watch: Watch) -> None:
-        """Open the empty fingers; see `Hand`."""
-        self._call(Hand.open, watch)
-
-    def tare(self, n_frames: int) -> TareResult:
-        """Take the zero of the taxels; see `Hand`."""
-        return self._call(Hand.tare, n_frames=n_frames)
-
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""
         check_ramp(ramp, self._settings, self._linkage)
 
-    def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
-        """Close and follow the ramp; see `Hand`."""
-        return self._call(Hand.grasp, watch, ramp=ramp)
-
-    def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
-        """Close the empty fingers onto each other; see `Hand`."""
-        return self._call(Hand.meet, watch, ramp=ramp)
-
-    def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
-        """Hold the part with another force; see `Hand`."""
-        self._call(Hand.carry, watch, force_n=force_n, duration_s=duration_s)
-
-    def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
-        """Follow a further ramp in the same grip; see `Hand`."""
-        return self._call(Hand.squeeze, watch, ramp=ramp)
-
     def end_ramp(self) -> None:
         """Let the running ramp end where it is; see `Hand`."""
         self._loop.send(EndRamp(number=self._number))
-
-    def release(self, watch: Watch | None = None) -> ReleaseReport:
-        """Let go; see `Hand`."""
-        return self._call(Hand.release, watch)
-
-    def conditions(self) -> tuple[ServoCondition, ...]:
-        """Read torque and errors of each servo; see `Hand`."""
-        return self._call(Hand.conditions)
-
-    def inspect(self) -> VerificationReport:
-        """Compare the servos with the settings; reads only."""
-        return self._call(Hand.inspect)
-
-    def read_sensor(self, timeout_s: float) -> TactileReading:
-        """Wait for a new reading of the taxels."""
-        return self._call(Hand.read_sensor, timeout_s=timeout_s)
 
     def tick(self) -> None:
         """Raise what went wrong since the last command; the process ticks by itself.
@@ -351,10 +327,6 @@ class HandProcess:
             self._next(0.0)
         if now_s - self._heard_s > self._silence_s:
             self._loop.lose(f"has sent nothing for {now_s - self._heard_s:.1f} s")
-
-    def keep_grip(self) -> None:
-        """Freeze in any state; see `Gripper.keep_grip`."""
-        self._call(Hand.keep_grip)
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault; where the process is gone, start another, which moves nothing."""

@@ -66,6 +66,14 @@ class Finding:
     """What to do; empty where all is well."""
 
 
+def _finding(
+    what: str, found: str, advice: str = "", *, ok: bool = False, bad: Verdict = Verdict.WARN
+) -> Finding:
+    """Return a finding that passes where all is ok, and else has a verdict and the advice."""
+    verdict = Verdict.PASS if ok else bad
+    return Finding(what=what, verdict=verdict, found=found, advice="" if ok else advice)
+
+
 def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Finding]:
     """Check the machine, then each device of the cell, yielding findings as they come.
 
@@ -98,14 +106,13 @@ class _Kept:
         if not self.found:
             return []
         return [
-            Finding(
-                what=change.what,
-                verdict=Verdict.WARN,
-                found=f"{change.found}, at commissioning {change.was}",
-                advice=change.advice(self.folder),
+            _finding(
+                change.what,
+                f"{change.found}, at commissioning {change.was}",
+                change.advice(self.folder),
             )
             for change in changes
-        ] or [Finding(what=what, verdict=Verdict.PASS, found="as at commissioning")]
+        ] or [_finding(what, "as at commissioning", ok=True)]
 
 
 def _kept(config_file: Path | None) -> _Kept:
@@ -144,79 +151,56 @@ def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[Findin
 
 def _machine() -> Iterator[Finding]:
     version = ".".join(map(str, sys.version_info[:3]))
-    yield Finding(what="Python", verdict=Verdict.PASS, found=version)
+    yield _finding("Python", version, ok=True)
     for package in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy"):
-        yield Finding(what=package, verdict=Verdict.PASS, found=importlib.metadata.version(package))
+        yield _finding(package, importlib.metadata.version(package), ok=True)
     for extra, package in ((e, package) for e in ("report", "mesh") for package in EXTRAS[e]):
         try:
-            yield Finding(
-                what=package, verdict=Verdict.PASS, found=importlib.metadata.version(package)
-            )
+            yield _finding(package, importlib.metadata.version(package), ok=True)
         except importlib.metadata.PackageNotFoundError:
-            yield Finding(
-                what=package,
-                verdict=Verdict.WARN,
-                found="not installed",
-                advice=f"if you want it: {remedy(extra)}",
-            )
+            yield _finding(package, "not installed", f"if you want it: {remedy(extra)}")
 
 
 def _ports(config: CellConfig) -> Iterator[Finding]:
     port = Path(config.gripper.port)
     candidates = ", ".join(serial_candidates()) or "none"
+    found, advice = str(port), ""
     if not port.exists():
-        yield Finding(
-            what="servo port",
-            verdict=Verdict.FAIL,
-            found=f"{port} does not exist; serial ports here: {candidates}",
-            advice="plug in the adapter or correct gripper.port",
-        )
-        return
-    if not os.access(port, os.R_OK | os.W_OK):
-        yield Finding(
-            what="servo port",
-            verdict=Verdict.FAIL,
-            found=f"{port} may not be opened by this user",
-            advice="add the user to the group dialout and log in again",
-        )
-        return
-    yield Finding(what="servo port", verdict=Verdict.PASS, found=str(port))
-    timer_ms = latency_timer_ms(config.gripper.port)
+        found = f"{port} does not exist; serial ports here: {candidates}"
+        advice = "plug in the adapter or correct gripper.port"
+    elif not os.access(port, os.R_OK | os.W_OK):
+        found = f"{port} may not be opened by this user"
+        advice = "add the user to the group dialout and log in again"
+    yield _finding("servo port", found, advice, ok=not advice, bad=Verdict.FAIL)
+    timer_ms = None if advice else latency_timer_ms(config.gripper.port)
     if timer_ms is not None:
-        place = latency_timer_file(config.gripper.port)
-        yield Finding(
-            what="USB latency timer",
-            verdict=Verdict.PASS if timer_ms <= 1 else Verdict.WARN,
-            found=f"{timer_ms} ms",
-            advice="" if timer_ms <= 1 else f"echo 1 > {place} (a udev rule keeps it)",
-        )
+        remedied = f"echo 1 > {latency_timer_file(config.gripper.port)} (a udev rule keeps it)"
+        yield _finding("USB latency timer", f"{timer_ms} ms", remedied, ok=timer_ms <= 1)
 
 
 def _self_zero(config: CellConfig, named: str) -> Finding:
     """Return when the empty fingers were measured last, and what they showed."""
-    what = "self-zero"
     if not config.gripper.pads_meet or config.self_zero == "never":
         found = (
             "none: gripper.pads_meet is false" if config.self_zero != "never" else "never wanted"
         )
-        return Finding(what=what, verdict=Verdict.PASS, found=found)
+        return _finding("self-zero", found, ok=True)
     kept = SelfZeros(path=zero_file(Path(config.recording.directory), config.name))
     if kept.newest is None:
         last = datetime.fromtimestamp(kept.measured_s).date()
-        return Finding(
-            what=what,
-            verdict=Verdict.WARN,
-            found=f"none of today, the last is of {last}" if kept.measured_s else "not measured",
-            advice=f"take everything out of the grip, then `tactile-cell zero{named}`: at "
-            "teaching, at the start of a session and after each change of pads or servos",
+        return _finding(
+            "self-zero",
+            f"none of today, the last is of {last}" if kept.measured_s else "not measured",
+            f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, at "
+            "the start of a session and after each change of pads or servos",
         )
     opening_mm = 1e3 * kept.newest.opening_m
     ratio = float(np.exp(kept.newest.log_gain_ratio))
-    return Finding(
-        what=what,
-        verdict=Verdict.PASS,
-        found=f"of {datetime.fromtimestamp(kept.measured_s):%Y-%m-%d %H:%M}: pads meet at "
+    return _finding(
+        "self-zero",
+        f"of {datetime.fromtimestamp(kept.measured_s):%Y-%m-%d %H:%M}: pads meet at "
         f"{opening_mm:+.2f} mm, finger 0 feels {ratio:.2f} times finger 1",
+        ok=True,
     )
 
 
@@ -225,12 +209,8 @@ def _devices(config: CellConfig, named: str, kept: _Kept) -> Iterator[Finding]:
     try:
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
     except (CellError, GripperError, TactileError) as error:
-        yield Finding(
-            what="links",
-            verdict=Verdict.FAIL,
-            found=str(error),
-            advice="check cabling, power and the names in the config",
-        )
+        advice = "check cabling, power and the names in the config"
+        yield _finding("links", str(error), advice, bad=Verdict.FAIL)
         return
     yield from _loop(cell)
     try:
@@ -247,10 +227,10 @@ def _loop(cell: Cell) -> Iterator[Finding]:
     # A line that is missing is found where it is asked.
     notes = [note for note in cell.notes if not note.startswith(MISSING)]
     if cell.realtime and not notes:
-        yield Finding(what="force loop", verdict=Verdict.PASS, found="real time as configured")
+        yield _finding("force loop", "real time as configured", ok=True)
     for note in notes:
         found, _, advice = note.partition(": ")
-        yield Finding(what="force loop", verdict=Verdict.WARN, found=found, advice=advice)
+        yield _finding("force loop", found, advice)
 
 
 def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]:
@@ -258,14 +238,12 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
         yield from check()
     except VerificationFailed as error:
         for line in str(error).splitlines():
-            yield Finding(
-                what=what, verdict=Verdict.FAIL, found=line, advice="see the expected value"
-            )
+            yield _finding(what, line, "see the expected value", bad=Verdict.FAIL)
     except (GripperError, TactileError) as error:
         advice = "check power, id and bit rate"
         if what == _TORQUE:
             advice += "; whether a part is held is not known: the servos keep their last goals"
-        yield Finding(what=what, verdict=Verdict.FAIL, found=str(error), advice=advice)
+        yield _finding(what, str(error), advice, bad=Verdict.FAIL)
 
 
 def _torque(cell: Cell, named: str) -> list[Finding]:
@@ -275,27 +253,12 @@ def _torque(cell: Cell, named: str) -> list[Finding]:
     limp = [condition for condition in conditions if condition.answers and not condition.torque_on]
     if not any(condition.torque_on for condition in conditions):
         failed = any(condition.shut_down for condition in conditions)
-        return [
-            Finding(
-                what=_TORQUE,
-                verdict=Verdict.FAIL if failed else Verdict.PASS,
-                found=found,
-                advice=f"remedy the cause of the error, then `tactile-cell clear{named} --reboot`"
-                if failed
-                else "",
-            )
-        ]
+        advice = f"remedy the cause of the error, then `tactile-cell clear{named} --reboot`"
+        return [_finding(_TORQUE, found, advice, ok=not failed, bad=Verdict.FAIL)]
     advice = f"a part may be in the grip: let go of it with `tactile-cell release{named} --confirm`"
     if any(condition.shut_down for condition in limp):
         advice += f", then clear the error with `tactile-cell clear{named} --reboot`"
-    return [
-        Finding(
-            what=_TORQUE,
-            verdict=Verdict.FAIL if limp else Verdict.WARN,
-            found=found,
-            advice=advice,
-        )
-    ]
+    return [_finding(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
 def _servos(cell: Cell, named: str, kept: _Kept) -> list[Finding]:
@@ -310,20 +273,15 @@ def _servos(cell: Cell, named: str, kept: _Kept) -> list[Finding]:
     }
     same = kept.findings("servos", changed_servos(kept.found, servos))
     return same + [
-        Finding(
-            what=f"servo {row.servo_id} {row.item}",
-            verdict=_verdict(row),
-            found=f"{row.found} (expected {row.expected})",
-            advice="" if row.ok else _advice(row, named),
+        _finding(
+            f"servo {row.servo_id} {row.item}",
+            f"{row.found} (expected {row.expected})",
+            _advice(row, named),
+            ok=row.ok,
+            bad=Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL,
         )
         for row in rows
     ]
-
-
-def _verdict(row: VerificationRow) -> Verdict:
-    if row.ok:
-        return Verdict.PASS
-    return Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL
 
 
 def _advice(row: VerificationRow, named: str) -> str:
@@ -351,7 +309,7 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
                 "`--redo unit`, in the folder of the commissioning: what depends on it is done "
                 "again"
             )
-        return [Finding(what="control unit", verdict=Verdict.FAIL, found=str(error), advice=advice)]
+        return [_finding("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     n_saturated = int(readings[-1].saturated.sum())
     forces = hand.statistics.link.forces
@@ -364,29 +322,29 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
     changes += changed_pads(kept.found, hand.layout, frames, pad_mounts(config.tactile))
     return [
         *kept.findings("control unit and pads", changes),
-        Finding(
-            what="control unit",
-            verdict=Verdict.PASS,
-            found=f"{identity.name}, serial {identity.serial}, revision {identity.revision:#x}",
+        _finding(
+            "control unit",
+            f"{identity.name}, serial {identity.serial}, revision {identity.revision:#x}",
+            ok=True,
         ),
-        Finding(
-            what="tactile frames",
-            verdict=Verdict.PASS if lost == 0 else Verdict.WARN,
-            found=f"{statistics.complete} whole, {lost} lost or damaged",
-            advice="" if lost == 0 else "check the terminating resistors and the bus load",
+        _finding(
+            "tactile frames",
+            f"{statistics.complete} whole, {lost} lost or damaged",
+            "check the terminating resistors and the bus load",
+            ok=lost == 0,
         ),
-        Finding(
-            what="force messages",
-            verdict=Verdict.PASS if identity.sends_forces and not forces.lost else Verdict.WARN,
-            found=f"{forces.received} received, {forces.lost} lost"
+        _finding(
+            "force messages",
+            f"{forces.received} received, {forces.lost} lost"
             if identity.sends_forces
             else FORCE_FROM_FRAMES,
+            ok=identity.sends_forces and not forces.lost,
         ),
-        Finding(
-            what="taxels at rest",
-            verdict=Verdict.WARN if n_saturated else Verdict.PASS,
-            found=f"{n_saturated} of {len(readings[-1].saturated)} saturated",
-            advice="is something touching the pads?" if n_saturated else "",
+        _finding(
+            "taxels at rest",
+            f"{n_saturated} of {len(readings[-1].saturated)} saturated",
+            "is something touching the pads?",
+            ok=not n_saturated,
         ),
         _load([reading.frame for reading in readings], config, named),
         _noise([reading.frame for reading in readings]),
@@ -402,16 +360,10 @@ def _axes(cell: Cell) -> Iterator[Finding]:
     for name, found in ({} if cell.axes is None else cell.axes.inspect()).items():
         lost = isinstance(found, MotionError)
         fault = lost or "FAULT" in str(found) or "hardware error" in str(found)
-        yield Finding(
-            what=name,
-            verdict=Verdict.FAIL if fault else Verdict.PASS,
-            found=str(found),
-            advice="check its supply, cable and node-ID or ID"
-            if lost
-            else "remedy the cause; after clear and reset the next motion resets the device"
-            if fault
-            else "",
-        )
+        advice = "remedy the cause; after clear and reset the next motion resets the device"
+        if lost:
+            advice = "check its supply, cable and node-ID or ID"
+        yield _finding(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 
 
 def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> Finding:
@@ -424,29 +376,24 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> Finding
     force_n = make_calibration(config.tactile, layout).force_n(over)
     first_n, second_n = (float(force_n[layout.taxels_of(p)].sum()) for p in layout.gripping_pads)
     pressed = max(first_n, second_n) >= config.gripper.contact_force_n
-    return Finding(
-        what="pads' force",
-        verdict=Verdict.WARN if pressed else Verdict.PASS,
-        found=f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",
-        advice="a part may be held; look. Let go of it, where the servos answer, with "
-        f"`tactile-cell release{named} --confirm`"
-        if pressed
-        else "",
+    return _finding(
+        "pads' force",
+        f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",
+        "a part may be held; look. Let go of it, where the servos answer, with "
+        f"`tactile-cell release{named} --confirm`",
+        ok=not pressed,
     )
 
 
 def _noise(frames: list[TactileFrame]) -> Finding:
     """Check that the samples move at rest: else frozen and dead ones cannot be found."""
     moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
-    still = moving < len(frames[0].counts) // 2
-    return Finding(
-        what="noise of the taxels",
-        verdict=Verdict.WARN if still else Verdict.PASS,
-        found=f"{moving} of {len(frames[0].counts)} change at rest",
-        advice="without noise, frozen, dead and stuck taxels show only while the force changes: "
-        "press each pad once and look whether its force follows"
-        if still
-        else "",
+    return _finding(
+        "noise of the taxels",
+        f"{moving} of {len(frames[0].counts)} change at rest",
+        "without noise, frozen, dead and stuck taxels show only while the force changes: press "
+        "each pad once and look whether its force follows",
+        ok=moving >= len(frames[0].counts) // 2,
     )
 
 
@@ -454,13 +401,15 @@ def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
     """Check that exchanged pads would be noticed: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
     if config.tactile.board_serial_numbers is not None or config.simulated:
-        return Finding(what="pads' boards", verdict=Verdict.PASS, found=found)
-    return Finding(
-        what="pads' boards",
-        verdict=Verdict.WARN,
-        found=f"{found}; tactile.board_serial_numbers names none: exchanged pads are not noticed",
-        advice=f"press each pad to see that its finger is right, then write [{boards[0]}, "
-        f"{boards[1]}] into the config"
-        if boards[0] != boards[1]
-        else "these boards cannot be told apart: press each pad after every work on the cables",
+        return _finding("pads' boards", found, ok=True)
+    advice = "these boards cannot be told apart: press each pad after every work on the cables"
+    if boards[0] != boards[1]:
+        advice = (
+            f"press each pad to see that its finger is right, then write [{boards[0]}, "
+            f"{boards[1]}] into the config"
+        )
+    return _finding(
+        "pads' boards",
+        f"{found}; tactile.board_serial_numbers names none: exchanged pads are not noticed",
+        advice,
     )
