@@ -27,7 +27,7 @@ BENCHMARKS = {
         "sequences",
         "shape_size",
     ),
-    "paper": ("invariance", "numerics", "reproduction"),
+    "paper": ("reproduction",),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
 

@@ -1,1 +1,1 @@
-"""The paper's study: its figures, tables and claims, and the mathematics behind them."""
+"""The paper's study: its figures, tables and claims."""

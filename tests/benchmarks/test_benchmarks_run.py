@@ -47,7 +47,7 @@ def test_it_prints_its_ratios(
 
 
 def test_the_command_names_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {"identify", "numerics"} <= set(MODULES)
+    assert {"identify", "reproduction"} <= set(MODULES)
     monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
     with pytest.raises(SystemExit, match=", ".join(MODULES)):
         command.main()
