@@ -160,20 +160,13 @@ def simulated_cell(
         def make(
             config: "CellConfig | Path | str | None" = None,
             *,
-            objects: Mapping[str, str] | None = None,
-            seed: int | None = None,
             mover: "Mover | None" = None,
             places: "Places | None" = None,
-            changes: Mapping[str, Any] | None = None,
             folder: Path | None = None,
+            **given: Any,
         ) -> VirtualCell:
-            checked = simulated_config(
-                given_config(config, cell_config),
-                objects=objects,
-                seed=seed,
-                changes=changes,
-                callback=mover is not None,
-            )
+            found = given_config(config, cell_config)
+            checked = simulated_config(found, callback=mover is not None, **given)
             cell = build_cell(checked, mover=mover, places=places, folder=folder)
             closing.callback(cell.close)
             if cell.simulated is None:
@@ -242,17 +235,8 @@ def cell_process(
 
     with ExitStack() as closing:
 
-        def make(
-            config: "CellConfig | Path | str | None" = None,
-            *,
-            objects: Mapping[str, str] | None = None,
-            seed: int | None = None,
-            changes: Mapping[str, Any] | None = None,
-        ) -> CellProcess:
-            checked = simulated_config(
-                given_config(config, cell_config), objects=objects, seed=seed, changes=changes
-            )
-            cell = CellProcess(checked)
+        def make(config: "CellConfig | Path | str | None" = None, **given: Any) -> CellProcess:
+            cell = CellProcess(simulated_config(given_config(config, cell_config), **given))
             closing.callback(cell.end)
             closing.callback(
                 lambda: request.node.add_report_section(

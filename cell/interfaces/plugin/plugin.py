@@ -182,8 +182,7 @@ class TactileCellPlugin:
 
         self._config = checked
         self._starting = threading.Lock()
-        self._part_reporter, self._health = part_reporter, health_values
-        self._tasks = tasks
+        self._health = health_values
         known = pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape)
         self._model = (
             TaughtModel(checked, known=known)
@@ -192,9 +191,18 @@ class TactileCellPlugin:
         )
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
         self._cell = build_cell(checked, folder=folder, mover=mover, places=places, tap=tap)
-        self._part_listeners: list[OnPart] = []
+        controller, taught = self._cell.controller, self._model
+        listeners: list[OnPart] = []
+        newtons = TaxelNewtons(checked, controller)
+        self._part_listeners, self._newtons = listeners, newtons
         self._looking: threading.Thread | None = None
-        self._newtons = TaxelNewtons(checked, self._cell.controller)
+        self._places: Callable[[], SortPlaces] = lambda: tasks.SortPlaces(checked, taught.labels)
+        self._tasks = tasks.Tasks(
+            controller,
+            self._file,
+            self._places,
+            lambda task: part_reporter(task, controller, newtons, listeners),
+        )
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         self._last_answer: deque[Answer] = deque(maxlen=1)
         try:
@@ -214,14 +222,14 @@ class TactileCellPlugin:
         self._closed = False
         if checked.host_timeout_s is not None:
             # Weakly: the thread of the watch must not keep a cell that its host has dropped.
-            worker, controller = weakref.ref(self._worker), weakref.ref(self._cell.controller)
+            worker, cell = weakref.ref(self._worker), weakref.ref(controller)
 
             def running() -> bool:
                 watched = worker()
                 return watched is not None and watched.running
 
             def silent(silent_s: float) -> None:
-                if (watched := controller()) is not None:
+                if (watched := cell()) is not None:
                     watched.cancel(f"because the host was silent for {silent_s:.2f} s")
 
             self._watch = HostWatch(checked.host_timeout_s, running=running, silent=silent)
@@ -236,10 +244,12 @@ class TactileCellPlugin:
         }
 
     def _place_names(self) -> tuple[str, ...]:
+        from cell.jobs.sort import Places  # noqa: PLC0415
+
         try:
             return self._places().names
         except ConfigError:  # a taught part has no place yet; a sort is refused
-            return self._tasks.SortPlaces(self._config, ()).names
+            return Places(self._config, ()).names
 
     def watch_parts(self, on_part: "OnPart") -> None:
         """Have a function called with each part that is identified or sorted, and with each miss.
@@ -340,35 +350,12 @@ class TactileCellPlugin:
             teaching would lose its objects.
         """
         checked = checked_goal(goal)
-        controller, model, tasks = self._cell.controller, self._model, self._tasks
-        work: Callable[[Report], Any]
         self._check_taught(checked.task)
-        begin, listeners, newtons = self._part_reporter, self._part_listeners, self._newtons
-
-        def reported(task: Callable[..., Any], *given: Any) -> Callable[[Report], Any]:
-            def work(report: Report) -> Any:
-                seen = begin(checked.task, controller, newtons, listeners)
-                return task(controller, model, *given, report, seen=seen)
-
-            return work
-
-        match checked:
-            case TeachGoal():
-                work = functools.partial(tasks.teach, controller, model, self._file, checked)
-            case GaugeGoal():
-                model.check_gauge(checked.label)
-                work = functools.partial(tasks.gauge, controller, model, self._file, checked)
-            case ZeroGoal():
-                controller.check_zero()
-                work = functools.partial(tasks.zero, controller)
-            case IdentifyGoal():
-                work = reported(tasks.identify, checked)
-            case GripGoal():
-                work = functools.partial(tasks.grip, controller, checked)
-            case VerifyGoal():
-                work = functools.partial(tasks.verify, controller)
-            case SortGoal():
-                work = reported(tasks.sort, self._places(), checked)
+        if isinstance(checked, GaugeGoal):
+            self._model.check_gauge(checked.label)
+        if isinstance(checked, ZeroGoal):
+            self._cell.controller.check_zero()
+        work = functools.partial(getattr(self._tasks, checked.task), checked)
         return self._accept(work, _COMMANDS[checked.task], checked.task)
 
     def check(self, task: str) -> None:
@@ -394,9 +381,6 @@ class TactileCellPlugin:
             self._model.check_taught()
             if task == "sort":
                 self._places()
-
-    def _places(self) -> "SortPlaces":
-        return self._tasks.SortPlaces(self._config, self._model.labels)
 
     def _needed(self, command: Command) -> Command:
         """Return the command of the controller that a command of the host is in this state."""
@@ -429,10 +413,10 @@ class TactileCellPlugin:
         self._model.check_extendable()
         if label not in self._model.labels:
             raise CellStateError(f"{label!r:.80} is not taught")
-        model, file, tasks = self._model, self._file, self._tasks
+        file = self._file
 
         def work(_report: Report) -> None:
-            tasks.forget(model, file, label, last=last, forgotten=forgotten)
+            file.forget(label, last=last, forgotten=forgotten)
 
         return self._accept(work, Command.GRASP, "forget")
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ from cell.interfaces.plugin.goals import (
     checked_goal,
     goal_of,
 )
-from cell.interfaces.plugin.part_report import OnPart
+from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.interfaces.service.lease import Lease
 from cell.interfaces.service.photos import Photos
@@ -121,32 +121,6 @@ class Snapshot:
     """The pose that the host shall reach and its number; 0 and None where none is waited for."""
 
 
-class _Plugin(Protocol):
-    """What the service needs of the cell, as `TactileCellPlugin` describes it."""
-
-    @property
-    def labels(self) -> tuple[str, ...]: ...
-    @property
-    def recording_path(self) -> Path | None: ...
-    @property
-    def taught_revision(self) -> int: ...
-    def taught(self) -> list[dict[str, Any]]: ...
-    def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> Job: ...
-    def begin_forget_drift(self) -> Job: ...
-    def watch_parts(self, on_part: OnPart) -> None: ...
-    def health(self) -> dict[str, Any]: ...
-    def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32] | None: ...
-    def info(self) -> dict[str, Any]: ...
-    def status(self) -> HostStatus: ...
-    def check(self, task: str) -> None: ...
-    def start(self, goal: Goal) -> Job: ...
-    def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job: ...
-    def feedback(self, job: Job) -> JobStatus: ...
-    def cancel(self, job: Job, reason: str) -> None: ...
-    def remark(self, kind: str, text: str) -> None: ...
-    def close(self, timeout_s: float) -> None: ...
-
-
 @dataclass(slots=True)
 class _Holder:
     """A client that keeps the cell on hold; inf for one whose connection stands."""
@@ -192,7 +166,7 @@ class Service:
 
     def __init__(
         self,
-        plugin: _Plugin,
+        plugin: TactileCellPlugin | Replay,
         config: CellConfig,
         *,
         poses: PoseHandshake | None = None,

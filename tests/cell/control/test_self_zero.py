@@ -136,8 +136,9 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert "pads meet at" in finding.found
     bench, reports = make_bench().ready(), []
     bench.simulated.remove()
-    assert isinstance(checked_goal({"task": "zero"}), ZeroGoal)
-    found = tasks.zero(bench.controller, reports.append)
+    goal = checked_goal({"task": "zero"})
+    assert isinstance(goal, ZeroGoal)
+    found = tasks.Tasks(bench.controller, None).zero(goal, reports.append)
     assert reports[-1]["zero"] == zero_values(found)
     assert bench.controller.self_zero == found
 

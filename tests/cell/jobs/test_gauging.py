@@ -64,7 +64,8 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(
         outcome = SimpleNamespace(result=GraspResult.FORCE_REACHED)
         records = [SimpleNamespace(grasp=drift.apply(g), outcome=outcome) for g in balls]
         controller: Any = SimpleNamespace(collect=lambda *_, **__: iter(records))
-        return tasks.gauge(controller, model, tasks.ModelFile(model, path), goal, told.append)
+        file: Any = tasks.ModelFile(model, path)
+        return tasks.Tasks(controller, file).gauge(goal, told.append)
 
     found = gauge(DRIFT)
     assert found.aperture_offset_m == pytest.approx(-1e-3, abs=1e-3)

@@ -188,21 +188,17 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
     monkeypatch.setattr("cell.learning.taught_model.train", train)
     controller: Any = Grasping(make_grasp("ball"))
     model, told = TaughtModel(make_config()), list[Any]()
-    file = tasks.ModelFile(model, None)
-    tasks.teach(controller, model, file, TeachGoal(label="ball", grasps=1), told.append)
+    cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
+    cell.teach(TeachGoal(label="ball", grasps=1), told.append)
     assert np.array_equal(taught_with[0][0].counts, controller.given.counts)
     answers = []
     for _ in range(3):
-        answers.append(
-            tasks.identify(
-                controller, model, IdentifyGoal(), told.append, seen=lambda *_, **__: None
-            )
-        )
+        answers.append(cell.identify(IdentifyGoal(), told.append))
     assert [bool(answer.remark) for answer in answers] == [False, True, False]
     assert controller.remarks == [("drift", answers[1].remark)]
     assert told[-1] == {"task": "identify", "remark": answers[1].remark}
     assert [a.drift.likely for a in answers if a.drift] == [False, False, True]
-    tasks.teach(controller, model, file, TeachGoal(label="box", grasps=1), told.append)
+    cell.teach(TeachGoal(label="box", grasps=1), told.append)
     first, second = taught_with[1]
     assert np.array_equal(first.counts, controller.given.counts)
     assert second.aperture_m == pytest.approx(controller.given.aperture_m + 4e-3, abs=1e-4)

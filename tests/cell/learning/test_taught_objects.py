@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cell.errors import CellError, CellStateError
-from cell.interfaces.plugin.tasks import ModelFile, forget
+from cell.interfaces.plugin.tasks import ModelFile
 from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import ToldApart, told_apart
 from recognition.grasp import Grasp
@@ -42,14 +42,14 @@ def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(
     path = tmp_path / "parts.model.npz"
     file, gone = ModelFile(model, path), []
     revision = model.revision
-    forget(model, file, "box", last=True, forgotten=lambda: gone.append("box"))
+    file.forget("box", last=True, forgotten=lambda: gone.append("box"))
     assert (model.objects()["box"][0], model.labels, gone) == (4, ("ball", "box"), [])
-    forget(model, file, "box", last=False, forgotten=lambda: gone.append("box"))
+    file.forget("box", last=False, forgotten=lambda: gone.append("box"))
     assert (model.labels, gone, model.revision) == (("ball",), ["box"], revision + 2)
     assert TaughtModel.load(model._config, path).labels == ("ball",)
     with pytest.raises(CellStateError, match="'box' is not taught; ball"):
         model.forget("box")
-    forget(model, file, "ball", last=False, forgotten=lambda: None)
+    file.forget("ball", last=False, forgotten=lambda: None)
     assert model.labels == ()
     assert not path.exists()  # the next start shall not find it
 

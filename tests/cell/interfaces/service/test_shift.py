@@ -98,10 +98,14 @@ def test_turns_without_a_part_are_reported_as_such() -> None:
     seen: list[Any] = []
     model: Any = NothingThere()
     nothing: Any = None
+
+    def places() -> tasks.SortPlaces:
+        return tasks.SortPlaces(CellConfig(), ("ball",))
+
+    file = tasks.ModelFile(model, None)
+    cell = tasks.Tasks(nothing, file, places, lambda _task: seen.append)
     with pytest.raises(NoPartFound):
-        tasks.identify(nothing, model, IdentifyGoal(), lambda _now: None, seen=seen.append)
-    places = tasks.SortPlaces(CellConfig(), ("ball",))
-    goal = SortGoal(parts=2)
-    answer = tasks.sort(nothing, model, places, goal, lambda _now: None, seen=seen.append)
+        cell.identify(IdentifyGoal(), lambda _now: None)
+    answer = cell.sort(SortGoal(parts=2), lambda _now: None)
     assert (answer.n_missed, answer.n_parts) == (2, 0)
     assert seen == [None, None, None]
