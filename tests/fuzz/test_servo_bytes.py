@@ -11,9 +11,13 @@ from gripper.dynamixel.control_table import (
     HOMING_OFFSET,
     VELOCITY_LIMIT,
 )
+from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.protocol2 import CheckedPacketHandler, StatusPacket, unstuff
 from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import GripperError
+from simulator.servo.bus import ServoBusDevice
+from simulator.servo.device import SimulatedServo
+from simulator.servo.motor import ServoMotor
 from simulator.servo.protocol2 import (
     Instruction,
     PacketParser,
@@ -162,6 +166,43 @@ def test_instructions_behind_any_bytes_are_found_and_nothing_else(stream, harm, 
     found = [packet for part in pieces(wire, piece) for packet in parser.push(part)]
     intact = [(p.packet_id, bytes((p.instruction,)) + p.parameters) for p in found if p.intact]
     return check(wire, intact, last)
+
+
+def any_instruction(random: Random) -> tuple[float, int, int, bytes]:
+    """Return pause before it in s, ID, instruction and parameters, which often begin as a write."""
+    address = random.choice((random.randint(0, 240), random.randint(560, 720)))
+    write = address.to_bytes(2, "little") + random_bytes(random, 1, random.choice((1, 8)))
+    return (
+        random.choice((0.0, random.uniform(0.0, 0.5))),
+        random.choice((0, 1, 2, 3, 0xFE)),
+        random.choice((*Instruction, 0x77)),
+        random.choice((write, write, random_bytes(random, 0, 12))),
+    )
+
+
+@bad_input(
+    model=lambda random: random.choice(tuple(MODELS.values())),
+    orders=several(any_instruction, 0, 25),
+    examples=150,
+)
+def test_the_simulated_servos_survive_any_instruction_and_keep_their_limits(model, orders):
+    motors = [ServoMotor(model), ServoMotor(model)]
+    settings = {"baud_rate": 3, "operating_mode": 5}
+    servos = [SimulatedServo(i, model, one, settings=settings) for i, one in enumerate(motors, 1)]
+    device, now_s, answers = ServoBusDevice(servos, BAUD), 0.0, b""
+    for pause_s, servo_id, instruction, given in orders:
+        now_s += pause_s
+        device.receive(encode_instruction(servo_id, instruction, given), now_s)
+        answer = device.transmit(now_s + 1.0)
+        assert all(packet.intact for packet in PacketParser().push(answer))
+        answers += answer
+        for motor, servo in zip(motors, servos, strict=True):
+            motor.torque_nm(0.001)
+            registers = servo.core.registers
+            assert abs(registers.get("goal_current")) <= model.current_limit_raw
+            assert registers.get("operating_mode") in {0, 1, 3, 4, 5, 16}
+            assert registers.get("model_number") == model.number
+    return "answered" if answers else "silent"
 
 
 def an_answer(random: Random) -> tuple[float, int, int, list]:
