@@ -583,12 +583,7 @@ BAD_CONFIGS = (
 )
 BAD_MODELS: tuple[tuple[str, Callable[[Path], bytes]], ...] = (
     ("corrupt", lambda _marker: files.flipped(files.model_file(), 0x01)),
-    ("cut off", lambda _marker: files.model_file()[:-400]),
-    ("other taxel map", lambda _marker: files.model_file("pinch")),
-    ("other version", files.model_of_other_version),
     ("pickle", files.evil_pickle),
-    ("pickle in an archive", files.evil_archive),
-    ("archive that unpacks to 2 GiB", files.archive_bomb),
 )
 CONFIGS_AND_MODELS = (
     *(FaultRow(38, variant, f"config: {variant}", f"`{text.strip().splitlines()[-1].strip()}`",

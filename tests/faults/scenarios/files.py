@@ -11,7 +11,6 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -19,8 +18,6 @@ from unittest import mock
 import numpy as np
 
 from cell.build import build_cell
-from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_config
 from cell.control.records import pad_array
 from cell.data.recorder import Recorder
 from cell.data.recorder_sink import BackgroundFile, DirectFile
@@ -35,6 +32,7 @@ from recognition.grasp import Grasp
 from recognition.recognizers import make_trainer
 from tactile.can.bus import close_bus, open_bus
 from tactile.errors import BusNotOpened
+from tactile.layout import paper_layout
 from tests.faults.campaign import (
     COARSE_PADS,
     CampaignCell,
@@ -219,9 +217,9 @@ def bad_config(_row: FaultRow, *, text: str, word: str) -> Observed:
 
 
 @cache
-def model_file(layout: str = "paper") -> bytes:
-    """Return a model of two objects for a layout of taxels."""
-    pads = pad_array(layout_from_config(CellConfig().tactile.model_copy(update={"layout": layout})))
+def model_file() -> bytes:
+    """Return a model of two objects."""
+    pads = pad_array(paper_layout())
     rng = np.random.default_rng(1)
     grasps = [
         Grasp(
@@ -266,34 +264,11 @@ def bad_model(_row: FaultRow, *, content: Callable[[Path], bytes]) -> Observed:
     return Observed(reaction, None, refusal.replace(f"{folder}/", ""))
 
 
-def model_of_other_version(_marker: Path) -> bytes:
-    with np.load(BytesIO(model_file()), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    text = str(arrays["model"]).replace("tactile-cell-model/1", "tactile-cell-model/9")
-    file = BytesIO()
-    np.savez(file, **arrays | {"model": np.array(text)})
-    return file.getvalue()
-
-
 def evil_pickle(marker: Path) -> bytes:
     data = pickle.dumps(_Evil(marker))
     pickle.loads(data)  # what the product must not do: it leaves the mark
     marker.rmdir()
     return data
-
-
-def evil_archive(marker: Path) -> bytes:
-    file = BytesIO()
-    np.savez(file, model=np.array([_Evil(marker)], dtype=object))
-    return file.getvalue()
-
-
-def archive_bomb(_marker: Path) -> bytes:
-    """Return an archive whose directory states that an array unpacks to 2 GiB."""
-    data = bytearray(model_file())
-    entry = data.index(b"PK\x01\x02")
-    data[entry + 24 : entry + 28] = (2 << 30).to_bytes(4, "little")
-    return bytes(data)
 
 
 # -- 41: two programs ------------------------------------------------------------------------
