@@ -130,7 +130,7 @@ def serve() -> Service:
     """Return a service that holds a part."""
     ports = {f"serve.{door}_port": 0 for door in ("modbus", "xmlrpc", "http")}
     service = open_service(changed_config(CellConfig(), ports | {"serve.lease_timeout_s": 60.0}))
-    lease = service.acquire("soak")
+    lease = service.lease.acquire("soak")
     number = service.start(lease, {"task": "grip", "force_n": _GRIP_N})
     settle(lambda: service.job(number).outcome_number >= 4, "the grip is not over")
     if not service.job(number).kept:

@@ -192,7 +192,7 @@ def lateness(n_clients: int, n_pages: int) -> dict[str, Any]:
     with simulated_cell() as hello:
         service = open_service(changed_config(load_config(Path(hello["config"])), _DOORS))
         with contextlib.closing(service), open_doors(service) as doors:
-            lease = service.acquire("benchmark")
+            lease = service.lease.acquire("benchmark")
             grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
             with clients(n_clients, n_pages, doors):
                 for _ in range(_GRIPS):

@@ -73,7 +73,7 @@ def run_job(service: Service, lease: int, goal: Mapping[str, Any]) -> None:
     while (job := service.job(number)).outcome in ("ACCEPTED", "EXECUTING"):
         if time.monotonic() > end_s:
             raise SystemExit(f"{goal} is not over after {_JOB_S:g} s")
-        service.alive(lease)
+        service.lease.alive(lease)
         time.sleep(0.002)
     if job.outcome != "SUCCEEDED":
         raise SystemExit(f"{goal}: {job.error}")
@@ -81,7 +81,7 @@ def run_job(service: Service, lease: int, goal: Mapping[str, Any]) -> None:
 
 def sort_shift(service: Service, n_parts: int) -> Iterator[Sample]:
     """Teach the objects, sort so many parts, and yield a sample after each block of them."""
-    lease = service.acquire("shift")
+    lease = service.lease.acquire("shift")
     labels = [entry.label for entry in service.config.simulator.objects]
     for seed, label in enumerate(labels):
         run_job(service, lease, {"task": "teach", "label": label, "grasps": _TAUGHT, "seed": seed})

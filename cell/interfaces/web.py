@@ -144,7 +144,7 @@ class Api(GuardedApi):
     """
 
     def __init__(self, service: Service) -> None:
-        super().__init__(service, service.config.serve, lambda: StateMoment(service))
+        super().__init__(service.lease, service.config.serve, lambda: StateMoment(service))
         self._service = service
 
     def app(self) -> FastAPI:

@@ -10,7 +10,7 @@ import secrets
 from collections.abc import Callable
 from functools import partial
 from ipaddress import ip_address
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
@@ -33,6 +33,7 @@ from cell.fault_catalogue import Refusal
 from cell.interfaces.http_server import LONGEST, HttpServer, Scope, refusal_values
 from cell.interfaces.live_socket import LiveFeed, LiveLink, Moment
 from cell.interfaces.service.doors import read_secret, same_secret
+from cell.interfaces.service.lease import Lease
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
@@ -76,19 +77,6 @@ class RefusalBody(RequestBody):
     """What to do next."""
 
 
-class Leased(Protocol):
-    """What clients command under a lease."""
-
-    def acquire(self, name: str, *, take: bool = False) -> int:
-        """Return the number of a new lease; raises NotInCommand while another client has it."""
-
-    def alive(self, lease: int) -> None:
-        """Keep the lease; raises NotInCommand if it is lost."""
-
-    def give_up(self, lease: int) -> None:
-        """Give the lease up; raises NotInCommand if it is lost."""
-
-
 class GuardedApi:
     """Paths below ``/api`` that all doors have: the token, the live state and the lease.
 
@@ -96,8 +84,8 @@ class GuardedApi:
 
     Parameters
     ----------
-    leased
-        Who gives the lease.
+    lease
+        What clients command under.
     config
         Limits of time, and the file of the token.
     look
@@ -114,10 +102,10 @@ class GuardedApi:
         If the file of the token cannot be read, or holds none.
     """
 
-    def __init__(self, leased: Leased, config: ServeConfig, look: Callable[[], Moment]) -> None:
+    def __init__(self, lease: Lease, config: ServeConfig, look: Callable[[], Moment]) -> None:
         file = config.token_file
         self.token = read_secret(file) if file else secrets.token_urlsafe(24)
-        self._leased = leased
+        self._lease = lease
         self._request_timeout_s = config.request_timeout_s
         self._feed = LiveFeed(look)
 
@@ -151,16 +139,16 @@ class GuardedApi:
         """Acquire the lease to command with."""
         if body.take and not is_here(request):
             raise NotInCommand("the lease can be taken from another client at this machine only")
-        return {"lease": self._leased.acquire(body.name, take=body.take)}
+        return {"lease": self._lease.acquire(body.name, take=body.take)}
 
     def alive(self, lease: int) -> dict[str, int]:
         """Keep the lease."""
-        self._leased.alive(lease)
+        self._lease.alive(lease)
         return {"lease": lease}
 
     def give_up(self, lease: int) -> dict[str, int]:
         """Give the lease up; a job that runs is held."""
-        self._leased.give_up(lease)
+        self._lease.give_up(lease)
         return {"lease": 0}
 
     async def live(self, link: WebSocket) -> None:

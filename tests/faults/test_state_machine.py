@@ -12,6 +12,7 @@ from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.interfaces.modbus.registers import ModbusDoor
 from cell.interfaces.service.host_calls import Calls
+from cell.interfaces.service.lease import Lease
 from cell.interfaces.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action
@@ -253,7 +254,7 @@ def done_twice(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Service, "alive", lambda *_: None)
+    monkeypatch.setattr(Lease, "alive", lambda *_: None)
     monkeypatch.setattr(ModbusDoor, "_command", lambda *_: None)
 
 

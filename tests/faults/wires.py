@@ -360,7 +360,7 @@ class WireDriver(Driver):
             Request(task="release", key=RELEASE_KEY),
             Request(task="reset"),
         )
-        for request in moving if self._service.has(self._lease()) else ():
+        for request in moving if self._service.lease.has(self._lease()) else ():
             found = self._wire.send(request, self._service.job().number + 1)
             self._expect(found == -ON_HOLD, f"{request.task}: {found} while a button is pressed")
             if found != -ON_HOLD:
@@ -382,7 +382,7 @@ class WireDriver(Driver):
             self._held = True
             if silent:
                 self.clock.now_s += LEASE_S + 1.0
-                self._service.look()
+                self._service.lease.look()
             else:
                 self._wire.hold()
 
@@ -401,7 +401,7 @@ class WireDriver(Driver):
         """
         values = (f"{name}={value}" for name, value in asdict(request).items() if value)
         self._begin(f"{self.door}: {' '.join(values)}")
-        if not self._service.has(self._lease()):
+        if not self._service.lease.has(self._lease()):
             self._refuse_without_lease(request)
         before, self._held = self._seen(), False
         letting_go = command in (Command.RELEASE, Command.RELEASE_HELD)
@@ -441,7 +441,7 @@ class WireDriver(Driver):
         self.log[-1] += f" -> {job.outcome} {job.error[:100]}"
         if allowed and command is not None:
             self._judge_end(job, state, command)
-        if self._service.has(self._lease()):
+        if self._service.lease.has(self._lease()):
             self._expect(self._wire.repeat() == found, "a late repetition has another answer")
             self._expect(self._seen() == after, f"a late repetition has changed {after}")
         return job.outcome_number == SUCCEEDED
@@ -487,7 +487,7 @@ class WireDriver(Driver):
             self.monitor.broken.append(complaint)
 
     def _lease(self) -> int:
-        return self._service._lease.number
+        return self._service.lease.number
 
     def _seen(self) -> tuple[Any, ...]:
         """Return what a request that is refused or repeated may not change."""
@@ -521,7 +521,8 @@ class WireDriver(Driver):
 
         with patch("cell.build.build_cell", built):
             self._service = self._new_service()
-        self._service._plugin._model = WitnessModel(self.witness)  # type: ignore[assignment]
+        plugin: Any = self._service._plugin
+        plugin._model = plugin._file.model = WitnessModel(self.witness)
         doors = open_doors(self._service)
         self._wire = WIRES[self.door](doors.__enter__())
         self._ending = [self._wire.close, lambda: doors.__exit__(None, None, None)]

@@ -230,7 +230,7 @@ class ModbusDoor:
             self._owner = None
 
     def _has_lease(self) -> bool:
-        return self._service.has(self._lease)
+        return self._service.lease.has(self._lease)
 
     def _command(self, client: "_Client", new: dict[int, int]) -> None:
         """Check that the client may write, and give or keep the lease with its life counter."""
@@ -258,9 +258,9 @@ class ModbusDoor:
                         NotInCommand("change register 0, the life counter, to get the lease")
                     )
                     raise ModbusError(DEVICE_BUSY)
-                self._lease = self._service.acquire(client.name)
+                self._lease = self._service.lease.acquire(client.name)
             elif lives:
-                self._service.alive(self._lease)
+                self._service.lease.alive(self._lease)
         except NotInCommand as error:
             client.refuse(error)
             raise ModbusError(DEVICE_BUSY) from None

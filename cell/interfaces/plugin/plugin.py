@@ -191,15 +191,17 @@ class TactileCellPlugin:
         )
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
         self._cell = build_cell(checked, folder=folder, mover=mover, places=places, tap=tap)
-        controller, taught = self._cell.controller, self._model
+        controller, file = self._cell.controller, self._file
         listeners: list[OnPart] = []
         newtons = TaxelNewtons(checked, controller)
         self._part_listeners, self._newtons = listeners, newtons
         self._looking: threading.Thread | None = None
-        self._places: Callable[[], SortPlaces] = lambda: tasks.SortPlaces(checked, taught.labels)
+        self._places: Callable[[], SortPlaces] = lambda: tasks.SortPlaces(
+            checked, file.model.labels
+        )
         self._tasks = tasks.Tasks(
             controller,
-            self._file,
+            file,
             self._places,
             lambda task: part_reporter(task, controller, newtons, listeners),
         )

@@ -105,19 +105,19 @@ class Calls:
         Without `serve.secret_file` the only argument is the name.
         """
         if not self._secret:
-            return self._service.acquire(name or secret)
+            return self._service.lease.acquire(name or secret)
         if not same_secret(str(secret), self._secret):
             raise RequestRefused("acquire: the first argument is not that of serve.secret_file")
-        return self._service.acquire(name or "a client with the secret")
+        return self._service.lease.acquire(name or "a client with the secret")
 
     def alive(self, lease: int) -> int:
         """Keep the lease; return 0. Every command keeps it too."""
-        self._service.alive(lease)
+        self._service.lease.alive(lease)
         return 0
 
     def give_up(self, lease: int) -> int:
         """Give the lease up; return 0. A job that runs is held."""
-        self._service.give_up(lease)
+        self._service.lease.give_up(lease)
         return 0
 
     def hold(self, latch: int = -1, name: str = "") -> int:

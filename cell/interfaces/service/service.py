@@ -154,6 +154,8 @@ class Service:
     ----------
     config
         Of the cell.
+    lease
+        Without it nobody commands; whoever loses it has the job that runs held.
     replay
         The replay that stands for the cell; None for a cell.
     shift, photos
@@ -186,7 +188,7 @@ class Service:
         self._clock = clock
         self._note = note
         self._lock = threading.RLock()
-        self._lease = Lease(
+        self.lease = Lease(
             config.serve.lease_timeout_s,
             given=lambda name: plugin.remark("lease", f"{name!r} is in command"),
             lost=self._lose,
@@ -226,7 +228,7 @@ class Service:
                 status=status,
                 job=job,
                 last_answer=self._answered(status),
-                commander=self._lease.name,
+                commander=self.lease.name,
                 held_by=self.held_by,
                 pose_seq=seq,
                 pose=pose,
@@ -300,41 +302,11 @@ class Service:
             "lease_timeout_s": self.config.serve.lease_timeout_s,
         }
 
-    # -- the lease -----------------------------------------------------------------------------
-
-    def acquire(self, name: str, *, take: bool = False) -> int:
-        """Return the number of a new lease, without which nobody commands.
-
-        With ``take``, for a person at the cell, it is taken from another client, whose job is held.
-
-        Raises
-        ------
-        NotInCommand
-            If another client has it.
-        """
-        return self._lease.acquire(name, take=take)
-
-    def has(self, lease: int) -> bool:
-        """Whether a lease is valid; looking does not keep it."""
-        return self._lease.has(lease)
-
-    def alive(self, lease: int) -> None:
-        """Keep a lease. Raises NotInCommand if it is lost: acquire a new one."""
-        self._lease.alive(lease)
-
-    def give_up(self, lease: int) -> None:
-        """Give a lease up; a job that runs is held. Raises NotInCommand as `alive`."""
-        self._lease.give_up(lease)
-
-    def look(self) -> None:
-        """Notice a lease whose client is silent for too long."""
-        self._lease.look()
+    # -- commands ------------------------------------------------------------------------------
 
     def _lose(self, reason: str) -> None:
         self._plugin.remark("lease", f"nobody is in command, {reason}")
         self.hold(reason)
-
-    # -- commands ------------------------------------------------------------------------------
 
     def start(self, lease: int, goal: Mapping[str, Any], *, number: int = 0) -> int:
         """Start a job and return its number at once; see `TactileCellPlugin.start`.
@@ -461,11 +433,11 @@ class Service:
         Raises
         ------
         NotInCommand
-            As `alive`.
+            As `Lease.alive`.
         RequestRefused, OSError
             If it is not taught, or as `Photos.put`.
         """
-        self.alive(lease)
+        self.lease.alive(lease)
         if label not in self._plugin.labels:
             raise RequestRefused(f"{label!r:.80} is not taught")
         self.photos.put(label, photo)
@@ -565,7 +537,7 @@ class Service:
     ) -> int:
         self._poses.settle()
         with self._lock:
-            self.alive(lease)
+            self.lease.alive(lease)
             if number and number <= self._newest:
                 _, last_task, last_lease, _ = self._jobs.get(number, (None, "", 0, 0.0))
                 if number == self._newest and (last_task, last_lease) == (task, lease):
@@ -573,7 +545,7 @@ class Service:
                 raise RequestRefused(f"job {number} is another request; the next is {self._next}")
             if number > self._next:
                 raise RequestRefused(f"job {number} cannot be next; the next is {self._next}")
-            name = self._lease.name
+            name = self.lease.name
             values = "".join(f", {field} {value}" for field, value in given.items())
             self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
             try:
@@ -602,12 +574,12 @@ class Service:
         Raises
         ------
         NotInCommand
-            As `alive`.
+            As `Lease.alive`.
         RequestRefused
             If the pose is not the one that is waited for.
         """
         with self._lock:
-            self.alive(lease)
+            self.lease.alive(lease)
             self._poses.answer(seq, (pose or True) if ok else False)
 
     # -- the end -------------------------------------------------------------------------------
@@ -626,7 +598,7 @@ class Service:
     def _run_watch(self) -> None:
         while not self._over.wait(self.config.serve.lease_timeout_s / _LOOKS):
             try:
-                self.look()
+                self.lease.look()
             except Exception as error:  # the watch over the lease must outlive whatever it meets
                 self._note(f"watch over the lease: {error_text(error)}")
 

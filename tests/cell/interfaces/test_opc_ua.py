@@ -183,7 +183,7 @@ async def test_an_anonymous_session_reads_and_does_nothing_else(opened: Served) 
             await link.client.register_server(Server())
         assert await link.read("State.Commander") == ""
     assert opened.service.job().number == 0
-    opened.service.give_up(opened.service.acquire("free"))
+    opened.service.lease.give_up(opened.service.lease.acquire("free"))
 
 
 async def test_no_name_and_no_password_opens_a_session(opened: Served) -> None:

@@ -226,14 +226,14 @@ def test_a_first_start_whose_lease_is_taken_keeps_nothing(
     served = serve()
     service = served.service
     served.plugin.pause()
-    plain_alive = service.alive
+    plain_alive = service.lease.alive
 
     def alive(lease: int) -> None:
-        service.alive = plain_alive
-        service.acquire("operator", take=True)
-        service.alive(lease)
+        service.lease.alive = plain_alive
+        service.lease.acquire("operator", take=True)
+        service.lease.alive(lease)
 
-    service.alive = alive
+    service.lease.alive = alive
     model = SimpleNamespace(save=lambda _path: pytest.fail("nothing is to be kept"))
     serving._teach_first(service, model, service.config, threading.Event())
     assert "not all objects are taught" in capsys.readouterr().err

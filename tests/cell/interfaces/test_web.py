@@ -474,10 +474,10 @@ def test_a_hold_gets_through_a_flood_of_half_sent_requests(connect: Any) -> None
 
 def test_a_lease_is_taken_over_at_this_machine(connect: Any) -> None:
     served, host = connect()
-    first = served.service.acquire("PLC")
+    first = served.service.lease.acquire("PLC")
     assert host.ask("POST", "/api/lease", {"name": "operator"})[0] == 403
     assert host.post("/api/lease", name="operator", take=True)["lease"] != first
-    assert not served.service.has(first)
+    assert not served.service.lease.has(first)
 
 
 def test_the_socket_sends_states_and_frames(connect: Any) -> None:

@@ -307,14 +307,14 @@ def test_the_robot_program_of_the_example_keeps_a_part_that_slips(robot: Any) ->
 
 def test_the_robot_program_of_the_example_waits_for_the_lease_it_left_behind(robot: Any) -> None:
     served, ur = robot()
-    served.service.acquire("ur")
+    served.service.lease.acquire("ur")
     ur.slept = lambda time_s: setattr(served.clock, "now_s", served.clock.now_s + 20 * time_s)
     assert ur.sort_parts(1) == 1
 
 
 def test_the_robot_program_of_the_example_stops_where_another_commands(robot: Any) -> None:
     served, ur = robot()
-    served.service.acquire("PLC")
+    served.service.lease.acquire("PLC")
     assert ur.sort_parts(1) == -1
     ((said, why),) = ur.messages
     assert (said, why.startswith("514: 'PLC' is in command")) == ("not in command: ", True)

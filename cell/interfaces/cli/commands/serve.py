@@ -227,17 +227,17 @@ def _teach_first(
         "half a minute; `tactile-cell run` teaches more and takes their place"
     )
     try:
-        lease = service.acquire("first start")
+        lease = service.lease.acquire("first start")
         for seed, label in enumerate(labels):
             goal = {"task": "teach", "label": label, "grasps": _FIRST_GRASPS, "seed": seed}
             number = service.start(lease, goal)
             while not JobOutcome((job := service.job(number)).outcome).terminal:
                 if over.wait(LOOK_S):
                     return
-                service.alive(lease)
+                service.lease.alive(lease)
             if job.error:
                 raise CellError(job.error)
-        service.give_up(lease)
+        service.lease.give_up(lease)
     except CellError as error:
         print_note(f"not all objects are taught: {error}")
         return

@@ -231,7 +231,7 @@ def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     served.clock.now_s += 50.0
     plc.write(LIFE, plc.life)  # written, but the same: the PLC's program stands
     served.clock.now_s += 11.0
-    served.service.look()
+    served.service.lease.look()
     assert "was silent for 61.00 s" in served.ended().error
     assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
     assert text_of(plc.inputs()).startswith("Release, then go on. stopped because 'Modb")
@@ -240,7 +240,7 @@ def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     assert served.service.held_by == ("Modbus 127.0.0.1",)
     assert plc.write(7, 0) == 0
     # Another door is in command meanwhile.
-    served.service.acquire("robot")
+    served.service.lease.acquire("robot")
     assert plc.live() == 6
     assert not plc.inputs()[2] & REMOTE
     served.pass_lease()
@@ -612,13 +612,13 @@ def test_the_function_block_begins_anew_after_a_lost_connection(block: Any) -> N
     plc.ready()
     assert served.service.job().number == 1
     # Another client takes command: the block says so, and comes back by itself.
-    lease = served.service.acquire("person", take=True)
+    lease = served.service.lease.acquire("person", take=True)
     until(lambda: not plc.cycle()["Ready"])
     for _ in range(5):
         plc.cycle()
     plc.cycle(Execute=True, Command=RELEASE)
     assert (plc["ErrorId"], plc["Busy"], served.grip_n > 1.0) == (1, False, True)
-    served.service.give_up(lease)
+    served.service.lease.give_up(lease)
     assert plc.run(RELEASE) == (True, 0)
 
 

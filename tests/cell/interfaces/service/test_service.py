@@ -34,9 +34,9 @@ KEEP = IDENTIFY | {"keep": "always"}
 
 def test_one_lease_at_a_time_commands(serve: Any) -> None:
     service = serve().service
-    first = service.acquire("first")
+    first = service.lease.acquire("first")
     with pytest.raises(NotInCommand, match="'first' is in command"):
-        service.acquire("second")
+        service.lease.acquire("second")
     for wrong in (0, first + 1):
         with pytest.raises(NotInCommand, match="'first' is in command"):
             service.start(wrong, IDENTIFY)
@@ -46,30 +46,30 @@ def test_one_lease_at_a_time_commands(serve: Any) -> None:
             service.pose_reached(wrong, 1)
     assert service.job().number == 0
     assert service.snapshot().commander == "first"
-    service.give_up(first)
-    assert service.acquire("second") != first
+    service.lease.give_up(first)
+    assert service.lease.acquire("second") != first
     with pytest.raises(NotInCommand):
-        service.alive(first)
+        service.lease.alive(first)
 
 
 def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
     served = serve()
-    lease = served.service.acquire("first")
+    lease = served.service.lease.acquire("first")
     for _ in range(3):
         served.clock.now_s += LEASE_S
-        served.service.alive(lease)
+        served.service.lease.alive(lease)
     served.clock.now_s += LEASE_S
     served.service.start(lease, IDENTIFY)
     served.clock.now_s += LEASE_S
-    assert served.service.has(lease)  # a command keeps it, too; looking does not
+    assert served.service.lease.has(lease)  # a command keeps it, too; looking does not
     served.clock.now_s += 0.1
-    assert not served.service.has(lease)
-    assert served.service.acquire("second")
+    assert not served.service.lease.has(lease)
+    assert served.service.lease.acquire("second")
 
 
 def test_a_lost_lease_holds_the_job_and_nothing_resumes(serve: Any) -> None:
     served = serve()
-    lease = served.service.acquire("first")
+    lease = served.service.lease.acquire("first")
     served.plugin.pause()
     served.service.start(lease, IDENTIFY)
     served.pass_lease()
@@ -80,7 +80,7 @@ def test_a_lost_lease_holds_the_job_and_nothing_resumes(serve: Any) -> None:
     # The client is back: neither its old lease nor a new one goes on with the job.
     with pytest.raises(NotInCommand):
         served.service.start(lease, IDENTIFY)
-    lease = served.service.acquire("first")
+    lease = served.service.lease.acquire("first")
     with pytest.raises(CellStateError, match=r"the cell is HELD; .* 'grasp' is not allowed"):
         served.service.start(lease, IDENTIFY)
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)
@@ -95,7 +95,7 @@ def test_a_lost_lease_holds_the_job_and_nothing_resumes(serve: Any) -> None:
 
 def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> None:
     served = serve()
-    service, lease = served.service, served.service.acquire("first")
+    service, lease = served.service, served.service.lease.acquire("first")
     served.plugin.pause()
     service.start(lease, IDENTIFY)
     service.begin_hold(1, "panel 1", connected=True)
@@ -119,7 +119,7 @@ def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> Non
 @pytest.mark.parametrize("way", ["the button again", "clear", "clear of a fault"])
 def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) -> None:
     served = serve()
-    service, lease = served.service, served.service.acquire("first")
+    service, lease = served.service, served.service.lease.acquire("first")
     if way == "clear of a fault":
         served.plugin.fail(FrameTimeout("no frame"))
     service.begin_hold(1, "panel", connected=True)
@@ -151,13 +151,13 @@ def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) ->
 
 def test_a_client_without_a_connection_repeats_its_hold(serve: Any) -> None:
     served = serve()
-    service, lease = served.service, served.service.acquire("first")
+    service, lease = served.service, served.service.lease.acquire("first")
     service.hold_as("HTTP 192.0.2.1 panel", None)  # once: nothing stays
     assert service.held_by == ()
     for _ in range(3):
         service.hold_as("HTTP 192.0.2.1 panel", True)
         served.clock.now_s += LEASE_S
-        service.alive(lease)
+        service.lease.alive(lease)
         with pytest.raises(CellStateError, match="'clear' is not allowed"):
             service.command(lease, Command.CLEAR)
     served.clock.now_s += 1.0
@@ -172,7 +172,7 @@ def test_a_client_without_a_connection_repeats_its_hold(serve: Any) -> None:
 
 def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
     served = serve()
-    service, lease = served.service, served.service.acquire("first")
+    service, lease = served.service, served.service.lease.acquire("first")
     for number in range(100):
         service.begin_hold(number, f"{number}")
     for number in range(100):
@@ -185,23 +185,23 @@ def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
     with pytest.raises(RequestRefused, match="100 clients"):
         service.begin_hold("one more", "one more")
     assert len(service.held_by) == 100
-    assert service.has(lease)
+    assert service.lease.has(lease)
 
 
 def test_a_person_at_the_cell_holds_the_job_and_takes_the_lease(serve: Any) -> None:
     served = serve()
-    first = served.service.acquire("first")
+    first = served.service.lease.acquire("first")
     served.plugin.pause()
     served.service.start(first, IDENTIFY)
     served.service.hold("by the operator")
     assert "stopped by the operator" in served.ended().error
-    assert served.service.has(first)
+    assert served.service.lease.has(first)
     served.service.command(first, Command.RELEASE, key=RELEASE_KEY)
     served.plugin.pause()
     served.service.start(first, IDENTIFY)
-    second = served.service.acquire("operator", take=True)
+    second = served.service.lease.acquire("operator", take=True)
     assert "because 'operator' took command" in served.ended().error
-    assert (served.service.has(first), served.service.has(second)) == (False, True)
+    assert (served.service.lease.has(first), served.service.lease.has(second)) == (False, True)
     assert served.state == "HELD"
 
 
@@ -212,7 +212,7 @@ def test_a_simulated_cell_walks_through_all_commands_and_records_them(
     serve: Any, tmp_path: Path
 ) -> None:
     served = serve(cell={"folder": tmp_path})
-    service, lease = served.service, served.service.acquire("first")
+    service, lease = served.service, served.service.lease.acquire("first")
     service.start(lease, {"task": "teach", "label": "ball", "grasps": 1})
     assert served.ended(1).outcome == "SUCCEEDED"
     service.start(lease, KEEP)
@@ -275,7 +275,7 @@ def test_the_last_answer_stays_until_the_next_identification_begins(serve: Any) 
     served = serve()
     service = served.service
     assert service.snapshot().last_answer is None
-    lease = service.acquire("first")
+    lease = service.lease.acquire("first")
     service.start(lease, KEEP)
     found = served.ended()
     for task in ("verify", "release", "grip", "release"):
@@ -307,7 +307,7 @@ def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch
     for module in (worker, service_module):
         monkeypatch.setattr(module, "KEPT_JOBS", 2)
     served = serve()
-    lease = served.service.acquire("first")
+    lease = served.service.lease.acquire("first")
     served.service.start(lease, KEEP)
     served.ended()
     for _ in range(3):
@@ -321,7 +321,7 @@ def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch
 
 def test_a_repeated_request_is_not_done_twice(serve: Any) -> None:
     served = serve()
-    lease = served.service.acquire("first")
+    lease = served.service.lease.acquire("first")
     for _ in range(3):
         assert served.service.start(lease, KEEP, number=1) == 1
     served.ended()
@@ -331,8 +331,8 @@ def test_a_repeated_request_is_not_done_twice(serve: Any) -> None:
         served.service.command(lease, Command.RELEASE, key=RELEASE_KEY, number=1)
     with pytest.raises(RequestRefused, match="job 3 cannot be next; the next is 2"):
         served.service.start(lease, KEEP, number=3)
-    served.service.give_up(lease)
-    lease = served.service.acquire("second")
+    served.service.lease.give_up(lease)
+    lease = served.service.lease.acquire("second")
     with pytest.raises(RequestRefused, match="another request"):
         served.service.start(lease, KEEP, number=1)
     assert served.grip_n > 1.0
@@ -348,7 +348,7 @@ def test_labels_have_ids_that_the_config_fixes(serve: Any) -> None:
 
 def test_each_command_is_remarked_with_its_client(serve: Any) -> None:
     served = serve()
-    service, lease = served.service, served.service.acquire("first")
+    service, lease = served.service, served.service.lease.acquire("first")
     service.start(lease, KEEP)
     with pytest.raises(RequestRefused):
         service.command(lease, Command.RELEASE, key=1)
@@ -378,7 +378,7 @@ def test_each_command_is_remarked_with_its_client(serve: Any) -> None:
 
 def test_the_host_reaches_poses_or_refuses_them(serve: Any) -> None:
     served = serve(cell={}, positioner__kind="callback")
-    service, lease = served.service, served.service.acquire("robot")
+    service, lease = served.service, served.service.lease.acquire("robot")
     goal = IDENTIFY | {"max_grasps": 2, "seed": 5}
     service.start(lease, goal)
     now = until(lambda: (found := service.snapshot()).pose_seq and found)
@@ -402,7 +402,7 @@ def test_the_host_reaches_poses_or_refuses_them(serve: Any) -> None:
 
 def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any) -> None:
     served = serve(cell={}, positioner__kind="callback")
-    service, lease = served.service, served.service.acquire("robot")
+    service, lease = served.service, served.service.lease.acquire("robot")
     for _ in range(2):
         service.start(lease, IDENTIFY)
         seq = until(lambda: service.snapshot().pose_seq)
@@ -426,14 +426,14 @@ def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any) 
     before = set(threading.enumerate())
     served = serve(cell={}, positioner__kind="callback", host_timeout_s=0.05)
     assert "host-watch" not in {thread.name for thread in threading.enumerate()}
-    lease = served.service.acquire("first")
+    lease = served.service.lease.acquire("first")
     served.service.start(lease, {"task": "grip", "force_n": 3.0})
     until(lambda: served.service.snapshot().pose_seq)
     served.service.close()
     served.service.close()
     assert served.ended().outcome == "CANCELED"
     with pytest.raises(CellStateError, match="the cell is closed"):
-        served.service.start(served.service.acquire("late", take=True), IDENTIFY)
+        served.service.start(served.service.lease.acquire("late", take=True), IDENTIFY)
     assert set(threading.enumerate()) <= before
 
 
@@ -531,12 +531,12 @@ def test_the_watch_notices_a_silent_client_by_itself_and_outlives_what_goes_wron
 
     monkeypatch.setattr(served.plugin, "cancel", fail_once)
     for client in ("first", "second"):
-        lease = served.service.acquire(client)
+        lease = served.service.lease.acquire(client)
         if client == "first":
             served.plugin.pause()
             served.service.start(lease, IDENTIFY)
         served.clock.now_s += 1.0
-        until(lambda: not served.service._lease.number)
+        until(lambda: not served.service.lease.number)
     until(lambda: notes)
     assert notes[0] == "watch over the lease: OSError: the pipe is broken"
     served.service.hold()
