@@ -6,11 +6,9 @@ alternatives do not give the same.
 
 import importlib
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from threadpoolctl import threadpool_limits
 
 import benchmarks
 from benchmarks import __main__ as command
@@ -23,13 +21,6 @@ EFFORT = 0.01
 MODULES = command.modules()
 TESTED_ELSEWHERE = {"reproduction"}
 """`test_paper` prints the study that it has made, which takes longest of all."""
-
-
-@pytest.fixture(autouse=True)
-def one_blas_thread() -> Iterator[None]:
-    """Do as the command does: here numpy was loaded before it could say so."""
-    with threadpool_limits(1):
-        yield
 
 
 @pytest.mark.long

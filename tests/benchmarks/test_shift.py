@@ -1,18 +1,9 @@
 """A short shift: its parts are sorted, its clients are served, no file and no thread is left."""
 
-from collections.abc import Iterator
-
 import pytest
-from threadpoolctl import threadpool_limits
 
 from benchmarks.performance.shift import condensed
 from tests.benchmarks.test_soak import quick_config
-
-
-@pytest.fixture(autouse=True)
-def one_blas_thread() -> Iterator[None]:
-    with threadpool_limits(1):
-        yield
 
 
 @pytest.mark.long

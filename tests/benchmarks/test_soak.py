@@ -1,22 +1,14 @@
 """A short soak: what leaks with each grasp or each cell shows after three blocks."""
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from threadpoolctl import threadpool_limits
 
 from benchmarks.performance import soak
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-
-
-@pytest.fixture(autouse=True)
-def one_blas_thread() -> Iterator[None]:
-    with threadpool_limits(1):
-        yield
 
 
 def quick_config() -> CellConfig:

@@ -19,6 +19,7 @@ from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.wrist import SimulatedWrist, WristMount
+from tests.cell.conftest import once
 
 NODE = 11
 PER_M = 1e6
@@ -53,18 +54,9 @@ class DriveBench:
             "x"
         ]
 
-    def once_moving(self, act: Callable[[], Any], after_s: float = 0.02) -> None:
-        """Do something once, so long after the axis began to move."""
-        since_s: list[float] = []
-
-        def look(now_s: float) -> None:
-            if self.simulated.moving:
-                since_s.append(now_s)
-                if now_s - since_s[0] >= after_s:
-                    self.clock.on_advance.remove(look)
-                    act()
-
-        self.clock.on_advance.append(look)
+    def once_moving(self, act: Callable[[], Any]) -> None:
+        """Do something once, 20 ms after the axis began to move."""
+        once(self.clock, lambda: self.simulated.moving, act, after_s=0.02)
 
 
 MakeDrive = Callable[..., DriveBench]

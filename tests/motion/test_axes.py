@@ -10,6 +10,7 @@ from motion.bus import Watch
 from motion.errors import AxisFault, AxisLimitExceeded, AxisMissing, AxisRestarted, AxisSilent
 from motion.object_dictionary import State
 from simulator.clock import VirtualClock
+from tests.cell.conftest import once
 
 NEAR_RAD = math.radians(1.0)
 
@@ -135,21 +136,13 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
     bench.move(0.5)
     simulated = bench.simulated
 
-    def look(now_s: float) -> None:
-        if not simulated.moving:
-            return
-        bench.clock.on_advance.remove(look)
-        match fail:
-            case "block":
-                simulated.blocked = True
-            case "silent":
-                simulated.bus.faults.silent.add(7)
-            case "overload":
-                simulated.knobs.overload()
-            case "reboot":
-                simulated.knobs.reboot(now_s)
-
-    bench.clock.on_advance.append(look)
+    acts = {
+        "block": lambda: setattr(simulated, "blocked", True),
+        "silent": lambda: simulated.bus.faults.silent.add(7),
+        "overload": simulated.knobs.overload,
+        "reboot": lambda: simulated.knobs.reboot(bench.clock.monotonic()),
+    }
+    once(bench.clock, lambda: simulated.moving, acts[fail])
     with pytest.raises(error, match=words):
         bench.move(3.0)
     simulated.blocked = False
@@ -161,18 +154,10 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
 def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(bench: Any) -> None:
     bench.move(0.5)
     silent = bench.simulated.bus.faults.silent
-    ends_s: list[float] = []
-
-    def look(now_s: float) -> None:
-        if not ends_s and bench.simulated.moving:
-            ends_s.append(now_s + 0.06)
-            silent.add(7)
-        elif ends_s and now_s >= ends_s[0]:
-            silent.discard(7)
-
-    bench.clock.on_advance.append(look)
+    began_s = once(bench.clock, lambda: bench.simulated.moving, lambda: silent.add(7))
+    once(bench.clock, lambda: bool(began_s), silent.clear, after_s=0.06)
     assert bench.move(3.0) == pytest.approx(3.0, abs=NEAR_RAD)
-    assert ends_s
+    assert began_s
 
 
 def test_a_wrist_that_restarted_meanwhile_is_found(bench: Any) -> None:

@@ -95,23 +95,15 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
 ) -> None:
     bench.move(-0.01)
     simulated = bench.simulated
-
-    def act() -> None:
-        match fail:
-            case "fail":
-                simulated.fail(0x2310)
-            case "block":
-                simulated.motion.blocked = True
-            case "switch":
-                simulated.forced_switch = 1
-            case "dead":
-                simulated.dead = True
-            case "reboot":
-                simulated.power_cycle()
-            case "shut":
-                simulated._command(od.Control.SHUTDOWN)
-
-    bench.once_moving(act)
+    acts = {
+        "fail": lambda: simulated.fail(0x2310),
+        "block": lambda: setattr(simulated.motion, "blocked", True),
+        "switch": lambda: setattr(simulated, "forced_switch", 1),
+        "dead": lambda: setattr(simulated, "dead", True),
+        "reboot": simulated.power_cycle,
+        "shut": lambda: simulated._command(od.Control.SHUTDOWN),
+    }
+    bench.once_moving(acts[fail])
     with pytest.raises(error, match=words) as caught:
         bench.move(0.015)
     stopped = "not confirmed to stand still" if fail == "dead" else "all axes stand still"
