@@ -19,7 +19,7 @@ from simulator.settings import SimulatorSettings
 from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import ObjectPose
 from simulator.world.stage import Stage
-from simulator.world.world import PhysicalWorld, WorldSettings
+from simulator.world.world import PhysicalWorld
 from tactile.layout import taxel_order
 
 _PAST_MIDDLE_M = -0.01
@@ -128,14 +128,7 @@ class CellDevices:
         return PhysicalWorld(
             settings.layout,
             self.mechanics,
-            WorldSettings(
-                foam=settings.foam,
-                pads=settings.pads,
-                law=settings.law,
-                noise=settings.noise,
-                seed=settings.seed,
-                objects=settings.objects,
-            ),
+            settings,
             start_s=start_s,
         )
 

@@ -11,10 +11,7 @@ from simulator.can.drive import DriveMount
 from simulator.errors import SimulatorSettingsError
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
 from simulator.servo.wrist import WristMount
-from simulator.world.foam import Foam
-from simulator.world.press import PadPair
-from simulator.world.shapes import PAPER_OBJECTS, Shape
-from simulator.world.taxels import EQUATION_11, NoiseModel, SensorLaw
+from simulator.world.world import WorldSettings
 from tactile.layout import PadMount, TaxelLayout, paper_layout
 
 
@@ -43,8 +40,11 @@ class RecordedGrasp:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SimulatorSettings:
-    """A simulated cell: the default is the paper's sensor on two XM430-W350."""
+class SimulatorSettings(WorldSettings):
+    """A simulated cell and its world: by default the paper's sensor on two XM430-W350.
+
+    The seed is that of everything that comes by chance.
+    """
 
     layout: TaxelLayout = field(default_factory=paper_layout)
     """The taxels."""
@@ -65,15 +65,6 @@ class SimulatorSettings:
     """Those of the pads' boards on finger 0 and finger 1."""
     mounts: tuple[PadMount, ...] = ()
     """Pads that sit otherwise than the layout has them."""
-    foam: Foam = field(default_factory=Foam)
-    pads: PadPair = field(default_factory=PadPair)
-    law: SensorLaw = EQUATION_11
-    noise: NoiseModel = field(default_factory=NoiseModel)
-    seed: int = 0
-    """The pads, how they stand to each other, how force becomes counts, the converter's noise, the
-    seed of everything that comes by chance."""
-    objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
-    """Objects that can be placed by their name."""
     aperture_m: float = 0.03
     """Opening between the pads at the start in m."""
     grasps: tuple[RecordedGrasp, ...] = ()

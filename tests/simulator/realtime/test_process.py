@@ -8,7 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,16 +26,13 @@ from tactile.frames.codec import FrameFormat
 from tactile.layout import paper_layout
 
 SCRIPT = """
-import json, sys
-from pathlib import Path
+import json
 from simulator.realtime.process import serve
 from simulator.settings import SimulatorSettings
 
 serve(
     SimulatorSettings(),
     lambda line: print(json.dumps(line), flush=True),
-    folder=Path(sys.argv[1]) if sys.argv[1] else None,
-    until_parent_ends="parent" in sys.argv,
 )
 """
 LIMIT_S = 10.0
@@ -247,48 +243,15 @@ def test_folders_that_cannot_be_used_are_an_error(tmp_path: Path) -> None:
         assert [one.name for one in folder.iterdir()] == [name]
 
 
-@contextlib.contextmanager
-def running(folder: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
-    process = subprocess.Popen(
-        [sys.executable, "-c", SCRIPT, folder],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        yield process, json.loads(process.stdout.readline())
-    finally:
-        process.kill()
-        process.communicate()
-
-
 def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind() -> None:
-    with running("") as (process, hello):
-        folder = Path(hello["positioner_socket"]).parent
-        assert folder.is_dir()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(LIMIT_S) == 0
+    command = [sys.executable, "-c", SCRIPT]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            folder = Path(json.loads(process.stdout.readline())["positioner_socket"]).parent
+            assert folder.is_dir()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(LIMIT_S) == 0
+        finally:
+            process.kill()
         assert not folder.exists()
-
-
-def test_it_ends_with_its_parent() -> None:
-    # A shell that starts the cell in the background and goes away.
-    middle = (
-        "import subprocess, sys\n"
-        "child = subprocess.Popen([sys.executable, '-c', sys.argv[1], '', 'parent'],\n"
-        "                         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)\n"
-        "print(child.stdout.readline(), end='')\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", middle, SCRIPT],
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=True,
-    )
-    hello = json.loads(done.stdout)
-    folder = Path(hello["positioner_socket"]).parent
-    end_s = time.monotonic() + LIMIT_S
-    while folder.exists() and time.monotonic() < end_s:
-        select.select([], [], [], 0.05)
-    assert not folder.exists()
