@@ -55,18 +55,66 @@ MISSES_IN_A_ROW = 3
 """Grasps of a known object that find no part after which it is taken for absent."""
 
 
-class CellView:
-    """Read-only view of a cell, from any thread: states, fault, and the hand for its statistics.
+class CellController:
+    """One cell: gripper, tactile sensor and positioner, driven from one thread.
 
-    Parameters
+    `cancel` may be called, and states be read, from any thread; everything else belongs to the
+    thread that runs the sequences. A fault keeps the grip, latches, and needs `clear` and `reset`, two acts of a person
+    or host. The part is let go by `release` and `release_held`, and at the end of each grasp of a
+    sequence, whose purpose that is; never by a fault, by `cancel` or by `shutdown`.
+
+    Attributes
     ----------
-    hand, life
-        Of the cell.
+    zero
+        Zero of the taxels that the last start has taken; None before.
     """
 
-    def __init__(self, hand: Hand, life: CellLifecycle) -> None:
+    def __init__(
+        self,
+        *,
+        name: str,
+        hand: Hand,
+        positioner: Positioner,
+        sequence: SequenceConfig,
+        tare_frames: int,
+        contact_force_n: float,
+        zero_force_max_n: float,
+        opening_step_m: float,
+        clock: Clock,
+        recorder: Recorder | None = None,
+        zeros: SelfZeros | None = None,
+    ) -> None:
+        self._zeros = zeros or SelfZeros()
+        self._positioner = positioner
+        self._clock = clock
+        self._sequence = sequence
+        self._tare_frames = tare_frames
+        self._contact_n = contact_force_n
+        self._journal = Journal(recorder)
+        self.zero: TareResult | None = None
         self._hand = hand
-        self._life = life
+        self._life = CellLifecycle(
+            hand,
+            shows_nothing=lambda: self.shows_nothing,
+            note=self._journal.note,
+            close_sensor=hand.close_sensor,
+            changed=self._record_state,
+            clock=clock,
+        )
+        self._grasper = Grasper(
+            name,
+            hand,
+            positioner,
+            life=self._life,
+            journal=self._journal,
+            sequence=sequence,
+            contact_force_n=contact_force_n,
+            zero_force_max_n=zero_force_max_n,
+            opening_step_m=opening_step_m,
+            zeros=self._zeros,
+            clock=clock,
+        )
+        self.pads: PadArray = self._grasper.pads
 
     @property
     def state(self) -> CellState:
@@ -138,68 +186,6 @@ class CellView:
         if not isinstance(self._hand, LocalHand):
             raise CellStateError("the force loop runs in a process of its own; see `hand`")
         return self._hand
-
-
-class CellController(CellView):
-    """One cell: gripper, tactile sensor and positioner, driven from one thread.
-
-    `cancel` may be called from any thread; everything else belongs to the thread that runs the
-    sequences. A fault keeps the grip, latches, and needs `clear` and `reset`, two acts of a person
-    or host. The part is let go by `release` and `release_held`, and at the end of each grasp of a
-    sequence, whose purpose that is; never by a fault, by `cancel` or by `shutdown`.
-
-    Attributes
-    ----------
-    zero
-        Zero of the taxels that the last start has taken; None before.
-    """
-
-    def __init__(
-        self,
-        *,
-        name: str,
-        hand: Hand,
-        positioner: Positioner,
-        sequence: SequenceConfig,
-        tare_frames: int,
-        contact_force_n: float,
-        zero_force_max_n: float,
-        opening_step_m: float,
-        clock: Clock,
-        recorder: Recorder | None = None,
-        zeros: SelfZeros | None = None,
-    ) -> None:
-        self._zeros = zeros or SelfZeros()
-        self._positioner = positioner
-        self._clock = clock
-        self._sequence = sequence
-        self._tare_frames = tare_frames
-        self._contact_n = contact_force_n
-        self._journal = Journal(recorder)
-        self.zero: TareResult | None = None
-        life = CellLifecycle(
-            hand,
-            shows_nothing=lambda: self.shows_nothing,
-            note=self._journal.note,
-            close_sensor=hand.close_sensor,
-            changed=self._record_state,
-            clock=clock,
-        )
-        super().__init__(hand, life)
-        self._grasper = Grasper(
-            name,
-            hand,
-            positioner,
-            life=self._life,
-            journal=self._journal,
-            sequence=sequence,
-            contact_force_n=contact_force_n,
-            zero_force_max_n=zero_force_max_n,
-            opening_step_m=opening_step_m,
-            zeros=self._zeros,
-            clock=clock,
-        )
-        self.pads: PadArray = self._grasper.pads
 
     @property
     def now_s(self) -> float:

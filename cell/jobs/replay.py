@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -63,17 +63,11 @@ class ReplayResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
-        return {
-            "n_grasps": self.n_grasps,
-            "frames_sent": self.frames_sent,
-            "frames_received": self.frames_received,
-            "frames_equal": self.frames_equal,
+        values = asdict(self)
+        error_mm = round(values.pop("aperture_error_m") * 1e3, 4)
+        return values | {
             "difference": self.difference or None,
-            "aperture_error_mm": round(self.aperture_error_m * 1e3, 4),
-            "accuracy": self.accuracy,
-            "interval": None if self.interval is None else list(self.interval),
-            "n_train": self.n_train,
-            "recognizer": self.recognizer,
+            "aperture_error_mm": error_mm,
             "unnamed": self.unnamed or None,
             "seconds": round(self.seconds, 2),
         }

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from math import radians
 from typing import Any
 
@@ -94,6 +94,11 @@ class SortedPart:
     """What had changed in the grip on the way, for which it was rejected; empty where nothing had.
     """
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the part as plain data; ``was`` is what it was."""
+        values = asdict(self)
+        return values | {"was": values.pop("truth")}
+
 
 @dataclass(slots=True, kw_only=True)
 class Tally:
@@ -156,18 +161,7 @@ class Tally:
                 {"number": part.number, "was": part.truth, "place": part.place}
                 for part in self.mistakes
             ],
-            "parts": [
-                {
-                    "number": part.number,
-                    "label": part.label,
-                    "probability": part.probability,
-                    "place": part.place,
-                    "n_grasps": part.n_grasps,
-                    "was": part.truth,
-                    "changed": list(part.changed),
-                }
-                for part in self.parts
-            ],
+            "parts": [part.as_json() for part in self.parts],
         }
 
 

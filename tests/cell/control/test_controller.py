@@ -3,9 +3,8 @@
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,14 +17,12 @@ from cell.data.recording_reader import read_recording
 from cell.errors import (
     CellStateError,
     CellStopped,
-    ConfigError,
     NoPartFound,
     PlanRefused,
     PositionerError,
     error_text,
 )
-from cell.learning.pad_knowledge import PadKnowledge
-from cell.learning.shapes import in_words, shape_reader
+from cell.learning.shapes import shape_reader
 from gripper.errors import (
     BusTimeout,
     GripContradicted,
@@ -34,10 +31,8 @@ from gripper.errors import (
     ServoFault,
 )
 from gripper.state import GraspResult, GripperPhase
-from recognition.recognizer import UNKNOWN, Posterior
-from recognition.shape.foam import FoamModel
-from recognition.statistics.fusion import DecisionKind
 from tactile.errors import BusOff, LinkFault, TareRefused
+from tests.cell.control.test_identification import Sure
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
 APPROACHING, RELEASING = GripperPhase.APPROACHING, GripperPhase.RELEASING
@@ -135,155 +130,21 @@ def test_an_empty_gripper_is_no_part_and_no_fault(
     assert [event["kind"] for event in recording.events] == ["no part"]
 
 
-class Sure:
-    """A recogniser that is sure of its first label after so many grasps."""
-
-    name, labels, uses_aperture = "sure", ("ball", "box"), False
-
-    def __init__(self, after: int, drawn_m: tuple[float, ...] = ()) -> None:
-        self.left = after
-        self.drawn_m = drawn_m
-        self.seen = 0
-
-    def posterior(self, grasp: Any) -> Any:
-        assert grasp.label == ""
-        self.seen += 1
-        self.left -= 1
-        share = 0.55 if self.left > 0 else 1.0 - 1e-9
-        return Posterior(
-            labels=self.labels,
-            probability=np.array([share, 1 - share]),
-            unknown=0.01,
-            drawn_m=self.drawn_m,
-        )
-
-
-def test_identifying_ends_as_soon_as_it_is_sure(bench: Any) -> None:
+def test_the_recording_holds_what_happened(make_bench: Callable[..., Any], tmp_path: Path) -> None:
+    bench = make_bench(folder=tmp_path)
+    assert bench.cell.recording_path == tmp_path / "recording.mcap"
     bench.ready()
-    told: list[int] = []
-    steps = plan(bench.controller._sequence, 5, seed=1)
-    found = bench.controller.identify(
-        Sure(2), steps, on_grasp=lambda number, *_told: told.append(number)
-    )
-    assert (found.label, found.decision.kind) == ("ball", DecisionKind.DECIDED)
-    assert told == [1, 2]
-    assert len(found.records) == len(found.posteriors) == 2
-    assert found.probability == pytest.approx(float(found.fused.probability.max()), abs=1e-6)
-    assert found.probability > 0.98
-
-
-def test_whoever_is_told_of_the_grasps_cannot_spoil_the_answer(
-    make_bench: Callable[..., Any], tmp_path: Path
-) -> None:
-    bench = make_bench(folder=tmp_path).ready()
 
     def broken(*_told: Any) -> None:
         raise RuntimeError("window closed")
 
     found = bench.controller.identify(
-        Sure(2), plan(bench.controller._sequence, 3, seed=1), on_grasp=broken
+        Sure(1),
+        [GraspStep(pose=Pose(), force_n=3.0)],
+        read_shape=shape_reader(bench.config),
+        on_grasp=broken,
     )
-    assert found.label == "ball"
-    assert found.complaints == (
-        "after grasp 1: RuntimeError: window closed",
-        "after grasp 2: RuntimeError: window closed",
-    )
-    bench.cell.close()
-    events = read_recording(tmp_path / "recording.mcap").events
-    assert [event["text"] for event in events if event["kind"] == "callback"] == list(
-        found.complaints
-    )
-
-
-def test_shape_and_size_are_fused_over_the_grasps(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any], tmp_path: Path
-) -> None:
-    bench = make_bench(folder=tmp_path).ready()
-    told: list[Any] = []
-    found = bench.controller.identify(
-        Sure(2),
-        plan(bench.controller._sequence, 3, seed=1),
-        read_shape=shape_reader(make_config()),
-        on_grasp=lambda *parts: told.append(parts[3]),
-    )
-    assert tuple(told) == found.shapes
-    assert len(found.shapes) == found.shape.n_grasps == 2
-    assert found.shape.kind == "sphere"
-    assert found.shape.low_m < 9.5e-3 < found.shape.high_m
-    assert in_words(found.shape).startswith("a sphere of 9.")
-    bench.cell.close()
-    (result,) = read_recording(tmp_path / "recording.mcap").results
-    assert result["shape"]["size_m"] == pytest.approx(found.shape.size_m, abs=1e-6)
-    assert [one["kind"] for one in result["grasp_shapes"]] == ["sphere", "sphere"]
-
-
-def test_the_label_does_not_hang_on_whoever_reads_the_shape(bench: Any) -> None:
-    bench.ready()
-    answers: list[Any] = [None, ValueError("no law")]
-
-    def read(_grasp: Any) -> None:
-        answer = answers.pop(0)
-        if answer is not None:
-            raise answer
-
-    found = bench.controller.identify(
-        Sure(2), plan(bench.controller._sequence, 2, seed=1), read_shape=read
-    )
-    assert (found.label, found.shapes, found.shape) == ("ball", (None, None), None)
-    assert found.complaints == ("shape of grasp 2: ValueError: no law",)
-
-
-def test_nor_on_whether_shapes_can_be_fused(bench: Any, make_config: Callable[..., Any]) -> None:
-    bench.ready()
-    read = shape_reader(make_config())
-    assert read is not None
-    found = bench.controller.identify(
-        Sure(2),
-        plan(bench.controller._sequence, 2, seed=1),
-        read_shape=lambda grasp: replace(read(grasp), evidence=()),
-    )
-    assert (found.label, found.shape) == ("ball", None)
-    (complaint,) = found.complaints
-    assert complaint.startswith("shape of all grasps: ValueError: a fused shape")
-
-
-@pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
-def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(
-    bench: Any, make_config: Callable[..., Any], drawn_m: tuple[float, ...], label: str
-) -> None:
-    bench.ready()
-    told: list[Posterior] = []
-    found = bench.controller.identify(
-        Sure(2, drawn_m),
-        plan(bench.controller._sequence, 2, seed=1),
-        read_shape=shape_reader(make_config()),
-        on_grasp=lambda *parts: told.append(parts[2]),
-    )
-    assert found.label == found.fused.name == label
-    assert tuple(told) == found.posteriors
-    assert found.shape.kind == "sphere"
-
-
-def test_a_config_may_want_no_shapes(make_config: Callable[..., Any]) -> None:
-    config = make_config(recognition__shape=False)
-    assert shape_reader(config, PadKnowledge(foam=FoamModel())) is None
-    gauged = PadKnowledge(foam=FoamModel(), fit=cast("Any", "of a gauge"))
-    with pytest.raises(ConfigError, match="a gauge serves shape and size"):
-        shape_reader(config, gauged)
-
-
-def test_identifying_ends_with_its_plan(bench: Any) -> None:
-    bench.ready()
-    found = bench.controller.identify(Sure(99), plan(bench.controller._sequence, 2, seed=1))
-    assert len(found.records) == 2
-    assert found.decision.kind is not DecisionKind.CONTINUE
-
-
-def test_the_recording_holds_what_happened(make_bench: Callable[..., Any], tmp_path: Path) -> None:
-    bench = make_bench(folder=tmp_path)
-    assert bench.cell.recording_path == tmp_path / "recording.mcap"
-    bench.ready()
-    record = bench.controller.identify(Sure(1), [GraspStep(pose=Pose(), force_n=3.0)]).records[0]
+    record = found.records[0]
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")
     assert recording.complete
@@ -292,7 +153,12 @@ def test_the_recording_holds_what_happened(make_bench: Callable[..., Any], tmp_p
     np.testing.assert_array_equal(grasp.counts, record.grasp.counts)
     np.testing.assert_allclose(grasp.aperture_m, record.grasp.aperture_m, atol=1e-8)
     assert len(recording.poses) == 1
-    assert [result["label"] for result in recording.results] == ["ball"]
+    (result,) = recording.results
+    assert result["label"] == "ball"
+    assert result["shape"]["size_m"] == pytest.approx(found.shape.size_m, abs=1e-6)
+    assert [one["kind"] for one in result["grasp_shapes"]] == ["sphere"]
+    texts = [event["text"] for event in recording.events if event["kind"] == "callback"]
+    assert texts == ["after grasp 1: RuntimeError: window closed"]
     assert [loop["overruns"] for loop in recording.statistics] == [0, 0]
     after_grasp, at_end = recording.statistics
     assert 100 < after_grasp["cycles"] <= at_end["cycles"]

@@ -1,0 +1,146 @@
+"""Identification without a cell: when a sequence ends, what is fused, what cannot spoil it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from cell.control.identification import Identification, grasp_and_classify
+from cell.control.keeping import Judge
+from cell.control.records import GraspRecord
+from cell.errors import ConfigError
+from cell.learning.pad_knowledge import PadKnowledge
+from cell.learning.shapes import in_words, shape_reader
+from recognition.recognizer import UNKNOWN, Posterior
+from recognition.shape.foam import FoamModel
+from recognition.statistics.fusion import DecisionKind
+
+
+class Sure:
+    """A recogniser that is sure of its first label after so many grasps."""
+
+    name, labels, uses_aperture = "sure", ("ball", "box"), False
+
+    def __init__(self, after: int, drawn_m: tuple[float, ...] = ()) -> None:
+        self.left = after
+        self.drawn_m = drawn_m
+        self.seen = 0
+
+    def posterior(self, grasp: Any) -> Any:
+        assert grasp.label == ""
+        self.seen += 1
+        self.left -= 1
+        share = 0.55 if self.left > 0 else 1.0 - 1e-9
+        return Posterior(
+            labels=self.labels,
+            probability=np.array([share, 1 - share]),
+            unknown=0.01,
+            drawn_m=self.drawn_m,
+        )
+
+
+@pytest.fixture
+def record(taught: Any) -> GraspRecord:
+    """Return a grasp of the ball without its label."""
+    ball: GraspRecord = taught.result.examples["ball"]
+    return replace(ball, grasp=replace(ball.grasp, label=""))
+
+
+def identified(
+    record: GraspRecord, recognizer: Sure, n_steps: int = 2, **options: Any
+) -> Identification:
+    """Identify with a hand whose grasps are all the same."""
+
+    def grasp(_step: object, _looks: object, judge: Judge) -> tuple[GraspRecord, bool]:
+        judge.begin(record)
+        return record, False
+
+    return grasp_and_classify(
+        grasp, recognizer, [record.step] * n_steps, error_rate=0.02, **options
+    )
+
+
+def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRecord) -> None:
+    told: list[int] = []
+    found = identified(record, Sure(2), 5, on_grasp=lambda number, *_told: told.append(number))
+    assert (found.label, found.decision.kind) == ("ball", DecisionKind.DECIDED)
+    assert told == [1, 2]
+    assert len(found.records) == len(found.posteriors) == 2
+    assert found.probability == pytest.approx(float(found.fused.probability.max()), abs=1e-6)
+    assert found.probability > 0.98
+    found = identified(record, Sure(99))
+    assert len(found.records) == 2
+    assert found.decision.kind is not DecisionKind.CONTINUE
+
+
+def test_shape_and_size_are_fused_over_the_grasps(
+    record: GraspRecord, make_config: Callable[..., Any]
+) -> None:
+    told: list[Any] = []
+    found = identified(
+        record,
+        Sure(2),
+        read_shape=shape_reader(make_config()),
+        on_grasp=lambda *parts: told.append(parts[3]),
+    )
+    assert tuple(told) == found.shapes
+    assert found.shape is not None
+    assert len(found.shapes) == found.shape.n_grasps == 2
+    assert found.shape.kind == "sphere"
+    assert found.shape.low_m < 9.5e-3 < found.shape.high_m
+    assert in_words(found.shape).startswith("a sphere of 9.")
+
+
+def raising(error: Exception) -> Any:
+    def fail(*_given: Any) -> None:
+        raise error
+
+    return fail
+
+
+def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(
+    record: GraspRecord, make_config: Callable[..., Any]
+) -> None:
+    read = shape_reader(make_config())
+    assert read is not None
+    for options, complaint in (
+        ({"on_grasp": raising(RuntimeError("closed"))}, "after grasp 1: RuntimeError: closed"),
+        ({"read_shape": raising(ValueError("no law"))}, "shape of grasp 1: ValueError: no law"),
+        (
+            {"read_shape": lambda grasp: replace(read(grasp), evidence=())},
+            "shape of all grasps: ValueError: a fused shape",
+        ),
+    ):
+        found = identified(record, Sure(2), **options)
+        assert (found.label, found.shape) == ("ball", None)
+        assert len(found.posteriors) == 2
+        assert found.complaints[0].startswith(complaint)
+    assert identified(record, Sure(2), read_shape=lambda _grasp: None).shapes == (None, None)
+
+
+@pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
+def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(
+    record: GraspRecord,
+    make_config: Callable[..., Any],
+    drawn_m: tuple[float, ...],
+    label: str,
+) -> None:
+    told: list[Posterior] = []
+    found = identified(
+        record,
+        Sure(2, drawn_m),
+        read_shape=shape_reader(make_config()),
+        on_grasp=lambda *parts: told.append(parts[2]),
+    )
+    assert found.label == found.fused.name == label
+    assert tuple(told) == found.posteriors
+
+
+def test_a_config_may_want_no_shapes(make_config: Callable[..., Any]) -> None:
+    config = make_config(recognition__shape=False)
+    assert shape_reader(config, PadKnowledge(foam=FoamModel())) is None
+    gauged = PadKnowledge(foam=FoamModel(), fit=cast("Any", "of a gauge"))
+    with pytest.raises(ConfigError, match="a gauge serves shape and size"):
+        shape_reader(config, gauged)
