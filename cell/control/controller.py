@@ -59,9 +59,10 @@ class CellController:
     """One cell: gripper, tactile sensor and positioner, driven from one thread.
 
     `cancel` may be called, and states be read, from any thread; everything else belongs to the
-    thread that runs the sequences. A fault keeps the grip, latches, and needs `clear` and `reset`, two acts of a person
-    or host. The part is let go by `release` and `release_held`, and at the end of each grasp of a
-    sequence, whose purpose that is; never by a fault, by `cancel` or by `shutdown`.
+    thread that runs the sequences. A fault keeps the grip, latches, and needs `clear` and `reset`,
+    two acts of a person or host. The part is let go by `release` and `release_held`, and at the
+    end of each grasp of a sequence, whose purpose that is; never by a fault, by `cancel` or by
+    `shutdown`.
 
     Attributes
     ----------
