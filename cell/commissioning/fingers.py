@@ -284,11 +284,8 @@ class _Hands:
                 "off the horn, turn the servo by half a turn and mount it again"
             )
         signs = directions(closed, opened)
-        try:
-            measured = self._blocks(closed, signs)
-            fits = fit_linkages(measured)
-        except ValueError as error:
-            raise StepFailed(str(error)) from error
+        measured = self._blocks(closed, signs)
+        fits = fit_linkages(measured)
         fit = self._chosen(fits)
         if fit.residual_m > _UNUSABLE_FIT_M:
             raise StepFailed(
@@ -403,7 +400,7 @@ class _Hands:
             angles_rad = _turned(raws, closed, signs)
             measured.append(Measured(angles_rad=angles_rad, aperture_m=float(size_mm) * 1e-3))
             if sum(measured[-1].angles_rad) <= 0.0:
-                raise ValueError(
+                raise StepFailed(
                     f"on the block of {float(size_mm):g} mm the fingers stand closer than when "
                     "their pads were to touch: something was between them then, or the block is "
                     "not. Run the step again"

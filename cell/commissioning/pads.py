@@ -111,8 +111,9 @@ def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
         pad = int(layout.taxel_pad[taxel])
         row, column = divmod(taxel - layout.taxels_of(pad).start, layout.pads[pad].columns)
         named.append(f"{layout.pads[pad].name} row {row} column {column}")
-    more = len(taxels) - len(named)
-    return ", ".join(named) + (f" and {more} more" if more > 0 else "")
+    if (more := len(taxels) - len(named)) > 0:
+        named.append(f"and {more} more")
+    return ", ".join(named)
 
 
 def judge_rest(
@@ -143,10 +144,9 @@ def judge_rest(
     for name, mask in kinds.items():
         if mask.any():
             taxels = np.flatnonzero(mask).tolist()
-            notes.warn(
-                f"{len(taxels)} taxel{'s are' if len(taxels) > 1 else ' is'} {name}: "
-                f"{taxel_names(layout, taxels)}. Their neighbours stand in for them."
-            )
+            what = f"{name}: {taxel_names(layout, taxels)}. Their neighbours stand in for them."
+            one = len(taxels) == 1
+            notes.warn(f"1 taxel is {what}" if one else f"{len(taxels)} taxels are {what}")
     for index, pad in enumerate(layout.pads):
         n_bad = int(np.count_nonzero(health.bad[layout.taxels_of(index)]))
         if too_many_bad(n_bad, pad.n_taxels, limits.bad_share):

@@ -256,11 +256,13 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
         else "the interface has the bit rate that the system gave it: set it to that of the unit "
         f"with `ip link set {channel} down`, then `ip link set {channel} up type can bitrate RATE`"
     )
+    at_another = (
+        f" {errors} error frames came: somebody is there at another bit rate." if errors else ""
+    )
     raise StepFailed(
         f"Nobody is heard and nobody answers on {channel} ({interface}) at {tried} bit/s. Check "
         "the supply of the control unit, CAN_H and CAN_L, the common ground and both terminating "
-        f"resistors (60 Ohm between CAN_H and CAN_L, switched off); {remedy}."
-        + (f" {errors} error frames came: somebody is there at another bit rate." if errors else "")
+        f"resistors (60 Ohm between CAN_H and CAN_L, switched off); {remedy}.{at_another}"
     )
 
 

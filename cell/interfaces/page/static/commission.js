@@ -4,7 +4,7 @@ import { allow, ask, byId, isAllowed, make, renew, setText, show } from "./dom.j
 import { Link } from "./link.js";
 import { renderCommander, setSign } from "./band.js";
 import { setupLease } from "./commands.js";
-import { clock, loadWords, number, stepText, t } from "./words.js";
+import { clock, language, loadWords, number, spoken, stepText, t } from "./words.js";
 
 const LOOKS = {
   ready: ["calm", "ready"],
@@ -28,6 +28,22 @@ const view = {
     byId("said").classList.toggle("bad", bad);
   },
   heldText: () => t("wizard.stopped"),
+};
+
+// What the wizard says, in the language of the page where it has the sentence, and which language that is.
+const told = (text) => {
+  const step = view.state?.steps.find((one) => text.startsWith(`${one.title} failed`));
+  const own = spoken(step ? text.replace(step.title, stepText(step, "title")) : text);
+  return { lang: own === text ? "en" : language, text: own };
+};
+const tell = (node, text) => {
+  const { lang, text: own } = told(text);
+  setText(node, own);
+  node.lang = lang;
+};
+const line = (kind, text, marks = {}) => {
+  const { lang, text: own } = told(text);
+  return make(kind, { lang, ...marks }, own);
 };
 
 const why = () => (view.link.stale ? t("why.connection") : view.link.commands ? "" : t("why.lease"));
@@ -93,9 +109,9 @@ function renderSteps() {
     const may = status !== "open" && idle() && !why();
     renew(body, [step, may], () => [
       make("p", { class: "muted" }, stepText(step, "purpose")),
-      ...step.lines.map((line) => make("p", { lang: "en" }, line)),
+      ...step.lines.map((text) => line("p", text)),
       ...Object.keys(step.figures).map((name) => picture(step, name)),
-      make("p", { class: "muted", lang: "en" }, step.ended ? `${clock(Date.parse(step.ended) / 1000)} – ${step.undo}` : step.undo),
+      make("p", { class: "muted" }, step.ended ? `${clock(Date.parse(step.ended) / 1000)} – ` : "", line("span", step.undo)),
       ...(may ? [redoButton(step)] : []),
     ]);
   });
@@ -115,14 +131,14 @@ function renderNow() {
   setText(byId("now_title"), step ? stepText(step, "title") : t("wizard.title", { name: info?.name ?? "" }));
   setText(byId("now_purpose"), step ? stepText(step, "purpose") : state.phase === "finished" ? "" : t("wizard.what"));
   const error = state.error;
-  setText(byId("now_error"), error ? [error.text, error.number ? error.remedy : ""].filter(Boolean).join(" – ") : "");
+  tell(byId("now_error"), error ? [error.text, error.number ? error.remedy : ""].filter(Boolean).join(" – ") : "");
   // Between two runs: what needs a look.
   const noted = state.steps.filter((one) => ["warn", "fail"].includes(one.status));
   const failed = step && state.question?.key === `${step.key}.again`;
-  const said = failed ? step.lines : step ? state.said : noted.flatMap((one) => one.lines.map((line) => `${stepText(one, "title")}: ${line}`));
-  renew(byId("now_said"), said, () => said.map((text) => make("li", {}, text)));
+  const said = failed ? step.lines : step ? state.said : noted.flatMap((one) => one.lines.map((text) => `${stepText(one, "title")}: ${told(text).text}`));
+  renew(byId("now_said"), said, () => said.map((text) => line("li", text)));
   const live = Object.entries(state.live);
-  renew(byId("now_live"), live, () => live.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]));
+  renew(byId("now_live"), live, () => live.flatMap(([name, value]) => [line("dt", name), line("dd", value)]));
   setText(byId("files"), state.files.length ? t("wizard.files", { files: state.files.join(", ") }) : "");
   byId("main").dataset.asked = state.asked_id;
   renderQuestion();
@@ -134,12 +150,12 @@ function renderQuestion() {
   const question = state.phase === "asking" ? state.question : null;
   show(byId("question"), Boolean(question));
   if (!question) return;
-  setText(byId("question_text"), question.text);
+  tell(byId("question_text"), question.text);
   const reason = why();
   const choices = question.choices ?? [];
   renew(byId("question_choices"), [state.asked_id, choices, reason], () => choices.map((choice) => {
     const button = make("button", { type: "button", ...(choice.key === question.default ? { class: "first" } : {}) });
-    allow(button, choice.text, "", reason);
+    allow(button, told(choice.text).text, "", reason);
     button.addEventListener("click", () => isAllowed(button) && answer(choice.key));
     return button;
   }));
@@ -166,9 +182,9 @@ function renderApproval() {
   show(byId("approval"), wanted);
   if (!wanted) return;
   renew(byId("writes"), [state.asked_id, state.writes], () => state.writes.map((write) => make("li", {},
-    make("b", {}, write.where), make("span", {}, write.what),
-    make("span", { class: "change" }, write.before, make("i", {}, " → "), write.after),
-    make("small", {}, t("wizard.undo", { text: write.undo })))));
+    line("b", write.where), line("span", write.what),
+    make("span", { class: "change" }, told(write.before).text, make("i", {}, " → "), told(write.after).text),
+    make("small", {}, t("wizard.undo", { text: told(write.undo).text })))));
   allow(byId("approve"), t("wizard.approve"), t("wizard.approve_hint"), why());
   allow(byId("refuse"), t("wizard.refuse"), t("wizard.refuse_hint"), why());
   if (shownId === state.asked_id) return;

@@ -99,6 +99,15 @@ def test_a_second_page_stops_a_motion_and_a_narrow_german_one_has_all(
 ) -> None:
     page = open_page(address, command=True)
     other = open_page(address, wide=False, locale="de-DE")
+    walk[0].wrong = 1
+    page.click("#run[aria-disabled=false]")
+    # A sentence with figures is German there; one that has no translation says that it is English.
+    becomes(other, "#question_text", "^Anschlüsse ist fehlgeschlagen. Beheben Sie es")
+    becomes(other, "#question_choices", "Gefundenes bleibt erhalten")
+    becomes(other, "#now_said li", "No adapter is plugged in")
+    languages = [other.get_attribute(i, "lang") for i in ("#question_text", "#now_said li")]
+    assert languages == ["de", "en"]
+    page.click("text=leave; what was found is kept")
     first_motion(page)
     becomes(other, "#state", "Arbeitet")
     becomes(other, "#leave", "erst Kommando nehmen")

@@ -53,7 +53,7 @@ def used() -> set[str]:
 
 
 def texts(language: str) -> dict[str, str]:
-    return {key: text for key, text in WORDS[language].items() if key not in ("faults", "steps")}
+    return {key: text for key, text in WORDS[language].items() if isinstance(text, str)}
 
 
 def all_keys() -> set[str]:
