@@ -11,7 +11,6 @@ import pytest
 
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose, plan
-from cell.control.records import GraspCollector
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import (
@@ -412,19 +411,6 @@ def test_an_overload_is_cleared_by_restarting_the_servo(bench: Any) -> None:
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
 
 
-def test_a_fault_that_lasts_latches_again(bench: Any) -> None:
-    bench.ready()
-    bench.once_in(RAMPING, lambda: bench.simulated.inject("can.unplugged"), 0.2)
-    with pytest.raises(BusOff):
-        bench.grasp()
-    bench.controller.clear()
-    bench.controller.release_held()
-    bench.controller.reset()
-    with pytest.raises(LinkFault):
-        bench.controller.start()
-    assert bench.controller.state is CellState.ABORTED
-
-
 def test_a_stop_that_finds_the_servos_gone_is_a_fault(bench: Any) -> None:
     bench.ready()
 
@@ -456,24 +442,6 @@ def test_a_fault_between_grasps_shows_in_the_next_tick(bench: Any) -> None:
         wait()
     assert bench.controller.state is CellState.ABORTED
     assert bench.controller.fault is not None
-
-
-def test_an_error_of_ours_keeps_the_grip_as_well(
-    bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bench.ready()
-    add = GraspCollector.add
-
-    def failing(self: GraspCollector, cycle: Any, readings: Any) -> None:
-        if cycle.setpoint_n > 2.0:
-            raise KeyboardInterrupt
-        add(self, cycle, readings)
-
-    monkeypatch.setattr(GraspCollector, "add", failing)
-    with pytest.raises(KeyboardInterrupt):
-        bench.grasp(6.0)
-    assert bench.controller.fault == "KeyboardInterrupt: "
-    assert bench.grip_n > 0.5
 
 
 def test_a_touched_sensor_refuses_the_start(bench: Any) -> None:

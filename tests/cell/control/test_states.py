@@ -23,7 +23,6 @@ from cell.control.states import (
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, CellStopped
 from docs.tools.states_page import DOES, GRASP_DOES, states_page
-from gripper.errors import GripperError
 from gripper.state import GraspResult, GripperPhase
 from tactile.errors import BusOff
 
@@ -251,48 +250,6 @@ def test_an_accepted_command_goes_the_way_of_the_table(
     recorded = [entry["state"] for entry in read_recording(tmp_path / "recording.mcap").states]
     entered = [name for i, name in enumerate(recorded) if i == 0 or recorded[i - 1] != name]
     assert entered == [state.value for state in way]
-
-
-def test_cancelling_twice_is_cancelling_once(bench: Any) -> None:
-    bench.ready()
-
-    def twice() -> None:
-        bench.controller.cancel()
-        bench.controller.cancel()
-
-    bench.once_in(GripperPhase.RAMPING, twice, 0.3)
-    with pytest.raises(CellStopped):
-        bench.grasp(6.0)
-    assert bench.controller.state is CellState.HELD
-    assert bench.grip_n > LEAST_N
-    bench.controller.release()
-    assert bench.grasp().outcome.result is GraspResult.FORCE_REACHED
-
-
-def test_no_torque_comes_on_by_itself(bench: Any) -> None:
-    bench.ready()
-    servos = [servo.core for servo in bench.simulated.devices.servo_bus.servos]
-    bench.simulated.inject("servo1.reboot@contact+0.2s")
-    with pytest.raises(GripperError):
-        bench.grasp(6.0)
-    assert bench.controller.state is CellState.ABORTED
-    before = [servo.torque_on for servo in servos]
-    assert not all(before)
-    came_on: list[float] = []
-
-    def look(now_s: float) -> None:
-        if any(servo.torque_on and not was for servo, was in zip(servos, before, strict=True)):
-            came_on.append(now_s)
-
-    bench.simulated.clock.on_advance.append(look)
-    for act in (bench.controller.tick, bench.controller.clear, bench.controller.reset):
-        act()
-        bench.sleep(1.0)
-    with pytest.raises(CellStateError, match="a part may be in the grip; nothing was moved"):
-        bench.controller.start()
-    bench.sleep(1.0)
-    assert came_on == []
-    assert [servo.torque_on for servo in servos] == before
 
 
 # -- the grip --------------------------------------------------------------------------------

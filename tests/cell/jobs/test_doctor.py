@@ -65,12 +65,45 @@ def test_a_cell_that_was_commissioned_is_compared_with_it(
         assert any(f"commission {tmp_path} --redo unit" in f.advice for f in everything)
 
 
-def test_samples_that_never_move_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
-    def freeze(simulated: Any) -> None:
-        simulated.inject("unit.stuck")
+@pytest.mark.parametrize(
+    ("fault", "what", "verdict", "found", "advice"),
+    [
+        ("unit.stuck", "noise of the taxels", Verdict.WARN, "0 of 408 change at rest", "press"),
+        ("unit.off", "control unit", Verdict.FAIL, "did not boot", "check power"),
+        ("servo2.off", "servos", Verdict.FAIL, "servo 2", "check power"),
+        (
+            *("servo2.turned", "servo 2 present_position", Verdict.FAIL),
+            "gripper.servos[1].direction 1, zero_pulse 2048, gripper.linkage",
+            "one of these keys is wrong",
+        ),
+        ("taxels.stuck_at=5-6:255", "taxels at rest", Verdict.WARN, "2 of 408", "touching"),
+    ],
+)
+def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
+    altered: Callable[..., list[Finding]],
+    *,
+    fault: str,
+    what: str,
+    verdict: Verdict,
+    found: str,
+    advice: str,
+) -> None:
+    cells: list[Any] = []
 
-    finding = by_name(altered(freeze))["noise of the taxels"]
-    assert (finding.verdict, finding.found) == (Verdict.WARN, "0 of 408 change at rest")
+    def alter(simulated: Any) -> None:
+        simulated.inject(fault)
+        cells.append((simulated, simulated.devices.mechanics.aperture_m))
+
+    findings = altered(alter)
+    (finding,) = (one for one in findings if one.verdict is verdict and one.what == what)
+    assert [one for one in findings if one.verdict is Verdict.FAIL] == [finding] * (
+        verdict is Verdict.FAIL
+    )
+    assert found in finding.found
+    assert advice in finding.advice
+    ((simulated, before_m),) = cells
+    assert simulated.devices.mechanics.aperture_m == pytest.approx(before_m, abs=1e-6)
+    assert not any(servo.core.torque_on for servo in simulated.devices.servo_bus.servos)
 
 
 @pytest.mark.parametrize(
@@ -144,49 +177,6 @@ def altered(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], None]]
     return run
 
 
-def failed(findings: list[Finding]) -> list[Finding]:
-    return [finding for finding in findings if finding.verdict is Verdict.FAIL]
-
-
-def test_the_check_moves_nothing(altered: Callable[..., list[Finding]]) -> None:
-    cells: list[Any] = []
-    altered(cells.append)
-    (simulated,) = cells
-    before_m = simulated.settings.aperture_m
-    assert simulated.devices.mechanics.aperture_m == pytest.approx(before_m, abs=1e-6)
-    assert not any(servo.core.torque_on for servo in simulated.devices.servo_bus.servos)
-
-
-def test_a_dead_control_unit_fails(altered: Callable[..., list[Finding]]) -> None:
-    def kill(simulated: Any) -> None:
-        simulated.inject("unit.off")
-
-    (finding,) = failed(altered(kill))
-    assert finding.what == "control unit"
-    assert "did not boot" in finding.found
-    assert finding.advice
-
-
-def test_a_silent_servo_fails_and_the_control_unit_is_checked_all_the_same(
-    altered: Callable[..., list[Finding]],
-) -> None:
-    findings = altered(lambda simulated: simulated.inject("servo2.off"))
-    (finding,) = failed(findings)
-    assert finding.what == "servos"
-    assert "2" in finding.found
-    assert by_name(findings)["control unit"].verdict is Verdict.PASS
-
-
-def test_fingers_that_stand_where_the_config_excludes_it_fail(
-    altered: Callable[..., list[Finding]],
-) -> None:
-    findings = altered(lambda simulated: simulated.inject("servo2.turned"))
-    (finding,) = failed(findings)
-    assert finding.what == "servo 2 present_position"
-    assert "gripper.servos[1].direction 1, zero_pulse 2048, gripper.linkage" in finding.found
-    assert "one of these keys is wrong" in finding.advice
-
-
 def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -229,16 +219,6 @@ def test_lost_frames_are_a_warning(altered: Callable[..., list[Finding]]) -> Non
     finding = by_name(altered(disturb))["tactile frames"]
     assert finding.verdict is Verdict.WARN
     assert "terminating resistors" in finding.advice
-
-
-def test_saturated_taxels_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
-    def touch(simulated: Any) -> None:
-        simulated.inject("taxels.stuck_at=5-6:255")
-
-    finding = by_name(altered(touch))["taxels at rest"]
-    assert finding.verdict is Verdict.WARN
-    assert finding.found.startswith("2 of 408")
-    assert "touching" in finding.advice
 
 
 def test_wrong_ports_are_named_with_what_to_do(make_config: Callable[..., CellConfig]) -> None:
