@@ -16,7 +16,6 @@ from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
     HostPlaces,
-    HostThenSimulated,
     ObjectPlacer,
     OperatorPositioner,
     PatientCaller,
@@ -224,6 +223,7 @@ def build_cell(
         if capture is not None:
             capture_traffic(simulated, capture, undo)
         positioner = _positioner(config, simulated, mover, ask, undo, phase=lambda: hand.phase)
+        axes = positioner.axes if isinstance(positioner, AxesPositioner) else None
         if places is not None:
             positioner = HostPlaces(positioner, places)
         hand = _hand(config, simulated, partial=partial)
@@ -264,7 +264,7 @@ def build_cell(
             controller=controller,
             realtime=simulated is None,
             simulated=simulated,
-            axes=positioner.axes if isinstance(positioner, AxesPositioner) else None,
+            axes=axes,
             _recorder=recorder,
             _closing=undo.pop_all(),
         )
@@ -313,8 +313,8 @@ def _positioner(
                 raise ConfigError(
                     "positioner.kind is callback: the host program must pass its mover"
                 )
-            host = CallbackPositioner(mover)
-            return host if placer is None else HostThenSimulated(host, SimulatedPositioner(placer))
+            simulator = None if placer is None else SimulatedPositioner(placer)
+            return CallbackPositioner(mover, simulator)
         case "operator":
             if ask is None:
                 raise ConfigError("positioner.kind is operator: there is no terminal to ask at")

@@ -269,32 +269,43 @@ class OperatorPositioner:
 class CallbackPositioner:
     """Has the host program move: a callback that gets the pose and returns what was reached.
 
-    The callback returns None or True when the pose is reached, False to veto it, or the `Pose`
-    that it reached instead.
+    Parameters
+    ----------
+    move
+        Callback that returns None or True when the pose is reached, False to veto it, or the `Pose`
+        that it reached instead.
+    simulated
+        Then places the object there: for a host without a robot yet.
     """
 
-    blocks = True
-
-    def __init__(self, move: Callable[[Pose], Pose | bool | None]) -> None:
+    def __init__(
+        self,
+        move: Callable[[Pose], Pose | bool | None],
+        simulated: SimulatedPositioner | None = None,
+    ) -> None:
         self._move = move
+        self._simulated = simulated
+        self.blocks = simulated is None
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
-        """Do nothing: the host brings the objects."""
+        """Choose the object of the simulated cell; to a real one the host brings it."""
+        if self._simulated is not None:
+            self._simulated.present(label)
 
     def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Call the host; see `Positioner`."""
         reached = self._move(pose)
         if reached is False:
             raise PositionerError(f"the host refused to move to {pose}")
-        if isinstance(reached, Pose):
-            return reached
-        if reached is not None and reached is not True:
+        if reached is None or reached is True:
+            reached = replace(pose)
+        elif not isinstance(reached, Pose):
             # An error code, for example: the object may be anywhere.
             raise PositionerError(
                 f"the host answered {reached!r} to a pose: return None or True when it is "
                 "reached, False to refuse, or the Pose reached instead"
             )
-        return replace(pose)
+        return reached if self._simulated is None else self._simulated.move_to(reached)
 
     def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Refuse: the host has given no callback for places; see `HostPlaces`."""
@@ -345,25 +356,3 @@ class HostPlaces:
                 f"the host answered {there!r} to the place {destination.place} of "
                 f"{destination.label}: None or True means that it is there; the part is kept"
             )
-
-
-class HostThenSimulated:
-    """Has the host move first, then the simulated cell: for a host without a robot yet."""
-
-    blocks = False
-
-    def __init__(self, host: CallbackPositioner, simulated: SimulatedPositioner) -> None:
-        self._host = host
-        self._simulated = simulated
-
-    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
-        """Choose the object of the simulated cell."""
-        self._simulated.present(label)
-
-    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
-        """Call the host, then place the object at the pose that it answered."""
-        return self._simulated.move_to(self._host.move_to(pose))
-
-    def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
-        """Refuse, as the host does that gives no callback for places."""
-        self._host.carry_to(destination)

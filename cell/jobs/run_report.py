@@ -96,33 +96,21 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
 
 
 def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...]:
-    score = result.scores[result.default]
-    single = result.scores.get(f"{result.default}_one_grasp")
-    baseline = result.scores.get(BASELINE)
+    low, high = result.scores[result.default].interval
+    shown = {
+        result.default: ("right", f"; 95 % interval {low:.0%} to {high:.0%}"),
+        f"{result.default}_one_grasp": ("right with one grasp", ""),
+    }
+    shown.setdefault(BASELINE, ("right by the paper's method", ", with one grasp"))
     figures = [
         KeyFigure(
             value=f"{score.accuracy:.0%}",
-            caption="right",
-            note=f"{score.n_right} of {score.n}; 95 % interval "
-            f"{score.interval[0]:.0%} to {score.interval[1]:.0%}",
+            caption=caption,
+            note=f"{score.n_right} of {score.n}{note}",
         )
+        for name, (caption, note) in shown.items()
+        if (score := result.scores.get(name)) is not None
     ]
-    if single is not None:
-        figures.append(
-            KeyFigure(
-                value=f"{single.accuracy:.0%}",
-                caption="right with one grasp",
-                note=f"{single.n_right} of {single.n}",
-            )
-        )
-    if baseline is not None and result.default != BASELINE:
-        figures.append(
-            KeyFigure(
-                value=f"{baseline.accuracy:.0%}",
-                caption="right by the paper's method",
-                note=f"{baseline.n_right} of {baseline.n}, with one grasp",
-            )
-        )
     per_trial = np.mean([len(trial.found.records) for trial in result.trials])
     figures.append(KeyFigure(value=f"{per_trial:.1f}", caption="grasps until sure"))
     if config.sequence.decide_early:

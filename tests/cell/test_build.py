@@ -16,7 +16,6 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
-    HostThenSimulated,
     OperatorPositioner,
     SimulatedPositioner,
     SocketPlacer,
@@ -129,7 +128,7 @@ def test_callback_needs_a_mover_and_the_simulated_cell_follows_it(
         return Pose(x_m=pose.x_m + 1e-3)
 
     bench = make_bench(config, mover=move)
-    assert isinstance(positioner(bench), HostThenSimulated)
+    assert isinstance(positioner(bench), CallbackPositioner)
     record = bench.ready().grasp(3.0, Pose(x_m=5e-4))
     assert moved == [Pose(x_m=5e-4)]
     assert record.reached.x_m == pytest.approx(1.5e-3)

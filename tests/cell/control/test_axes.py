@@ -55,6 +55,12 @@ def test_the_axes_bring_the_object_where_the_grasp_is(bench: Any) -> None:
     assert placed.rotation_rad == pytest.approx(POSE.rotation_rad, abs=NEAR_RAD)
 
 
+def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
+    make_bench: Callable[..., Any], config: CellConfig
+) -> None:
+    assert make_bench(config, places=lambda _destination: None).cell.axes is not None
+
+
 def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(bench: Any) -> None:
     def centre_m(pose: Pose) -> float:
         grasp = bench.grasp(4.0, pose).grasp
