@@ -3,14 +3,6 @@ import pytest
 from simulator.clock import Pace, VirtualClock
 
 
-def test_time_moves_only_by_sleeping() -> None:
-    clock = VirtualClock(start_s=5.0)
-    assert clock.monotonic() == 5.0
-    assert clock.monotonic() == 5.0
-    clock.sleep(0.25)
-    assert clock.monotonic() == pytest.approx(5.25)
-
-
 def test_callbacks_see_each_piece_and_the_end() -> None:
     clock = VirtualClock()
     seen: list[float] = []

@@ -160,29 +160,6 @@ def test_one_boot_up_comes_after_power_on() -> None:
     assert line.unit.state == "PRE-OPERATIONAL"
 
 
-def test_the_heartbeat_tells_the_state_at_its_period(line: Line) -> None:
-    assert line.write(od.HEARTBEAT_MS, 0, 50, 2) == 0
-    line.wait(0.12)
-    start_s = 0.05
-    assert line.heard == [
-        (pytest.approx(start_s + 0.05), HEARTBEAT, b"\x7f"),
-        (pytest.approx(start_s + 0.10), HEARTBEAT, b"\x7f"),
-    ]
-    line.take()
-    line.start()
-    line.wait(0.05)
-    assert line.take() == [(HEARTBEAT, b"\x05")]
-    line.tell(NMT, bytes((STOP, 0)))
-    line.wait(0.05)
-    assert line.take() == [(HEARTBEAT, b"\x04")]
-    line.tell(NMT, bytes((PRE_OPERATIONAL, 5)))
-    line.wait(0.05)
-    assert line.take() == [(HEARTBEAT, b"\x7f")]
-    line.write(od.HEARTBEAT_MS, 0, 0, 2)
-    line.wait(1.0)
-    assert line.take() == []
-
-
 def test_services_follow_the_nmt_state(line: Line) -> None:
     upload = struct.pack("<BHB4x", 0x40, od.DEVICE_TYPE, 0)
     assert line.tell(SYNC) == []

@@ -170,17 +170,6 @@ def test_each_request_is_answered_on_its_own_line(served: Served) -> None:
     assert not served.server.path.exists()
 
 
-@pytest.mark.parametrize("line", [b"no json", b"[1]", b"\xff\xfe", b"[" * 50_000, b"1" * 5000])
-def test_lines_that_are_no_request_get_an_error(served: Served, line: bytes) -> None:
-    with served.connect() as client:
-        client.sendall(line + b"\n")
-        served.poll()
-        assert "error" in json.loads(client.recv(4096))
-        client.sendall(b'{"a": 1}\n')
-        served.poll()
-        assert json.loads(client.recv(4096)) == {"n": 1}
-
-
 def test_a_request_without_an_end_is_cut_off(served: Served) -> None:
     with served.connect() as client:
         client.setblocking(False)

@@ -3,7 +3,6 @@
 import errno
 import fcntl
 import os
-import select
 import struct
 import termios
 import tty
@@ -85,12 +84,6 @@ def test_a_packet_that_waited_feeds_the_watchdog(endpoint, device, client):
     assert not servo.core.watchdog_tripped
     device.advance_to(1.61)
     assert servo.core.watchdog_tripped
-
-
-def test_the_descriptor_becomes_readable(endpoint, client):
-    assert select.select([endpoint], [], [], 0.0)[0] == []
-    os.write(client, PING)
-    assert select.select([endpoint], [], [], 1.0)[0] == [endpoint]
 
 
 @pytest.mark.parametrize("speed", [termios.B9600, termios.B57600, termios.B4000000])

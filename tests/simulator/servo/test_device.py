@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from gripper.dynamixel.control_table import RAD_PER_PULSE, REGISTERS
+from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350
 from simulator.servo.protocol2 import Instruction, encode_instruction
 
@@ -339,8 +339,3 @@ def test_goal_positions_of_extended_modes_have_a_wide_range(servo_bench):
     bench = servo_bench(settings={"operating_mode": 5})
     assert bench.write(1, 116, 4, -1_048_575) == 0
     assert bench.write(1, 116, 4, 1_048_576) == RANGE
-
-
-def test_present_position_is_the_angle_of_the_motor(bench):
-    counts = bench.motors[0].angle_rad / RAD_PER_PULSE
-    assert bench.read(1, 132, 4) == pytest.approx(counts, abs=0.51)

@@ -293,15 +293,6 @@ def test_an_error_that_lasts_comes_back_after_the_reboot(bench):
     assert bench.read(1, 70, 1) == 0x04
 
 
-def test_a_servo_that_reboots_by_itself_goes_limp(bench):
-    bench.clock.sleep(0.1)
-    knobs(bench).reboot(bench.clock.monotonic())
-    assert bench.exchange(encode_instruction(1, Instruction.PING)) == b""
-    bench.clock.sleep(0.5)
-    assert bench.read(1, 64, 1) == 0
-    assert bench.motors[0].command.mode is DriveMode.OFF
-
-
 def test_a_stuck_encoder_reports_one_position(bench):
     knobs(bench).stick_encoder()
     stuck = bench.read(1, 132, 4)

@@ -95,15 +95,14 @@ class Bench:
         return self.world.taxel_force_n()[self.layout.taxels_of(pad)].reshape(shape)
 
 
-def spread_m(bench: Bench, finger: int = 0) -> tuple[float, float, float]:
-    """Return the footprint's standard deviations along x and y and its covariance's angle."""
-    force_n = bench.pad_force_n(finger).ravel()
-    xy_m = bench.layout.taxel_xy_m[bench.layout.taxels_of(bench.layout.gripping_pads[finger])]
+def spread_m(bench: Bench) -> tuple[float, float]:
+    """Return the footprint's standard deviations along x and y."""
+    force_n = bench.pad_force_n(0).ravel()
+    xy_m = bench.layout.taxel_xy_m[bench.layout.taxels_of(bench.layout.gripping_pads[0])]
     weights = force_n / force_n.sum()
     offset_m = xy_m - weights @ xy_m
-    covariance = (weights[:, np.newaxis] * offset_m).T @ offset_m
-    angle = 0.5 * math.atan2(2.0 * covariance[0, 1], covariance[0, 0] - covariance[1, 1])
-    return math.sqrt(covariance[0, 0]), math.sqrt(covariance[1, 1]), angle
+    along_m, across_m = np.sqrt(weights @ offset_m**2)
+    return along_m, across_m
 
 
 @pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=["paper", "pinch"])
@@ -163,22 +162,13 @@ def test_a_ball_prints_round_a_cylinder_long_and_a_box_flat() -> None:
     # A line of 20 mm has a standard deviation of 5.8 mm, a face of 15.9 x 10 mm 4.6 and 2.9 mm.
     assert spreads["cylinder"][0] == pytest.approx(6.1e-3, rel=0.07)
     assert spreads["cylinder"][1] < 0.45 * spreads["cylinder"][0]
-    assert spreads["box"][:2] == pytest.approx((4.9e-3, 3.4e-3), rel=0.1)
+    assert spreads["box"] == pytest.approx((4.9e-3, 3.4e-3), rel=0.1)
 
     bench = Bench(layout)
     bench.world.place("box")
     bench.squeeze(8.0)
     inside_n = bench.pad_force_n(0)[5:8, 2:4]
     assert np.ptp(inside_n) < 0.15 * inside_n.mean()
-
-
-@pytest.mark.parametrize("angle_deg", [-60.0, 25.0, 80.0])
-def test_rotation_turns_the_footprint_the_same_way_on_both_pads(angle_deg: float) -> None:
-    bench = Bench(pinch_layout())
-    bench.world.place("cylinder", ObjectPose(rotation_rad=math.radians(angle_deg)))
-    bench.squeeze(5.0)
-    for finger in (0, 1):
-        assert math.degrees(spread_m(bench, finger)[2]) == pytest.approx(angle_deg, abs=4.0)
 
 
 def test_an_offset_moves_the_footprint() -> None:
@@ -188,15 +178,6 @@ def test_an_offset_moves_the_footprint() -> None:
     force_n = bench.pad_force_n(1).ravel()
     xy_m = bench.layout.taxel_xy_m[bench.layout.taxels_of(bench.layout.gripping_pads[1])]
     assert force_n @ xy_m / force_n.sum() == pytest.approx([6e-3, 2e-3], abs=0.3e-3)
-
-
-def test_roll_shows_another_side() -> None:
-    world_a, world_b = Bench(pinch_layout()), Bench(pinch_layout())
-    world_a.world.place("box:length=18mm,width=6mm,height=12mm")
-    world_b.world.place("box:length=18mm,width=6mm,height=12mm", ObjectPose(roll_rad=0.5 * math.pi))
-    world_a.squeeze(6.0)
-    world_b.squeeze(6.0)
-    assert spread_m(world_b)[1] > 1.4 * spread_m(world_a)[1]
 
 
 def test_the_object_floats_until_both_pads_push_equally() -> None:

@@ -276,12 +276,6 @@ def test_a_bus_that_cannot_be_opened_says_what_to_check(
         open_bus(interface, channel)
 
 
-def test_a_bit_rate_that_slcan_does_not_know_is_refused(adapter: Adapter) -> None:
-    with pytest.raises(BusNotOpened, match="Invalid bitrate"):
-        open_bus("slcan", adapter.path, bitrate=123)
-    close_bus(open_bus("slcan", adapter.path, bitrate=500_000))
-
-
 def test_other_interfaces_are_opened_by_python_can() -> None:
     bus = open_bus("virtual", "tactile-test")
     bus.shutdown()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tactile.errors import (
-    CalibrationError,
     FrameTimeout,
     NodeRebooted,
     TareRefused,
@@ -415,12 +414,6 @@ def test_faults_of_the_link_pass_through(sensor, frames) -> None:
     frames.error = NodeRebooted("boot-up")
     with pytest.raises(NodeRebooted):
         sensor.poll()
-
-
-def test_a_calibration_for_another_converter_is_refused() -> None:
-    frames = Frames()
-    with pytest.raises(CalibrationError, match="4095 counts, layout paper has 255"):
-        TactileSensor(frames, LAYOUT, FoamCalibration(4095), clock=frames)
 
 
 # --- tare ----------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from functools import partial
 
 import can
-import canopen
 import numpy as np
 import pytest
 
@@ -48,32 +47,6 @@ def test_the_force_comes_by_table_and_zero_each_three_milliseconds(bench: Bench)
     assert found[-1].status == ForceStatus.ZEROED
     assert np.diff([message.t_s for message in found]).max() < 0.0035
     assert bench.link.statistics.forces.lost == 0
-
-
-def test_an_independent_client_reads_table_and_zero_back(bench: Bench) -> None:
-    for index, expected in (
-        (od.FORCE_TABLE, TABLE),
-        (od.FORCE_ZERO, ZERO),
-    ):
-        assert read_by_canopen(bench, index) == expected
-
-
-def read_by_canopen(bench: Bench, index: int) -> bytes:
-    """Read an object with canopen's own client, in the steps of its transfer."""
-    network = canopen.Network()
-    node = canopen.RemoteNode(5, canopen.import_od(str(od.EDS_PATH), 5))
-    network.add_node(node)
-
-    def exchange(can_id: int, data: bytes, remote: bool = False) -> None:
-        bench.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-        while node.sdo.responses.empty():
-            message = bench.bus.recv(0.05)
-            assert message is not None
-            if message.arbitration_id == 0x585:
-                node.sdo.on_response(0x585, message.data, 0.0)
-
-    network.send_message = exchange
-    return bytes(node.sdo.upload(index, 0))
 
 
 def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
