@@ -3,6 +3,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -63,24 +64,24 @@ def test_operator_who_is_not_there_is_an_error() -> None:
         OperatorPositioner(ask).move_to(POSE)
 
 
+OTHER = Pose(y_m=2e-3)
+
+
 @pytest.mark.parametrize(
-    ("answer", "reached"), [(None, POSE), (True, POSE), (Pose(y_m=2e-3), Pose(y_m=2e-3))]
+    ("answer", "reached"),
+    [
+        *((None, POSE), (True, POSE), (OTHER, OTHER), (False, "host refused")),
+        *((wrong, "the host answered") for wrong in (0, 1, "yes")),
+    ],
 )
-def test_host_moves(answer: Pose | bool | None, reached: Pose) -> None:
+def test_host_moves_or_refuses(answer: Any, reached: Pose | str) -> None:
     positioner = CallbackPositioner(lambda _pose: answer)
     positioner.present("ignored")
-    assert positioner.move_to(POSE) == reached
-
-
-def test_host_can_refuse() -> None:
-    with pytest.raises(PositionerError, match="host refused"):
-        CallbackPositioner(lambda _pose: False).move_to(POSE)
-
-
-@pytest.mark.parametrize("answer", [0, 1, "yes"])
-def test_an_answer_of_the_host_that_is_none_moves_nothing(answer: object) -> None:
-    with pytest.raises(PositionerError, match="the host"):
-        CallbackPositioner(lambda _pose: answer).move_to(POSE)  # type: ignore[arg-type, return-value]
+    if isinstance(reached, Pose):
+        assert positioner.move_to(POSE) == reached
+    else:
+        with pytest.raises(PositionerError, match=reached):
+            positioner.move_to(POSE)
 
 
 @pytest.fixture

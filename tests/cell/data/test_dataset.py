@@ -18,6 +18,7 @@ from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from tests.cell.conftest import plain_pads
 
 PADS = plain_pads((3, 2), (2, 2), pitch_m=6.5e-3, adc_max=255)
+ZERO = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
 
 
 def make_grasp(seed: int = 0, n_frames: int = 4, pads: PadArray = PADS, **changes: Any) -> Grasp:
@@ -54,10 +55,13 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
         make_grasp(1, 1, label="", shape="", source="", force_n=np.array([np.nan])),
         make_grasp(2, 9, aperture_m=np.full(9, np.nan), label="Müller's <b>Kugel</b>"),
         make_grasp(3, thickness_m=4e-3),
+        make_grasp(4, command=GraspCommand.from_values([1e-3, -2e-3, 0.5, 6.0, 4.0])),
+        *(make_grasp(i, zero=ZERO) for i in (5, 6)),
     ]
     write_dataset(tmp_path / "d.npz", grasps)
     back = read_dataset(tmp_path / "d.npz")
-    assert len(back) == 4
+    assert len(back) == 7
+    assert back[5].zero is back[6].zero
     assert all(grasp.pads is back[0].pads for grasp in back)
     assert back[0].pads.same_as(PADS)
     for was, now in zip(grasps, back, strict=True):
@@ -66,7 +70,7 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(now.aperture_m, was.aperture_m, rtol=1e-6)
         np.testing.assert_allclose(now.force_n, was.force_n, rtol=1e-6)
         assert (now.label, now.shape, now.source) == (was.label, was.shape, was.source)
-        assert now.start_ms == was.start_ms
+        assert (now.start_ms, now.command, now.zero) == (was.start_ms, was.command, was.zero)
         assert now.thickness_m == pytest.approx(was.thickness_m, rel=1e-6, nan_ok=True)
 
 
@@ -85,7 +89,8 @@ def test_file_is_the_documented_format_for_numpy_alone(good: Path) -> None:
 def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path: Path) -> None:
     blank = make_grasp(shape="", source="", force_n=np.full(4, np.nan))
     write_dataset(tmp_path / "d.npz", [blank])
-    assert not {"force_n", "shape", "source", "thickness_mm"} & set(arrays_of(tmp_path / "d.npz"))
+    optional = {"force_n", "shape", "source", "thickness_mm", "pose", "self_zero"}
+    assert not optional & set(arrays_of(tmp_path / "d.npz"))
     assert np.all(np.isnan(read_dataset(tmp_path / "d.npz")[0].force_n))
 
 
@@ -111,24 +116,6 @@ def test_recorded_grasps_load_and_round_trip(tmp_path: Path) -> None:
             np.testing.assert_allclose(now[name], array, rtol=1e-6)
         else:
             np.testing.assert_array_equal(now[name], array)
-
-
-def test_placings_come_back_and_files_without_them_stay_valid(good: Path, tmp_path: Path) -> None:
-    asked = GraspCommand(x_m=1e-3, y_m=-2e-3, rotation_rad=0.5, roll_rad=6.0, force_n=4.0)
-    write_dataset(tmp_path / "d.npz", [make_grasp(0), make_grasp(1, command=asked)])
-    assert [grasp.command for grasp in read_dataset(tmp_path / "d.npz")] == [None, asked]
-    assert "pose" not in arrays_of(good)
-    assert [grasp.command for grasp in read_dataset(good)] == [None] * 3
-
-
-def test_self_zeros_come_back_one_for_a_session(good: Path, tmp_path: Path) -> None:
-    zero = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
-    write_dataset(tmp_path / "d.npz", [make_grasp(0), *(make_grasp(i, zero=zero) for i in (1, 2))])
-    none, first, second = read_dataset(tmp_path / "d.npz")
-    assert none.zero is None
-    assert first.zero == zero
-    assert first.zero is second.zero
-    assert "self_zero" not in arrays_of(good)
 
 
 Change = Callable[[dict[str, NDArray[Any]]], Any]
