@@ -14,6 +14,8 @@ COMMAND_COLUMNS = ("x_m", "y_m", "rotation_rad", "roll_rad", "force_n")
 
 CELL_SOURCE = "cell "
 """Start of the source of a grasp that a cell took; the name of the cell follows."""
+DRAWING_SOURCE = "drawing"
+"""Source of a virtual grasp of a drawing."""
 
 SERIES_PAUSE_MS = 3_600_000
 """Pause in ms between two grasps of one object from which on they are of two series."""
@@ -264,6 +266,25 @@ class Grasp:
     def n_frames(self) -> int:
         """Number of frames."""
         return len(self.counts)
+
+    @property
+    def commanded(self) -> bool:
+        """Whether the commanded force is known, of every frame."""
+        return bool(np.all(np.isfinite(self.force_n)))
+
+    @property
+    def contact_frame(self) -> int | None:
+        """First frame under a commanded force; None where that does not show the contact.
+
+        A cell begins the ramp where it stopped at the contact: there the opening shows the size,
+        however fast the ramp then is. Other hands may command a force before they touch.
+        """
+        if not (self.source == DRAWING_SOURCE or self.source.startswith(CELL_SOURCE)):
+            return None
+        forces_n = self.force_n[: int(np.argmax(self.force_n)) + 1]
+        without = np.flatnonzero(forces_n <= 0.0)
+        begun = self.commanded and len(without) and forces_n[-1] > 0.0
+        return int(without[-1]) + 1 if begun else None
 
     def first_frames(self, n_frames: int) -> "Grasp":
         """Return the same grasp with its first frames only."""

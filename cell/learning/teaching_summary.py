@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from cell.learning.blas import one_blas_thread
-from cell.learning.virtual_grasps import SOURCE
-from recognition.grasp import Grasp, by_label, series_of
+from recognition.grasp import DRAWING_SOURCE, Grasp, by_label, series_of
 from recognition.recognizer import Posterior, Trainer
 from recognition.statistics.calibration import blocked_folds
 
@@ -158,7 +157,9 @@ def summarise_teaching(grasps: Sequence[Grasp]) -> TeachingSummary:
         n_grasps=len(grasps),
         few={k: len(group) for k, group in members.items() if len(group) < _ENOUGH_GRASPS},
         drawn=tuple(
-            label for label, group in members.items() if all(g.source == SOURCE for g in group)
+            label
+            for label, group in members.items()
+            if all(g.source == DRAWING_SOURCE for g in group)
         ),
         again=tuple(label for label, found in series.items() if len(found) > 1),
         longest_series_s=max(

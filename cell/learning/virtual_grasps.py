@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from cell.control.plan import GraspStep, Pose
 from gripper.force.ramp import ForceRamp
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 from recognition.shape.foam import FoamModel, PadBed, closed_columns_m, neighbours
 from recognition.shape.models import Drawing, posed, resting_roll_rad
 
@@ -33,8 +33,6 @@ _STEPS = 6
 """Steps of that iteration."""
 _FAR_M = 1.0
 """Distance in m in place of an infinite one, where nothing faces the pad."""
-SOURCE = "drawing"
-"""Origin of such grasps, as a data set keeps it."""
 _SLOW_CONTACT_S = (0.0, 0.05)
 """Shortest and longest time in s from the first touch to the ramp: a finger brakes, and presses
 slowly until the contact is sure (simulated cell; the rounder the object the longer)."""
@@ -279,7 +277,7 @@ class VirtualPads:
             force_n=setpoint_n,
             label=label,
             shape=shape,
-            source=SOURCE,
+            source=DRAWING_SOURCE,
             start_ms=start_ms,
             thickness_m=sum(float(reach_m.max()) for reach_m in upright),
             command=step.command,

@@ -198,7 +198,7 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
     ramp, n = find_ramp(grasp, rest), grasp.n_frames
     if not ramp.touched:
         return grasp, ramp
-    if np.all(np.isfinite(grasp.force_n)):
+    if grasp.commanded:
         end = int(np.flatnonzero(grasp.force_n >= grasp.force_n.max())[-1]) + 1
     else:
         width = min(_HELD_FRAMES, ramp.smoothing)

@@ -56,14 +56,13 @@ _BLOCKS = 3
 """Blocks in time, held out in turn: few large ones, as grasps in use lie far in time."""
 _PARTS = 4
 """Parts of each block, each with a made-up drift of its own."""
-_KEPT = (0.95, 0.99)
-"""Shares of held-out grasps of taught objects whose distance, and whose size, is no new object's.
-"""
-_USUAL_LIMIT = (3.5, 3.0)
-_PRIOR_GRASPS = 30.0
-"""Limits of distance and size that are expected, and their weight in grasps: held out of few
-grasps, one lies far off, and nearer to the whole teaching. Chosen on one to twelve objects with
-four to eighteen grasps each, recorded and simulated."""
+_KEPT = 0.95
+"""Share of held-out grasps of taught objects whose novelty is no new object's."""
+_USUAL_LIMIT = (4.0, 6.5)
+_PRIOR_GRASPS = 20.0
+"""Novelties that are expected there, without the size and with it, and their weight in grasps: held
+out of few grasps, one lies far off, and nearer to the whole teaching. Chosen on one to twelve
+objects with four to eighteen grasps each, recorded and simulated."""
 _NOVELTY_SLOPE = 2.0
 """Log odds of a new object for each unit of the novelty."""
 _NEW_QUANTILE = 0.05
@@ -160,8 +159,8 @@ class ClassModel:
         """Return scores (n, G, O, C) and the novelty (n, G, O, 2) of grasps.
 
         Scores are log likelihoods up to a constant of the grasp; the novelty is the logarithm of
-        the squared distance to the nearest taught grasp, and that of the size of the likeliest
-        object: 0 where the opening is not used.
+        the squared distance to the nearest taught grasp, without and with that of the size from
+        those of the likeliest object: a new object is often a little off in both.
         """
         model = self.discriminant
         assert model.whitening is not None
@@ -188,12 +187,12 @@ class ClassModel:
         scores = -0.5 * (rank + _FREEDOM) * tails - log_volume
         nearest = squared_distances(z, self.taught).min(axis=1).reshape(shape)
         scores = scores.reshape(*shape, -1)
-        novelty = np.zeros((*shape, 2))
-        novelty[..., 0] = np.log(nearest / unit / rank + _LEAST_DISTANCE)
+        novelty = np.log(nearest / unit / rank + _LEAST_DISTANCE)
+        novelty = np.stack([novelty, novelty], axis=-1)
         if features.sizes_mm.size:
             off = self.sizes.distances(features.sizes_mm, features.slack_mm)
             best = scores.argmax(axis=-1)[..., None]
-            novelty[..., 1] = np.log1p(np.take_along_axis(off[:, None], best, axis=-1)[..., 0])
+            novelty[..., 1] += np.log1p(np.take_along_axis(off[:, None], best, axis=-1)[..., 0])
         return scores, novelty
 
 
@@ -352,8 +351,8 @@ def fit_view(
 def _limit(novelty: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return novelties with even odds, from those of held-out grasps (n, 2) and what is usual."""
     share = len(novelty) / (len(novelty) + _PRIOR_GRASPS)
-    held = [np.quantile(novelty[:, k], q) for k, q in enumerate(_KEPT)]
-    return np.asarray(share * np.array(held) + (1.0 - share) * np.array(_USUAL_LIMIT))
+    held = np.quantile(novelty, _KEPT, axis=0)
+    return np.asarray(share * held + (1.0 - share) * np.array(_USUAL_LIMIT))
 
 
 def _placing_mm(levels: Levels, classes: NDArray[np.int64]) -> float:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from cell.learning.teaching_summary import summarise_teaching
-from cell.learning.virtual_grasps import SOURCE
 from recognition.evaluation.splits import a_day_later
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 
 PADS = PadArray(
     pad_shape=np.array([[1, 1]]), taxel_pad=np.zeros(1), taxel_xy_m=np.zeros((1, 2)), adc_max=255
@@ -39,7 +38,7 @@ def test_one_series_of_each_object_is_said_to_miss_what_another_day_brings() -> 
 
 def test_few_grasps_few_objects_and_drawings_are_said_to_need_more() -> None:
     ball = [grasp("ball", i) for i in range(6)]
-    pin = [replace(grasp("pin", i), source=SOURCE) for i in range(60)]
+    pin = [replace(grasp("pin", i), source=DRAWING_SOURCE) for i in range(60)]
     note = summarise_teaching([*ball, *pin]).notes[0]
     assert note.startswith("teach 10 grasps of each object")
     for part in ("(now ball 6)", "4 objects (now 2)", "only drawn (pin)"):

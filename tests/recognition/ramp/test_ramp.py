@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from recognition.features.footprint import pad_grid
+from recognition.features.groups import FEATURE_GROUPS, GraspDescription
 from recognition.ramp.levels import LOAD_FRACTIONS, load_levels, stack_levels
 from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
 
@@ -73,6 +75,27 @@ def test_levels_are_fractions_of_the_full_load(train):
     )
     assert np.all(np.diff(levels.level_time_s, axis=1) >= 0)
     assert levels.noise == pytest.approx(0.0)
+
+
+def test_a_ramp_of_a_cell_has_the_same_levels_at_any_rate(train):
+    """A cell stops at the contact, and its command begins there: rates change the time alone."""
+    rest, whole = learn_rest(train), train[0]
+    before = 12  # the command begins when the ramp has pressed for four frames: a heavy touch
+    command_n = np.r_[np.zeros(before), np.linspace(0.5, 6.0, whole.n_frames - before)]
+    at_once = dataclasses.replace(whole, force_n=command_n, source="cell one")
+    frames = np.r_[0:before, np.repeat(np.arange(before, whole.n_frames), 4)]
+    slow = _cut(at_once, frames)
+    fast, slowly = (load_levels([g], rest) for g in (at_once, slow))
+    assert fast.touch_aperture_mm == pytest.approx(1e3 * whole.aperture_m[before])
+    assert slowly.touch_aperture_mm == pytest.approx(fast.touch_aperture_mm)
+    grids = [pad_grid(whole.pads, pad) for pad in rest.gripping]
+    for name in ("growth", "aperture"):
+        (group,) = (group for group in FEATURE_GROUPS if group.name == name)
+        one, other = (group.features(GraspDescription(of, grids)) for of in (fast, slowly))
+        assert other == pytest.approx(one, abs=0.1)
+    # The command of another hand may begin before it touches.
+    elsewhere = load_levels([dataclasses.replace(at_once, source="")], rest)
+    assert elsewhere.touch_aperture_mm[0, 0] > fast.touch_aperture_mm[0, 0]
 
 
 def test_levels_of_one_grasp_are_those_among_many(train):

@@ -12,7 +12,9 @@ import recognition.recognizers
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
+from recognition.features.footprint import pad_grid
 from recognition.grasp import SelfZero
+from recognition.ramp.levels import load_levels
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import (
     COMPARATORS,
@@ -24,6 +26,7 @@ from recognition.recognizers import (
 )
 from recognition.recognizers.comparators.comparator import Comparator, ComparatorTrainer
 from recognition.recognizers.early_classifiers import EarlyTrainer
+from recognition.recognizers.force_ramp.view import describe
 
 OURS = ("force_ramp", "shrinkage_lda")
 
@@ -309,6 +312,25 @@ def test_a_size_between_two_taught_ones_is_no_taught_object(train, fresh):
     assert np.mean([taught.posterior(g).name == g.label for g in known]) >= 0.7
     moved = [Drift(aperture_offset_m=8e-3).apply(g) for g in known]
     assert all(taught.posterior(g).name == UNKNOWN for g in moved)
+
+
+def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(train, fresh):
+    taught = make_trainer("force_ramp").fit(train)
+    levels = load_levels(fresh, taught.rest)
+    grids = [pad_grid(taught.rest.pads, pad) for pad in taught.rest.gripping]
+    none = np.zeros(1)
+    features = describe(levels, grids, opening=True, log_gains=none, offsets_mm=none)
+    distance = taught.both.model.score(features)[1][:, 0, 0, 0]
+    moved = [
+        dataclasses.replace(features, sizes_mm=features.sizes_mm + off_mm)
+        for off_mm in np.linspace(0.0, 5.0, 101)
+    ]
+    new = np.stack([taught.both.likelihood(some)[1][:, 0, 0] > 0.5 for some in moved])
+    assert not new[0].any()
+    assert new[-1].all()
+    needed = new.argmax(axis=0)
+    near, far = np.argsort(distance)[[2, -3]]
+    assert needed[far] < needed[near]
 
 
 def test_caution_calls_more_objects_unknown(train, fresh):
