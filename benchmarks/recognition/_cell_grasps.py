@@ -27,15 +27,15 @@ def cell_grasps(
     n_grasps: int,
     *,
     seed: int,
-    self_zero: str = "never",
+    changes: Mapping[str, Any] | None = None,
     **differs: Any,
 ) -> list[Grasp]:
     """Have a cell grasp each object ``n_grasps`` times.
 
-    With ``self_zero`` always it measures its own zero first. Fields of the simulator's settings in
-    which it differs from its config may be given.
+    ``changes`` of its config come by key. Fields of the simulator's settings in which it differs
+    from its config may be given.
     """
-    config = configured(objects, seed, self_zero=self_zero)
+    config = configured(objects, seed, **{"self_zero": "never", **(changes or {})})
 
     def settings(config: CellConfig, **others):
         return replace(simulator_settings(config, **others), **differs)

@@ -1,14 +1,17 @@
-"""Taught on one simulated cell, used on another of the same layout.
+"""Taught on one simulated cell, used on another of the same layout, and with ramps of other rates.
 
 The other cell has another foam, another sensitivity of the pads, servos that are mounted 1.8 mm
 off at the opening, pads that are misaligned, and a gain and a foam of its own for each finger.
 Grasps go through servos, buses and force loop. Both cells measure their own zero once, with empty
 fingers; "untold" leaves that out. The gauge takes the first three grasps of one object on the other
 cell, once for each object. Objects never taught are grasped there, too.
+
+The cell that taught names grasps of slower and faster ramps as well, and one that was taught with
+slow ramps names fast ones.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +62,9 @@ OTHER = {
 }
 """Settings of the other cell; 10 counts of a servo are 0.9 mm of half opening."""
 _GAUGE_GRASPS = 3
+_ZEROED = {"self_zero": "always"}
+RATES_N_S = {5.0: 0.3, 20.0: 0.1, 40.0: 0.05}
+"""Rates of the ramps in N/s, and how long each is held in s."""
 
 
 def names(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[tuple[str, str]]:
@@ -84,9 +90,9 @@ def main(effort: float = 1.0) -> None:
     n = repeats(20, effort, least=4)
     taught_objects = dict(list(TAUGHT.items())[: repeats(len(TAUGHT), effort, least=2)])
     new_objects = dict(list(NEVER_TAUGHT.items())[: repeats(len(NEVER_TAUGHT), effort, least=1)])
-    train = cell_grasps(taught_objects, n, seed=51, self_zero="always")
-    same = cell_grasps(taught_objects, n, seed=52, self_zero="always")
-    there = cell_grasps(taught_objects | new_objects, n, seed=53, self_zero="always", **OTHER)
+    train = cell_grasps(taught_objects, n, seed=51, changes=_ZEROED)
+    same = cell_grasps(taught_objects, n, seed=52, changes=_ZEROED)
+    there = cell_grasps(taught_objects | new_objects, n, seed=53, changes=_ZEROED, **OTHER)
     there = [a_day_later(grasp) for grasp in there]
     zeroed = [grasp for grasp in there if grasp.label in taught_objects]
     zeroed_new = [grasp for grasp in there if grasp.label in new_objects]
@@ -123,6 +129,23 @@ def main(effort: float = 1.0) -> None:
     theirs = sum(plain.posterior(g).best != g.label for g in test)
     ratio = max(theirs, 0.5) / max(ours, 0.5)
     line("  ratio", f"shrinkage_lda errs {ratio:.1f} times as often untold")
+    rates(taught_objects, n)
+
+
+def rates(objects: Mapping[str, str], n_grasps: int) -> None:
+    """Print how grasps of each rate of the ramp are named after teaching with each."""
+
+    def grasps(rate_n_s: float, seed: int) -> list[Grasp]:
+        ramp = {"rate_n_s": rate_n_s, "hold_s": RATES_N_S[rate_n_s]}
+        changes = _ZEROED | {f"sequence.ramp.{key}": value for key, value in ramp.items()}
+        return cell_grasps(objects, n_grasps, seed=seed, changes=changes)
+
+    tested = {rate_n_s: grasps(rate_n_s, 52) for rate_n_s in RATES_N_S}
+    for taught_n_s in RATES_N_S:
+        recognizer = ForceRampTrainer().fit(grasps(taught_n_s, 51))
+        for used_n_s, used in tested.items():
+            what = f"  taught {taught_n_s:g}, used {used_n_s:g} N/s"
+            line(what, figures(names(recognizer, used), used))
 
 
 def _called_unknown(recognizer: Recognizer, new: Sequence[Grasp]) -> str:

@@ -100,8 +100,10 @@ def shifted_levels(
         levels,
         maps=tuple(m * f for m, f in zip(levels.maps, factors, strict=True)),
         noise=levels.noise * factors,
+        timed_load=levels.timed_load * factors[:, None],
         aperture_mm=levels.aperture_mm - offset_mm,
         touch_aperture_mm=levels.touch_aperture_mm - offset_mm,
+        timed_aperture_mm=levels.timed_aperture_mm - offset_mm,
     )
 
 

@@ -33,6 +33,7 @@ def aperture_features(levels: Levels) -> NDArray[np.float64]:
             squeeze,
             np.arcsinh(squeeze / _YIELD_SCALE_MM),
             np.arcsinh((levels.aperture_mm - final)[:, :-1] / _YIELD_SCALE_MM),
+            np.arcsinh((levels.timed_aperture_mm - final)[:, :-1] / _YIELD_SCALE_MM),
         ],
         axis=1,
     )

@@ -13,6 +13,11 @@ from recognition.ramp.ramp import Ramp, Rest, held_part
 LOAD_FRACTIONS = (0.3, 0.5, 0.7, 0.85, 1.0)
 """Levels at which footprints are taken, as fractions of the full load."""
 
+TIME_FRACTIONS = tuple(np.linspace(0.0, 1.0, 9)[1:].tolist())
+"""Moments at which the load is taken, as shares of the time from the touch to the end. Under a
+commanded force all of them are the end: the time is then that of the command, and shows nothing of
+the object."""
+
 _FINAL_FRACTION = 0.125
 """Share of the frames from the touch on, the last ones, whose mean is the full load."""
 
@@ -29,11 +34,19 @@ class Levels:
     aperture_mm: NDArray[np.float64]
     """(n, K) float64: opening at each level in mm; NaN where unknown."""
     touch_aperture_mm: NDArray[np.float64]
-    """(n, P) float64: opening where each pad is first touched, in mm; where the cell stopped at the
-    first touch, if it did."""
+    """(n, P) float64: opening where each pad is first touched, in mm; where a cell stopped at the
+    contact, that of both."""
+    timed_load: NDArray[np.float64]
+    """(n, P, 8) float64: sum of the rise at `TIME_FRACTIONS`, as a fraction of one taxel's full
+    scale."""
+    timed_aperture_mm: NDArray[np.float64]
+    """(n, 8) float64: opening at `TIME_FRACTIONS` in mm."""
     level_time_s: NDArray[np.float64]
     """(n, K) float64: time from the touch of both pads to each level in s; 0 under a commanded
-    force, whose time is that of the command and shows nothing of the object."""
+    force."""
+    touch_delay_s: NDArray[np.float64]
+    """(n,) float64: time from the touch of the first pad to that of the second, negative for the
+    reverse, in s; 0 where a cell stopped at the contact."""
     force_n: NDArray[np.float64]
     """(n,) float64: commanded force at the end in N; NaN where unknown."""
     touched: NDArray[np.bool_]
@@ -49,7 +62,10 @@ class Levels:
             noise=self.noise[rows],
             aperture_mm=self.aperture_mm[rows],
             touch_aperture_mm=self.touch_aperture_mm[rows],
+            timed_load=self.timed_load[rows],
+            timed_aperture_mm=self.timed_aperture_mm[rows],
             level_time_s=self.level_time_s[rows],
+            touch_delay_s=self.touch_delay_s[rows],
             force_n=self.force_n[rows],
             touched=self.touched[rows],
         )
@@ -68,7 +84,10 @@ def stack_levels(parts: Sequence[Levels]) -> Levels:
         noise=np.concatenate([p.noise for p in parts]),
         aperture_mm=np.concatenate([p.aperture_mm for p in parts]),
         touch_aperture_mm=np.concatenate([p.touch_aperture_mm for p in parts]),
+        timed_load=np.concatenate([p.timed_load for p in parts]),
+        timed_aperture_mm=np.concatenate([p.timed_aperture_mm for p in parts]),
         level_time_s=np.concatenate([p.level_time_s for p in parts]),
+        touch_delay_s=np.concatenate([p.touch_delay_s for p in parts]),
         force_n=np.concatenate([p.force_n for p in parts]),
         touched=np.concatenate([p.touched for p in parts]),
     )
@@ -84,16 +103,26 @@ def _reduce(grasp: Grasp, ramp: Ramp) -> Levels:
     weights = np.stack([_weights(progress, f, width, last) for f in LOAD_FRACTIONS])
     at = weights @ np.arange(n)
     aperture_mm = _known(grasp.aperture_m) * 1e3
-    time_s = np.interp(at, np.arange(n), grasp.t_s) - grasp.t_s[ramp.start]
-    contact = grasp.contact_frame
-    touch = np.minimum(ramp.touch, n - 1) if contact is None else np.full(len(ramp.touch), contact)
+    frames = np.arange(n, dtype=np.float64)
+    t_start, t_end = float(grasp.t_s[ramp.start]), float(grasp.t_s[-1])
+    times_s = np.interp(at, frames, grasp.t_s) - t_start
+    moments = t_start + (t_end - t_start) * np.array(TIME_FRACTIONS)
+    if grasp.commanded:
+        times_s, moments = np.zeros_like(times_s), np.full_like(moments, t_end)
+    touch = np.minimum(ramp.touch, n - 1)
+    if (contact := grasp.contact_frame) is not None:
+        touch = np.full_like(touch, contact)
+    smooth_pads = uniform_filter1d(ramp.load, width, axis=0, mode="nearest")
     spread = np.sqrt((weights**2).sum(axis=1))[:, None] * ramp.noise_counts
     return Levels(
         maps=tuple((weights @ rise)[None] / full for rise in ramp.rise),
         noise=spread[None] / full,
         aperture_mm=(weights @ aperture_mm)[None],
         touch_aperture_mm=aperture_mm[touch][None],
-        level_time_s=(np.zeros_like(time_s) if grasp.commanded else time_s)[None],
+        timed_load=np.stack([np.interp(moments, grasp.t_s, s) for s in smooth_pads.T])[None] / full,
+        timed_aperture_mm=np.interp(moments, grasp.t_s, aperture_mm)[None],
+        level_time_s=times_s[None],
+        touch_delay_s=np.atleast_1d(grasp.t_s[touch[-1]] - grasp.t_s[touch[0]]),
         force_n=np.atleast_1d(grasp.force_n[-1]),
         touched=np.atleast_1d(ramp.touched),
     )

@@ -79,6 +79,7 @@ def test_levels_with_a_drift_undone_are_those_of_the_taught_sensor(train, fresh)
     undone = shifted_levels(drifted, np.log([0.7, 0.9]), -4.0)
     for a, b in zip(undone.maps, plain.maps, strict=True):
         assert a == pytest.approx(b, abs=2e-3)
+    assert undone.timed_load == pytest.approx(plain.timed_load, abs=0.05)
     assert aperture_features(undone) == pytest.approx(aperture_features(plain), abs=0.02)
 
 
