@@ -56,11 +56,12 @@ _BLOCKS = 3
 """Blocks in time, held out in turn: few large ones, as grasps in use lie far in time."""
 _PARTS = 4
 """Parts of each block, each with a made-up drift of its own."""
-_KEPT = 0.96
-"""Share of held-out grasps of taught objects whose novelty is no new object's."""
-_USUAL_LIMIT = (4.0, 6.5)
-_PRIOR_GRASPS = 20.0
-"""Novelties that are expected there, without the size and with it, and their weight in grasps: held
+_KEPT = (0.95, 0.96)
+"""Shares of held-out grasps of taught objects whose novelty, without the size and with it, is no
+new object's."""
+_USUAL_LIMIT = (3.5, 6.0)
+_PRIOR_GRASPS = 30.0
+"""Novelties that are expected there, and their weight in grasps: held
 out of few grasps, one lies far off, and nearer to the whole teaching. Chosen on one to twelve
 objects with four to eighteen grasps each, recorded and simulated."""
 _NOVELTY_SLOPE = 2.0
@@ -351,8 +352,8 @@ def fit_view(
 def _limit(novelty: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return novelties with even odds, from those of held-out grasps (n, 2) and what is usual."""
     share = len(novelty) / (len(novelty) + _PRIOR_GRASPS)
-    held = np.quantile(novelty, _KEPT, axis=0)
-    return np.asarray(share * held + (1.0 - share) * np.array(_USUAL_LIMIT))
+    held = [np.quantile(novelty[:, k], q) for k, q in enumerate(_KEPT)]
+    return np.asarray(share * np.array(held) + (1.0 - share) * np.array(_USUAL_LIMIT))
 
 
 def _placing_mm(levels: Levels, classes: NDArray[np.int64]) -> float:
