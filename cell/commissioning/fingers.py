@@ -196,9 +196,9 @@ def _swinging(
         halves = np.sin(angles + closed_rad) - np.sin(closed_rad)
         return np.asarray(1e3 * (2.0 * link_m * halves.mean(axis=1) - sizes_m))
 
-    found = least_squares(
-        residuals, (start_m, 0.0), bounds=((5e-3, -1.2), (0.5, 1.2)), x_scale=(0.01, 0.1)
-    )
+    least, most = (5e-3, -1.2), (0.5, 1.2)
+    start = (np.clip(start_m, least[0], most[0]), 0.0)
+    found = least_squares(residuals, start, bounds=(least, most), x_scale=(0.01, 0.1))
     link_m, closed_rad = (float(value) for value in found.x)
     linkage = ParallelLinkage(
         link_m=link_m,

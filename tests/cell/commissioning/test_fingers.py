@@ -68,6 +68,9 @@ def test_a_wrongly_typed_block_shows_in_the_residual() -> None:
     wrong = Measured(angles_rad=second.angles_rad, aperture_m=0.050)
     simple = [fit for fit in fit_linkages([first, wrong]) if fit.kind != "swinging"]
     assert min(fit.residual_m for fit in simple) > 2e-3
+    # In centimetres for millimetres: longer links than any gripper has, and no end of the wizard.
+    far = [Measured(angles_rad=one.angles_rad, aperture_m=0.4) for one in (first, second)]
+    assert min(fit.residual_m for fit in fit_linkages(far)) > 0.05
     with pytest.raises(ValueError, match="block"):
         fit_linkages([])
     with pytest.raises(ValueError, match="open"):

@@ -135,8 +135,9 @@ function renderNow() {
   // Between two runs: what needs a look.
   const noted = state.steps.filter((one) => ["warn", "fail"].includes(one.status));
   const failed = step && state.question?.key === `${step.key}.again`;
-  const said = failed ? step.lines : step ? state.said : noted.flatMap((one) => one.lines.map((text) => `${stepText(one, "title")}: ${told(text).text}`));
-  renew(byId("now_said"), said, () => said.map((text) => line("li", text)));
+  const said = step ? (failed ? step.lines : state.said).map((text) => ["", text])
+    : noted.flatMap((one) => one.lines.map((text) => [`${stepText(one, "title")}: `, text]));
+  renew(byId("now_said"), said, () => said.map(([title, text]) => make("li", {}, title, line("span", text))));
   const live = Object.entries(state.live);
   renew(byId("now_live"), live, () => live.flatMap(([name, value]) => [line("dt", name), line("dd", value)]));
   setText(byId("files"), state.files.length ? t("wizard.files", { files: state.files.join(", ") }) : "");

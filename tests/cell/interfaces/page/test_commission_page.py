@@ -105,7 +105,7 @@ def test_a_second_page_stops_a_motion_and_a_narrow_german_one_has_all(
     becomes(other, "#question_text", "^Anschlüsse ist fehlgeschlagen. Beheben Sie es")
     becomes(other, "#question_choices", "Gefundenes bleibt erhalten")
     becomes(other, "#now_said li", "No adapter is plugged in")
-    languages = [other.get_attribute(i, "lang") for i in ("#question_text", "#now_said li")]
+    languages = [other.get_attribute(i, "lang") for i in ("#question_text", "#now_said span")]
     assert languages == ["de", "en"]
     page.click("text=leave; what was found is kept")
     first_motion(page)
