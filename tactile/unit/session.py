@@ -217,11 +217,6 @@ class LinkSession:
         if self._next_sync_s is not None and now_s >= self._next_sync_s - _SYNC_EARLY_S:
             self._sync(now_s, self._next_sync_s)
 
-    def pump(self) -> None:
-        """Do one round of `service` and let a little time pass."""
-        self.service()
-        self._source.wait(self._settings.sync_period_s)
-
     def wait_for(self, condition: Callable[[], bool], failure: str) -> None:
         """Serve until a condition holds; NodeMissing with ``failure`` after the start-up time."""
         timeout_s = self._settings.startup_timeout_s

@@ -157,8 +157,6 @@ CAN_BUS = _near((
     FaultRow(8, "back again",
              "the CAN adapter is out for 50 ms; no silent reconnect, but by clear and reset",
              "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1, can.adapter_comes_back),
-    FaultRow(8, "receiver dead", "the receive thread ends with an error of the driver",
-             "a driver that raises RuntimeError in a real thread", "HOLD", 0.1, can.receiver_dies),
 ))
 
 CONTROL_UNIT = _near((

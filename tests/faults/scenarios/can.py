@@ -1,17 +1,11 @@
 """Faults of the CAN link and the control unit that the vocabulary alone does not bring about."""
 
-import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
-import can
-
 from cell.control.states import CellState
-from cell.hand.local import LocalHand
 from gripper.force.ramp import ForceRamp
 from simulator.faults.injector import InjectedFault
-from tactile.can.receiver import ThreadedReceiver
 from tactile.errors import TareRefused
 from tests.faults.campaign import CampaignCell, FaultRow, Observed, campaign_cell, observe
 
@@ -53,48 +47,6 @@ def sets_lost(row: FaultRow, *, lost: Callable[[int], bool], crossing: int) -> O
     if crossing == 1:
         return timed
     return replace(timed, outcome=f"{timed.outcome} (first loss {first_s:.0f} ms before)")
-
-
-def receiver_dies(row: FaultRow) -> Observed:
-    """Let a real receive thread die; the link finds it dead in the middle of a grasp."""
-    began_s: list[float] = []
-
-    def die(number: int) -> None:
-        hand = cell.controller.hand
-        if number or not isinstance(hand, LocalHand):
-            return
-        bus = _DyingBus()
-        receiver = ThreadedReceiver(bus, time)
-        receiver.start()
-        for thread in threading.enumerate():
-            if thread.name == "tactile-receive":
-                thread.join(5.0)
-        bus.shutdown()
-        vars(vars(hand.link)["_session"])["_source"] = receiver
-        began_s.append(cell.now_s)
-
-    with campaign_cell(row.changes) as cell:
-        observed = observe(cell, lambda: _on_sync(cell, die))
-        return _since(cell, observed, began_s[0])
-
-
-class _DyingBus(can.BusABC):
-    """A bus whose driver fails with an error of its own at its second call."""
-
-    def __init__(self) -> None:
-        self.channel_info = "dying"
-        self._calls = 0
-        super().__init__("dying")
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send nothing."""
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return nothing, then fail."""
-        self._calls += 1
-        if self._calls > 1:
-            raise RuntimeError("the driver's buffer is damaged")
-        return None
 
 
 def adapter_comes_back(row: FaultRow) -> Observed:
