@@ -1,9 +1,9 @@
 // Commands: Hold for everybody, the others for the page in command; what is not allowed says why.
 
 import { allow, ask, byId, isAllowed, onLongPress, setText } from "./dom.js";
-import { Refused } from "./link.js";
+import { Link, Refused } from "./link.js";
 import { runs } from "./band.js";
-import { faultText, has, t } from "./words.js";
+import { faultText, has, loadWords, t } from "./words.js";
 
 const RELEASE_KEY = 0x4f50;
 
@@ -33,6 +33,25 @@ export function complaint(error) {
     ? error.message : faultText({ number: error.number, text: error.message }, "text");
   const remedy = error.number ? faultText({ number: error.number, remedy: error.remedy }, "remedy") : "";
   return t("said.refused", { text: remedy ? `${text} – ${remedy}` : text });
+}
+
+// Begin a page: words, its own `setup` and `render`, then the connection, with the token asked for.
+// `on` has what a Link tells; `lost` is the key of its text.
+export async function beginPage(view, { setup, render, lost, ...on }) {
+  const login = (wrong) => {
+    setText(byId("login_wrong"), wrong ? t("login.wrong") : "");
+    if (!byId("login").open) byId("login").show();
+  };
+  view.link = new Link({ ...on, refused: () => login(true), lost: () => view.say(t(lost), true) });
+  await loadWords();
+  byId("sure_no").addEventListener("click", () => byId("sure").close());
+  byId("login_form").addEventListener("submit", () => view.link.login(byId("login_token").value.trim()));
+  setup();
+  // What is not live any more is shown as such, whether a message comes or not.
+  setInterval(view.changed, 250);
+  render();
+  if (view.link.token) view.link.connect();
+  else login(false);
 }
 
 // The lease and Hold, which all pages have; `dialogs` are closed by Escape.

@@ -1,10 +1,9 @@
 // The commissioning wizard: its steps, what it asks, what it is about to write, and what it found.
 
 import { allow, ask, byId, isAllowed, make, renew, setText, show } from "./dom.js";
-import { Link } from "./link.js";
 import { renderCommander, setSign } from "./band.js";
-import { setupLease } from "./commands.js";
-import { clock, language, loadWords, number, spoken, stepText, t } from "./words.js";
+import { beginPage, setupLease } from "./commands.js";
+import { clock, language, number, spoken, stepText, t } from "./words.js";
 
 const LOOKS = {
   ready: ["calm", "ready"],
@@ -245,29 +244,16 @@ function setup() {
     const field = byId("question_value");
     if (isAllowed(byId("question_send"))) answer(field.type === "number" ? field.valueAsNumber : field.value);
   });
-  byId("sure_no").addEventListener("click", () => byId("sure").close());
-  byId("login_form").addEventListener("submit", () => view.link.login(byId("login_token").value.trim()));
-  // What is not live any more is shown as such, whether a message comes or not.
-  setInterval(() => (dirty = true), 250);
 }
 
-function login(wrong) {
-  setText(byId("login_wrong"), wrong ? t("login.wrong") : "");
-  if (!byId("login").open) byId("login").show();
-}
-
-view.link = new Link({
+beginPage(view, {
+  setup,
+  render,
+  lost: "wizard.lost",
   state(state) {
     view.state = state;
     dirty = true;
   },
   frame: () => {},
   connected: refreshInfo,
-  refused: () => login(true),
-  lost: () => view.say(t("wizard.lost"), true),
 });
-await loadWords();
-setup();
-render();
-if (view.link.token) view.link.connect();
-else login(false);

@@ -1,15 +1,15 @@
 // The page: everything that it shows comes from the state of the cell; this file joins the parts.
 
 import { ask, byId, setText, show } from "./dom.js";
-import { Link, NoAnswer } from "./link.js";
-import { loadWords, millimetres, number, t } from "./words.js";
+import { NoAnswer } from "./link.js";
+import { millimetres, number, t } from "./words.js";
 import { renderBand, runs } from "./band.js";
 import { renderHeld } from "./held.js";
 import { forget, renderFelt, takeFrame, takeValues } from "./felt.js";
 import { drawOpened, openGrasp, renderShift } from "./shift.js";
 import { renderHealth } from "./health.js";
 import { renderFault } from "./fault.js";
-import { reasonOf, renderCommands, setupCommands, setupLease } from "./commands.js";
+import { beginPage, reasonOf, renderCommands, setupCommands, setupLease } from "./commands.js";
 import { renderTeach, setupTeach, teachEnded } from "./teach.js";
 import { renderGauge, setupGauge } from "./gauge.js";
 import { renderSort, setupSort } from "./sort.js";
@@ -148,8 +148,6 @@ function setup() {
     })));
   }
   byId("grasp_close").addEventListener("click", () => byId("grasp").close());
-  byId("sure_no").addEventListener("click", () => byId("sure").close());
-  byId("login_form").addEventListener("submit", () => view.link.login(byId("login_token").value.trim()));
   window.addEventListener("resize", () => {
     dirty = true;
     drawOpened();
@@ -158,24 +156,6 @@ function setup() {
     dirty = true;
     drawOpened();
   });
-  // What is not live any more is shown as such, whether a message comes or not.
-  setInterval(() => (dirty = true), 250);
 }
 
-function login(wrong) {
-  setText(byId("login_wrong"), wrong ? t("login.wrong") : "");
-  if (!byId("login").open) byId("login").show();
-}
-
-view.link = new Link({
-  state: take,
-  frame: takeFrame,
-  connected: refreshInfo,
-  refused: () => login(true),
-  lost: () => view.say(t("said.lost"), true),
-});
-await loadWords();
-setup();
-render();
-if (view.link.token) view.link.connect();
-else login(false);
+beginPage(view, { setup, render, lost: "said.lost", state: take, frame: takeFrame, connected: refreshInfo });

@@ -7,6 +7,7 @@ export const language = locale.slice(0, 2).toLowerCase();
 
 let texts = {};
 let faults = {};
+let grips = {};
 let steps = {};
 let sentences = []; // pattern of an English sentence, and the own one with {0} in the places of its figures
 const plural = new Intl.PluralRules(locale);
@@ -14,7 +15,7 @@ const plural = new Intl.PluralRules(locale);
 export async function loadWords() {
   const answer = await fetch(new URL(`${language}.json`, import.meta.url));
   let own;
-  ({ faults = {}, steps = {}, sentences: own = {}, ...texts } = await answer.json());
+  ({ faults = {}, grips = {}, steps = {}, sentences: own = {}, ...texts } = await answer.json());
   // The one that says most comes first.
   sentences = Object.entries(own).sort(([a], [b]) => b.length - a.length).map(([english, text]) => [
     new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, "\\$&").replace(/\{\d\}/g, "(.*?)")}$`, "s"), text]);
@@ -36,9 +37,10 @@ export function t(key, values = {}) {
 
 export const has = (key) => key in texts;
 
-// A text of the fault catalogue: the server's is English, the others stand here by number.
+// A text of the fault catalogue: the server's is English, the others stand here by number, and what
+// the grip does by its English text, which many faults share.
 export function faultText(fault, field) {
-  return faults[fault.number]?.[field] ?? fault[field] ?? "";
+  return (field === "grip" ? grips[fault.grip] : faults[fault.number]?.[field]) ?? fault[field] ?? "";
 }
 
 // A text of a step of the commissioning: the server's is English, the others stand here by key.
