@@ -26,17 +26,21 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def cell() -> Iterator[FakeCell]:
+def cell(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeCell]:
     """A server whose state the test writes."""
-    made = FakeCell()
+    made = FakeCell(monkeypatch)
     yield made
     made.close()
 
 
 @pytest.fixture
-def open_page(browser: Any, cell: FakeCell) -> Iterator[Callable[..., Any]]:
-    """Return the opener of pages; what one writes to its console as an error fails the test."""
+def open_page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Callable[..., Any]]:
+    """Return the opener of pages, at the test's ``cell`` where it has one.
+
+    What a page writes to its console as an error fails the test.
+    """
     errors: list[str] = []
+    shown = request.getfixturevalue("cell") if "cell" in request.fixturenames else None
     with ExitStack() as undo:
 
         def make(url: str = "", *, wide: bool = True, command: bool = False, **options: Any) -> Any:
@@ -57,7 +61,7 @@ def open_page(browser: Any, cell: FakeCell) -> Iterator[Callable[..., Any]]:
                     else None
                 ),
             )
-            page.goto(url or cell.url)
+            page.goto(url or shown.url)
             if command:
                 page.click("#command")
                 page.get_by_text("This page is in command").or_(

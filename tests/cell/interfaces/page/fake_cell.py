@@ -1,28 +1,25 @@
-"""A server that shows the page any state: the paths below ``/api`` without a cell behind them."""
+"""The web door on a stub, with any state for the page to show."""
 
-import asyncio
-import math
-import socket
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-import uvicorn
-from fastapi import FastAPI, Request, WebSocket
-from fastapi.responses import JSONResponse, Response
-from starlette.websockets import WebSocketDisconnect
+import pytest
 
 from cell.config.model import CellConfig
 from cell.fault_catalogue import BY_NUMBER
-from cell.interfaces.page import mount_page
 from cell.interfaces.plugin.goals import TASKS
 from cell.interfaces.plugin.plugin import cell_values
-from cell.interfaces.service.service import JobView
+from cell.interfaces.service.service import JobView, Service
+from cell.interfaces.web import WebDoor
 from tactile.layout import paper_layout
+from tests.cell.conftest import small_config
+from tests.cell.interfaces.stub_plugin import StubPlugin
 
-TOKEN = "token-of-the-test"
+PORTS = {"serve__modbus_port": None, "serve__xmlrpc_port": None, "serve__http_port": 0}
 COMMANDS = (*TASKS, "release", "clear", "reset", "shutdown")
 NOT_NOW = {"number": 505, "text": "not allowed now", "remedy": "Read the allowed commands."}
 ALLOWED = {
@@ -66,60 +63,68 @@ def fault_json(number: int, steps: list[str], detail: str) -> dict[str, Any]:
     return asdict(BY_NUMBER[number]) | shown
 
 
-class FakeCell:
-    """Server of the page with a state that the test writes; requests are kept in `asked`."""
+def grasp_json() -> dict[str, Any]:
+    """Return the curves of a grasp."""
+    t_s = np.linspace(0.0, 2.4, 120)
+    force_n = np.clip(5.0 * (t_s - 0.5), 0.0, 7.6)
+    return {
+        "t_s": t_s.tolist(), "force_n": force_n.tolist(),
+        "setpoint_n": np.where(t_s > 0.8, force_n, 0.0).tolist(),
+        "opening_mm": np.clip(18.0 - 22 * t_s, 6.4, 18.0).tolist(),
+        "frame": frame_n(7.6).tolist(),
+    }  # fmt: skip
 
-    def __init__(self) -> None:
+
+class FakeCell:
+    """A service behind its web door, with a state that the test writes; nothing of it runs.
+
+    Attributes
+    ----------
+    asked
+        Task or command of each job that was asked for, and what was given with it.
+    holds
+        Clients that have held.
+    """
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.info = info_json()
         self.state = self.idle()
         self.taught: list[dict[str, Any]] = [
-            {"label": label, "label_id": number, "n_grasps": 20, "shape": shape, "size_mm": size_mm,
-             "photo": None}
-            for number, (label, shape, size_mm) in enumerate(
-                [("bolt", "cylinder", 8.0), ("nut", "flat", 6.4), ("pin", "cylinder", 3.0)], start=1
+            {"label": label, "n_grasps": 20, "shape": shape, "size_mm": size_mm}
+            for label, shape, size_mm in (
+                ("bolt", "cylinder", 8.0), ("nut", "flat", 6.4), ("pin", "cylinder", 3.0)
             )
         ]  # fmt: skip
-        self.photos: dict[str, bytes] = {}
-        self.asked: list[tuple[str, str, Any]] = []
-        self.lease = 0
-        self.alive_s = math.inf
-        self.sends = True
+        self.asked: list[tuple[str, Mapping[str, Any]]] = []
+        self.holds: list[str] = []
+        self.sends = threading.Event()
+        self.sends.set()
         self.n_messages = 0
-        self.refusals: dict[str, tuple[int, int, str]] = {}
-        app = FastAPI()
-        app.add_api_websocket_route("/api/live", self._live)
-        app.add_api_route(
-            "/api/{path:path}", self._answer, methods=["GET", "POST", "PUT", "DELETE"]
-        )
-        mount_page(app)
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._socket.getsockname()[1]
-        config = uvicorn.Config(
-            app,
-            log_config=None,
-            lifespan="off",
-            ws="websockets-sansio",
-            timeout_graceful_shutdown=1,
-        )
-        self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(
-            target=self._server.run, args=([self._socket],), daemon=True
-        )
-        self._thread.start()
+        self.plugin: Any = StubPlugin()
+        self.plugin.labels = ("bolt", "nut", "pin", "washer")
+        self.plugin.taught = lambda: self.taught
+        self.service: Any = Service(self.plugin, small_config(**PORTS))
+        self.service.info = lambda: self.info
+        self.service.frame_n = self._frame_n
+        self.service.shift.grasp = lambda _number: grasp_json()
+        self.service.hold_as = lambda name, _latch: self.holds.append(name)
+        self.service._begin = self._begin
+        patch.setattr("cell.interfaces.web.state_values", lambda _service: self.now())
+        self.door = WebDoor(self.service)
 
     @property
     def url(self) -> str:
         """Address as `serve` prints it."""
-        return f"http://127.0.0.1:{self.port}/#token={TOKEN}"
+        return f"http://127.0.0.1:{self.door.port}/#token={self.door.token}"
 
     def close(self) -> None:
-        self._server.should_exit = True
-        self._thread.join()
-        self._socket.close()
+        self.sends.set()
+        self.door.close()
+        self.service.close()
 
-    def sent(self, method: str, start: str) -> list[Any]:
-        """Return the bodies of all requests of a method to paths that begin so."""
-        return [body for way, path, body in self.asked if way == method and path.startswith(start)]
+    def given(self, task: str) -> list[Mapping[str, Any]]:
+        """Return what was given with each job of a task or command."""
+        return [given for one, given in self.asked if one == task]
 
     # -- states ----------------------------------------------------------------------------------
 
@@ -149,8 +154,7 @@ class FakeCell:
                 "force_n": 0.02, "force_age_s": 0.01, "setpoint_n": 0.0, "opening_mm": 18.5,
                 "temperature_c": 41.0, "frame_age_s": 0.01,
             },
-            "commander": "", "held_by": [], "pose_seq": 0, "pose": None,
-            "taught_revision": 1, "replay": None,
+            "held_by": [], "pose_seq": 0, "pose": None, "replay": None,
             "shift": {
                 "since_s": now_s - 3600 * 3, "parts": 128, "rejected": 3, "missed": 1, "faults": 0,
                 "cycle_s": 11.4, "parts_per_hour": 312.0,
@@ -258,96 +262,34 @@ class FakeCell:
         given = {"number": 12, "outcome_number": 4, "since_s": time.time() - 42} | felt | more
         return asdict(JobView(task=task, outcome=outcome, **given))
 
-    # -- the server ------------------------------------------------------------------------------
+    # -- the service -----------------------------------------------------------------------------
 
     def now(self) -> dict[str, Any]:
         """Return the state with its time and what it allows."""
+        assert self.sends.wait(60.0)
+        self.n_messages += 1
         name = self.state["status"]["state"]
-        allowed = {one: None if one in ALLOWED.get(name, ()) else NOT_NOW for one in COMMANDS}
-        return {"allowed": allowed} | self.state | {"time_s": time.time()}
+        return {
+            "allowed": {one: None if one in ALLOWED.get(name, ()) else NOT_NOW for one in COMMANDS},
+            "commander": self.service.lease.name,
+            "taught_revision": self.service.photos.revision + len(self.given("forget")),
+        } | self.state | {"time_s": time.time()}  # fmt: skip
 
-    async def _live(self, link: WebSocket) -> None:
-        if f"token.{TOKEN}" not in link.scope["subprotocols"]:
-            await link.close(1008)
-            return
-        await link.accept(subprotocol="tactile-cell")
-        try:
-            while True:
-                if self.sends:
-                    await link.send_json(self.now())
-                    self.n_messages += 1
-                    force_n = self.state["live"]["force_n"]
-                    if force_n is not None:
-                        await link.send_bytes(frame_n(force_n).astype("<f4").tobytes())
-                await asyncio.sleep(1 / 30)
-        except (WebSocketDisconnect, RuntimeError):
-            return
+    def _frame_n(self) -> np.ndarray | None:
+        force_n = self.state["live"]["force_n"]
+        return None if force_n is None else frame_n(force_n)
 
-    async def _answer(self, path: str, request: Request) -> Response:
-        raw = await request.body()
-        kind = request.headers.get("content-type", "")
-        body = await request.json() if raw and kind == "application/json" else raw
-        way = request.method
-        self.asked.append((way, path, body))
-        if path == "hold":
-            return JSONResponse({"state": "HELD", "held_by": []})
-        if request.headers.get("authorization") != f"Bearer {TOKEN}":
-            return JSONResponse({"error": "wrong token"}, 401)
-        status, number, text = self.refusals.get(path.partition("/")[0], (0, 0, ""))
-        if status:
-            return JSONResponse({"fault_number": number, "error": text, "remedy": ""}, status)
-        found = self._found(way, path, body)
-        return found if isinstance(found, Response) else JSONResponse(found)
-
-    def _found(self, way: str, path: str, body: Any) -> Any:  # noqa: PLR0911, PLR0912
-        part = path.split("/")
-        match way, part:
-            case "GET", ["info"]:
-                return self.info
-            case "GET", ["state"]:
-                return self.now()
-            case "GET", ["taught"]:
-                return self.taught
-            case "GET", ["taught", label, "photo"]:
-                return Response(self.photos[label], media_type="image/jpeg")
-            case "PUT", ["taught", label, "photo"]:
-                self.photos[label] = body
-                next(one for one in self.taught if one["label"] == label)["photo"] = f"/api/{path}"
-                self.state["taught_revision"] += 1
-                return {}
-            case "DELETE", ["taught", label]:
-                self.taught = [one for one in self.taught if one["label"] != label]
-                self.state["taught_revision"] += 1
-                return {}
-            case "DELETE", ["taught", label, "last"]:
-                next(one for one in self.taught if one["label"] == label)["n_grasps"] -= 1
-                self.state["taught_revision"] += 1
-                return {}
-            case "GET", ["grasps", _]:
-                t_s = np.linspace(0.0, 2.4, 120)
-                force_n = np.clip(5.0 * (t_s - 0.5), 0.0, 7.6)
-                return {
-                    "t_s": t_s.tolist(), "force_n": force_n.tolist(),
-                    "setpoint_n": np.where(t_s > 0.8, force_n, 0.0).tolist(),
-                    "opening_mm": np.clip(18.0 - 22 * t_s, 6.4, 18.0).tolist(),
-                    "frame": frame_n(7.6).tolist(),
-                }  # fmt: skip
-            case "POST", ["lease"]:
-                if self.lease and not body["take"]:
-                    return JSONResponse(
-                        {"fault_number": 514, "error": "another is in command"}, 403
-                    )
-                self.lease += 1
-                self.state["commander"] = body["name"]
-                return {"lease": self.lease}
-            case "POST", ["lease", number, "alive"]:
-                if int(number) != self.lease or not self.state["commander"]:
-                    return JSONResponse({"fault_number": 514, "error": "lease lost"}, 403)
-                return {"lease": self.lease}
-            case "DELETE", ["lease", _]:
-                self.state["commander"], self.lease = "", 0
-                return {"lease": 0}
-            case "POST", ["jobs" | "commands"]:
-                self.state["job"] = self.state["job"] | {"number": body["job"]}
-                return {"job": body["job"]}
-        return {}
+    def _begin(
+        self, lease: int, task: str, given: Mapping[str, Any], number: int, begin: Any
+    ) -> int:
+        self.service.lease.alive(lease)
+        if task == "release":
+            begin()  # checks the key
+        if task == "forget":
+            (named,) = (one for one in self.taught if one["label"] == given["label"])
+            named["n_grasps"] -= 1
+            if not given["last"]:
+                self.taught.remove(named)
+        self.asked.append((task, given))
+        self.state["job"] = self.state["job"] | {"number": number}
+        return number

@@ -14,10 +14,10 @@ from cell.control.states import CellState, GraspState
 from cell.fault_catalogue import CATALOGUE, Fault, Step
 from cell.interfaces.page import FOLDER
 from cell.interfaces.plugin.goals import TASKS
+from cell.interfaces.service.state import state_values
 from cell.interfaces.wizard import Phase
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
-from tests.cell.interfaces.hosts import Client
 from tests.cell.interfaces.page.fake_cell import FakeCell
 
 WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("*.json")}
@@ -170,16 +170,10 @@ def test_files_are_served_without_token_and_with_their_headers(serve: Any) -> No
     link.close()
 
 
-def test_the_fake_server_has_the_fields_of_the_real_one(serve: Any) -> None:
+def test_the_fake_state_has_the_fields_of_the_real_one(serve: Any, cell: FakeCell) -> None:
     """Without this its tests could pass on a page that no cell can serve."""
-    served = serve("http")
-    real = Client(served.doors).get("/api/state")
-    fake = FakeCell()
-    try:
-        state = fake.now()
-    finally:
-        fake.close()
+    state, real = cell.now(), state_values(serve().service)
     assert set(state) == set(real)
     for name in ("status", "live", "job", "shift", "allowed"):
         assert set(state[name]) <= set(real[name]), name
-    assert set(state["fault"] or fake.faulted()["fault"]) == FAULT
+    assert set(cell.faulted()["fault"]) == FAULT

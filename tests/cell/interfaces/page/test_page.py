@@ -32,8 +32,7 @@ def becomes(page: Any, selector: str, wanted: str) -> None:
 def show(page: Any, cell: FakeCell, name: str, **changes: Any) -> dict[str, Any]:
     """Have the server show a state, and wait until the page does."""
     state = cell.named("UNKNOWN", 0.93) if name == "unknown" else getattr(cell, name)()
-    commander = cell.state["commander"]
-    cell.state = state | {"commander": commander} | changes
+    cell.state = state | changes
     cell.state["job"]["number"] += len(cell.asked) + 1
     before = cell.n_messages
     until(lambda: cell.n_messages > before + 1)
@@ -61,21 +60,21 @@ def test_the_page_shows_the_state_and_commands_once(open_page: OpenPage, cell: F
     assert "token" not in page.url
     becomes(page, "#do_identify", "take command first")
     page.click("#do_identify", force=True)
-    assert not cell.sent("POST", "jobs")
+    assert not cell.asked
     page.click("#command")
     becomes(page, "#commander", "This page")
     becomes(page, "#do_identify", "name what is there")
     page.select_option("#keep", "always")
     page.click("#do_identify")
-    until(lambda: cell.sent("POST", "jobs"))
-    assert cell.sent("POST", "jobs") == [
-        {"goal": {"task": "identify", "keep": "always"}, "lease": 1, "job": 13}
-    ]
+    until(lambda: cell.asked)
+    assert cell.asked == [("identify", {"keep": "always", "present": "ball"})]
+    assert cell.state["job"]["number"] == 13
     page.keyboard.press("Escape")
-    until(lambda: cell.sent("POST", "hold"))
+    until(lambda: cell.holds)
     page.click("#hold")
-    until(lambda: len(cell.sent("POST", "hold")) == 2)
-    until(lambda: cell.sent("POST", "lease/1/alive"))
+    until(lambda: len(cell.holds) == 2)
+    heard_s = cell.service.lease._heard_s
+    until(lambda: cell.service.lease._heard_s > heard_s)
 
 
 def test_a_name_is_text_wherever_it_stands(open_page: OpenPage, cell: FakeCell) -> None:
@@ -88,7 +87,7 @@ def test_a_name_is_text_wherever_it_stands(open_page: OpenPage, cell: FakeCell) 
     state["job"] |= {"task": EVIL, "progress": {"best": EVIL, "of": 3, "label": EVIL}}
     state |= {"held_by": [EVIL], "commander": EVIL}
     cell.info |= {"name": EVIL, "places": [EVIL, "rejects"]}
-    cell.taught = [{"label": EVIL, "n_grasps": 3, "shape": EVIL, "size_mm": 3.0, "photo": None}]
+    cell.taught = [{"label": EVIL, "n_grasps": 3, "shape": EVIL, "size_mm": 3.0}]
     cell.state = state
     page = open_page()
     becomes(page, "#held_name", re.escape(EVIL))
@@ -132,7 +131,7 @@ def test_all_states_fit_and_have_no_finding_of_axe(
             page.click("#taught button >> nth=1")
             check("forget")
             page.click("#sure_no")
-    cell.sends = False
+    cell.sends.clear()
     becomes(page, "#state", "Not connected")
     check("away")
 
@@ -173,8 +172,8 @@ def test_the_cell_is_gauged_with_a_taught_object(open_page: OpenPage, cell: Fake
     page.click("#gauge_now")
     page.select_option("#gauge_label", "nut")
     page.click("#gauge_start")
-    until(lambda: cell.sent("POST", "jobs"))
-    assert cell.sent("POST", "jobs")[0]["goal"] == {"task": "gauge", "label": "nut"}
+    until(lambda: cell.asked)
+    assert cell.asked == [("gauge", {"label": "nut"})]
     before, after = {"gain": 1.01, "opening_mm": 0.0}, {"gain": 0.71, "opening_mm": -3.9}
     gauged = {"label": "nut", "before": before, "after": after}
     cell.state["job"] = cell.state["job"] | {
@@ -196,24 +195,21 @@ def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> 
     )
     page.wait_for_selector("#teach_photo", state="visible")
     page.click("#teach_start")
-    until(lambda: cell.sent("POST", "jobs"))
-    goal = cell.sent("POST", "jobs")[0]["goal"]
-    assert goal == {"task": "teach", "label": "washer", "grasps": 10}
+    until(lambda: cell.asked)
+    assert cell.asked == [("teach", {"label": "washer"})]  # ten grasps are the default
     show(page, cell, "teaching")
     becomes(page, "#teach_progress", "washer: 6 of 10 grasps – 1 missed")
     assert page.locator("#teach_each li").count() == 6
     becomes(page, "#do_teach, #teach_start", "a job runs")
 
     nearest = {"label": "washer", "n_grasps": 10, "nearest": "nut", "mistaken_share": 0.12}
-    cell.taught.append(
-        {"label": "washer", "n_grasps": 10, "shape": "flat", "size_mm": 2.0, "photo": None}
-    )
+    cell.taught.append({"label": "washer", "n_grasps": 10, "shape": "flat", "size_mm": 2.0})
     ended = {"outcome": "SUCCEEDED", "taught": nearest}
-    cell.state = cell.teaching(10) | {"commander": cell.state["commander"]} | {
+    cell.state = cell.teaching(10) | {
         "job": cell.state["job"] | ended, "status": cell.idle()["status"],
     }  # fmt: skip
     becomes(page, "#teach_end", "Near to nut: 12% would be mistaken")
-    until(lambda: cell.photos.get("washer", b"").startswith(b"\xff\xd8"))
+    until(lambda: cell.service.photos.has("washer"))
     page.wait_for_selector("#taught img")
 
     page.click("[aria-label='Take the last grasp of washer back']")
@@ -222,8 +218,7 @@ def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> 
     page.click("[aria-label='Forget washer']")
     page.click("#sure_yes")
     becomes(page, "#taught li:last-child b", "pin")
-    taken = [path for way, path, _ in cell.asked if way == "DELETE"]
-    assert taken == ["taught/washer/last", "taught/washer"]
+    assert [given["last"] for given in cell.given("forget")] == [True, False]
 
 
 @pytest.mark.long
@@ -232,8 +227,8 @@ def test_a_sort_shows_places_and_the_part_on_its_way(open_page: OpenPage, cell: 
     page.click("#do_sort")
     page.fill("#sort_parts", "40")
     page.click("#sort_start")
-    until(lambda: cell.sent("POST", "jobs"))
-    assert cell.sent("POST", "jobs")[0]["goal"] == {"task": "sort", "parts": 40}
+    until(lambda: cell.asked)
+    assert cell.given("sort")[0]["parts"] == 40
     show(page, cell, "sorting")
     becomes(page, "#sort_progress", "13 of 40 parts")
     becomes(page, "#sort_way", "nut was brought to tray A")
@@ -258,7 +253,7 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page: OpenPage, cell: 
     becomes(page, "#do_sort", "not in this mode")
     for selector in ("#do_verify", "#do_sort"):
         page.click(selector, force=True)
-    assert not cell.sent("POST", "jobs")
+    assert not cell.asked
 
 
 @pytest.mark.long
@@ -288,14 +283,14 @@ def test_what_is_not_measured_is_a_dash(open_page: OpenPage, cell: FakeCell) -> 
 def test_what_a_busy_server_does_not_answer_is_asked_again(
     open_page: OpenPage, cell: FakeCell
 ) -> None:
-    cell.refusals["info"] = (500, 599, "busy")
+    cell.service.info = lambda: 1 // 0
     page = open_page()
     becomes(page, "#state", "Ready")
     page.click("#strip button >> nth=-1")
     becomes(page, "#grasp_title", "nut")
     page.click("#grasp_close")
     becomes(page, "#cell", "^$")
-    del cell.refusals["info"]
+    cell.service.info = lambda: cell.info
     becomes(page, "#cell", "Cell 3")
 
 
@@ -306,14 +301,14 @@ def test_no_dialog_stands_in_front_of_hold(open_page: OpenPage, cell: FakeCell, 
     page.click("#tab_teach")
     page.click("[aria-label='Forget nut']")
     page.click("#hold")
-    until(lambda: len(cell.sent("POST", "hold")) == 1)
+    until(lambda: len(cell.holds) == 1)
     page.click("#sure_no")
     page.click("#strip button >> nth=-1")
     page.wait_for_selector("#grasp_pads", state="visible")
     page.click("#hold")
-    until(lambda: len(cell.sent("POST", "hold")) == 2)
+    until(lambda: len(cell.holds) == 2)
     page.keyboard.press("Escape")
-    until(lambda: len(cell.sent("POST", "hold")) == 3)
+    until(lambda: len(cell.holds) == 3)
     page.wait_for_selector("#grasp", state="hidden")
 
 
@@ -325,29 +320,6 @@ def test_an_old_frame_is_not_shown(open_page: OpenPage, cell: FakeCell) -> None:
     cell.state["live"] = dict.fromkeys(cell.state["live"])
     page.wait_for_selector("#pads_none", state="visible")
     becomes(page, "#pads_none", "No frames of the pads")
-
-
-@pytest.mark.long
-def test_a_recording_is_replayed(open_page: OpenPage, cell: FakeCell) -> None:
-    cell.info |= {"mode": "replay"}
-    cell.state |= {"replay": {"paused": False, "speed": 1.0, "grasp": 3, "of": 12, "t_s": 1.4}}
-    page = open_page()
-    becomes(page, "#replay_at", "grasp 3 of 12, 1.4 s")
-    page.click("#replay_pause")
-    page.select_option("#replay_speed", "5")
-    page.evaluate(
-        "() => { const slider = document.querySelector('#replay_grasp');"
-        " slider.value = 7; slider.dispatchEvent(new Event('change')); }"
-    )
-    until(lambda: len(cell.sent("POST", "replay")) == 3)
-    assert cell.sent("POST", "replay") == [{"pause": True}, {"speed": 5}, {"grasp": 7}]
-    page.set_input_files(
-        "#replay_file",
-        {"name": "a.mcap", "mimeType": "application/octet-stream", "buffer": b"\x89MCAP0"},
-    )
-    until(lambda: cell.sent("PUT", "replay") == [b"\x89MCAP0"])
-    assert not page.is_visible("#hold")
-    assert not page.is_visible("#do_identify")
 
 
 @pytest.mark.long
@@ -368,28 +340,26 @@ def test_the_keyboard_alone_is_enough(open_page: OpenPage, cell: FakeCell) -> No
     becomes(page, "#commander", "This page")
     tab_to("do_identify")
     page.keyboard.press("Space")
-    until(lambda: cell.sent("POST", "jobs"))
+    until(lambda: cell.asked)
     show(page, cell, "named")
     tab_to("do_release")
     page.keyboard.press("Enter")
-    assert not cell.sent("POST", "commands")
+    assert not cell.given("release")
     page.keyboard.down("Space")
-    until(lambda: page.wait_for_timeout(100) or cell.sent("POST", "commands"))
+    until(lambda: page.wait_for_timeout(100) or cell.given("release"))
     page.keyboard.up("Space")
-    command = cell.sent("POST", "commands")[0]
-    assert (command["command"], command["key"]) == ("release", 20304)
     tab_to("tab_held")
     page.keyboard.press("ArrowRight")
     assert page.is_visible("#teach_name")
     tab_to("teach_name")
     page.keyboard.type("washer")
     page.keyboard.press("Escape")
-    until(lambda: cell.sent("POST", "hold"))
+    until(lambda: cell.holds)
 
 
 @pytest.mark.long
 def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -> None:
-    page = open_page(f"http://127.0.0.1:{cell.port}/#token=wrong")
+    page = open_page(f"http://127.0.0.1:{cell.door.port}/#token=wrong")
     becomes(page, "#login_wrong", "refused")
     page.fill("#login_token", cell.url.partition("token=")[2])
     page.keyboard.press("Enter")
@@ -398,7 +368,7 @@ def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -
 
 
 @pytest.mark.real_time
-def test_the_first_paint_is_quick(open_page: OpenPage) -> None:
+def test_the_first_paint_is_quick(open_page: OpenPage, cell: FakeCell) -> None:
     """Measured at the second visit: at the first one the browser itself still starts."""
     page = open_page()
     becomes(page, "#state", "Ready")
