@@ -622,7 +622,7 @@ class CellController:
 
     def _begin_answer(self, answer: Callable[[], _T]) -> Callable[[], _T]:
         """Begin to compute beside the motions, where that delays no force loop; else do it last."""
-        return in_thread(answer).result if self._hand.own_process else answer
+        return in_thread(answer, "answer").result if self._hand.own_process else answer
 
     def _grasp(
         self,

@@ -75,8 +75,8 @@ class Positioner(Protocol):
         ...
 
 
-def in_thread(call: Callable[[], _T]) -> Future[_T]:
-    """Begin a call on a thread of its own; return its result to come."""
+def in_thread(call: Callable[[], _T], name: str) -> Future[_T]:
+    """Begin a call on a thread of its own with that name; return its result to come."""
     future: Future[_T] = Future()
 
     def run() -> None:
@@ -85,7 +85,7 @@ def in_thread(call: Callable[[], _T]) -> Future[_T]:
         except BaseException as error:
             future.set_exception(error)
 
-    threading.Thread(target=run, name="beside", daemon=True).start()
+    threading.Thread(target=run, name=name, daemon=True).start()
     return future
 
 
@@ -118,7 +118,7 @@ class PatientCaller:
             raise PositionerError(
                 "the last move was given up and has not ended yet; end it, then go on"
             )
-        self._last = future = in_thread(call)
+        self._last = future = in_thread(call, "positioner")
         while not future.done():
             supervise()
             self._clock.sleep(self._period_s)
