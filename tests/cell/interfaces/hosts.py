@@ -63,28 +63,23 @@ class Client:
         self.port = doors["http_port"]
         self.token = doors["token"]
 
-    def ask(
-        self, method: str, path: str, body: Any = None, *, token: str | None = "", **headers: str
-    ) -> tuple[int, Any]:
-        """Return status and answer."""
+    def send(
+        self, method: str, path: str, data: Any = None, *, token: str | None = "", **headers: str
+    ) -> tuple[int, Any, str]:
+        """Return status, answer and its type; a JSON answer as what it is."""
         link = HTTPConnection("127.0.0.1", self.port, timeout=LIMIT_S)
         if token is not None:
             headers["Authorization"] = f"Bearer {token or self.token}"
-        data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
-        link.request(method, path, data, {"Content-Type": "application/json"} | headers)
-        answer = link.getresponse()
-        found = answer.read()
-        link.close()
-        return answer.status, json.loads(found) if found else None
-
-    def send(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any, str]:
-        """Return status, answer and its type; a JSON answer as what it is."""
-        link = HTTPConnection("127.0.0.1", self.port, timeout=LIMIT_S)
-        link.request(method, path, body, {"Authorization": f"Bearer {self.token}"})
+        link.request(method, path, data, headers)
         answer = link.getresponse()
         found, kind = answer.read(), answer.getheader("Content-Type", "")
         link.close()
         return answer.status, json.loads(found) if "json" in kind else found, kind
+
+    def ask(self, method: str, path: str, body: Any = None, **more: Any) -> tuple[int, Any]:
+        """Return status and answer to a request with JSON."""
+        data = None if body is None else json.dumps(body)
+        return self.send(method, path, data, **{"Content-Type": "application/json"} | more)[:2]
 
     def get(self, path: str) -> Any:
         status, found = self.ask("GET", path)

@@ -7,7 +7,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +32,7 @@ from cell.interfaces.wizard import Wizard, WizardDoor
 from tactile.layout import paper_layout
 from tests.cell.commissioning.test_engine import REAL, Asking
 from tests.cell.interfaces.conftest import until
+from tests.cell.interfaces.hosts import Client
 
 WRITES = tuple(
     Write(
@@ -127,26 +127,17 @@ class Moving(Asking):
         }
 
 
-class Client:
+class Page(Client):
     """A page: HTTP with the token, and the lease."""
 
-    def __init__(self, door: WizardDoor) -> None:
-        self._link = HTTPConnection("127.0.0.1", door.port, timeout=20.0)
-        self.token = door.token
-        self.lease = 0
+    lease = 0
 
-    def ask(self, method: str, path: str, body: Any = None) -> tuple[int, bytes]:
-        headers = {"Authorization": f"Bearer {self.token}", "Content-Type": "application/json"}
-        data = None if body is None else json.dumps(body)
-        self._link.request(method, f"/api/{path}", body=data, headers=headers)
-        answer = self._link.getresponse()
-        return answer.status, answer.read()
-
-    def post(self, path: str, **body: Any) -> int:
-        return self.ask("POST", path, {"lease": self.lease, **body})[0]
+    def tell(self, path: str, **body: Any) -> int:
+        """Command under the lease; return the status."""
+        return self.ask("POST", f"/api/{path}", {"lease": self.lease, **body})[0]
 
     def state(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(self.ask("GET", "state")[1])
+        found: dict[str, Any] = self.get("/api/state")
         return found
 
     def becomes(self, phase: str) -> dict[str, Any]:
@@ -154,13 +145,10 @@ class Client:
         return self.state()
 
     def answer(self, value: Any) -> int:
-        return self.post("answer", asked_id=self.state()["asked_id"], value=value)
+        return self.tell("answer", asked_id=self.state()["asked_id"], value=value)
 
     def acquire(self) -> None:
-        self.lease = json.loads(self.ask("POST", "lease", {"name": "page"})[1])["lease"]
-
-    def close(self) -> None:
-        self._link.close()
+        self.lease = self.post("/api/lease", name="page")["lease"]
 
 
 @pytest.fixture
@@ -179,17 +167,15 @@ def wizard(tmp_path: Path, walk: list[Any]) -> Iterator[Wizard]:
 
 
 @pytest.fixture
-def client(wizard: Wizard) -> Iterator[Client]:
+def client(wizard: Wizard) -> Iterator[Page]:
     """A page on the door of the wizard."""
     door = WizardDoor(wizard)
-    found = Client(door)
-    yield found
-    found.close()
+    yield Page({"http_port": door.port, "token": door.token})
     door.close()
 
 
 @pytest.fixture
-def asked(client: Client) -> Callable[[Any], None]:
+def asked(client: Page) -> Callable[[Any], None]:
     """Return what answers the next question."""
 
     def answer(value: Any) -> None:
@@ -200,10 +186,10 @@ def asked(client: Client) -> Callable[[Any], None]:
 
 
 def test_the_whole_way_left_once_and_taken_up_again(
-    client: Client, walk: list[Any], tmp_path: Path, asked: Callable[[Any], None]
+    client: Page, walk: list[Any], tmp_path: Path, asked: Callable[[Any], None]
 ) -> None:
     client.acquire()
-    assert client.post("run") == 200
+    assert client.tell("run") == 200
     state = client.becomes("asking")
     assert state["question"]["text"] == "Which port leads to the servos?"
     asked("0")
@@ -213,7 +199,7 @@ def test_the_whole_way_left_once_and_taken_up_again(
     assert "none of them was done" in state["error"]["text"]
     assert [step["status"] for step in state["steps"]] == ["pass", ""]
 
-    assert client.post("run") == 200
+    assert client.tell("run") == 200
     asked(True)
     until(lambda: "servo 1: " in client.state()["live"].get("", ""))
     assert client.state()["said"] == ["Both servos answer at 1,000,000 bit/s."]
@@ -226,36 +212,36 @@ def test_the_whole_way_left_once_and_taken_up_again(
     assert str(tmp_path / RECORD_NAME) in state["files"]
     assert state["steps"][1]["figures"] == {"ramp": "Ramp", "noise": "Noise"}
     for name in ("ramp", "noise"):
-        status, picture = client.ask("GET", f"steps/fingers/figures/{name}")
+        status, picture = client.ask("GET", f"/api/steps/fingers/figures/{name}")
         assert status == 200
         assert picture.startswith(b"<svg")
-    assert client.ask("GET", "steps/fingers/figures/none")[0] == 404
-    assert b"A block of 10 mm" in client.ask("GET", "record")[1]
+    assert client.ask("GET", "/api/steps/fingers/figures/none")[0] == 404
+    assert b"A block of 10 mm" in client.ask("GET", "/api/record")[1]
 
 
 def test_anybody_stops_a_motion_without_token_and_lease(
-    client: Client, walk: list[Any], asked: Callable[[Any], None]
+    client: Page, walk: list[Any], asked: Callable[[Any], None]
 ) -> None:
     client.acquire()
-    client.post("run")
+    client.tell("run")
     for value in ("1", True, "done"):
         asked(value)
     until(lambda: "opening" in client.state()["live"])
     client.token = "wrong-token"
-    assert client.ask("POST", "hold?name=another")[0] == 200
-    assert client.ask("GET", "state")[0] == 401
+    assert client.ask("POST", "/api/hold?name=another")[0] == 200
+    assert client.ask("GET", "/api/state")[0] == 401
     until(lambda: walk[1].limp)
 
 
 def test_a_person_who_falls_silent_ends_a_motion_and_no_question(
-    client: Client, wizard: Wizard, walk: list[Any], asked: Callable[[Any], None]
+    client: Page, wizard: Wizard, walk: list[Any], asked: Callable[[Any], None]
 ) -> None:
     client.acquire()
-    client.post("run")
+    client.tell("run")
     client.becomes("asking")
     wizard.lease.give_up(client.lease)
     assert client.state()["phase"] == "asking"
-    assert client.post("answer", asked_id=1, value="0") == 403
+    assert client.tell("answer", asked_id=1, value="0") == 403
     client.acquire()
     for value in ("0", True, "done"):
         asked(value)
@@ -266,15 +252,15 @@ def test_a_person_who_falls_silent_ends_a_motion_and_no_question(
     assert walk[1].limp
 
 
-def test_only_what_is_offered_is_an_answer(client: Client, walk: list[Any]) -> None:
+def test_only_what_is_offered_is_an_answer(client: Page, walk: list[Any]) -> None:
     client.acquire()
-    client.post("run")
+    client.tell("run")
     client.becomes("asking")
     for wrong in ("7", 0, True, ""):
         assert client.answer(wrong) == 422, wrong
-    assert client.post("answer", asked_id=99, value="0") == 422
-    assert client.post("run") == 422
-    assert client.post("redo", key="ports") == 422
+    assert client.tell("answer", asked_id=99, value="0") == 422
+    assert client.tell("run") == 422
+    assert client.tell("redo", key="ports") == 422
     client.lease += 1
     assert client.answer("0") == 403
 
@@ -294,31 +280,31 @@ def test_a_number_has_its_range(wizard: Wizard, walk: list[Any], wrong: Any) -> 
 
 
 def test_what_ends_the_wizard_is_named_and_the_step_is_taken_up_again(
-    client: Client, walk: list[Any]
+    client: Page, walk: list[Any]
 ) -> None:
     walk[0].mistakes = 1
     client.acquire()
-    client.post("run")
+    client.tell("run")
     state = client.becomes("failed")
     assert "RuntimeError: this step has a mistake" in state["error"]["text"]
     assert state["error"]["number"] > 0
-    client.post("run")
+    client.tell("run")
     assert client.becomes("asking")["error"] is None
 
 
 def test_a_step_is_done_again_with_those_that_need_it(
-    client: Client, walk: list[Any], asked: Callable[[Any], None]
+    client: Page, walk: list[Any], asked: Callable[[Any], None]
 ) -> None:
     walk[1].go.set()
     client.acquire()
-    client.post("run")
+    client.tell("run")
     for value in ("0", True, "done", 10.0):
         asked(value)
     client.becomes("finished")
-    status, answer = client.ask("POST", "redo", {"lease": client.lease, "key": "ports"})
-    assert (status, json.loads(answer)) == (200, {"steps": ["ports", "fingers"]})
+    found = client.ask("POST", "/api/redo", {"lease": client.lease, "key": "ports"})
+    assert found == (200, {"steps": ["ports", "fingers"]})
     assert [step["status"] for step in client.state()["steps"]] == ["", ""]
-    assert client.post("redo", key="wheels") == 500
+    assert client.tell("redo", key="wheels") == 500
 
 
 def test_the_end_of_the_program_ends_the_step(wizard: Wizard) -> None:
@@ -338,10 +324,7 @@ def test_the_command_opens_the_page_until_it_is_ended(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         found = json.loads(process.stdout.readline())
-        link = HTTPConnection("127.0.0.1", found["http_port"], timeout=20.0)
-        link.request("GET", "/api/state", headers={"Authorization": f"Bearer {found['token']}"})
-        state = json.loads(link.getresponse().read())
-        link.close()
+        state = Client(found).get("/api/state")
         process.send_signal(signal.SIGTERM)
         assert process.wait(20.0) == 1  # not all steps are done
     assert state["phase"] == "ready"

@@ -40,6 +40,14 @@ SaveOption = Annotated[
 ]
 
 
+def _port(flag: str, door: str, key: str) -> typer.models.OptionInfo:
+    """Return the option of a door's port."""
+    found: typer.models.OptionInfo = typer.Option(
+        flag, help=f"Port of {door}; 0: any [default: serve.{key}]."
+    )
+    return found
+
+
 def serve(
     config: ConfigOption = None,
     model: ModelOption = None,
@@ -53,26 +61,14 @@ def serve(
         list[str] | None,
         typer.Option("--allow", help="Host or network that may connect; repeat for several."),
     ] = None,
-    modbus_port: Annotated[
-        int | None,
-        typer.Option("--modbus", help="Port of Modbus TCP; 0: any [default: serve.modbus_port]."),
-    ] = None,
-    xmlrpc_port: Annotated[
-        int | None,
-        typer.Option("--xml-rpc", help="Port of XML-RPC; 0: any [default: serve.xmlrpc_port]."),
-    ] = None,
-    http_port: Annotated[
-        int | None,
-        typer.Option("--http", help="Port of HTTP; 0: any [default: serve.http_port]."),
-    ] = None,
+    modbus_port: Annotated[int | None, _port("--modbus", "Modbus TCP", "modbus_port")] = None,
+    xmlrpc_port: Annotated[int | None, _port("--xml-rpc", "XML-RPC", "xmlrpc_port")] = None,
+    http_port: Annotated[int | None, _port("--http", "HTTP", "http_port")] = None,
     out_folder: Annotated[
         Path | None,
         typer.Option("--out", help="Folder for the recording; without it none is made."),
     ] = None,
-    opcua_port: Annotated[
-        int | None,
-        typer.Option("--opcua", help="Port of OPC UA; 0: any [default: serve.opcua_port]."),
-    ] = None,
+    opcua_port: Annotated[int | None, _port("--opcua", "OPC UA", "opcua_port")] = None,
     opcua_folder: Annotated[
         str | None,
         typer.Option(
@@ -81,11 +77,7 @@ def serve(
         ),
     ] = None,
     foxglove_port: Annotated[
-        int | None,
-        typer.Option(
-            "--foxglove",
-            help="Port of the live stream for Foxglove; 0: any [default: serve.foxglove_port].",
-        ),
+        int | None, _port("--foxglove", "the live stream for Foxglove", "foxglove_port")
     ] = None,
     speed: Annotated[
         float,
