@@ -15,6 +15,7 @@ from docs.tools.catalogue_page import catalogue_page
 from docs.tools.command_page import command_page
 from docs.tools.config_page import config_page
 from docs.tools.faults_page import faults_page
+from docs.tools.modbus_page import commands_page, registers_page
 from docs.tools.opc_ua_page import opc_ua_page
 from docs.tools.recording_page import recording_page
 from docs.tools.states_page import states_page
@@ -29,6 +30,8 @@ MAKERS: dict[str, Callable[[], str]] = {
     "commissioning": walk_page,
     "config": config_page,
     "faults": faults_page,
+    "modbus commands": commands_page,
+    "modbus registers": registers_page,
     "names of gripper": lambda: names_page("gripper"),
     "names of recognition": lambda: names_page("recognition"),
     "names of tactile": lambda: names_page("tactile"),

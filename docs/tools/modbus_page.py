@@ -1,0 +1,27 @@
+"""The tables of the Modbus registers and commands, made from those of all doors."""
+
+from cell.interfaces.service.host_calls import COMMANDS
+from cell.interfaces.service.host_values import PLATE, VALUES
+
+
+def registers_page() -> str:
+    """Return one row for each input register that has one value."""
+    rows = {
+        value.register: f"| {value.register} | `{value.node}` | {value.text}"
+        + (f"; unit {value.unit:g}" if value.kind is float and value.unit != 1.0 else "")
+        + " |"
+        for value in (*VALUES, *PLATE)
+        if value.register
+    }
+    return "\n".join(
+        ("| register | as in OPC UA | |", "| --- | --- | --- |", *(rows[n] for n in sorted(rows)))
+    )
+
+
+def commands_page() -> str:
+    """Return one row for each command that starts a job."""
+    rows = ["| command | | what it takes |", "| --- | --- | --- |"]
+    for command in COMMANDS:
+        numbers = ", ".join(map(str, command.numbers))
+        rows.append(f"| {numbers} | {command.text} | {', '.join(command.fields)} |")
+    return "\n".join(rows)
