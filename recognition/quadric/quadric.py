@@ -15,15 +15,12 @@ unit of the quadric's coordinates.
 """
 
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recognition.errors import QuadricError, TransformError
 
-DEFAULT_ORDER = "TRS"
-"""M = T R S: a point is scaled first, then rotated, then translated."""
 J = -0.5
 """The entry j of every height-field matrix: 2 j = -1."""
 MIN_POINTS = 7
@@ -91,73 +88,22 @@ def rotation_xyz(angle_rad: ArrayLike) -> NDArray[np.float64]:
     return rotation_z(angle[..., 2]) @ rotation_y(angle[..., 1]) @ rotation_x(angle[..., 0])
 
 
-def compose(
-    *,
-    translate: NDArray[np.float64],
-    rotate: NDArray[np.float64],
-    scale: NDArray[np.float64],
-    order: str = DEFAULT_ORDER,
-) -> NDArray[np.float64]:
-    """Multiply the three in the given order, read as a product: "TRS" is M = T R S."""
-    by_letter = {"T": translate, "R": rotate, "S": scale}
-    return reduce(np.matmul, [by_letter[letter] for letter in check_order(order)])
-
-
-def check_order(order: str) -> str:
-    """Return ``order`` if it is a permutation of the letters T, R and S."""
-    if sorted(order) != ["R", "S", "T"]:
-        raise TransformError(f"order is {order!r}, expected a permutation of 'TRS'")
-    return order
-
-
-def invert(M: ArrayLike, *, max_condition: float = 1e12) -> NDArray[np.float64]:
-    """Invert homogeneous matrices of shape (..., 4, 4).
-
-    Raises
-    ------
-    TransformError
-        Where a matrix is not finite, its last row is not (0, 0, 0, 1), or its condition number
-        exceeds ``max_condition``.
-    """
-    M = np.asarray(M, dtype=np.float64)
-    if M.ndim < 2 or M.shape[-2:] != (4, 4):
-        raise TransformError(f"M has shape {M.shape}, expected (..., 4, 4)")
-    if not np.all(np.isfinite(M)):
-        raise TransformError("M has values that are not finite")
-    if np.any(np.abs(M[..., 3, :] - (0.0, 0.0, 0.0, 1.0)) > 1e-12):
-        raise TransformError("the last row of M is not (0, 0, 0, 1)")
-    condition = float(np.max(np.linalg.cond(M[..., :3, :3]), initial=1.0))
-    if not condition <= max_condition:
-        raise TransformError(f"M has condition number {condition:.3g}, limit {max_condition:.3g}")
-    return np.linalg.inv(M)
-
-
-def congruence(Q: ArrayLike, M: ArrayLike) -> NDArray[np.float64]:
-    """Carry quadrics along with the points: Q' = M^-T Q M^-1 (paper eq. (2)).
+def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Carry quadrics along with the points, P' = M P: Q' = M^-T Q M^-1 (paper eq. (2)).
 
     Parameters
     ----------
     Q : (..., 4, 4)
         Symmetric property matrices.
-    M : (..., 4, 4)
-        Maps points: P' = M P; broadcast against ``Q``.
+    M_inv : (..., 4, 4)
+        M^-1; broadcast against ``Q``.
 
     Returns
     -------
     (..., 4, 4) float64
         Exactly symmetric. Rank and signature are those of ``Q``; the eigenvalues are only where
         M is orthogonal, that is for a rotation about the origin.
-
-    Raises
-    ------
-    TransformError
-        Where M has no inverse, see `invert`.
     """
-    return by_inverse(np.asarray(Q, dtype=np.float64), invert(M))
-
-
-def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Apply `congruence` where M^-1 is already known and good."""
     out: NDArray[np.float64] = np.swapaxes(M_inv, -1, -2) @ Q @ M_inv
     return 0.5 * (out + np.swapaxes(out, -1, -2))
 

@@ -23,14 +23,6 @@ def _grid(n=7, pitch_m=0.002):
     return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _similarity(rng):
-    return quadric.compose(
-        translate=quadric.translation(rng.uniform(-5, 5, 3)),
-        rotate=quadric.rotation_xyz(rng.uniform(0, 2 * np.pi, 3)),
-        scale=quadric.scaling(rng.uniform(0.3, 3.0)),
-    )
-
-
 # --- height field ---------------------------------------------------------------------------
 
 
@@ -42,7 +34,9 @@ def test_fit_recovers_an_exact_height_field_in_millimetres():
     found = fit_height_field(xy_mm * 1e-3, z)
     to_pad_mm = np.diag([found.scale_m * 1e3, found.scale_m * 1e3, 1.0, 1.0])
     to_pad_mm[:2, 3] = found.centre_m * 1e3
-    assert quadric.congruence(found.Q, to_pad_mm) == pytest.approx(expected, abs=1e-9)
+    assert quadric.by_inverse(found.Q, np.linalg.inv(to_pad_mm)) == pytest.approx(
+        expected, abs=1e-9
+    )
     assert found.centre_m == pytest.approx([0.003, -0.002])
     assert found.residual < 1e-9
     assert found.n_points == 49
@@ -133,9 +127,9 @@ def test_a_quadric_is_frozen_and_finite():
 
 
 def test_rotation_about_the_origin_keeps_eigenvalues_and_translation_does_not():
-    turned = quadric.congruence(BALL, quadric.rotation_xyz([0.4, 1.2, -0.7]))
+    turned = quadric.by_inverse(BALL, quadric.rotation_xyz([0.4, 1.2, -0.7]).T)
     assert smallest_eigenvalue(turned).value == pytest.approx(smallest_eigenvalue(BALL).value)
-    pushed = quadric.congruence(BOX, quadric.translation([2.0, 2.0, 0.0]))
+    pushed = quadric.by_inverse(BOX, quadric.translation([-2.0, -2.0, 0.0]))
     change = smallest_eigenvalue(pushed).value / smallest_eigenvalue(BOX).value
     assert abs(change - 1) > 0.05
     assert np.sign(np.linalg.eigvalsh(pushed)).sum() == np.sign(np.linalg.eigvalsh(BOX)).sum()

@@ -11,7 +11,7 @@ from recognition.quadric.thresholds import (
     find_thresholds,
     with_noise,
 )
-from recognition.quadric.trajectory import PAPER_SWEEP, Axes, SweepSettings, contact_classify, sweep
+from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, contact_classify, sweep
 
 # the paper's objects as full quadrics in mm, k = -1
 PAPER_OBJECTS = np.array(
@@ -56,17 +56,6 @@ def test_the_printed_grid_has_21607_points_an_object():
     assert PAPER_SWEEP.angle_rad == pytest.approx(np.arange(17) * np.pi / 8)
 
 
-def test_the_other_readings_of_the_loops_have_the_counts_of_their_products():
-    separate = SweepSettings(translation_axes=Axes.SEPARATE)
-    assert separate.n_evaluations == 885_887
-    everything = SweepSettings(
-        translation_axes=Axes.SEPARATE, rotation_axes=Axes.SEPARATE, max_evaluations=10**9
-    )
-    assert everything.n_evaluations == 256_021_343
-    with pytest.raises(TrajectoryError, match="256,021,343 points an object, limit 2,000,000"):
-        SweepSettings(translation_axes=Axes.SEPARATE, rotation_axes=Axes.SEPARATE)
-
-
 @pytest.mark.parametrize("reading", [Reading.SMALLEST_MAGNITUDE, Reading.ALGEBRAIC_MINIMUM])
 def test_the_sweep_is_the_printed_loops(reading):
     grid = SweepSettings(
@@ -79,44 +68,6 @@ def test_the_sweep_is_the_printed_loops(reading):
     for index, Q in enumerate(PAPER_OBJECTS[[0, 2, 4]]):
         assert found.value[index] == pytest.approx(_plain_loops(Q, grid, reading), rel=1e-9)
     assert not found.degenerate.any()
-
-
-@pytest.mark.parametrize("order", ["TRS", "TSR", "RTS", "RST", "STR", "SRT"])
-def test_every_order_of_the_product_is_carried_out(order):
-    grid = SweepSettings(
-        scale=np.array([2.5]), translation=np.array([1.5]), angle_rad=np.array([0.7]), order=order
-    )
-    M = quadric.compose(
-        translate=quadric.translation([1.5, 1.5, 0]),
-        rotate=quadric.rotation_xyz([0.7, 0.7, 0.7]),
-        scale=quadric.scaling(2.5),
-        order=order,
-    )
-    moved = quadric.congruence(PAPER_OBJECTS[2], M)
-    expected = np.abs(np.linalg.eigvalsh(moved)).min()
-    assert sweep(PAPER_OBJECTS[2:3], grid).value[0, 0] == pytest.approx(expected, rel=1e-9)
-
-
-def test_separate_axes_run_in_loops_of_their_own():
-    grid = SweepSettings(
-        scale=np.array([1.0]),
-        translation=np.array([-1.0, 2.0]),
-        angle_rad=np.array([0.0, 0.5]),
-        translation_axes=Axes.SEPARATE,
-        rotation_axes=Axes.SEPARATE,
-    )
-    found = sweep(PAPER_OBJECTS[2:3], grid).value[0]
-    assert found.shape == (4 * 8,)
-    # x outer, y inner, then the three angles: point 1 * 8 + 1 is x = -1, y = 2, angle z = 0.5
-    M = quadric.translation([-1.0, 2.0, 0.0]) @ quadric.rotation_z(0.5)
-    expected = np.abs(np.linalg.eigvalsh(quadric.congruence(PAPER_OBJECTS[2], M))).min()
-    assert found[9] == pytest.approx(expected, rel=1e-9)
-
-
-def test_rotation_last_changes_nothing():
-    grid = SweepSettings(order="RTS")
-    value = sweep(PAPER_OBJECTS[2:3], grid).value.reshape(31, 41, 17)
-    assert np.ptp(value, axis=2).max() < 1e-12
 
 
 def test_full_quadrics_are_not_invariant_over_the_printed_grid():
@@ -171,7 +122,6 @@ def test_contact_classify_names_caps_that_differ_in_height():
         (lambda: sweep(np.full((1, 4, 4), np.nan)), QuadricError, "not finite"),
         (lambda: SweepSettings(scale=np.array([])), TrajectoryError, "scale must be"),
         (lambda: SweepSettings(angle_rad=np.array([np.inf])), TrajectoryError, "angle_rad"),
-        (lambda: SweepSettings(order="TR"), ValueError, "permutation"),
     ],
 )
 def test_refusals_name_the_cause(call, error, message):
