@@ -3,7 +3,8 @@
 import asyncio
 import socket
 from collections.abc import Callable
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 from fastapi import WebSocket
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
@@ -15,15 +16,14 @@ _SEND_BUFFER_BYTES = 65536
 stalled still gets before the newest one."""
 
 
-class Moment(Protocol):
+@dataclass(frozen=True, slots=True)
+class Moment:
     """What is shown of the cell at one moment, for all clients."""
 
-    @property
-    def text(self) -> str:
-        """The state as JSON."""
-
-    def frame(self, kind: str) -> bytes | None:
-        """Return the newest frame as a client has asked for it; None where there is none."""
+    text: str
+    """The state as JSON."""
+    frame: Callable[[str], bytes | None] = lambda _kind: None
+    """Returns the newest frame as a client has asked for it; None where there is none."""
 
 
 class LiveFeed:

@@ -7,7 +7,7 @@ elsewhere is refused by its Origin. JSON in and out; what is refused has a fault
 import asyncio
 import json
 from dataclasses import asdict
-from functools import cached_property
+from functools import cache
 from ipaddress import ip_address
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -27,6 +27,7 @@ from cell.errors import (
 )
 from cell.fault_catalogue import CATALOGUE
 from cell.interfaces.http_server import LONGEST, Scope
+from cell.interfaces.live_socket import Moment
 from cell.interfaces.page import mount_page
 from cell.interfaces.plugin.goals import goal_schema
 from cell.interfaces.service.photos import LONGEST_PHOTO
@@ -114,24 +115,18 @@ def taught_values(one: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-class StateMoment:
-    """State and newest frame of a service at one moment; implements `live_socket.Moment`."""
+def state_moment(service: Service) -> Moment:
+    """Return the state of a service now; frames are counts (``1``) or ``newtons`` of the taxels."""
 
-    def __init__(self, service: Service) -> None:
-        self.text = json.dumps(state_values(service), allow_nan=False)
-        self._service = service
-
-    def frame(self, kind: str) -> bytes | None:
-        """Return counts (``1``) or ``newtons`` of the taxels as bytes; None for other kinds."""
+    @cache
+    def frame(kind: str) -> bytes | None:
         if kind == "newtons":
-            return self._newtons
-        counts = self._service.status().live.counts if kind == "1" else None
+            force_n = service.frame_n()
+            return None if force_n is None else force_n.astype("<f4").tobytes()
+        counts = service.status().live.counts if kind == "1" else None
         return None if counts is None else counts.astype("<u2").tobytes()
 
-    @cached_property
-    def _newtons(self) -> bytes | None:
-        force_n = self._service.frame_n()
-        return None if force_n is None else force_n.astype("<f4").tobytes()
+    return Moment(json.dumps(state_values(service), allow_nan=False), frame)
 
 
 class Api(GuardedApi):
@@ -144,7 +139,7 @@ class Api(GuardedApi):
     """
 
     def __init__(self, service: Service) -> None:
-        super().__init__(service.lease, service.config.serve, lambda: StateMoment(service))
+        super().__init__(service.lease, service.config.serve, lambda: state_moment(service))
         self._service = service
 
     def app(self) -> FastAPI:

@@ -23,6 +23,7 @@ from cell.commissioning.record import render_record
 from cell.config.serve import ServeConfig
 from cell.errors import RequestRefused
 from cell.fault_catalogue import Refusal
+from cell.interfaces.live_socket import Moment
 from cell.interfaces.page import mount_page
 from cell.interfaces.service.lease import Lease
 from cell.interfaces.web_server import GuardedApi, Paths, RequestBody, WebServer
@@ -313,17 +314,6 @@ def _checked(question: Question, value: str | float | bool) -> str | float:
     raise RequestRefused(f"{value!r} is not within {low:g} and {high:g} {unit}")
 
 
-class _Moment:
-    """State of the wizard at one moment; implements `live_socket.Moment`."""
-
-    def __init__(self, wizard: Wizard) -> None:
-        self.text = json.dumps(wizard.state(), allow_nan=False)
-
-    def frame(self, kind: str) -> bytes | None:
-        """Return None: the wizard has no frames."""
-        return None
-
-
 class LeasedBody(RequestBody):
     """A command under the lease."""
 
@@ -347,7 +337,11 @@ class WizardApi(GuardedApi):
     """The paths of the wizard below ``/api``."""
 
     def __init__(self, wizard: Wizard) -> None:
-        super().__init__(wizard.lease, wizard.config, lambda: _Moment(wizard))
+        super().__init__(
+            wizard.lease,
+            wizard.config,
+            lambda: Moment(json.dumps(wizard.state(), allow_nan=False)),
+        )
         self._wizard = wizard
 
     def app(self) -> FastAPI:

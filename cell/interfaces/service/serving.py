@@ -5,10 +5,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from errno import EACCES, EADDRINUSE
-from functools import partial
+from importlib import import_module
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from cell.config.model import CellConfig
 from cell.config.serve import ServeConfig
@@ -17,6 +17,15 @@ from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.service.pose_handshake import PoseHandshake
 from cell.interfaces.service.service import Service
 from gripper.state import Clock
+
+_DOORS = (
+    ("modbus_port", "--modbus", "serve", "cell.interfaces.modbus.registers", "ModbusDoor"),
+    ("xmlrpc_port", "--xml-rpc", "serve", "cell.interfaces.xml_rpc", "XmlRpcDoor"),
+    ("http_port", "--http", "serve", "cell.interfaces.web", "WebDoor"),
+    ("opcua_port", "--opcua", "opcua", "cell.interfaces.opc_ua.door", "OpcUaDoor"),
+)
+"""Port in the config, option, extra, module and class of each door, which has ``port`` and
+``close``; what it needs is loaded only where it is opened."""
 
 
 def open_service(
@@ -56,17 +65,6 @@ def open_plugin(config: CellConfig, **cell: Any) -> tuple[TactileCellPlugin, Pos
     return TactileCellPlugin(config, mover=mover, **cell), poses
 
 
-class Door(Protocol):
-    """A door of a service."""
-
-    @property
-    def port(self) -> int:
-        """Its TCP port."""
-
-    def close(self) -> None:
-        """End all connections."""
-
-
 def warnings(service: Service) -> tuple[str, ...]:
     """Return what the operator should have in mind about the configured doors."""
     config = service.config.serve
@@ -101,13 +99,12 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
         if name and Path(name).exists() and not Path(name).is_file():
             raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
-
-        def open_door(name: str, option: str, extra: str, make: Callable[[], Door]) -> None:
+        for name, option, extra, module, kind in _DOORS:
             port = getattr(config, name)
             if port is None:
-                return
+                continue
             try:
-                door = make()
+                door = getattr(import_module(module), kind)(service)
             except ImportError as error:
                 raise ConfigError(
                     f"serve.{name} needs the extra tactile-cell[{extra}] ({error})"
@@ -121,11 +118,8 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
                 ) from error
             undo.callback(door.close)
             found[name] = door.port
-
-        open_door("modbus_port", "--modbus", "serve", partial(_modbus, service))
-        open_door("xmlrpc_port", "--xml-rpc", "serve", partial(_xml_rpc, service))
-        open_door("http_port", "--http", "serve", partial(_web, service, found))
-        open_door("opcua_port", "--opcua", "opcua", partial(_opc_ua, service))
+            if name == "http_port":
+                found["token"] = door.token
         if len(found) == 1:
             raise ConfigError("no door is open: set a port in `serve`, or give --modbus 0")
         yield found
@@ -140,32 +134,3 @@ def page_address(found: Mapping[str, Any], config: ServeConfig) -> str | None:
     host = f"[{host}]" if ":" in host else host
     scheme = "https" if config.tls_certificate else "http"
     return f"{scheme}://{host}:{found['http_port']}/#token={found['token']}"
-
-
-# Each door loads what it needs only where it is opened.
-
-
-def _modbus(service: Service) -> Door:
-    from cell.interfaces.modbus.registers import ModbusDoor  # noqa: PLC0415
-
-    return ModbusDoor(service)
-
-
-def _xml_rpc(service: Service) -> Door:
-    from cell.interfaces.xml_rpc import XmlRpcDoor  # noqa: PLC0415
-
-    return XmlRpcDoor(service)
-
-
-def _web(service: Service, found: dict[str, Any]) -> Door:
-    from cell.interfaces.web import WebDoor  # noqa: PLC0415
-
-    door = WebDoor(service)
-    found["token"] = door.token
-    return door
-
-
-def _opc_ua(service: Service) -> Door:
-    from cell.interfaces.opc_ua.door import OpcUaDoor  # noqa: PLC0415
-
-    return OpcUaDoor(service)
