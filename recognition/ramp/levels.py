@@ -1,7 +1,8 @@
 """Levels of load: ramps of any length reduced to quantities at fixed shares of the load."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,18 +58,7 @@ class Levels:
 
     def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Levels":
         """Return some of the grasps, by their indices or by a mask."""
-        return Levels(
-            maps=tuple(m[rows] for m in self.maps),
-            noise=self.noise[rows],
-            aperture_mm=self.aperture_mm[rows],
-            touch_aperture_mm=self.touch_aperture_mm[rows],
-            timed_load=self.timed_load[rows],
-            timed_aperture_mm=self.timed_aperture_mm[rows],
-            level_time_s=self.level_time_s[rows],
-            touch_delay_s=self.touch_delay_s[rows],
-            force_n=self.force_n[rows],
-            touched=self.touched[rows],
-        )
+        return _of_fields([self], lambda arrays: arrays[0][rows])
 
 
 def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
@@ -78,18 +68,18 @@ def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
 
 def stack_levels(parts: Sequence[Levels]) -> Levels:
     """Return grasps that were reduced one by one as one `Levels`."""
-    n_pads = len(parts[0].maps)
+    return _of_fields(parts, np.concatenate)
+
+
+def _of_fields(
+    parts: Sequence[Levels], join: Callable[[list[NDArray[Any]]], NDArray[Any]]
+) -> Levels:
+    """Return levels whose arrays are joined from those of the parts."""
+    names = [one.name for one in fields(Levels) if one.name != "maps"]
+    maps = zip(*(part.maps for part in parts), strict=True)
     return Levels(
-        maps=tuple(np.concatenate([p.maps[k] for p in parts]) for k in range(n_pads)),
-        noise=np.concatenate([p.noise for p in parts]),
-        aperture_mm=np.concatenate([p.aperture_mm for p in parts]),
-        touch_aperture_mm=np.concatenate([p.touch_aperture_mm for p in parts]),
-        timed_load=np.concatenate([p.timed_load for p in parts]),
-        timed_aperture_mm=np.concatenate([p.timed_aperture_mm for p in parts]),
-        level_time_s=np.concatenate([p.level_time_s for p in parts]),
-        touch_delay_s=np.concatenate([p.touch_delay_s for p in parts]),
-        force_n=np.concatenate([p.force_n for p in parts]),
-        touched=np.concatenate([p.touched for p in parts]),
+        maps=tuple(join(list(of_pad)) for of_pad in maps),
+        **{name: join([getattr(part, name) for part in parts]) for name in names},
     )
 
 

@@ -43,19 +43,6 @@ class LinearDiscriminant:
         """Return (n, C): squared distance of each row to each class, in standard deviations."""
         return squared_distances(self.project(features), self.centres)
 
-    def beside(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n,): squared distance of each row from all classes in the other directions.
-
-        Those are the directions outside of the discriminant space, where classes hardly differ.
-        ValueError where the whitening was not kept.
-        """
-        if self.whitening is None:
-            raise ValueError("the discriminant was fitted without keeping its whitening")
-        scaled = (features - self.mean) / self.scale
-        every = ((scaled @ self.whitening) ** 2).sum(axis=1)
-        within = ((scaled @ self.projection) ** 2).sum(axis=1)
-        return np.asarray(np.maximum(every - within, 0.0), dtype=np.float64)
-
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
         arrays = {
@@ -120,7 +107,7 @@ def fit_lda(
     nuisance : (m, F)
         Deviations that the rows do not show; the mean of their squares adds to the covariance.
     keep_whitening
-        Whether `LinearDiscriminant.beside` is wanted.
+        Whether `LinearDiscriminant.whitening` is wanted.
 
     Raises
     ------
