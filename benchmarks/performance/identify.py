@@ -6,7 +6,7 @@ by 408 simulated taxels; with the folder of recorded grasps in TACTILE_CELL_DATA
 are named too, taught with the first 60 % of each object's grasps. The alternatives are the plain
 shrinkage discriminant on the same grasps and the paper's level check.
 
-Before that: where the time of the simulated cell goes from the command to a part that is named, and
+At last: where the time of the simulated cell goes from the command to a part that is named, and
 let go or kept. Computing takes none of the cell's virtual time; its CPU time is added where it
 lasts longer than the motion beside which a real-time cell computes.
 """
@@ -214,12 +214,12 @@ def many(n_labels: int) -> None:
 
 
 def main(effort: float = 1.0) -> None:
-    from_the_command(repeats(20, effort, least=3), repeats(8, effort))
     rounds = repeats(9, effort)
     n_objects = repeats(len(PAPER_OBJECTS), effort, least=2)
     train, test = made(n_objects, repeats(8, effort, least=3), repeats(4, effort))
     compare(f"{test[0].pads.n_taxels} simulated taxels", train, test, rounds)
     many(repeats(500, effort, least=6))
+    from_the_command(repeats(20, effort, least=3), repeats(8, effort))
     folder = os.environ.get("TACTILE_CELL_DATA")
     if folder is None:
         line(
