@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 
 from cell.interfaces.service.doors import BUSY_MAX, Places
+from cell.interfaces.service.host_calls import COMMANDS
+from cell.interfaces.service.host_values import PLATE, REFUSAL, VALUES
 from tests.cell.interfaces.conftest import until
 
 HOLD = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 7, 1)
@@ -115,3 +117,16 @@ def test_places_go_to_those_who_have_fewest() -> None:
     assert gone == [2, 3]  # of the crowd, those that were never heard, from the oldest on
     places.enter(102, "crowd")
     assert gone == [2, 3, 5]
+
+
+def test_no_two_values_or_commands_share_a_place_at_a_door() -> None:
+    values, numbers = (*PLATE, *VALUES, *REFUSAL), [n for one in COMMANDS for n in one.numbers]
+    nodes, methods, registers = (
+        [getattr(one, column) for one in values if getattr(one, column)]
+        for column in ("node", "method", "register")
+    )
+    for places in (nodes, [*methods, *(one.name for one in COMMANDS)], registers, numbers):
+        assert len(places) == len(set(places))
+    # Registers and commands of their own making.
+    assert not set(registers) & {0, 1, 2, 5, 6, 7, 17, 18, 19, 20, 25, 26, *range(32, 96)}
+    assert not set(numbers) & {4, 40, 41}
