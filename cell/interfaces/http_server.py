@@ -43,10 +43,10 @@ Scope = MutableMapping[str, Any]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
-def refusal_values(status: int, text: str) -> dict[str, Any]:
+def refusal_values(status: int, text: str, remedy: str = "") -> dict[str, Any]:
     """Return the refusal of a request that has not reached the cell, in the shape of all."""
     number = 514 if status == 401 else 513
-    remedy = _REMEDIES.get(status) or BY_NUMBER[number].remedy
+    remedy = remedy or _REMEDIES.get(status) or BY_NUMBER[number].remedy
     return {"fault_number": number, "error": text, "remedy": remedy}
 
 
@@ -57,11 +57,10 @@ async def send_answer(send: Send, status: int, body: bytes, media_type: str) -> 
     await send({"type": "http.response.body", "body": body})
 
 
-async def refuse(send: Send, status: int, text: str) -> None:
+async def refuse(send: Send, status: int, text: str, remedy: str = "") -> None:
     """Refuse a request that has not reached the cell."""
-    await send_answer(
-        send, status, json.dumps(refusal_values(status, text)).encode(), "application/json"
-    )
+    body = json.dumps(refusal_values(status, text, remedy)).encode()
+    await send_answer(send, status, body, "application/json")
 
 
 class Gate:

@@ -16,6 +16,8 @@ from cell.interfaces.service.service import Service
 
 _PATHS = ("/", "/RPC2")
 """Paths of the calls."""
+_REMEDY = f"POST calls to {_PATHS[1]}."
+"""What to do about a request that is no call."""
 _IDLE_S = 60
 """Silence in s after which a connection is closed; robots connect anew by themselves."""
 _TYPES = {int: "int", float: "double", bool: "boolean", str: "string"}
@@ -36,9 +38,9 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
             body += message["body"]
             more = message.get("more_body", False)
         if scope["path"] not in _PATHS:
-            await refuse(send, 404, f"calls go to {' or '.join(_PATHS)}")
+            await refuse(send, 404, f"{scope['path']!r:.80} takes no calls", _REMEDY)
         elif scope["method"] != "POST":
-            await refuse(send, 405, "a call is a POST")
+            await refuse(send, 405, f"{scope['method']} is no call", _REMEDY)
         elif fields.get(b"content-type", "").partition(";")[0].strip() != "text/xml":
             await refuse(send, 403, "the Content-Type is text/xml")
         elif fields.get(b"content-encoding", "identity") != "identity" or b"<!" in body:

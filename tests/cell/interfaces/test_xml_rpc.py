@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from xmlrpc.client import Fault, ServerProxy, dumps, loads
+from xmlrpc.client import Fault, ProtocolError, ServerProxy, dumps, loads
 
 import numpy as np
 import pytest
@@ -410,6 +410,9 @@ def test_what_is_no_call_or_could_grow_is_refused(
     if status == 200:
         with pytest.raises(Fault):
             loads(found)
+        elsewhere = ServerProxy(address(served).replace("RPC2", "api"))
+        with elsewhere, pytest.raises(ProtocolError, match="404"):
+            elsewhere.state()
     assert cell.state() == 4
 
 
