@@ -47,6 +47,9 @@ _CATCH_UP_S = 0.2
 """Time in s within which a moving set-point catches up with the force by itself."""
 _LONGEST_MEAN, _LONGER_EACH_S = 5.0, 0.3
 """How much longer than on a ramp the mean of the samples gets at rest, by one for each 0.3 s."""
+_CREEP_S = 0.5
+"""Time in s of a hold in which the foam creeps fast: where errors are made up for, the mean stays
+short."""
 _MOTION_S = 0.02
 """Time in s for which the motion of the fingers makes the model equally wrong: faster samples do
 not tell more."""
@@ -173,12 +176,13 @@ class ForceController:
             rate_n_s=abs(rate_n_s),
             motion_n=motion_n,
             standing=standing,
+            corrected=corrected,
         )
         if not held:
             self._held_since_s = now_s
         dither_share = self._settings.dither_share
         next_dither = dither_share if self._dither <= 0.0 else -dither_share
-        left_alone = held and corrected and not taper
+        left_alone = held and corrected
         wanted_n = None
         if not left_alone:
             wanted_n = self._edge_n(now_s, setpoint_n, friction_n, rate_n_s=rate_n_s, held=held)
@@ -314,6 +318,7 @@ class ForceController:
         rate_n_s: float,
         motion_n: float,
         standing: bool,
+        corrected: bool = False,
     ) -> None:
         """Correct the bias by the newest sample, and refuse one that cannot be.
 
@@ -328,7 +333,8 @@ class ForceController:
             step_s = sample.t_s - self._sample_s
             drift_n_rs = settings.bias_drift_n_rs * (1.0 + rate_n_s / settings.bias_rate_n_s)
             # At rest the mean goes back farther and farther, lest noise ratchets the force up.
-            drift_n_rs /= 1.0 + min((now_s - self._held_since_s) / _LONGER_EACH_S, _LONGEST_MEAN)
+            lasts_s = now_s - self._held_since_s - (_CREEP_S if corrected else 0.0)
+            drift_n_rs /= 1.0 + min(max(lasts_s, 0.0) / _LONGER_EACH_S, _LONGEST_MEAN)
             self._doubt_n2 += drift_n_rs**2 * step_s
             noise_n2 = sample.noise_n**2 + motion_n**2 * _MOTION_S / step_s
             gain = self._doubt_n2 / (self._doubt_n2 + noise_n2)

@@ -59,7 +59,7 @@ _FAST_PERIOD_S = 0.0065
 in a slower loop the fingers would run too far."""
 _LATE_PERIOD_S = 0.012
 """Time in s since the last period from which on a motion is given up for slower control."""
-_CORRECTED_N, _CORRECTED_DOUBT_N = 0.1, 0.06
+_CORRECTED_N, _CORRECTED_DOUBT_N = 0.08, 0.06
 """Error in N of a hold that is made up for by a motion, and how well the force must be known."""
 _PAUSE_S = 0.05
 """Least time in s between two such motions."""
@@ -174,7 +174,7 @@ class GripControl:
         self._moved_s = now_s
         self._measured_n = drive_n
         self._falls = False
-        self._lacking_n = {False: 0.0, True: 0.0}
+        self._lacking_n: dict[bool, float] = {}
 
     @property
     def force_n(self) -> float:
@@ -258,7 +258,7 @@ class GripControl:
             if rises_n > _FAST_N_S * moment.dt_s:
                 now_n = self._controller.model_n + self._controller.bias_n
                 self._begin_motion(moment, setpoint_n - rises_n, now_n)
-            elif rises_n == 0.0 and arrival_n in (None, setpoint_n) and not taper:
+            elif rises_n == 0.0 and arrival_n in (None, setpoint_n):
                 self._correct(moment, setpoint_n)
         if self._motion is not None:
             drive_n = self._rise(
@@ -303,10 +303,16 @@ class GripControl:
             # The fingers may not open any farther.
             return
         if abs(setpoint_n - now_n) > _CORRECTED_N:
-            self._begin_motion(moment, now_n, now_n, falls=falls)
+            self._begin_motion(moment, now_n, now_n, falls=falls, corrects=True)
 
     def _begin_motion(
-        self, moment: Moment, setpoint_n: float, force_n: float, *, falls: bool = False
+        self,
+        moment: Moment,
+        setpoint_n: float,
+        force_n: float,
+        *,
+        falls: bool = False,
+        corrects: bool = False,
     ) -> None:
         """Begin a motion of the force from what it is now."""
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
@@ -322,11 +328,17 @@ class GripControl:
             force_n=max(0.0, force_n),
             doubt_n=self._controller.doubt_n,
             drive_n=self._drive_n,
-            lacking_n=self._lacking_n[falls],
+            lacking_n=self._lacking_n.get(
+                falls, self._lacking_n.get(not falls, -self._controller.bias_n)
+            ),
             stiffness_n_m=self._pad_n_m,
         )
         self._motion = RampMotion(
-            self._observer, mass_kg=self._mass_kg, setpoint_n=setpoint_n, falls=falls
+            self._observer,
+            mass_kg=self._mass_kg,
+            setpoint_n=setpoint_n,
+            falls=falls,
+            corrects=corrects,
         )
 
     def _rise(

@@ -7,7 +7,7 @@ part, which is learnt in each contact. At the end the mass is at rest, and frict
 """
 
 from collections import deque
-from math import exp, log, sqrt
+from math import copysign, exp, log, sqrt
 
 from gripper.force.controller import History
 from gripper.state import ForceSample
@@ -45,9 +45,12 @@ _LEAST_RATE_N_S = 5.0
 """Rate in N/s that the plan of a small correction has in mind."""
 _LOCKED_SHARE = 0.5
 """Share of the friction beyond the force at which the drive stays: friction locks the fingers."""
+_BREAKAWAY_N = 0.1
+"""Drive in N beyond friction at rest with which locked fingers are set in motion."""
 _NEAR_N = 0.03
 """Distance in N from its end at which a rise is over."""
-_LEAST_BELOW_N, _MOST_BELOW_N = 0.05, 0.12
+_CORRECTED_BELOW_N = 0.0
+_BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
 """How far in N below the force that is asked for a rise ends, by the doubt of the force: what is
 missing is added slowly, and the way back costs twice the friction."""
 
@@ -165,18 +168,16 @@ class ContactObserver:
         """Standard deviation of the force in N."""
         return sqrt(max(self._p[0][0], 0.0))
 
-    def acceleration_m_s2(self, drive_n: float, friction_n: float) -> float:
-        """Return the acceleration in m/s² under a drive; 0 where friction locks the fingers."""
+    def speed_after_m_s(self, dt_s: float, drive_n: float, friction_n: float) -> float:
+        """Return the speed in m/s after ``dt_s`` s under a drive; 0 where friction locks."""
         push_n = drive_n - self.lacking_n - self.force_n
-        if self.speed_m_s > 0.0:
-            push_n -= friction_n
-        elif self.speed_m_s < 0.0:
-            push_n += friction_n
-        elif abs(push_n) <= _STICTION * friction_n:
+        speed = self.speed_m_s
+        after = speed + (push_n - copysign(friction_n, speed)) * dt_s / self._mass_kg
+        if speed * after > 0.0:
+            return after
+        if abs(push_n) <= _STICTION * friction_n:
             return 0.0
-        else:
-            push_n -= friction_n if push_n > 0.0 else -friction_n
-        return push_n / self._mass_kg
+        return (push_n - copysign(friction_n, push_n)) * dt_s / self._mass_kg
 
     def step(
         self,
@@ -222,17 +223,11 @@ class ContactObserver:
     def _predict(self, dt_s: float, drive_n: float, friction_n: float) -> None:
         stiffness, mass = self.stiffness_n_m, self._mass_kg
         speed = self.speed_m_s
-        change = self.acceleration_m_s2(drive_n, friction_n) * dt_s
-        after = speed + change
-        locked = speed * after <= 0.0 and (
-            abs(drive_n - self.lacking_n - self.force_n) <= _STICTION * friction_n
-        )
-        if locked:
-            after = 0.0
+        after = self.speed_after_m_s(dt_s, drive_n, friction_n)
         self.force_n = max(0.0, self.force_n + 0.5 * (speed + after) * stiffness * dt_s)
         self.speed_m_s = after
         p = self._p
-        if locked:
+        if after == 0.0:
             # A locked mass tells nothing about drive and stiffness.
             for one in range(4):
                 for other in range(4):
@@ -299,8 +294,10 @@ class RampMotion:
         mass_kg: float,
         setpoint_n: float,
         falls: bool = False,
+        corrects: bool = False,
     ) -> None:
         self.over = False
+        self._corrects = corrects
         self._late_s = 0.0
         self.plan = ForcePlan(observer.force_n)
         self._observer = observer
@@ -337,7 +334,10 @@ class RampMotion:
         observer, sign = self._observer, self._sign
         stiffness = observer.stiffness_n_m
         at_end = sign * (setpoint_n - end_n) >= 0.0
-        end_n -= sign * min(max(observer.doubt_n, _LEAST_BELOW_N), _MOST_BELOW_N)
+        below_n = _CORRECTED_BELOW_N
+        if not self._corrects:
+            below_n = min(max(_BELOW_SDS * observer.doubt_n, _LEAST_BELOW_N), _MOST_BELOW_N)
+        end_n -= sign * below_n
         if dt_s > 0.0:
             self._rates.append(sign * (setpoint_n - self._setpoint_n) / dt_s)
         self._setpoint_n = setpoint_n
@@ -349,23 +349,25 @@ class RampMotion:
         plan.step(dt_s, sign, setpoint_n, end_n, ramp_n_s=ramp_n_s, change_n_s2=change_n_s2)
         # The new drive acts a little later.
         ahead_s = _WRITE_S + _CURRENT_S
-        speed = observer.speed_m_s
-        speed += observer.acceleration_m_s2(acting_n, friction_n) * ahead_s
-        if speed * observer.speed_m_s < 0.0:
-            speed = 0.0
+        speed = observer.speed_after_m_s(ahead_s, acting_n, friction_n)
         force_n = observer.force_n + 0.5 * (speed + observer.speed_m_s) * stiffness * ahead_s
         planned_n = plan.force_n + sign * plan.rate_n_s * ahead_s
         error_n = sign * (planned_n - force_n)
         wanted = sign * max(0.0, plan.rate_n_s + error_n / _FORCE_S) / stiffness
         accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / _SPEED_S
-        arrived = sign * (end_n - force_n) <= _NEAR_N
+        # What the fingers still run while the drive brakes them as hard as friction does.
+        braking_n = (1.0 + _LOCKED_SHARE) * friction_n
+        stopping_n = 0.5 * self._mass_kg * speed**2 * stiffness / max(braking_n, _NEAR_N)
+        arrived = sign * (end_n - force_n) <= _NEAR_N + stopping_n
         self._late_s += dt_s if at_end else 0.0
         stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         centre_n = force_n + observer.lacking_n
         band_n = _LOCKED_SHARE * friction_n
         push_n = sign * (friction_n + sign * self._mass_kg * accelerates)
+        if observer.speed_m_s == 0.0:
+            push_n = sign * max(sign * push_n, _STICTION * friction_n + _BREAKAWAY_N)
         if arrived:
-            push_n = sign * min(sign * push_n, band_n)
+            push_n = sign * band_n if stands else -sign * band_n
         push_n = sign * max(sign * push_n, -band_n)
         return min(centre_n + push_n, drive_max_n)
