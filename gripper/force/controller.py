@@ -318,7 +318,7 @@ class ForceController:
         rate_n_s: float,
         motion_n: float,
         standing: bool,
-        corrected: bool = False,
+        corrected: bool,
     ) -> None:
         """Correct the bias by the newest sample, and refuse one that cannot be.
 

@@ -59,8 +59,11 @@ _FAST_PERIOD_S = 0.0065
 in a slower loop the fingers would run too far."""
 _LATE_PERIOD_S = 0.012
 """Time in s since the last period from which on a motion is given up for slower control."""
-_CORRECTED_N, _CORRECTED_DOUBT_N = 0.08, 0.06
-"""Error in N of a hold that is made up for by a motion, and how well the force must be known."""
+_CORRECTED_N = {False: 0.05, True: 0.07}
+_CORRECTED_DOUBT_N = 0.06
+"""Error in N, beside the doubt of the force, of a hold that is made up for by a motion, up and
+down (True: foam creeps, and the way down costs twice the friction), and how well the force must be
+known."""
 _PAUSE_S = 0.05
 """Least time in s between two such motions."""
 _HARDENS, _WAY_DOUBT_M = 1.5, 1e-4
@@ -302,7 +305,7 @@ class GripControl:
         if falls and self._stop_rad is not None:
             # The fingers may not open any farther.
             return
-        if abs(setpoint_n - now_n) > _CORRECTED_N:
+        if abs(setpoint_n - now_n) > _CORRECTED_N[falls] + controller.doubt_n:
             self._begin_motion(moment, now_n, now_n, falls=falls, corrects=True)
 
     def _begin_motion(

@@ -49,7 +49,6 @@ _BREAKAWAY_N = 0.1
 """Drive in N beyond friction at rest with which locked fingers are set in motion."""
 _NEAR_N = 0.03
 """Distance in N from its end at which a rise is over."""
-_CORRECTED_BELOW_N = 0.0
 _BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
 """How far in N below the force that is asked for a rise ends, by the doubt of the force: what is
 missing is added slowly, and the way back costs twice the friction."""
@@ -280,6 +279,9 @@ class RampMotion:
         Set-point before the motion in N.
     falls
         True for a force that is to fall.
+    corrects
+        True where the force is held and an error is made up for: it is known well, so that the
+        motion ends at the set-point itself.
 
     Attributes
     ----------
@@ -334,10 +336,8 @@ class RampMotion:
         observer, sign = self._observer, self._sign
         stiffness = observer.stiffness_n_m
         at_end = sign * (setpoint_n - end_n) >= 0.0
-        below_n = _CORRECTED_BELOW_N
         if not self._corrects:
-            below_n = min(max(_BELOW_SDS * observer.doubt_n, _LEAST_BELOW_N), _MOST_BELOW_N)
-        end_n -= sign * below_n
+            end_n -= sign * min(max(_BELOW_SDS * observer.doubt_n, _LEAST_BELOW_N), _MOST_BELOW_N)
         if dt_s > 0.0:
             self._rates.append(sign * (setpoint_n - self._setpoint_n) / dt_s)
         self._setpoint_n = setpoint_n
