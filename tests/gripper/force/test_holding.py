@@ -4,13 +4,16 @@ import random
 
 import pytest
 
+from benchmarks.performance._force_plant import Rig, Truth
+from benchmarks.performance.force_ramps import PARTS
 from gripper.errors import ForceImbalance, PartLost, PartSlipped
 from gripper.force.controller import SetpointFilter
 from gripper.force.ramp import ForceRamp
+from gripper.force.ramp_motion import ContactObserver
 from gripper.force.slip import SlipWatch
 from gripper.kinematics import ParallelLinkage
 from gripper.servos.goals import GoalGuard
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.settings import ForceLoopSettings, GripperSettings, ServoSettings
 from gripper.state import ForceSample, GraspResult, GripperPhase
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
@@ -44,6 +47,30 @@ def test_a_quiet_hold_with_a_noisy_sensor_shows_no_slip(make_cell, seed) -> None
     cell.hold_part(RAMP)
     cell.gripper.hold(6.0)
     assert cell.force_n == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> None:
+    """Friction keeps small errors; after 1 s of a hold its drive is given back beside."""
+    truth = Truth(kt_error=0.1, friction_error=-0.15, seed=103)
+    part = PARTS["cork, 5 N/mm"]
+    rig = Rig(part, truth, 0.2, ForceLoopSettings(), rate_hz=500.0, further_truths=True)
+    quality = rig.grasp(4.0, 3.0)
+    assert not quality.lost
+    assert max(quality.holding_n, quality.overshoot_n) <= 0.15
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, -1e-9, 1e-9])
+def test_fingers_set_out_with_the_force_beyond_friction_whichever_way_they_crept(
+    speed_m_s: float,
+) -> None:
+    observer = ContactObserver(
+        mass_kg=3.4, now_s=0.0, force_n=2.0, doubt_n=0.1, drive_n=5.0, stiffness_n_m=1e4
+    )
+    observer.speed_m_s = speed_m_s
+    beyond_n, dt_s = 0.2, 0.005
+    found_m_s = observer.speed_after_m_s(dt_s, 2.0 + 3.0 + beyond_n, 3.0)
+    assert found_m_s == pytest.approx(beyond_n * dt_s / 3.4, abs=1e-8)
+    assert observer.speed_after_m_s(dt_s, 2.0 + 3.0, 3.0) == pytest.approx(0.0, abs=1e-8)
 
 
 def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
