@@ -87,15 +87,6 @@ class Features:
     slack_mm: NDArray[np.float64]
     """(O,) float64: how far a size may lie off because objects lie differently, in mm."""
 
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Features":
-        """Return some of the grasps."""
-        return Features(
-            touch=self.touch[rows],
-            opening=self.opening[rows],
-            sizes_mm=self.sizes_mm[rows],
-            slack_mm=self.slack_mm,
-        )
-
 
 def describe(
     levels: Levels,
