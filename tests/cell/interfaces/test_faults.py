@@ -27,7 +27,7 @@ def test_a_fault_of_the_config_happens() -> None:
     [
         ("can.lost", r"simulator: there is no fault 'can.lost'; there are can.loss"),
         ("servo3.off", "simulator: fault servo3.off: this cell has 2 servos"),
-        ("taxels.saturated=10", "simulator: taxels.saturated: pads are 0 to 9"),
+        ("taxels.saturated=10", "simulator: pad 10: pads are 0 to 9"),
     ],
 )
 def test_what_is_no_fault_is_refused_with_the_key(text: str, complaint: str) -> None:
