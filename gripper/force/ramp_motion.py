@@ -355,9 +355,8 @@ class RampMotion:
         error_n = sign * (planned_n - force_n)
         wanted = sign * max(0.0, plan.rate_n_s + error_n / _FORCE_S) / stiffness
         accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / _SPEED_S
-        # What the fingers still run while the drive brakes them as hard as friction does.
-        braking_n = (1.0 + _LOCKED_SHARE) * friction_n
-        stopping_n = 0.5 * self._mass_kg * speed**2 * stiffness / max(braking_n, _NEAR_N)
+        # What the force still grows by while friction alone brakes the fingers.
+        stopping_n = 0.5 * self._mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
         arrived = sign * (end_n - force_n) <= _NEAR_N + stopping_n
         self._late_s += dt_s if at_end else 0.0
         stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N
@@ -368,6 +367,6 @@ class RampMotion:
         if observer.speed_m_s == 0.0:
             push_n = sign * max(sign * push_n, _STICTION * friction_n + _BREAKAWAY_N)
         if arrived:
-            push_n = sign * band_n if stands else -sign * band_n
+            push_n = sign * band_n if stands else 0.0
         push_n = sign * max(sign * push_n, -band_n)
         return min(centre_n + push_n, drive_max_n)
