@@ -177,7 +177,7 @@ def test_the_page_controls_it_and_all_clients_see_it(host: Any) -> None:
 
 
 def send(client: Client, body: bytes, **options: Any) -> tuple[int, Any]:
-    return client.ask("PUT", "/api/replay", body, **options)
+    return client.send("PUT", "/api/replay", body, **options)[:2]
 
 
 def test_a_recording_that_is_sent_is_played(
