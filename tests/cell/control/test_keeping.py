@@ -88,7 +88,7 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench:
         assert live.force_age_s <= 0.01
         assert live.frame_age_s <= 0.05
     assert np.mean(shown) == pytest.approx(bench.grip_n, abs=0.1)
-    assert len(set(shown)) > 90
+    assert len(set(shown)) > 80  # of 100: no stale value
     counts = live.counts
     idle(bench, 0.05)
     assert np.any(bench.controller.live.counts != counts)

@@ -256,7 +256,7 @@ def test_what_a_plugin_was_taught_decides_early_and_is_saved(
 ) -> None:
     config = make_config(sequence__decide_early=True, sequence__max_grasps=1)
     with TactileCellPlugin(config) as plugin:
-        plugin.result(plugin.start({"task": "teach", "label": "box", "grasps": 3}), 60.0)
+        plugin.result(plugin.start({"task": "teach", "label": "box", "grasps": 6}), 60.0)
         answer = plugin.result(plugin.start({"task": "identify", "present": "box"}), 60.0)
         assert (answer.label, answer.n_grasps) == ("box", 1)
         plugin.save(tmp_path / "m.npz")
