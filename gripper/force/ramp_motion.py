@@ -35,8 +35,11 @@ _BELIEVED_SDS, _BELIEVED_N = 3.0, 0.2
 more lie, or a part slips, and what watches over them ends the ramp."""
 _RATE_S = 0.025
 """Time in s in which the rate of a plan gets to that of its ramp, and back to 0."""
-_INERTIA_N = 2.0
-"""Force in N that the mass may need for a plan: a soft part makes it slower."""
+_INERTIA_N, _PUSH_N = 2.0, 3.0
+"""Force in N that the mass may need for a plan, a soft part makes it slower, and that it may get to
+follow it: where samples stand still while the fingers run, a part seems ever softer."""
+_LACKING_SHARE, _LACKING_N = 0.2, 0.25
+"""Most that drive and friction are taken to lack, as a share of the drive and beside it in N."""
 _FORCE_S, _SPEED_S = 0.04, 0.012
 """Time constants in s with which an error of force and of speed are made up for."""
 _LATE_S = 0.3
@@ -146,6 +149,7 @@ class ContactObserver:
         self.force_n = force_n
         self.speed_m_s = 0.0
         self.lacking_n = lacking_n
+        self._most_lacking_n = _LACKING_N
         self._log_stiffness = log(min(max(stiffness_n_m, _SOFTEST_N_M), _STIFFEST_N_M))
         self._p = [
             [doubt_n**2, 0.0, 0.0, 0.0],
@@ -206,6 +210,7 @@ class ContactObserver:
         if dt_s > 0.0:
             self._predict(dt_s, drive_n, friction_n)
         self._history.add(now_s, self.force_n)
+        self._most_lacking_n = _LACKING_SHARE * max(drive_n, 0.0) + _LACKING_N
         self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2)
         if sample is not None and sample.t_s > self._sample_s:
             self._sample_s = sample.t_s
@@ -256,7 +261,8 @@ class ContactObserver:
         gains = [p[row][of] / (p[of][of] + noise2) for row in range(4)]
         self.force_n += gains[0] * error
         self.speed_m_s += gains[1] * error
-        self.lacking_n += gains[2] * error
+        most_n = self._most_lacking_n
+        self.lacking_n = min(max(self.lacking_n + gains[2] * error, -most_n), most_n)
         self._log_stiffness = min(
             max(self._log_stiffness + gains[3] * error, log(_SOFTEST_N_M)), log(_STIFFEST_N_M)
         )
@@ -363,7 +369,7 @@ class RampMotion:
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         centre_n = force_n + observer.lacking_n
         band_n = _LOCKED_SHARE * friction_n
-        push_n = sign * (friction_n + sign * self._mass_kg * accelerates)
+        push_n = sign * (friction_n + min(sign * self._mass_kg * accelerates, _PUSH_N))
         if observer.speed_m_s == 0.0:
             push_n = sign * max(sign * push_n, _STICTION * friction_n + _BREAKAWAY_N)
         if arrived:

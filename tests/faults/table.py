@@ -270,6 +270,8 @@ TAXELS = _near((
     FaultRow(13, "without noise",
              "frozen frames of a sensor without noise, while the force grows by 1 N",
              "unit.stuck@contact+0.1s", "HOLD", 0.2 + SYNC_S, changes={"simulator.noise": "none"}),
+    FaultRow(13, "without noise, at first", "the same just after the touch: the part seems soft",
+             "unit.stuck@contact+0.05s", "HOLD", 0.3 + SYNC_S, changes={"simulator.noise": "none"}),
     FaultRow(14, "few at the start", "four taxels at full scale",
              "taxels.stuck=0.01", "NOTE", None),
     FaultRow(14, "many at the start", "120 taxels at full scale",
