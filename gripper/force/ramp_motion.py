@@ -149,7 +149,6 @@ class ContactObserver:
         self.force_n = force_n
         self.speed_m_s = 0.0
         self.lacking_n = lacking_n
-        self._most_lacking_n = _LACKING_N
         self._log_stiffness = log(min(max(stiffness_n_m, _SOFTEST_N_M), _STIFFEST_N_M))
         self._p = [
             [doubt_n**2, 0.0, 0.0, 0.0],
@@ -210,14 +209,13 @@ class ContactObserver:
         if dt_s > 0.0:
             self._predict(dt_s, drive_n, friction_n)
         self._history.add(now_s, self.force_n)
-        self._most_lacking_n = _LACKING_SHARE * max(drive_n, 0.0) + _LACKING_N
-        self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2)
+        self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2, drive_n)
         if sample is not None and sample.t_s > self._sample_s:
             self._sample_s = sample.t_s
             most_n = max(_BELIEVED_N, _BELIEVED_SDS * sqrt(self._p[0][0] + sample.noise_n**2))
             error_n = min(max(self.unexplained_n(sample), -most_n), most_n)
             before_n = self.force_n
-            self._correct(0, error_n, sample.noise_n**2)
+            self._correct(0, error_n, sample.noise_n**2, drive_n)
             self._history.shift(self.force_n - before_n)
 
     def unexplained_n(self, sample: ForceSample) -> float:
@@ -255,13 +253,13 @@ class ContactObserver:
             p[3][3] += _LOG_STIFFNESS_RS**2 * dt_s
         p[0][0] += _FORCE_WANDER_N**2
 
-    def _correct(self, of: int, error: float, noise2: float) -> None:
+    def _correct(self, of: int, error: float, noise2: float, drive_n: float) -> None:
         """Take one measured entry of the state in."""
         p = self._p
         gains = [p[row][of] / (p[of][of] + noise2) for row in range(4)]
         self.force_n += gains[0] * error
         self.speed_m_s += gains[1] * error
-        most_n = self._most_lacking_n
+        most_n = _LACKING_SHARE * max(drive_n, 0.0) + _LACKING_N
         self.lacking_n = min(max(self.lacking_n + gains[2] * error, -most_n), most_n)
         self._log_stiffness = min(
             max(self._log_stiffness + gains[3] * error, log(_SOFTEST_N_M)), log(_STIFFEST_N_M)

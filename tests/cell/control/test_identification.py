@@ -90,7 +90,7 @@ def test_shape_and_size_are_fused_over_the_grasps(
     assert len(found.shapes) == found.shape.n_grasps == 2
     assert found.shape.kind == "sphere"
     assert found.shape.low_m < 9.5e-3 < found.shape.high_m
-    assert in_words(found.shape).startswith("a sphere of ")
+    assert in_words(found.shape).startswith(f"a sphere of {1e3 * found.shape.size_m:.1f} mm")
 
 
 def raising(error: Exception) -> Any:
