@@ -30,7 +30,7 @@ _ACCEPTED_AT_ONCE = BUSY_MAX // 4
 """Connections that are accepted before those that are there are read again."""
 _WAITING_MAX = 256
 """Connections that wait until they are accepted; for a further one the system asks again later."""
-_REMEDIES = {
+REMEDIES = {
     401: "Send the token that `serve` has printed, as `Authorization: Bearer TOKEN`.",
     403: "Use an address, name and origin that `serve.allow` and `serve.hosts` have.",
     404: "Read the paths in /openapi.json, and the numbers in GET /api/jobs.",
@@ -46,7 +46,7 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 def refusal_values(status: int, text: str, remedy: str = "") -> dict[str, Any]:
     """Return the refusal of a request that has not reached the cell, in the shape of all."""
     number = 514 if status == 401 else 513
-    remedy = remedy or _REMEDIES.get(status) or BY_NUMBER[number].remedy
+    remedy = remedy or REMEDIES.get(status) or BY_NUMBER[number].remedy
     return {"fault_number": number, "error": text, "remedy": remedy}
 
 

@@ -45,7 +45,7 @@ export function doing(state) {
   const progress = job.progress ?? {};
   if (!runs(job)) {
     const reason = job.fault_number && job.outcome === "ABORTED"
-      ? faultText(state.fault?.number === job.fault_number ? state.fault : { number: job.fault_number, text: job.error }, "text") : "";
+      ? faultText(state.fault?.number === job.fault_number ? state.fault : { number: job.fault_number, text: job.error }) : "";
     const named = job.outcome === "SUCCEEDED" && job.label ? `${labelWord(job.label)}, ${percent(job.probability)}` : "";
     return [t(`ended.${job.outcome}`, { task: taskWord(job.task) }), reason || named];
   }

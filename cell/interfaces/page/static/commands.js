@@ -3,7 +3,7 @@
 import { allow, ask, byId, isAllowed, onLongPress, setText } from "./dom.js";
 import { Link, Refused } from "./link.js";
 import { runs } from "./band.js";
-import { faultText, has, loadWords, t } from "./words.js";
+import { faultText, has, loadWords, native, t } from "./words.js";
 
 const RELEASE_KEY = 0x4f50;
 
@@ -20,7 +20,7 @@ export function reasonOf({ link, state, taught }, command, any = false) {
   if (has(`why.only.${command}`) && !WITH_FAULT.includes(status.state)) return t(`why.only.${command}`);
   if (refusal.number === 505 && status.state !== "IDLE") return ofState(status.state);
   if (command === "sort" && refusal.number === 501) return t("why.no_place");
-  return taught.length || refusal.number !== 505 ? faultText(refusal, "text") : t("why.not_taught");
+  return taught.length || refusal.number !== 505 ? faultText(refusal) : t("why.not_taught");
 }
 
 const WITH_FAULT = ["ABORTING", "ABORTED", "CLEARING", "RESETTING"];
@@ -30,8 +30,8 @@ const ofState = (state) => (has(`why.state.${state}`) ? t(`why.state.${state}`) 
 export function complaint(error) {
   if (!(error instanceof Refused)) return t("said.no_answer");
   const text = error.number === 505 || error.number === 513 || !error.number
-    ? error.message : faultText({ number: error.number, text: error.message }, "text");
-  const remedy = error.number ? faultText({ number: error.number, remedy: error.remedy }, "remedy") : "";
+    ? error.message : faultText({ number: error.number, text: error.message });
+  const remedy = error.number ? native(error.remedy) : "";
   return t("said.refused", { text: remedy ? `${text} – ${remedy}` : text });
 }
 

@@ -3,7 +3,7 @@
 import { allow, ask, byId, isAllowed, make, renew, setText, show } from "./dom.js";
 import { renderCommander, setSign } from "./band.js";
 import { beginPage, setupLease } from "./commands.js";
-import { clock, language, number, spoken, stepText, t } from "./words.js";
+import { clock, language, native, number, spoken, t } from "./words.js";
 
 const LOOKS = {
   ready: ["calm", "ready"],
@@ -32,7 +32,7 @@ const view = {
 // What the wizard says, in the language of the page where it has the sentence, and which language that is.
 const told = (text) => {
   const step = view.state?.steps.find((one) => text.startsWith(`${one.title} failed`));
-  const own = spoken(step ? text.replace(step.title, stepText(step, "title")) : text);
+  const own = spoken(step ? text.replace(step.title, native(step.title)) : text);
   return { lang: own === text ? "en" : language, text: own };
 };
 const tell = (node, text) => {
@@ -67,7 +67,7 @@ function renderBand() {
   const done = state?.steps.filter((step) => ["pass", "warn"].includes(step.status)).length ?? 0;
   setText(byId("since"), state ? t("wizard.done", { done, of: state.steps.length }) : "");
   const step = state?.steps.find((one) => one.key === state.step);
-  setText(byId("doing"), step ? stepText(step, "title") : "");
+  setText(byId("doing"), step ? native(step.title) : "");
   document.title = `${word} – ${info?.name ?? "tactile-cell"}`;
   setSign(level, sign);
   renderCommander(view);
@@ -102,12 +102,12 @@ function renderSteps() {
     if (step.key === state.step) item.setAttribute("aria-current", "step");
     else item.removeAttribute("aria-current");
     renew(summary, [step.title, status], () => [
-      make("b", {}, `${at + 1}. ${stepText(step, "title")}`), make("span", {}, t(`wizard.status.${status}`)),
+      make("b", {}, `${at + 1}. ${native(step.title)}`), make("span", {}, t(`wizard.status.${status}`)),
     ]);
     if (!item.firstElementChild.open) return;
     const may = status !== "open" && idle() && !why();
     renew(body, [step, may], () => [
-      make("p", { class: "muted" }, stepText(step, "purpose")),
+      make("p", { class: "muted" }, native(step.purpose)),
       ...step.lines.map((text) => line("p", text)),
       ...Object.keys(step.figures).map((name) => picture(step, name)),
       make("p", { class: "muted" }, step.ended ? `${clock(Date.parse(step.ended) / 1000)} – ` : "", line("span", step.undo)),
@@ -118,7 +118,7 @@ function renderSteps() {
 
 function redoButton(step) {
   const button = make("button", { type: "button", class: "plain" }, t("wizard.redo"));
-  button.addEventListener("click", () => ask(t("wizard.redo_sure", { title: stepText(step, "title") }), t("wizard.redo"),
+  button.addEventListener("click", () => ask(t("wizard.redo_sure", { title: native(step.title) }), t("wizard.redo"),
     () => post("api/redo", { key: step.key })));
   return button;
 }
@@ -127,15 +127,15 @@ function renderNow() {
   const { state, info } = view;
   if (!state) return;
   const step = state.steps.find((one) => one.key === state.step);
-  setText(byId("now_title"), step ? stepText(step, "title") : t("wizard.title", { name: info?.name ?? "" }));
-  setText(byId("now_purpose"), step ? stepText(step, "purpose") : state.phase === "finished" ? "" : t("wizard.what"));
+  setText(byId("now_title"), step ? native(step.title) : t("wizard.title", { name: info?.name ?? "" }));
+  setText(byId("now_purpose"), step ? native(step.purpose) : state.phase === "finished" ? "" : t("wizard.what"));
   const error = state.error;
   tell(byId("now_error"), error ? [error.text, error.number ? error.remedy : ""].filter(Boolean).join(" – ") : "");
   // Between two runs: what needs a look.
   const noted = state.steps.filter((one) => ["warn", "fail"].includes(one.status));
   const failed = step && state.question?.key === `${step.key}.again`;
   const said = step ? (failed ? step.lines : state.said).map((text) => ["", text])
-    : noted.flatMap((one) => one.lines.map((text) => [`${stepText(one, "title")}: `, text]));
+    : noted.flatMap((one) => one.lines.map((text) => [`${native(one.title)}: `, text]));
   renew(byId("now_said"), said, () => said.map(([title, text]) => make("li", {}, title, line("span", text))));
   const live = Object.entries(state.live);
   renew(byId("now_live"), live, () => live.flatMap(([name, value]) => [line("dt", name), line("dd", value)]));

@@ -1,7 +1,7 @@
 // A fault takes the place of what is not needed: what happened, what the grip does, what to do.
 
 import { allow, byId, make, onLongPress, renew, setText, show } from "./dom.js";
-import { faultText, has, t } from "./words.js";
+import { faultText, has, native, t } from "./words.js";
 
 const AFTER = ["ABORTING", "ABORTED", "CLEARING", "RESETTING"];
 const COMMANDS = { clear: "clear", clear_reboot: "clear", release: "release", reset: "reset" };
@@ -30,9 +30,9 @@ export function renderFault(view) {
   show(byId("fault"), Boolean(fault));
   if (!fault) return;
   setText(byId("fault_number"), fault.number ? t("fault.number", { number: String(fault.number) }) : "");
-  setText(byId("fault_title"), faultText(fault, "text"));
-  setText(byId("fault_cause"), faultText(fault, "cause"));
-  setText(byId("fault_grip"), faultText(fault, "grip") || (state.status.holding ? t("fault.may_hold") : t("fault.holds_nothing")));
+  setText(byId("fault_title"), faultText(fault));
+  setText(byId("fault_cause"), native(fault.cause));
+  setText(byId("fault_grip"), native(fault.grip) || (state.status.holding ? t("fault.may_hold") : t("fault.holds_nothing")));
   setText(byId("fault_detail"), fault.detail ?? fault.text ?? "");
   const recording = fault.recording ?? state.health?.recording?.path ?? "";
   setText(byId("fault_recording"), recording ? t("fault.keep", { path: recording }) : t("fault.no_recording"));
@@ -48,7 +48,7 @@ export function renderFault(view) {
   const next = commands.find((step) => needed(step) && !why(COMMANDS[step], true));
   const done = new Set(next ? steps.slice(0, steps.indexOf(next)).filter((step) => COMMANDS[step]) : []);
   const list = byId("fault_steps");
-  const remedy = faultText(fault, "remedy");
+  const remedy = native(fault.remedy);
   renew(list, [steps, remedy, document.documentElement.lang], () => steps.map((step) => {
     const text = step === "mend" && remedy ? remedy : has(`step.${step}`) ? t(`step.${step}`) : step;
     const item = make("li", { "data-step": step }, make("p", {}, text));

@@ -7,15 +7,14 @@ export const language = locale.slice(0, 2).toLowerCase();
 
 let texts = {};
 let faults = {};
-let grips = {};
-let steps = {};
+let exact = {};
 let sentences = []; // pattern of an English sentence, and the own one with {0} in the places of its figures
 const plural = new Intl.PluralRules(locale);
 
 export async function loadWords() {
   const answer = await fetch(new URL(`${language}.json`, import.meta.url));
   let own;
-  ({ faults = {}, grips = {}, steps = {}, sentences: own = {}, ...texts } = await answer.json());
+  ({ faults = {}, exact = {}, sentences: own = {}, ...texts } = await answer.json());
   // The one that says most comes first.
   sentences = Object.entries(own).sort(([a], [b]) => b.length - a.length).map(([english, text]) => [
     new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, "\\$&").replace(/\{\d\}/g, "(.*?)")}$`, "s"), text]);
@@ -37,14 +36,12 @@ export function t(key, values = {}) {
 
 export const has = (key) => key in texts;
 
-// A text of the fault catalogue: the server's is English, the others stand here by number, and what
-// the grip does by its English text, which many faults share.
-export function faultText(fault, field) {
-  return (field === "grip" ? grips[fault.grip] : faults[fault.number]?.[field]) ?? fault[field] ?? "";
-}
+// A fixed text of the server, as a cause, a remedy or the title of a step: the server's is English, the
+// others stand here by it.
+export const native = (text) => exact[text] ?? text ?? "";
 
-// A text of a step of the commissioning: the server's is English, the others stand here by key.
-export const stepText = (step, field) => steps[step.key]?.[field] ?? step[field];
+// What a fault is, by its number; its own text where the number has none here.
+export const faultText = ({ number: its, text = "" }) => faults[its] ?? text;
 
 // What the commissioning says: the server's is English, the others stand here by their pattern with
 // the figures left out. Of several in a list each is looked up; what has no pattern stays English.

@@ -12,6 +12,7 @@ from cell.commissioning.engine import Verdict
 from cell.commissioning.walk import all_steps
 from cell.control.states import CellState, GraspState
 from cell.fault_catalogue import CATALOGUE, Fault, Step
+from cell.interfaces.http_server import REMEDIES
 from cell.interfaces.page import FOLDER
 from cell.interfaces.plugin.goals import TASKS
 from cell.interfaces.service.state import state_values
@@ -40,6 +41,8 @@ FAMILIES: dict[str, set[str]] = {
     "wizard.status.": {*Verdict, "open"},
 }
 """Keys that end with what the cell reports."""
+SAME_IN_GERMAN = ("Servos",)
+"""Texts that both languages write alike."""
 FAULT = {field.name for field in fields(Fault)} | {"detail", "since_s", "recording"}
 """Fields of a fault in the state."""
 
@@ -97,33 +100,18 @@ def test_no_text_is_unused() -> None:
     assert keys - used() - families - made == set()
 
 
-def test_german_has_each_fault_and_no_other() -> None:
-    faults: dict[str, dict[str, Any]] = WORDS["de"]["faults"]
-    assert set(faults) == {str(fault.number) for fault in CATALOGUE.values()}
-    assert set(WORDS["de"]["grips"]) == {fault.grip for fault in CATALOGUE.values()}
-    for fault in CATALOGUE.values():
-        german = faults[str(fault.number)]
-        german = german | {"grip": WORDS["de"]["grips"][fault.grip]}
-        assert set(german) == {"text", "cause", "remedy", "grip"}
-        for name, text in german.items():
-            english = getattr(fault, name)
-            assert text.strip()
-            assert text != english, fault.number
-            # Keys of the config and commands stand in both as they are.
-            assert re.findall(r"`[^`]+`", text) == re.findall(r"`[^`]+`", english), fault.number
-
-
-def test_german_has_each_step_of_the_commissioning_and_no_other() -> None:
-    german = WORDS["de"]["steps"]
-    assert set(german) == {step.key for step in all_steps()}
-    for step in all_steps():
-        assert german[step.key].keys() == {"title", "purpose"}
-        assert german[step.key]["purpose"].strip() != step.purpose
-        # Commands and keys stand in both as they are.
-        commands = r"`[^`]+`"
-        assert re.findall(commands, german[step.key]["purpose"]) == re.findall(
-            commands, step.purpose
-        )
+def test_german_has_each_fixed_text_of_the_server_and_no_other() -> None:
+    german, entries = WORDS["de"], CATALOGUE.values()
+    assert set(german["faults"]) == {str(fault.number) for fault in entries}
+    fixed = {text for one in entries for text in (one.cause, one.remedy, one.grip)}
+    fixed |= {text for step in all_steps() for text in (step.title, step.purpose)}
+    assert set(german["exact"]) == fixed | set(REMEDIES.values())
+    pairs = [(fault.text, german["faults"][str(fault.number)]) for fault in entries]
+    for english, text in (*pairs, *german["exact"].items()):
+        assert text.strip()
+        assert text != english or english in SAME_IN_GERMAN
+        # Keys of the config and commands stand in both as they are.
+        assert re.findall(r"`[^`]+`", text) == re.findall(r"`[^`]+`", english), english
 
 
 def test_all_files_together_are_small() -> None:
