@@ -41,9 +41,7 @@ from cell.simulation import (
     simulated_cell,
 )
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
-from gripper.kinematics import Linkage
 from gripper.state import Clock, GripperPhase
 from motion.axes import Axes
 from simulator.cell import SimulatedCell
@@ -243,14 +241,9 @@ def build_cell(
             for note in hand.notes:
                 recorder.event("note", note)
         controller = CellController(
-            name=config.name,
-            hand=hand,
-            positioner=positioner,
-            sequence=config.sequence,
-            tare_frames=config.tactile.tare_frames,
-            contact_force_n=config.gripper.contact_force_n,
-            zero_force_max_n=config.gripper.ramp_force_max_n,
-            opening_step_m=_opening_step_m(config.linkage),
+            config,
+            hand,
+            positioner,
             clock=clock,
             recorder=recorder,
             zeros=SelfZeros(
@@ -268,12 +261,6 @@ def build_cell(
             _recorder=recorder,
             _closing=undo.pop_all(),
         )
-
-
-def _opening_step_m(linkage: Linkage) -> float:
-    """Return the step in m in which the servos read the opening of closed fingers."""
-    closed_rad = linkage.angles_rad(0.0)
-    return sum(map(linkage.opening_per_rad_m, closed_rad)) * RAD_PER_PULSE
 
 
 def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:

@@ -6,7 +6,7 @@ from typing import Any
 
 from cell.commissioning.backup import read_table
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step, choice
+from cell.commissioning.engine import Dialog, Notes, Step
 from cell.commissioning.ports import by_id
 from cell.commissioning.servos import Scan, check_supply, model_name, scan
 from cell.commissioning.unit import network_interfaces
@@ -72,13 +72,11 @@ def _further_ports(bench: Bench) -> list[str]:
 
 def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:
     """Ask before bytes are sent to a port of an unknown device."""
-    answer = dialog.ask(
-        choice(
-            "axes.port",
-            f"Does the serial port {by_id(port)} lead to the servo of an axis? It is scanned then.",
-            {"no": "no, or another device: leave it alone", "yes": "yes, scan it"},
-            "no",
-        )
+    answer = dialog.choose(
+        "axes.port",
+        f"Does the serial port {by_id(port)} lead to the servo of an axis? It is scanned then.",
+        {"no": "no, or another device: leave it alone", "yes": "yes, scan it"},
+        "no",
     )
     return answer == "yes"
 
@@ -134,13 +132,11 @@ def _can_buses(bench: Bench, dialog: Dialog) -> Iterator[tuple[str, str, int]]:
     others = [name for name in network_interfaces() if name not in own]
     if not others:
         return
-    answer = dialog.ask(
-        choice(
-            "axes.can",
-            "Are there drives on a CAN bus of their own? Its nodes are asked who they are.",
-            {_NO: "no"} | {name: name for name in others},
-            _NO,
-        )
+    answer = dialog.choose(
+        "axes.can",
+        "Are there drives on a CAN bus of their own? Its nodes are asked who they are.",
+        {_NO: "no"} | {name: name for name in others},
+        _NO,
     )
     if answer != _NO:
         # A network interface has its bit rate from the system.

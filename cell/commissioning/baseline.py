@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Question, Step, StepFailed, Write, confirmation
+from cell.commissioning.engine import Dialog, Notes, Question, Step, StepFailed, Write
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.first_force import bench_hand, look_after, start_free, told_if_held
 from cell.commissioning.motion import WatchedMotion
@@ -318,9 +318,7 @@ def measure_gauge(
             )
         ]
     )
-    dialog.ask(
-        confirmation("baseline.empty", "Take everything out of the fingers, and your hands away.")
-    )
+    dialog.confirm("baseline.empty", "Take everything out of the fingers, and your hands away.")
     with (
         bench_hand(bench, config) as hand,
         told_if_held(hand),
@@ -330,11 +328,9 @@ def measure_gauge(
         hand.start_sensor()
         hand.open(motion)
         zero = hand.tare(config.tactile.tare_frames)
-        dialog.ask(
-            confirmation(
-                "baseline.place",
-                f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
-            ),
+        dialog.confirm(
+            "baseline.place",
+            f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
             watch=lambda: look_after(hand, bench.clock, hand.period_s),
         )
         outcome = hand.grasp(force_ramp(config.sequence.ramp, force_n), motion)
@@ -370,8 +366,9 @@ def measure_gauge(
 
 
 def _let_go(hand: Hand, clock: Clock, dialog: Dialog) -> None:
-    dialog.ask(
-        confirmation("baseline.release", "Take hold of the object; the fingers open then."),
+    dialog.confirm(
+        "baseline.release",
+        "Take hold of the object; the fingers open then.",
         watch=lambda: look_after(hand, clock, hand.period_s),
     )
     hand.release()

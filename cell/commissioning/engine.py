@@ -79,17 +79,6 @@ class Question:
     """Answer where the person just confirms; None where there is none."""
 
 
-def choice(key: str, text: str, answers: Mapping[str, str], default: str | None = None) -> Question:
-    """Return a question with some answers, their texts by key."""
-    choices = tuple(Choice(key=name, text=answer) for name, answer in answers.items())
-    return Question(key=key, text=text, choices=choices, default=default)
-
-
-def confirmation(key: str, text: str, done: str = "done") -> Question:
-    """Return a question that asks for something to be done by hand, and waits for it."""
-    return choice(key, text, {"done": done}, "done")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Write:
     """A write to a device, or a motion, as it is shown before it is done."""
@@ -199,6 +188,25 @@ class Dialog(Protocol):
         """Show writes and motions before they are done; raises `Left` when they are refused."""
         ...
 
+    def choose(
+        self,
+        key: str,
+        text: str,
+        answers: Mapping[str, str],
+        default: str | None = None,
+        watch: Callable[[], str] | None = None,
+    ) -> str:
+        """Ask which of some answers holds, their texts by key; return its key."""
+        choices = tuple(Choice(key=name, text=answer) for name, answer in answers.items())
+        question = Question(key=key, text=text, choices=choices, default=default)
+        return str(self.ask(question, watch=watch))
+
+    def confirm(
+        self, key: str, text: str, done: str = "done", watch: Callable[[], str] | None = None
+    ) -> None:
+        """Ask for something to be done by hand, and wait for it."""
+        self.choose(key, text, {"done": done}, "done", watch)
+
 
 class Step:
     """One step: finds something out, and sets it where the person approves."""
@@ -284,6 +292,7 @@ class _Logged:
     def __init__(self, dialog: Dialog, log: Callable[[Sequence[Write]], None]) -> None:
         self.begin, self.found, self.say = dialog.begin, dialog.found, dialog.say
         self.live, self.ask = dialog.live, dialog.ask
+        self.choose, self.confirm = dialog.choose, dialog.confirm
         self._approve, self._log = dialog.approve, log
 
     def approve(self, writes: Sequence[Write]) -> None:
@@ -400,13 +409,11 @@ class Engine:
         dialog.found(step, self.findings[step.key])
 
     def _again(self, step: Step, dialog: Dialog) -> None:
-        answer = dialog.ask(
-            choice(
-                f"{step.key}.again",
-                f"{step.title} failed. Mend it, then run the step again.",
-                {"again": "run the step again", "leave": "leave; what was found is kept"},
-                "again",
-            )
+        answer = dialog.choose(
+            f"{step.key}.again",
+            f"{step.title} failed. Mend it, then run the step again.",
+            {"again": "run the step again", "leave": "leave; what was found is kept"},
+            "again",
         )
         if answer == "leave":
             leave(f"{step.title} failed")

@@ -24,8 +24,6 @@ from cell.commissioning.engine import (
     Step,
     StepFailed,
     Write,
-    choice,
-    confirmation,
 )
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
@@ -332,7 +330,7 @@ class _Hands:
 
     def _by_hand(self, key: str, text: str) -> tuple[int, ...]:
         """Ask for a position by hand and return it in pulses."""
-        self._dialog.ask(confirmation(f"fingers.{key}", text), watch=self._shown)
+        self._dialog.confirm(f"fingers.{key}", text, watch=self._shown)
         return self._read()
 
     def _ends(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -409,17 +407,15 @@ class _Hands:
 
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
         """Return the linkage that the person sees; the fit proposes one."""
-        answer = self._dialog.ask(
-            choice(
-                "fingers.kind",
-                "How do the fingers move? The measurements fit the first one best.",
-                {
-                    fit.kind: f"{KINDS[fit.kind]} ({fit.linkage}; residual "
-                    f"{fit.residual_m * 1e3:.2f} mm)"
-                    for fit in fits
-                },
-                fits[0].kind,
-            )
+        answer = self._dialog.choose(
+            "fingers.kind",
+            "How do the fingers move? The measurements fit the first one best.",
+            {
+                fit.kind: f"{KINDS[fit.kind]} ({fit.linkage}; residual "
+                f"{fit.residual_m * 1e3:.2f} mm)"
+                for fit in fits
+            },
+            fits[0].kind,
         )
         return next(fit for fit in fits if fit.kind == answer)
 
@@ -542,12 +538,10 @@ class _Hands:
             raise StepFailed(f"the first motion ended, the servos are limp: {error}") from error
         finally:
             group.go_limp()
-        answer = self._dialog.ask(
-            choice(
-                "fingers.opened",
-                "Did each finger open by itself, one after the other?",
-                {"yes": "yes, both opened", "no": "no: one closed, or did not move"},
-            )
+        answer = self._dialog.choose(
+            "fingers.opened",
+            "Did each finger open by itself, one after the other?",
+            {"yes": "yes, both opened", "no": "no: one closed, or did not move"},
         )
         if answer == "no":
             raise StepFailed(

@@ -17,7 +17,6 @@ from cell.commissioning.engine import (
     Step,
     StepFailed,
     Write,
-    confirmation,
 )
 from cell.commissioning.figures import Figure, curves
 from cell.commissioning.motion import WatchedMotion
@@ -150,12 +149,10 @@ def start_free(fingers: Fingers, dialog: Dialog) -> None:
     """
     fingers.start()
     if fingers.phase is GripperPhase.HELD_AFTER_FAULT:
-        dialog.ask(
-            confirmation(
-                "fingers.held",
-                "The servos have torque from before: a part may be held. Take hold of it; the "
-                "fingers open when you confirm.",
-            )
+        dialog.confirm(
+            "fingers.held",
+            "The servos have torque from before: a part may be held. Take hold of it; the "
+            "fingers open when you confirm.",
         )
         fingers.release()
         fingers.start()
@@ -248,11 +245,9 @@ class FirstForceStep(Step):
             cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
         most_n = _asked(dialog, round(largest_setpoint_n(cap_n), 1))
         dialog.approve(_motions(config, most_n, alone=alone))
-        dialog.ask(
-            confirmation(
-                "first_force.empty",
-                "Take everything out of the fingers, and your hands away from them.",
-            )
+        dialog.confirm(
+            "first_force.empty",
+            "Take everything out of the fingers, and your hands away from them.",
         )
         with (
             (_gripper_alone if alone else bench_hand)(bench, config) as fingers,
@@ -365,9 +360,8 @@ class _Trial:
     def _ask(self, fingers: Fingers, key: str, text: str) -> None:
         """Ask for something by hand, while the grip is looked after."""
         period_s = 1.0 / self._config.gripper.loop_rate_hz
-        self._dialog.ask(
-            confirmation(f"first_force.{key}", text),
-            watch=lambda: look_after(fingers, self._clock, period_s),
+        self._dialog.confirm(
+            f"first_force.{key}", text, watch=lambda: look_after(fingers, self._clock, period_s)
         )
 
     def _open(self, fingers: Fingers) -> None:

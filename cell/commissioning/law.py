@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Number, Question, Step, StepFailed, choice
+from cell.commissioning.engine import Dialog, Notes, Number, Question, Step, StepFailed
 from cell.commissioning.figures import curves
 from cell.commissioning.pads import sequence_forces_n
 from cell.commissioning.unit import unit_sensor
@@ -90,14 +90,12 @@ class LawStep(Step):
 
     def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         """Ask for the loads, and judge them."""
-        answer = dialog.ask(
-            choice(
-                "pads_law.with",
-                "Do you have weights of up to a kilogram, or a kitchen scale? Nothing may touch "
-                "the pads while you answer: their zero is taken next.",
-                {"scale": "yes", "skip": "no: forces stay unchecked"},
-                "scale",
-            )
+        answer = dialog.choose(
+            "pads_law.with",
+            "Do you have weights of up to a kilogram, or a kitchen scale? Nothing may touch "
+            "the pads while you answer: their zero is taken next.",
+            {"scale": "yes", "skip": "no: forces stay unchecked"},
+            "scale",
         )
         if answer == "skip":
             notes.warn(

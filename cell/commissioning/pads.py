@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step, choice
+from cell.commissioning.engine import Dialog, Notes, Step
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.unit import unit_sensor
 from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
@@ -413,16 +413,14 @@ class _Presses:
                 self._lifted()
                 return True
             dialog.say(complaint)
-            answer = dialog.ask(
-                choice(
-                    "pads_pressed.again",
-                    f"Press {name} again?",
-                    {
-                        "again": "press it again",
-                        "skip": "it shows nothing: go on without it",
-                    },
-                    "again",
-                ),
+            answer = dialog.choose(
+                "pads_pressed.again",
+                f"Press {name} again?",
+                {
+                    "again": "press it again",
+                    "skip": "it shows nothing: go on without it",
+                },
+                "again",
                 watch=lambda: _patch_text(layout, self._look()[-1]),
             )
             if answer == "skip":

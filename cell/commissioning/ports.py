@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step, confirmation
+from cell.commissioning.engine import Dialog, Notes, Step
 from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms
 from gripper.errors import PortLost
 
@@ -94,13 +94,11 @@ def _found(bench: Bench, dialog: Dialog) -> str:
     """Return the only port, or the one that goes and comes back with its plug."""
     ports = bench.lines.serial_ports()
     while not ports:
-        dialog.ask(
-            confirmation(
-                "ports.plug_in",
-                "No serial adapter is there. Plug in that of the servos. (A port of the main board "
-                "is named with --servo-port.)",
-                "it is plugged in",
-            )
+        dialog.confirm(
+            "ports.plug_in",
+            "No serial adapter is there. Plug in that of the servos. (A port of the main board "
+            "is named with --servo-port.)",
+            "it is plugged in",
         )
         ports = _changed(bench, ports)
     if len(ports) == 1:
@@ -108,12 +106,10 @@ def _found(bench: Bench, dialog: Dialog) -> str:
     gone: set[str] = set()
     while len(gone) != 1:
         dialog.say(f"Serial ports: {', '.join(map(by_id, ports))}")
-        dialog.ask(
-            confirmation(
-                "ports.unplug",
-                "Which one leads to the servos? Pull the USB plug of their adapter.",
-                "it is pulled",
-            )
+        dialog.confirm(
+            "ports.unplug",
+            "Which one leads to the servos? Pull the USB plug of their adapter.",
+            "it is pulled",
         )
         gone = set(ports) - set(_changed(bench, ports))
         if len(gone) != 1:
@@ -125,7 +121,7 @@ def _found(bench: Bench, dialog: Dialog) -> str:
     left = tuple(port for port in ports if port not in gone)
     back: set[str] = set()
     while len(back) != 1:
-        dialog.ask(confirmation("ports.plug_back", "Plug it in again.", "it is plugged in"))
+        dialog.confirm("ports.plug_back", "Plug it in again.", "it is plugged in")
         # It may come back under another name.
         back = set(_changed(bench, left)) - set(left)
     return by_id(back.pop())

@@ -11,8 +11,6 @@ from cell.commissioning.engine import (
     Notes,
     Step,
     StepFailed,
-    choice,
-    confirmation,
     leave,
 )
 from gripper.dynamixel.bus import ServoBus, ServoIdentity
@@ -199,13 +197,11 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
             n_wanted = n_wanted or _count(dialog, placed)
             if len(placed) >= n_wanted:
                 return placed
-            dialog.ask(
-                confirmation(
-                    "servos.connect_next",
-                    f"Servo {placed[-1].servo_id} has its number. Connect the next servo beside "
-                    "it, and switch its supply on.",
-                    "it is connected",
-                )
+            dialog.confirm(
+                "servos.connect_next",
+                f"Servo {placed[-1].servo_id} has its number. Connect the next servo beside "
+                "it, and switch its supply on.",
+                "it is connected",
             )
         bench.clock.sleep(_BOOT_S)
         seen = {one.baud_rate for one in (*found.servos, *found.shared)}
@@ -221,13 +217,11 @@ def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
         for one in found.shared
     )
     damaged = "; ".join(f"damaged answers at {rate} bit/s" for rate in found.damaged)
-    dialog.ask(
-        confirmation(
-            "servos.connect_one",
-            f"{'; '.join(filter(None, (shared, damaged)))}. New servos all have ID 1, and nothing "
-            "can be written to one of them. Disconnect all servos but one.",
-            "one servo is connected",
-        )
+    dialog.confirm(
+        "servos.connect_one",
+        f"{'; '.join(filter(None, (shared, damaged)))}. New servos all have ID 1, and nothing "
+        "can be written to one of them. Disconnect all servos but one.",
+        "one servo is connected",
     )
 
 
@@ -235,13 +229,11 @@ def _count(dialog: Dialog, placed: Sequence[ServoIdentity]) -> int:
     """Return how many servos the gripper has, asked only where one alone answers."""
     if len(placed) > 1:
         return len(placed)
-    answer = dialog.ask(
-        choice(
-            "servos.count",
-            f"One servo answers: {model_name(placed[0].model_number)}. Does it drive both "
-            "fingers, or does a second servo drive the other finger?",
-            {"1": "one servo drives both fingers", "2": "there is a second one"},
-        )
+    answer = dialog.choose(
+        "servos.count",
+        f"One servo answers: {model_name(placed[0].model_number)}. Does it drive both "
+        "fingers, or does a second servo drive the other finger?",
+        {"1": "one servo drives both fingers", "2": "there is a second one"},
     )
     return int(answer)
 
@@ -292,17 +284,15 @@ def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> Non
     """Switch the torque of a servo off where it is on, once nothing is held any more."""
     if not torque:
         return
-    answer = dialog.ask(
-        choice(
-            "servos.torque",
-            f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be "
-            "written without torque only. Take the part out, or hold it: it falls otherwise.",
-            {
-                "off": "nothing is held; switch the torque off",
-                "leave": "leave it as it is",
-            },
-            "leave",
-        )
+    answer = dialog.choose(
+        "servos.torque",
+        f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be "
+        "written without torque only. Take the part out, or hold it: it falls otherwise.",
+        {
+            "off": "nothing is held; switch the torque off",
+            "leave": "leave it as it is",
+        },
+        "leave",
     )
     if answer != "off":
         leave(f"servo {servo_id} has its torque on")
@@ -317,15 +307,13 @@ def _of_fingers(
     """Return the servos of the fingers and the others; asked only where there are more than two."""
     fingers = list(placed)
     while len(fingers) > _MOST_FINGER_SERVOS:
-        answer = dialog.ask(
-            choice(
-                "servos.other",
-                "A gripper has one or two servos. Which one drives no finger?",
-                {
-                    str(one.servo_id): f"servo {one.servo_id} ({model_name(one.model_number)})"
-                    for one in fingers
-                },
-            )
+        answer = dialog.choose(
+            "servos.other",
+            "A gripper has one or two servos. Which one drives no finger?",
+            {
+                str(one.servo_id): f"servo {one.servo_id} ({model_name(one.model_number)})"
+                for one in fingers
+            },
         )
         fingers = [one for one in fingers if str(one.servo_id) != answer]
     return fingers, [one for one in placed if one not in fingers]

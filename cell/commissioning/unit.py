@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step, StepFailed, Write, choice
+from cell.commissioning.engine import Dialog, Notes, Step, StepFailed, Write
 from cell.config.section import SIMULATED
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.errors import ConfigError
@@ -166,16 +166,14 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
         ("slcan", port) for port in bench.lines.serial_ports() if os.path.realpath(port) != servos
     ]
     if not places:
-        answer = dialog.ask(
-            choice(
-                "unit.none",
-                "No CAN interface is there. Does this gripper have a control unit?",
-                {
-                    "yes": "yes: its adapter has to be plugged in",
-                    "alone": "no: a gripper without pads, for now",
-                },
-                "yes",
-            )
+        answer = dialog.choose(
+            "unit.none",
+            "No CAN interface is there. Does this gripper have a control unit?",
+            {
+                "yes": "yes: its adapter has to be plugged in",
+                "alone": "no: a gripper without pads, for now",
+            },
+            "yes",
         )
         if answer == "alone":
             return None
@@ -187,13 +185,11 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
     if len(places) == 1:
         return places[0]
     by_key = {" ".join(place): place for place in places}
-    answer = dialog.ask(
-        choice(
-            "unit.interface",
-            "Which CAN interface leads to the control unit?",
-            {key: f"{name} ({kind})" for key, (kind, name) in by_key.items()},
-            next(iter(by_key)),
-        )
+    answer = dialog.choose(
+        "unit.interface",
+        "Which CAN interface leads to the control unit?",
+        {key: f"{name} ({kind})" for key, (kind, name) in by_key.items()},
+        next(iter(by_key)),
     )
     return by_key[str(answer)]
 
@@ -293,13 +289,11 @@ def _node(bus: CanBus, heard: Heard, dialog: Dialog, notes: Notes) -> int:
         notes.fact(f"Beside it, {other}.")
     if len(units) == 1:
         return units[0]
-    answer = dialog.ask(
-        choice(
-            "unit.node",
-            "Several control units answer. Which one belongs to this gripper?",
-            {str(node): f"node {node}" for node in units},
-            str(units[0]),
-        )
+    answer = dialog.choose(
+        "unit.node",
+        "Several control units answer. Which one belongs to this gripper?",
+        {str(node): f"node {node}" for node in units},
+        str(units[0]),
     )
     return int(answer)
 

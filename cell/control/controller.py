@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
 
-from cell.config.sequence import SequenceConfig
+from cell.config.model import CellConfig
 from cell.control.grasping import NOTHING_HELD, Grasper
 from cell.control.identification import (
     Identification,
@@ -72,15 +72,10 @@ class CellController:
 
     def __init__(
         self,
-        *,
-        name: str,
+        config: CellConfig,
         hand: Hand,
         positioner: Positioner,
-        sequence: SequenceConfig,
-        tare_frames: int,
-        contact_force_n: float,
-        zero_force_max_n: float,
-        opening_step_m: float,
+        *,
         clock: Clock,
         recorder: Recorder | None = None,
         zeros: SelfZeros | None = None,
@@ -88,30 +83,19 @@ class CellController:
         self._zeros = zeros or SelfZeros()
         self._positioner = positioner
         self._clock = clock
-        self._sequence = sequence
-        self._tare_frames = tare_frames
-        self._contact_n = contact_force_n
+        self._config = config
         self._journal = Journal(recorder)
         self.zero: TareResult | None = None
         self._hand = hand
         self._life = CellLifecycle(
-            hand,
-            shows_nothing=lambda: self.shows_nothing,
-            note=self._journal.note,
-            close_sensor=hand.close_sensor,
-            changed=self._record_state,
-            clock=clock,
+            hand, self._journal, shows_nothing=lambda: self.shows_nothing, clock=clock
         )
         self._grasper = Grasper(
-            name,
+            config,
             hand,
             positioner,
             life=self._life,
             journal=self._journal,
-            sequence=sequence,
-            contact_force_n=contact_force_n,
-            zero_force_max_n=zero_force_max_n,
-            opening_step_m=opening_step_m,
             zeros=self._zeros,
             clock=clock,
         )
@@ -206,7 +190,7 @@ class CellController:
     @property
     def carry_force_n(self) -> float:
         """Force in N with which a kept part is held, whatever it was gripped with."""
-        return self._sequence.carry_force_n
+        return self._config.sequence.carry_force_n
 
     @property
     def shows_nothing(self) -> bool:
@@ -215,7 +199,7 @@ class CellController:
         cycle, force = measured.cycle, measured.force
         if cycle is None or force is None or min(cycle.t_s, force.t_s) < since_s:
             return False
-        return shows_nothing(cycle.state, force, self._contact_n)
+        return shows_nothing(cycle.state, force, self._config.gripper.contact_force_n)
 
     # -- commands ------------------------------------------------------------------------------
 
@@ -250,7 +234,7 @@ class CellController:
                     f"start again"
                 )
             self._hand.open(self._grasper.watch)
-            self.zero = self._hand.tare(self._tare_frames)
+            self.zero = self._hand.tare(self._config.tactile.tare_frames)
             self._life.check_cancelled()
             if self._zeros.due:
                 self._grasper.measure_zero()
@@ -602,9 +586,9 @@ class CellController:
             grasp,
             recognizer,
             steps,
-            error_rate=self._sequence.error_rate,
+            error_rate=self._config.sequence.error_rate,
             keep=keep,
-            regrasps=self._sequence.regrasp == "fixture",
+            regrasps=self._config.sequence.regrasp == "fixture",
             early=early,
             chooser=chooser,
             read_shape=read_shape,
@@ -692,6 +676,3 @@ class CellController:
             self._life.result = None
             self._life.complete()
         return report
-
-    def _record_state(self) -> None:
-        self._journal.states(self._life.state, self._life.grasp_state)

@@ -8,7 +8,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.config.sequence import SequenceConfig, force_ramp
+from cell.config.model import CellConfig
+from cell.config.sequence import force_ramp
 from cell.control.journal import Journal
 from cell.control.keeping import (
     LOOK_S,
@@ -34,7 +35,9 @@ from cell.control.self_zero import (
 from cell.data.dataset import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, Watch
+from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.force.ramp import ForceRamp
+from gripper.kinematics import Linkage
 from gripper.state import Clock, Cycle, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero
 from recognition.grasp import CELL_SOURCE, Grasp, PadArray
@@ -68,22 +71,14 @@ class Grasper:
 
     Parameters
     ----------
-    name
-        Of the cell: the source of its grasps.
+    config
+        Of the cell: its name, how the force grows, with which one a part is carried.
     hand, positioner
         What grasps, and what moves the object in between.
     life
         Holds requested stops and the states to record.
     journal
         Gets what happens.
-    sequence
-        How the force grows, and with which one a part is carried.
-    contact_force_n
-        Least force in N with which a part is held.
-    zero_force_max_n
-        Largest force in N with which the empty fingers may press on each other.
-    opening_step_m
-        Step in m in which the servos read the opening of closed fingers.
     zeros
         The newest self-zero, which grasps carry.
     clock
@@ -92,30 +87,25 @@ class Grasper:
 
     def __init__(
         self,
-        name: str,
+        config: CellConfig,
         hand: Hand,
         positioner: Positioner,
         *,
         life: CellLifecycle,
         journal: Journal,
-        sequence: SequenceConfig,
-        contact_force_n: float,
-        zero_force_max_n: float,
-        opening_step_m: float,
         zeros: SelfZeros,
         clock: Clock,
     ) -> None:
-        self._source = CELL_SOURCE + name
+        self._source = CELL_SOURCE + config.name
         self._hand = hand
         self._positioner = positioner
         self._life = life
         self._journal = journal
-        self._sequence = sequence
-        self._contact_n = contact_force_n
+        self._gripper = config.gripper
+        self._sequence = config.sequence
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._last_start_ms = 0
-        self._zero_force_max_n = zero_force_max_n
-        self._opening_step_m = opening_step_m
+        self._opening_step_m = _opening_step_m(config.linkage)
         self._zeros = zeros
         self._patient = PatientCaller(clock, hand.period_s)
         self.pads: PadArray = pad_array(hand.layout)
@@ -197,7 +187,7 @@ class Grasper:
         collector, watch = self._collecting()
         self._held = None
         self._hand.open(self.watch)
-        most_n = min(_ZERO_FORCE_N, self._zero_force_max_n)
+        most_n = min(_ZERO_FORCE_N, self._gripper.ramp_force_max_n)
         self._hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
         layout = self._hand.layout
         grasp = collector.grasp(self.pads, source=self._source, start_ms=self._next_start_ms())
@@ -287,7 +277,7 @@ class Grasper:
     def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
         """Back off and follow a further ramp in the same grip; return its record."""
         from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
-        from_n = max(from_n, LEAST_CONTACTS * self._contact_n)
+        from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
         self._hand.carry(from_n, 0.0, self.watch)
         collector, watch = self._collecting()
         start_ms = self._next_start_ms()
@@ -355,3 +345,9 @@ class Grasper:
         reached = self.patiently(lambda: self._positioner.move_to(pose, supervise), supervise)
         self._journal.pose(reached)
         return reached
+
+
+def _opening_step_m(linkage: Linkage) -> float:
+    """Return the step in m in which the servos read the opening of closed fingers."""
+    closed_rad = linkage.angles_rad(0.0)
+    return sum(map(linkage.opening_per_rad_m, closed_rad)) * RAD_PER_PULSE

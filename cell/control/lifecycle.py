@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from cell.control.journal import Journal
 from cell.control.states import (
     COMPLETIONS,
     TRANSITIONS,
@@ -52,14 +53,10 @@ class CellLifecycle:
     ----------
     hand
         Whose grip it is.
-    note
-        Called at stops and faults, with kind, text, and the fault's number where there is one.
+    journal
+        Gets stops, faults and each change of state.
     shows_nothing
         Whether pads and current showed last that nothing is held.
-    close_sensor
-        Ends the tactile link when a start is given up.
-    changed
-        Called after each change of state.
     clock
         Monotonic time.
 
@@ -83,18 +80,14 @@ class CellLifecycle:
     def __init__(
         self,
         hand: Hand,
+        journal: Journal,
         *,
-        note: Callable[[str, str, int], None],
         shows_nothing: Callable[[], bool],
-        close_sensor: Callable[[], None],
-        changed: Callable[[], None],
         clock: Clock,
     ) -> None:
         self._hand = hand
-        self._note = note
+        self._journal = journal
         self._shows_nothing = shows_nothing
-        self._close_sensor = close_sensor
-        self._changed = changed
         self._clock = clock
         self._kept: tuple[float, str] | None = None
         self._state = CellState.STOPPED
@@ -146,7 +139,7 @@ class CellLifecycle:
         self.state_since_s = time.time()
         if event in (Event.RELEASE, Event.RELEASE_HELD, Event.START):
             self._kept = None
-        self._changed()
+        self._journal.states(self._state, self.grasp_state)
 
     def _refused(self, text: str) -> CellStateError:
         return CellStateError(text + (f"; fault: {self.fault}" if self.fault else ""))
@@ -203,7 +196,7 @@ class CellLifecycle:
             if self._state is not CellState.EXECUTE or self.holding:
                 self._latch(error)
             else:
-                self._note("positioner", str(error), fault_number(error))
+                self._journal.note("positioner", str(error), fault_number(error))
                 self.go(Event.DONE)
             raise
         except BaseException as error:
@@ -221,11 +214,11 @@ class CellLifecycle:
         self._part_lost = isinstance(error, lost)
         self.go(Event.FAULT)
         try:
-            self._note("fault", self.fault, self.fault_number)
+            self._journal.note("fault", self.fault, self.fault_number)
             self._hand.keep_grip()
         except (GripperError, HandLost) as second:
             text = f"the grip could not be confirmed: {second}"
-            self._note("fault", text, fault_number(second))
+            self._journal.note("fault", text, fault_number(second))
         finally:
             self.complete()
 
@@ -249,10 +242,10 @@ class CellLifecycle:
         """Go where a stop on request leads from the present state, and keep the grip."""
         if self._state is CellState.STARTING:
             self.go(Event.STOP)
-            self._close_sensor()
+            self._hand.close_sensor()
         elif self._state is CellState.EXECUTE:
             self.go(Event.HOLD)
-            self._note("held", f"stopped {self.stop_reason}", 0)
+            self._journal.note("held", f"stopped {self.stop_reason}", 0)
         self._hand.keep_grip()
         if self._state.acting:
             self.complete()

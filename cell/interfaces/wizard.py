@@ -17,7 +17,7 @@ from typing import Annotated, Any
 from fastapi import FastAPI, HTTPException, Query, Request
 from fastapi.responses import Response
 
-from cell.commissioning.engine import Engine, Finding, Left, Question, Step, Write
+from cell.commissioning.engine import Dialog, Engine, Finding, Left, Question, Step, Write
 from cell.commissioning.figures import standalone_svg
 from cell.commissioning.record import render_record
 from cell.config.serve import ServeConfig
@@ -51,7 +51,7 @@ class Phase(StrEnum):
     FINISHED = "finished"
 
 
-class Wizard:
+class Wizard(Dialog):
     """The wizard as the page sees it; implements `cell.commissioning.engine.Dialog`.
 
     The engine's thread calls the methods of a dialog, the door's threads all others.

@@ -4,7 +4,7 @@ import select
 import sys
 from collections.abc import Callable, Sequence
 
-from cell.commissioning.engine import Finding, Question, Step, Verdict, Write, leave
+from cell.commissioning.engine import Dialog, Finding, Question, Step, Verdict, Write, leave
 from cell.interfaces.cli.terminal import ask, out, plain, print_line
 
 _LEAVE = "q"
@@ -18,7 +18,7 @@ _LINE_UP, _SAVE, _RESTORE = "\x1b[1A", "\x1b7", "\x1b8"
 _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
 
 
-class TerminalDialog:
+class TerminalDialog(Dialog):
     """Implements `cell.commissioning.engine.Dialog` on standard input and output."""
 
     def __init__(self) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from cell.commissioning.engine import Finding, Left, Question, Step, Write
+from cell.commissioning.engine import Dialog, Finding, Left, Question, Step, Write
 from cell.simulation import open_can_bus, open_servo_port
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
@@ -16,7 +16,7 @@ Reply = str | float | Callable[[], object]
 
 
 @dataclass
-class Script:
+class Script(Dialog):
     """Implements `Dialog`: answers by the keys of the questions, and keeps what was shown.
 
     A list of replies is used up one by one, its last one stays. A question without a reply takes

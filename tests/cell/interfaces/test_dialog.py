@@ -15,7 +15,6 @@ from cell.commissioning.engine import (
     Question,
     Verdict,
     Write,
-    confirmation,
 )
 from cell.commissioning.ports import PortsStep
 from cell.interfaces.cli import terminal
@@ -56,7 +55,7 @@ def test_texts_are_taken_as_they_are(typed) -> None:
 
 
 def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
-    assert typed("").ask(confirmation("q", "Move it."), watch=lambda: "1 deg") == "done"
+    typed("").confirm("q", "Move it.", watch=lambda: "1 deg")
 
 
 @pytest.mark.parametrize("lines", [["q"], []])
