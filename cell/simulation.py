@@ -295,19 +295,11 @@ class InProcessPlacer:
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object and return where it came to rest. Raises PositionerError."""
-        wanted = ObjectPose(
-            x_m=pose.x_m, y_m=pose.y_m, rotation_rad=pose.rotation_rad, roll_rad=pose.roll_rad
-        )
         try:
-            reached = self._cell.place(label, wanted)
+            reached = self._cell.place(label, ObjectPose(**pose.as_dict()))
         except SimulatorError as error:
             raise PositionerError(f"{label} cannot be placed at {pose}: {error}") from error
-        return Pose(
-            x_m=reached.x_m,
-            y_m=reached.y_m,
-            rotation_rad=reached.rotation_rad,
-            roll_rad=reached.roll_rad,
-        )
+        return Pose(**{name: getattr(reached, name) for name in pose.as_dict()})
 
 
 def capture_traffic(cell: SimulatedCell | None, path: Path, undo: ExitStack) -> None:

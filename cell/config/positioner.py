@@ -169,29 +169,11 @@ class PositionerConfig(Section):
         if self.kind != "axes":
             return
         limits: dict[str, Range] = {axis.moves: (axis.low, axis.high) for axis in self.axes}
-        for moves, (low, high) in _ranges(sequence).items():
+        for name, (low, high) in sequence.ranges.items():
+            moves = name.partition("_")[0]
             least, most = limits.get(moves, (0.0, 0.0))
-            if not least <= low <= high <= most:
-                name = f"{moves}_mm" if moves in ("x", "y") else f"{moves}_deg"
+            if moves != "force" and not least <= low <= high <= most:
                 reason = f"its axis goes from {least:g} to {most:g}"
                 if moves not in limits:
                     reason = "no axis moves it: write [0, 0]"
                 raise ValueError(f"sequence.{name} asks for {low:g} to {high:g}; {reason}")
-
-
-def _ranges(sequence: SequenceConfig) -> dict[str, Range]:
-    """Return the range of each part of a pose that a sequence asks for, in mm and degrees."""
-    if sequence.kind != "list":
-        return {
-            "x": sequence.x_mm,
-            "y": sequence.y_mm,
-            "rotation": sequence.rotation_deg,
-            "roll": sequence.roll_deg,
-        }
-    listed = {
-        "x": [pose.x_mm for pose in sequence.poses],
-        "y": [pose.y_mm for pose in sequence.poses],
-        "rotation": [pose.rotation_deg for pose in sequence.poses],
-        "roll": [pose.roll_deg for pose in sequence.poses],
-    }
-    return {moves: (min(values), max(values)) for moves, values in listed.items()}

@@ -126,12 +126,18 @@ class SequenceConfig(Section):
         return self.model_copy(update={"force_n": (force_n, force_n), "poses": poses})
 
     @property
+    def ranges(self) -> dict[str, Range]:
+        """Smallest and largest value of each part of a pose, and of the force, by their keys."""
+        names = list(ListedPoseConfig.model_fields)
+        if self.kind != "list":
+            return {name: getattr(self, name) for name in names}
+        listed = {name: [getattr(pose, name) for pose in self.poses] for name in names}
+        return {name: (min(values), max(values)) for name, values in listed.items()}
+
+    @property
     def forces_n(self) -> Range:
         """The smallest and the largest force that the sequence asks for in N."""
-        if self.kind == "list":
-            listed = [pose.force_n for pose in self.poses]
-            return min(listed), max(listed)
-        return self.force_n
+        return self.ranges["force_n"]
 
 
 def force_ramp(

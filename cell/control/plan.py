@@ -2,7 +2,8 @@
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Self
 
 import numpy as np
 
@@ -34,12 +35,17 @@ class Pose:
 
     def as_dict(self) -> dict[str, float]:
         """Return the pose as plain numbers, keys with units."""
-        return {
-            "x_m": self.x_m,
-            "y_m": self.y_m,
-            "rotation_rad": self.rotation_rad,
-            "roll_rad": self.roll_rad,
-        }
+        return asdict(self)
+
+    @classmethod
+    def of_mm(cls, x_mm: float, y_mm: float, rotation_deg: float, roll_deg: float) -> Self:
+        """Return the pose of lengths in mm and angles in degrees, as the config has them."""
+        return cls(
+            x_m=x_mm * 1e-3,
+            y_m=y_mm * 1e-3,
+            rotation_rad=math.radians(rotation_deg),
+            roll_rad=math.radians(roll_deg),
+        )
 
     def __str__(self) -> str:
         return (
@@ -78,13 +84,7 @@ def plan_grid(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
     that are coprime to its size, so that the first grasps of a long grid already differ in all
     axes, and begins anew where ``n_grasps`` exceeds it.
     """
-    ranges = (
-        config.x_mm,
-        config.y_mm,
-        config.rotation_deg,
-        config.roll_deg,
-        config.force_n,
-    )
+    ranges = config.ranges.values()
     axes = [_levels(low, high, config.grid_points if high > low else 1) for low, high in ranges]
     grid = list(itertools.product(*axes))
     stride = max(1, int(len(grid) * 0.618))
@@ -96,15 +96,13 @@ def plan_grid(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
 def plan_random(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[GraspStep, ...]:
     """Draw poses and forces evenly from their ranges; the same seed gives the same plan."""
     rng = np.random.default_rng(seed)
-    low, high = np.array(
-        [config.x_mm, config.y_mm, config.rotation_deg, config.roll_deg, config.force_n]
-    ).T
+    low, high = np.array(list(config.ranges.values())).T
     return tuple(_step(*row) for row in rng.uniform(low, high, size=(n_grasps, len(low))).tolist())
 
 
 def plan_list(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
     """Take the listed poses in order, again from the first where ``n_grasps`` exceeds the list."""
-    listed = [_step(p.x_mm, p.y_mm, p.rotation_deg, p.roll_deg, p.force_n) for p in config.poses]
+    listed = [_step(**pose.model_dump()) for pose in config.poses]
     return tuple(listed[i % len(listed)] for i in range(n_grasps))
 
 
@@ -128,12 +126,4 @@ def plan(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[GraspStep
 def _step(
     x_mm: float, y_mm: float, rotation_deg: float, roll_deg: float, force_n: float
 ) -> GraspStep:
-    return GraspStep(
-        pose=Pose(
-            x_m=x_mm * 1e-3,
-            y_m=y_mm * 1e-3,
-            rotation_rad=math.radians(rotation_deg),
-            roll_rad=math.radians(roll_deg),
-        ),
-        force_n=force_n,
-    )
+    return GraspStep(pose=Pose.of_mm(x_mm, y_mm, rotation_deg, roll_deg), force_n=force_n)

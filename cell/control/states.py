@@ -204,18 +204,13 @@ TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
 }
 """Every transition there is; a pair that is not listed is refused."""
 
+_OTHER_EVENTS = {"grasp": Event.EXECUTE, "grip": Event.EXECUTE, "shutdown": Event.STOP}
 _EVENT_OF = {
-    Command.START: Event.START,
-    Command.GRASP: Event.EXECUTE,
-    Command.GRIP: Event.EXECUTE,
-    Command.VERIFY: Event.VERIFY,
-    Command.RELEASE: Event.RELEASE,
-    Command.RELEASE_HELD: Event.RELEASE_HELD,
-    Command.CLEAR: Event.CLEAR,
-    Command.RESET: Event.RESET,
-    Command.SHUTDOWN: Event.STOP,
+    command: _OTHER_EVENTS.get(command) or Event(command)
+    for command in Command
+    if command is not Command.CANCEL
 }
-"""Event of each command; a cancel leads to different ones."""
+"""Event of each command, mostly that of its name; a cancel leads to different ones."""
 
 _KEEPING = (Command.GRIP, Command.VERIFY)
 """Commands that end with the part held for the host."""

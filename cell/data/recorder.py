@@ -71,8 +71,7 @@ class Recorder:
     """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
 
     A disk that is full, gone or too slow never raises into the force loop: the recording stops
-    for good, `fault` gives the reason and how many frames can be read, ``on_fault`` is called once,
-    and `close` raises the fault.
+    for good, `fault` gives the reason and how many frames can be read, and `close` raises it.
 
     Parameters
     ----------
@@ -84,8 +83,6 @@ class Recorder:
         The pads whose counts are recorded.
     metadata
         Further facts to keep with the recording, for instance hashes of config and model.
-    on_fault
-        Called once with the error when the recording stops.
     background
         Write from a thread of its own, for real time; in virtual time leave it off.
     tap
@@ -110,7 +107,6 @@ class Recorder:
         *,
         pads: PadArray,
         metadata: Mapping[str, str] | None = None,
-        on_fault: Callable[[RecordingError], None] | None = None,
         background: bool = False,
         tap: Tap | None = None,
         vital: bool = False,
@@ -121,7 +117,6 @@ class Recorder:
         self._clock = clock
         self._pads = pads
         self._tap = tap
-        self._on_fault = on_fault
         self._wall_clock_ns = wall_clock_ns
         self._fault: RecordingError | None = None
         self._closed = False
@@ -348,5 +343,3 @@ class Recorder:
                 f"{self._what_is_left()}; free space or choose another disk, then repeat"
             )
             self._fault.__cause__ = cause
-            if self._on_fault is not None:
-                self._on_fault(self._fault)

@@ -8,14 +8,11 @@ import numpy as np
 from cell.build import Cell
 from cell.config.model import CellConfig
 from cell.control.records import GraspRecord
-from cell.jobs.run import BASELINE, MainResult, Trial
+from cell.jobs.run import BASELINE, MainResult
 from cell.learning.blas import one_blas_thread
 from cell.report.build import (
-    facts,
-    identify_steps,
     link_health,
     loop_health,
-    pad_views,
     paper_table,
     pressure_levels,
     servo_health,
@@ -25,12 +22,10 @@ from cell.report.build import (
 from cell.report.data import (
     ConfusionTable,
     ExampleGrasp,
-    FileEntry,
     IdentifySequence,
     KeyFigure,
     ObjectTrajectory,
     ReportData,
-    ShapeRow,
     Trajectories,
 )
 from cell.report.page import write_report
@@ -41,8 +36,6 @@ from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer
 from tactile.layout import TaxelLayout
 
-_SEQUENCES_PER_OBJECT = 2
-"""Identifications of each object that are drawn; the tables count all."""
 _RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
 """Shares of the grip force at which the eigenvalue along the ramp is drawn."""
 
@@ -72,8 +65,7 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
             _example(label, record, hand.layout) for label, record in result.examples.items()
         ),
         trajectories=_trajectories(result),
-        sequences=_sequences(result),
-        shapes=shape_rows(result),
+        sequences=sequences(result),
         confusions=_confusions(result),
         health=(
             link_health(statistics.link),
@@ -81,7 +73,7 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
             loop_health(statistics.loop, hand.period_s),
         ),
         files=tuple(
-            FileEntry(name=name, path=str(file))
+            (name, str(file))
             for name, file in (
                 ("Recording", result.recording),
                 ("Data set", result.dataset),
@@ -124,36 +116,38 @@ def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...
     return tuple(figures)
 
 
-def shape_rows(result: MainResult) -> tuple[ShapeRow, ...]:
-    """Return shape and size by each identification."""
+def sequences(result: MainResult) -> tuple[IdentifySequence, ...]:
+    """Return all identifications."""
     return tuple(
-        ShapeRow(truth=trial.truth, answer=trial.found.label, shape=trial.found.shape)
+        IdentifySequence(
+            truth=trial.truth,
+            answer=trial.found.label,
+            posteriors=trial.found.posteriors,
+            notes=tuple(map(_grasp_note, trial.found.records)),
+            shape=trial.found.shape,
+        )
         for trial in result.trials
     )
 
 
 def _facts(config: CellConfig, cell: Cell) -> tuple[tuple[str, str], ...]:
     sequence, layout = config.sequence, cell.controller.hand.layout
-    return facts(
-        {
-            "Servos": ", ".join(
-                f"{servo.model} (id {servo.id})" for servo in config.gripper.servos
-            ),
-            "Servo bus": f"{config.gripper.port}, {config.gripper.baud_rate:,} baud",
-            "Sensor": f"{layout.n_taxels} taxels on {layout.n_pads} pads",
-            "CAN": f"{config.tactile.interface} {config.tactile.channel}".strip()
-            + f", {config.tactile.bitrate:,} bit/s, node {config.tactile.node_id}",
-            "Force": f"{sequence.force_n[0]:g} to {sequence.force_n[1]:g} N",
-            "Ramp": sequence.ramp.kind,
-            "Position": f"x {sequence.x_mm[0]:g} to {sequence.x_mm[1]:g} mm, "
-            f"y {sequence.y_mm[0]:g} to {sequence.y_mm[1]:g} mm",
-            "Rotation": f"{sequence.rotation_deg[0]:g} to {sequence.rotation_deg[1]:g} deg",
-            "Noise": f"{config.simulator.noise}, level {config.simulator.noise_level:g}"
-            if config.simulated
-            else None,
-            "Seed": config.seed,
-        }
-    )
+    shown = {
+        "Servos": ", ".join(f"{servo.model} (id {servo.id})" for servo in config.gripper.servos),
+        "Servo bus": f"{config.gripper.port}, {config.gripper.baud_rate:,} baud",
+        "Sensor": f"{layout.n_taxels} taxels on {layout.n_pads} pads",
+        "CAN": f"{config.tactile.interface} {config.tactile.channel}".strip()
+        + f", {config.tactile.bitrate:,} bit/s, node {config.tactile.node_id}",
+        "Force": f"{sequence.force_n[0]:g} to {sequence.force_n[1]:g} N",
+        "Ramp": sequence.ramp.kind,
+        "Position": f"x {sequence.x_mm[0]:g} to {sequence.x_mm[1]:g} mm, "
+        f"y {sequence.y_mm[0]:g} to {sequence.y_mm[1]:g} mm",
+        "Rotation": f"{sequence.rotation_deg[0]:g} to {sequence.rotation_deg[1]:g} deg",
+        "Seed": str(config.seed),
+    }
+    if config.simulated:
+        shown["Noise"] = f"{config.simulator.noise}, level {config.simulator.noise_level:g}"
+    return tuple(shown.items())
 
 
 def _notes(config: CellConfig) -> tuple[str, ...]:
@@ -180,8 +174,7 @@ def _notes(config: CellConfig) -> tuple[str, ...]:
 def _example(label: str, record: GraspRecord, layout: TaxelLayout) -> ExampleGrasp:
     return ExampleGrasp(
         label=label,
-        pads=record.grasp.pads,
-        pad_views=pad_views(layout),
+        layout=layout,
         levels=pressure_levels(record.grasp),
         timeline=timeline(record.cycles, contact_t_s=record.outcome.contact_t_s),
         note=f"{record.reached}; ramp to {record.step.force_n:.1f} N",
@@ -215,29 +208,6 @@ def _trajectories(result: MainResult) -> Trajectories | None:
     return Trajectories(
         objects=tuple(objects),
         windows=windows(recognizer.levels, recognizer.labels),
-        caption="For readers of the paper: smallest eigenvalue in magnitude of the 4 x 4 matrix of "
-        "form (7); sweep of Algorithm 1 over scale, translation and rotation.",
-    )
-
-
-def _sequences(result: MainResult) -> tuple[IdentifySequence, ...]:
-    chosen: list[Trial] = []
-    for label in result.labels:
-        of_label = [trial for trial in result.trials if trial.truth == label]
-        # Wrong ones first, then the longest: these are what a reader wants to see.
-        of_label.sort(key=lambda t: (t.found.label == t.truth, -len(t.found.posteriors)))
-        chosen += of_label[:_SEQUENCES_PER_OBJECT]
-    return tuple(
-        IdentifySequence(
-            truth=trial.truth,
-            answer=trial.found.label,
-            shape=trial.found.shape,
-            steps=identify_steps(
-                trial.found.posteriors,
-                [_grasp_note(r) for r in trial.found.records],
-            ),
-        )
-        for trial in chosen
     )
 
 

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
-from math import radians
 from typing import Any
 
 import numpy as np
@@ -65,14 +64,7 @@ class Places:
 
 
 def _pose(config: PlacePoseConfig | None) -> Pose | None:
-    if config is None:
-        return None
-    return Pose(
-        x_m=1e-3 * config.x_mm,
-        y_m=1e-3 * config.y_mm,
-        rotation_rad=radians(config.rotation_deg),
-        roll_rad=radians(config.roll_deg),
-    )
+    return None if config is None else Pose.of_mm(**config.model_dump())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

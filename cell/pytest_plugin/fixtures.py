@@ -160,13 +160,20 @@ def simulated_cell(
         def make(
             config: "CellConfig | Path | str | None" = None,
             *,
+            objects: Mapping[str, str] | None = None,
+            seed: int | None = None,
             mover: "Mover | None" = None,
             places: "Places | None" = None,
+            changes: Mapping[str, Any] | None = None,
             folder: Path | None = None,
-            **given: Any,
         ) -> VirtualCell:
-            found = given_config(config, cell_config)
-            checked = simulated_config(found, callback=mover is not None, **given)
+            checked = simulated_config(
+                given_config(config, cell_config),
+                objects=objects,
+                seed=seed,
+                changes=changes,
+                callback=mover is not None,
+            )
             cell = build_cell(checked, mover=mover, places=places, folder=folder)
             closing.callback(cell.close)
             if cell.simulated is None:
@@ -235,8 +242,15 @@ def cell_process(
 
     with ExitStack() as closing:
 
-        def make(config: "CellConfig | Path | str | None" = None, **given: Any) -> CellProcess:
-            cell = CellProcess(simulated_config(given_config(config, cell_config), **given))
+        def make(
+            config: "CellConfig | Path | str | None" = None,
+            *,
+            objects: Mapping[str, str] | None = None,
+            seed: int | None = None,
+            changes: Mapping[str, Any] | None = None,
+        ) -> CellProcess:
+            found = given_config(config, cell_config)
+            cell = CellProcess(simulated_config(found, objects=objects, seed=seed, changes=changes))
             closing.callback(cell.end)
             closing.callback(
                 lambda: request.node.add_report_section(

@@ -5,7 +5,6 @@ import json
 import os
 import select
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -15,7 +14,8 @@ from typing import Any
 
 from cell.config.file import config_text
 from cell.config.model import CellConfig
-from cell.errors import CellError
+from cell.control.positioner import SocketPlacer
+from cell.errors import CellError, PositionerError
 
 _PROGRAM = "from cell.interfaces.cli import main; main()"
 _SIMULATE = (sys.executable, "-P", "-c", _PROGRAM, "simulate", "--with-parent")
@@ -144,19 +144,11 @@ class CellProcess:
             If it is refused, or the process is gone or does not answer.
         """
         try:
-            with socket.socket(socket.AF_UNIX) as client:
-                client.settimeout(_REPLY_S)
-                client.connect(self.positioner_socket)
-                client.sendall(json.dumps(request).encode() + b"\n")
-                with client.makefile("rb") as lines:
-                    reply = json.loads(lines.readline())
-        except (OSError, ValueError) as error:
-            raise CellProcessError(
-                f"the simulated cell does not answer {request} ({error}). {self._state()}"
-            ) from error
-        if not isinstance(reply, dict) or "error" in reply:
-            raise CellProcessError(f"the simulated cell refused {request}: {reply}")
-        return reply
+            client = SocketPlacer(self.positioner_socket, timeout_s=_REPLY_S)
+            with contextlib.closing(client):
+                return client.ask(request)
+        except PositionerError as error:
+            raise CellProcessError(f"{request}: {error}. {self._state()}") from error
 
     def inject(self, text: str) -> ProcessFault:
         """Put a fault in, as ``can.loss=0.05@2s``. Raises CellProcessError if it is refused."""

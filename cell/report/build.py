@@ -1,6 +1,6 @@
 """The parts of a report, made from the values of a run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,54 +12,36 @@ from cell.report.data import (
     HealthGroup,
     HealthRow,
     HealthState,
-    IdentifyStep,
-    PadView,
     PressureLevel,
     Window,
 )
 from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
 from recognition.grasp import Grasp
 from recognition.quadric.thresholds import Levels
-from recognition.recognizer import Posterior
-from recognition.statistics.fusion import fuse
 
 if TYPE_CHECKING:
     from gripper.dynamixel.transactions import BusStatistics
     from gripper.force.timing import LoopStatistics
     from gripper.state import Cycle
-    from tactile.frames.assembler import FrameStatistics
-    from tactile.layout import TaxelLayout
     from tactile.unit.settings import LinkStatistics
 
 _MAX_TIMELINE_POINTS = 1500
 """Periods of a grasp that are drawn; more are thinned out."""
+_LEVELS, _LEVEL_FRAMES = 4, 5
+"""Forces of the ramp at which the pads are drawn, and frames whose mean is drawn."""
 
 
-def pad_views(layout: "TaxelLayout") -> tuple[PadView, ...]:
-    """Describe the pads of a layout."""
-    return tuple(
-        PadView(name=pad.name, finger=pad.finger, gripping=index in layout.gripping_pads)
-        for index, pad in enumerate(layout.pads)
-    )
+def pressure_levels(grasp: Grasp) -> tuple[PressureLevel, ...]:
+    """Pick the pressure at four equal parts of the force ramp, each the mean of the nearest frames.
 
-
-def pressure_levels(
-    grasp: Grasp, *, n_levels: int = 4, n_frames: int = 5
-) -> tuple[PressureLevel, ...]:
-    """Pick the pressure at equal parts of the ramp, each the mean of the nearest frames.
-
-    By the commanded force where it is known for each frame, else by the sum of all counts.
+    The force is the one that was asked for, which each frame of a cell's grasp has.
     """
-    by_force = bool(np.all(np.isfinite(grasp.force_n))) and float(grasp.force_n.max()) > 0
-    load = grasp.force_n if by_force else grasp.counts.sum(axis=1, dtype=np.float64)
-    load = load - (0.0 if by_force else load.min())
     levels = []
-    for share in np.linspace(0, 1, n_levels + 1)[1:]:
-        wanted = share * load.max()
+    for wanted_n in np.linspace(0, float(grasp.force_n.max()), _LEVELS + 1)[1:]:
         # Of equally near frames the later ones: the pressure has settled in them.
-        nearest = np.lexsort((-np.arange(len(load)), np.abs(load - wanted)))[:n_frames]
-        caption = f"{wanted:.1f} N" if by_force else f"{share:.0%} of the load"
-        levels.append(PressureLevel(caption=caption, counts=grasp.counts[nearest].mean(axis=0)))
+        near = np.lexsort((-np.arange(grasp.n_frames), np.abs(grasp.force_n - wanted_n)))
+        counts = grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)
+        levels.append(PressureLevel(caption=f"{wanted_n:.1f} N", counts=counts))
     return tuple(levels)
 
 
@@ -98,20 +80,6 @@ def windows(levels: Levels, labels: Sequence[str]) -> tuple[Window, ...]:
     )
 
 
-def identify_steps(
-    posteriors: Sequence[Posterior], notes: Sequence[str] = ()
-) -> tuple[IdentifyStep, ...]:
-    """Fuse the posteriors of a sequence grasp by grasp; notes may be missing."""
-    return tuple(
-        IdentifyStep(
-            single=posterior,
-            fused=fuse(posteriors[: i + 1]),
-            note=notes[i] if i < len(notes) else "",
-        )
-        for i, posterior in enumerate(posteriors)
-    )
-
-
 def paper_table() -> ConfusionTable:
     """Return Table 1 of the paper: ten trials of each of five objects."""
     return ConfusionTable(
@@ -128,35 +96,27 @@ def _count(name: str, value: int, *, bad: bool = False, note: str = "") -> Healt
     return HealthRow(name=name, value=f"{value:,}", state=state, note=note)
 
 
-def frame_health(statistics: "FrameStatistics") -> HealthGroup:
-    """Return the counts of whole, lost and damaged tactile frames on the CAN bus."""
-    whole = statistics.complete
-    share = statistics.lost / max(1, whole + statistics.lost)
+def link_health(statistics: "LinkStatistics") -> HealthGroup:
+    """Return the counts of tactile frames, and of the link to the control unit."""
+    frames = statistics.frames
+    share = frames.lost / max(1, frames.complete + frames.lost)
+    whole: HealthState = "ok" if frames.complete else "bad"
     return HealthGroup(
         title="Tactile frames (CAN)",
         rows=(
-            HealthRow(name="whole frames", value=f"{whole:,}", state="ok" if whole else "bad"),
-            _count("lost", statistics.lost, bad=share > 0.01, note=f"{share:.2%} of all"),
-            _count("torn", statistics.torn, note="begun and given up"),
-            _count("duplicate", statistics.duplicate, note="messages, dropped"),
-            _count("out of order", statistics.reordered, note="messages"),
-            _count("stale", statistics.stale, note="older than the last, dropped"),
-            _count("short", statistics.short, note="messages, dropped"),
-            _count("corrupt", statistics.corrupt, bad=True, note="refused by checksum or phase"),
+            HealthRow(name="whole frames", value=f"{frames.complete:,}", state=whole),
+            _count("lost", frames.lost, bad=share > 0.01, note=f"{share:.2%} of all"),
+            _count("torn", frames.torn, note="begun and given up"),
+            _count("duplicate", frames.duplicate, note="messages, dropped"),
+            _count("out of order", frames.reordered, note="messages"),
+            _count("stale", frames.stale, note="older than the last, dropped"),
+            _count("short", frames.short, note="messages, dropped"),
+            _count("corrupt", frames.corrupt, bad=True, note="refused by checksum or phase"),
+            _count("late SYNC", statistics.late_syncs, note=f"of {statistics.syncs:,}"),
+            _count("malformed", statistics.malformed, note="other messages of the unit, dropped"),
+            _count("error frames", statistics.error_frames, bad=statistics.error_frames > 10),
         ),
     )
-
-
-def link_health(statistics: "LinkStatistics") -> HealthGroup:
-    """Return the counts of tactile frames, and of the link to the control unit."""
-    frames = frame_health(statistics.frames)
-    rows = (
-        *frames.rows,
-        _count("late SYNC", statistics.late_syncs, note=f"of {statistics.syncs:,}"),
-        _count("malformed", statistics.malformed, note="other messages of the unit, dropped"),
-        _count("error frames", statistics.error_frames, bad=statistics.error_frames > 10),
-    )
-    return HealthGroup(title=frames.title, rows=rows)
 
 
 def servo_health(statistics: "BusStatistics") -> HealthGroup:
@@ -207,8 +167,3 @@ def _punctuality(lateness_s: float, period_s: float) -> HealthState:
     if lateness_s < 0.5 * period_s:
         return "ok"
     return "warn" if lateness_s < 2 * period_s else "bad"
-
-
-def facts(values: Mapping[str, object]) -> tuple[tuple[str, str], ...]:
-    """Turn a mapping into the description of a cell, leaving out what is None."""
-    return tuple((name, str(value)) for name, value in values.items() if value is not None)

@@ -1,29 +1,20 @@
-"""What a report page shows, as plain values: every part may be empty and is then left out.
+"""What the page of a run shows, as plain values; `cell.report.page.write_report` makes it of them.
 
-Teaching, identifying, evaluating and replaying fill different parts of the same `ReportData`;
-`cell.report.page.write_report` makes the page of it. Texts are shown as they are: markup in a label
-is escaped, never interpreted.
+Texts are shown as they are: markup in a label is escaped, never interpreted.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.grasp import PadArray
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer
+from tactile.layout import TaxelLayout
 
 HealthState = Literal["ok", "warn", "bad", "plain"]
 """How a figure of the links' health is marked."""
-
-
-def _freeze(owner: Any, *names: str) -> None:
-    for name in names:
-        array = np.array(getattr(owner, name))
-        array.setflags(write=False)
-        object.__setattr__(owner, name, array)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,26 +28,15 @@ class KeyFigure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class IdentifyStep:
-    """One grasp of an identification."""
-
-    single: Posterior
-    fused: Posterior
-    """By this grasp alone, and by all grasps so far."""
-    note: str = ""
-    """Pose and force, for people."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifySequence:
     """One identification, grasp by grasp."""
 
-    truth: str | None
-    """What it really was; None where that is not known."""
+    truth: str
     answer: str
-    """What was answered."""
-    steps: tuple[IdentifyStep, ...]
-    """The grasps in order."""
+    """What it really was, and what was answered."""
+    posteriors: tuple[Posterior, ...] = ()
+    notes: tuple[str, ...] = ()
+    """Answer to each grasp by itself, and its pose and force for people."""
     shape: ShapeAnswer | None = None
     """Shape and size by all grasps; None where not asked for, or not felt."""
 
@@ -104,39 +84,6 @@ class HealthGroup:
     rows: tuple[HealthRow, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FileEntry:
-    """A file that belongs to the report."""
-
-    name: str
-    path: str
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShapeRow:
-    """Shape and size by one identification."""
-
-    truth: str | None
-    """What it really was; None where that is not known."""
-    answer: str
-    """What it was named."""
-    shape: ShapeAnswer | None
-    """Shape and size by all of its grasps; None where none was felt."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PadView:
-    """What is known of a pad beyond its taxels."""
-
-    name: str
-    """Shown beside its map."""
-    finger: int
-    """0 or 1."""
-    gripping: bool
-    """Whether it is the finger's inner pad, which is shown large."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PressureLevel:
     """What all taxels showed at one force."""
@@ -145,9 +92,6 @@ class PressureLevel:
     """The force, for people: ``2.0 N``."""
     counts: NDArray[np.float64]
     """(n_taxels,) float64: counts, as a rule averaged over some frames."""
-
-    def __post_init__(self) -> None:
-        _freeze(self, "counts")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -165,9 +109,6 @@ class GraspTimeline:
     contact_t_s: float | None = None
     """Time of contact in s, None where there was none."""
 
-    def __post_init__(self) -> None:
-        _freeze(self, "t_s", "force_n", "setpoint_n", "goal_current_a", "aperture_m")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExampleGrasp:
@@ -175,14 +116,13 @@ class ExampleGrasp:
 
     label: str
     """What was grasped."""
-    pads: PadArray
-    pad_views: tuple[PadView, ...]
-    """The pads, and what is known of each, in the same order."""
+    layout: TaxelLayout
+    """The pads."""
     levels: tuple[PressureLevel, ...]
     """Pressure at rising forces."""
-    timeline: GraspTimeline | None = None
-    """The grasp over time, if known."""
-    note: str = ""
+    timeline: GraspTimeline
+    """The grasp over time."""
+    note: str
     """Pose and the like, in small."""
 
 
@@ -201,9 +141,6 @@ class ObjectTrajectory:
     low: float
     high: float
     """The object's level: least and largest taught value; NaN where it has none."""
-
-    def __post_init__(self) -> None:
-        _freeze(self, "sweep", "ramp_force_n", "ramp_value")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,12 +170,11 @@ class Trajectories:
 
     objects: tuple[ObjectTrajectory, ...]
     windows: tuple[Window, ...] = ()
-    caption: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportData:
-    """All that the page shows; each part but the title may be empty."""
+    """All that the page shows."""
 
     title: str
     created: str
@@ -252,13 +188,12 @@ class ReportData:
     """One grasp of each object in full."""
     trajectories: Trajectories | None = None
     sequences: tuple[IdentifySequence, ...] = ()
-    shapes: tuple[ShapeRow, ...] = ()
-    """Shape and size by each identification, also of those that `sequences` leaves out."""
+    """The paper's method, where it was taught; all identifications."""
     confusions: tuple[ConfusionTable, ...] = ()
     """One table for each recogniser; `build.paper_table` gives the paper's."""
     health: tuple[HealthGroup, ...] = ()
     """Of the links and the force loop."""
-    files: tuple[FileEntry, ...] = ()
-    """Where recording, data set and model lie."""
+    files: tuple[tuple[str, str], ...] = ()
+    """Name and path of recording, data set and model."""
     notes: tuple[str, ...] = ()
     """What the figures rest on."""

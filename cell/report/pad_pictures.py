@@ -10,8 +10,8 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.report.data import ExampleGrasp, PadView, PressureLevel
-from recognition.grasp import PadArray
+from cell.report.data import ExampleGrasp, PressureLevel
+from tactile.layout import TaxelLayout
 
 N_SHADES = 12
 """Shades from the first above nothing to full scale."""
@@ -28,7 +28,6 @@ class PadPicture:
     """One pad at one force: name, peak in counts, and the picture as inline SVG."""
 
     name: str
-    finger: int
     peak: float
     touched: bool
     svg: str
@@ -51,35 +50,29 @@ def full_shade(example: ExampleGrasp) -> float:
 
 def level_pictures(example: ExampleGrasp, level: PressureLevel) -> LevelPictures:
     """Draw all pads of a grasp at one force; all levels of a grasp share one scale."""
-    pads, full = example.pads, full_shade(example)
-    pictures = [
-        _picture(pads, index, view, level.counts, full)
-        for index, view in enumerate(example.pad_views)
-    ]
-    large = [example.pad_views[index].gripping for index in range(len(pictures))]
-    small = [picture for picture, is_large in zip(pictures, large, strict=True) if not is_large]
+    layout, full = example.layout, full_shade(example)
+    pictures = [_picture(layout, index, level.counts, full) for index in range(layout.n_pads)]
+    small = [one for index, one in enumerate(pictures) if index not in layout.gripping_pads]
     return LevelPictures(
         caption=level.caption,
-        gripping=tuple(p for p, is_large in zip(pictures, large, strict=True) if is_large),
+        gripping=tuple(pictures[index] for index in layout.gripping_pads),
         others=tuple(picture for picture in small if picture.touched),
         untouched=tuple(picture.name for picture in small if not picture.touched),
     )
 
 
 def _picture(
-    pads: PadArray, index: int, view: PadView, counts: NDArray[np.float64], full: float
+    layout: TaxelLayout, index: int, counts: NDArray[np.float64], full: float
 ) -> PadPicture:
-    taxels = pads.taxels_of(index)
+    taxels = layout.taxels_of(index)
     values = counts[taxels]
     peak = float(values.max())
+    label = f"pressure map, peak {peak:.0f} counts"
     return PadPicture(
-        name=view.name,
-        finger=view.finger,
+        name=layout.pads[index].name,
         peak=peak,
-        touched=peak > UNTOUCHED_SHARE * pads.adc_max,
-        svg=pad_svg(
-            pads.taxel_xy_m[taxels] * 1e3, values, full, f"pressure map, peak {peak:.0f} counts"
-        ),
+        touched=peak > UNTOUCHED_SHARE * layout.adc_max,
+        svg=pad_svg(layout.taxel_xy_m[taxels] * 1e3, values, full, label),
     )
 
 

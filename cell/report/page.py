@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cell.data.files import write_atomically
 from cell.errors import ReportError
 from cell.installation import remedy
@@ -17,14 +15,14 @@ from cell.report.data import (
     ConfusionTable,
     ExampleGrasp,
     IdentifySequence,
-    IdentifyStep,
     ReportData,
 )
 from cell.report.pad_pictures import full_shade, level_pictures
 from cell.report.plots import N_COLOURS, levels_figure, sweep_figure, timeline_figure
 from cell.report.shapes import shapes_view
 from recognition.evaluation.metrics import wilson_interval
-from recognition.recognizer import UNKNOWN
+from recognition.recognizer import UNKNOWN, Posterior
+from recognition.statistics.fusion import fuse
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -32,6 +30,10 @@ if TYPE_CHECKING:
 
 MAX_SEQUENCES = 80
 """Identifications that are drawn; the page counts the others."""
+_SEQUENCES_PER_OBJECT = 2
+"""Identifications of each object that are drawn at most."""
+_LEAST_SHARE = 0.002
+"""Least probability that a bar shows."""
 
 DENSE_LABELS = 12
 """Number of labels from which a confusion table is printed small."""
@@ -72,16 +74,9 @@ def page_template(name: str) -> "Template":
 
 def label_order(data: ReportData) -> tuple[str, ...]:
     """Return all taught labels, each once; its place is a label's colour on the whole page."""
-    order: dict[str, None] = {}
-    for table in data.confusions:
-        order.update(dict.fromkeys(table.labels))
-    if data.trajectories is not None:
-        order.update(dict.fromkeys(item.label for item in data.trajectories.objects))
-    order.update(dict.fromkeys(example.label for example in data.examples))
-    for sequence in data.sequences:
-        for step in sequence.steps:
-            order.update(dict.fromkeys(step.fused.labels))
-    return tuple(order)
+    tables = [table.labels for table in data.confusions]
+    answers = [one.labels for sequence in data.sequences for one in sequence.posteriors]
+    return tuple(dict.fromkeys(label for labels in (*tables, *answers) for label in labels))
 
 
 def example_view(example: ExampleGrasp, number: int) -> dict[str, Any]:
@@ -91,21 +86,17 @@ def example_view(example: ExampleGrasp, number: int) -> dict[str, Any]:
         "label": example.label,
         "note": example.note,
         "levels": levels,
-        "last": levels[-1] if levels else None,
+        "last": levels[-1],
         "full": f"{full_shade(example):.0f}",
-        "adc_max": example.pads.adc_max,
-        "timeline": (
-            timeline_figure(example.timeline, f"t{number}")
-            if example.timeline is not None and len(example.timeline.t_s)
-            else ""
-        ),
+        "adc_max": example.layout.adc_max,
+        "timeline": timeline_figure(example.timeline, f"t{number}"),
     }
 
 
 def trajectories_view(data: ReportData, colours: Mapping[str, int]) -> dict[str, Any] | None:
     """Return the plots of the paper's eigenvalues and a table of its windows."""
     shown = data.trajectories
-    if shown is None or not shown.objects:
+    if shown is None:
         return None
     return {
         "sweep": (
@@ -125,25 +116,36 @@ def trajectories_view(data: ReportData, colours: Mapping[str, int]) -> dict[str,
             }
             for window in shown.windows
         ],
-        "caption": shown.caption,
     }
+
+
+def drawn_sequences(data: ReportData) -> list[IdentifySequence]:
+    """Return some identifications of each object: wrong ones first, then the longest.
+
+    These are what a reader wants to see; the tables count all.
+    """
+    drawn = []
+    for truth in dict.fromkeys(one.truth for one in data.sequences):
+        of_truth = [one for one in data.sequences if one.truth == truth]
+        of_truth.sort(key=lambda one: (one.answer == truth, -len(one.posteriors)))
+        drawn += of_truth[:_SEQUENCES_PER_OBJECT]
+    return drawn[:MAX_SEQUENCES]
 
 
 def sequence_view(sequence: IdentifySequence, colours: Mapping[str, int]) -> dict[str, Any]:
     """Return the bars of one identification."""
-    verdict = (
-        "" if sequence.truth is None
-        else "right" if sequence.answer == sequence.truth
-        else "unknown" if sequence.answer == UNKNOWN
-        else "wrong"
-    )  # fmt: skip
+    right = sequence.answer == sequence.truth
+    posteriors, steps = sequence.posteriors, []
+    for number, (posterior, note) in enumerate(zip(posteriors, sequence.notes, strict=True), 1):
+        fused = _bars(fuse(posteriors[:number]), colours)
+        steps.append({"note": note, "fused": fused, "single": _bars(posterior, colours)})
     return {
         "truth": sequence.truth,
         "answer": sequence.answer,
         "probability": _answer_share(sequence),
-        "verdict": verdict,
+        "verdict": "right" if right else "unknown" if sequence.answer == UNKNOWN else "wrong",
         "shape": _shape_text(sequence),
-        "steps": [_step_view(step, colours) for step in sequence.steps],
+        "steps": steps,
     }
 
 
@@ -152,9 +154,7 @@ def _answer_share(sequence: IdentifySequence) -> str:
 
     A label has its probability if it was taught, times that of being taught at all.
     """
-    if not sequence.steps:
-        return ""
-    fused = sequence.steps[-1].fused
+    fused = fuse(sequence.posteriors)
     if sequence.answer not in fused.labels:
         return _percent(fused.unknown)
     share = (1.0 - fused.unknown) * fused.probability[fused.labels.index(sequence.answer)]
@@ -168,30 +168,17 @@ def _shape_text(sequence: IdentifySequence) -> str:
     return in_words(sequence.shape) if sequence.answer == UNKNOWN else str(sequence.shape)
 
 
-def _step_view(step: IdentifyStep, colours: Mapping[str, int]) -> dict[str, Any]:
-    bars = {}
-    for name, posterior in (("fused", step.fused), ("single", step.single)):
-        known = 1.0 - posterior.unknown
-        bars[name] = [
-            {
-                "label": label,
-                "colour": f"c{colours[label] % N_COLOURS}",
-                "share": f"{100 * known * p:.2f}",
-                "text": _percent(known * p),
-            }
-            for label, p in zip(posterior.labels, posterior.probability.tolist(), strict=True)
-            if known * p >= 0.002
-        ]
-        if posterior.unknown >= 0.002:
-            bars[name].append(
-                {
-                    "label": UNKNOWN,
-                    "colour": "unknown",
-                    "share": f"{100 * posterior.unknown:.2f}",
-                    "text": _percent(posterior.unknown),
-                }
-            )
-    return {"note": step.note, **bars}
+def _bars(posterior: Posterior, colours: Mapping[str, int]) -> list[dict[str, str]]:
+    known = 1.0 - posterior.unknown
+    shares = [
+        (label, f"c{colours[label] % N_COLOURS}", known * p)
+        for label, p in zip(posterior.labels, posterior.probability.tolist(), strict=True)
+    ]
+    return [
+        {"label": label, "colour": colour, "share": f"{100 * share:.2f}", "text": _percent(share)}
+        for label, colour, share in (*shares, (UNKNOWN, "unknown", posterior.unknown))
+        if share >= _LEAST_SHARE
+    ]
 
 
 def _percent(share: float) -> str:
@@ -266,27 +253,20 @@ def page_view(data: ReportData) -> dict[str, Any]:
     """Return all variables of the template."""
     order = label_order(data)
     colours = {label: place for place, label in enumerate(order)}
-    if data.trajectories is not None and len(data.trajectories.objects) > len(
-        {item.label for item in data.trajectories.objects}
-    ):
-        raise ValueError("two trajectories have the same label")
-    shown = data.sequences[:MAX_SEQUENCES]
-    shapes = shapes_view(data.shapes)
+    shown = drawn_sequences(data)
+    shapes = shapes_view(data.sequences)
     sections = {
-        "result": ("Confusion", bool(data.confusions)),
-        "shapes": ("Shape and size", shapes is not None),
-        "sequences": ("Identifications", bool(shown)),
-        "examples": ("Grasps", bool(data.examples)),
-        "trajectories": (
-            "The paper's method",
-            bool(data.trajectories and data.trajectories.objects),
-        ),
-        "health": ("Links", bool(data.health)),
-        "cell": ("Cell and files", bool(data.facts or data.files)),
+        "result": "Confusion",
+        "shapes": "Shape and size" if shapes is not None else "",
+        "sequences": "Identifications",
+        "examples": "Grasps",
+        "trajectories": "The paper's method" if data.trajectories is not None else "",
+        "health": "Links",
+        "cell": "Cell and files",
     }
     return {
         "data": data,
-        "sections": [(key, name) for key, (name, there) in sections.items() if there],
+        "sections": [(key, name) for key, name in sections.items() if name],
         "legend": [(label, f"c{place % N_COLOURS}") for label, place in colours.items()],
         "examples": [example_view(item, number) for number, item in enumerate(data.examples)],
         "trajectories": trajectories_view(data, colours),
@@ -294,5 +274,4 @@ def page_view(data: ReportData) -> dict[str, Any]:
         "shapes": shapes,
         "n_hidden": len(data.sequences) - len(shown),
         "confusions": [confusion_view(table, colours) for table in data.confusions],
-        "n_grasps_max": int(np.max([len(s.steps) for s in shown], initial=0)),
     }

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cell.learning.shapes import in_words
-from cell.report.data import ShapeRow
+from cell.report.data import IdentifySequence
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import ShapeAnswer
 
@@ -19,7 +19,7 @@ _TICKS = 6
 """Ticks of the scale at most."""
 
 
-def shapes_view(rows: Sequence[ShapeRow]) -> dict[str, Any] | None:
+def shapes_view(rows: Sequence[IdentifySequence]) -> dict[str, Any] | None:
     """Return a group for each object, the scale, and what has no name; None without shapes."""
     felt = [(row, row.shape) for row in rows if row.shape is not None]
     if not felt:
@@ -29,14 +29,14 @@ def shapes_view(rows: Sequence[ShapeRow]) -> dict[str, Any] | None:
     low_mm = step_mm * np.floor(min(ends_mm) / step_mm)
     high_mm = step_mm * np.ceil(max(ends_mm) / step_mm)
     span_mm = max(high_mm - low_mm, step_mm)
-    names = dict.fromkeys(_name(row) for row in rows)
+    names = dict.fromkeys(row.truth for row in rows)
     groups = []
     for name in names:
-        shapes = [shape for row, shape in felt if _name(row) == name]
+        shapes = [shape for row, shape in felt if row.truth == name]
         groups.append(
             {
                 "label": name,
-                "kinds": _kinds(shapes, sum(_name(row) == name for row in rows)),
+                "kinds": _kinds(shapes, sum(row.truth == name for row in rows)),
                 "bars": [
                     {
                         "text": str(shape),
@@ -66,10 +66,6 @@ def shapes_view(rows: Sequence[ShapeRow]) -> dict[str, Any] | None:
         ],
         "n_hidden": len(strangers[MAX_BARS:]),
     }
-
-
-def _name(row: ShapeRow) -> str:
-    return row.answer if row.truth is None else row.truth
 
 
 def _kinds(shapes: Sequence[ShapeAnswer], n: int) -> str:
