@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from cell.commissioning.bench import CONFIG_NAME, Bench
 from cell.config.file import config_text, problem_text, schema_text
-from cell.data.files import write_atomically, write_text
+from cell.data.files import write_text
 from cell.errors import CellError, error_text
 from gripper.errors import GripperError
 from tactile.errors import TactileError
@@ -24,10 +24,6 @@ STORE_NAME = "commissioning.json"
 """File in the cell's folder that keeps the entries of the steps."""
 LOOK_S = 0.05
 """Time in s between two calls of `Dialog.live` while motors move: a person may stop them there."""
-Picture = bytes | Mapping[str, Any]
-"""PNG or SVG bytes, or one of `cell.commissioning.figures`."""
-_PNG = b"\x89PNG"
-"""First bytes of a PNG picture."""
 
 
 class StepFailed(CellError):
@@ -106,8 +102,8 @@ class Finding:
     """Measured values for later steps, the record and `doctor`: anything that JSON can hold."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Values of the config by dotted key, as ``{"gripper.baud_rate": 1000000}``."""
-    figures: Mapping[str, Picture] = field(default_factory=dict)
-    """Pictures by name; commissioning.json names a file in the place of bytes."""
+    figures: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Pictures by name, as numbers: see `cell.commissioning.figures`."""
     began: str = ""
     ended: str = ""
     """Wall-clock times of the step (ISO 8601, UTC), which the engine sets."""
@@ -124,7 +120,7 @@ class Notes:
         self.lines: list[str] = []
         self.values: dict[str, Any] = {}
         self.settings: dict[str, Any] = {}
-        self.figures: dict[str, Picture] = {}
+        self.figures: dict[str, Mapping[str, Any]] = {}
 
     def fact(self, line: str) -> None:
         """Add a line that is as it should be."""
@@ -400,11 +396,7 @@ class Engine:
 
         began = _now()
         finding = carry_out(step, self.bench, _Logged(dialog, log))
-        figures = {
-            name: _stored(self.bench.folder, step.key, name, figure)
-            for name, figure in finding.figures.items()
-        }
-        self.findings[step.key] = replace(finding, began=began, ended=_now(), figures=figures)
+        self.findings[step.key] = replace(finding, began=began, ended=_now())
         self._store()
         dialog.found(step, self.findings[step.key])
 
@@ -449,16 +441,6 @@ def leave(why: str) -> NoReturn:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _stored(folder: Path, step: str, name: str, figure: Picture) -> Mapping[str, Any]:
-    """Return a figure as commissioning.json keeps it: numbers, or ``{"file": name}``."""
-    if not isinstance(figure, bytes):
-        return figure
-    file = f"{step}-{name}.{'png' if figure.startswith(_PNG) else 'svg'}"
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / file, lambda out: out.write(figure), error=CellError, what="figure")
-    return {"file": file}
 
 
 def _read(path: Path) -> _Store:

@@ -1,7 +1,6 @@
 """Record of a commissioning: one HTML file with every step, write and picture, to sign and file."""
 
 import platform
-from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
@@ -20,7 +19,6 @@ _HARDWARE = ("serial", "firmware", "model", "revision", "hardware", "layout")
 """Parts of the names of values that say which hardware was commissioned."""
 _LONGEST_LIST = 8
 """Numbers of a list that are printed; longer ones are in the figures, or in commissioning.json."""
-_MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
 
 
 def write_record(engine: Engine) -> tuple[Path, ...]:
@@ -76,23 +74,11 @@ def _step_view(engine: Engine, step: Step) -> dict[str, Any]:
         "time": f"{_time(finding.began)} to {_time(finding.ended)}" if done else "",
         "lines": finding.lines,
         "measured": list(_flat(finding.values)),
-        "figures": list(_figures(engine.bench.folder, step.key, finding)),
+        "figures": [
+            (figure["title"], svg(figure, f"{step.key}-{name}"))
+            for name, figure in finding.figures.items()
+        ],
     }
-
-
-def _figures(folder: Path, key: str, finding: Finding) -> Iterator[tuple[str, str]]:
-    """Yield the title and the HTML of each figure of a step."""
-    for name, figure in finding.figures.items():
-        if isinstance(figure, Mapping) and "file" in figure:
-            path = folder / str(figure["file"])
-            try:
-                data = b64encode(path.read_bytes()).decode("ascii")
-            except OSError as error:
-                raise CellError(f"the figure {path} cannot be read: {error}") from error
-            media = _MEDIA[path.suffix]
-            yield name, f'<img class="plot" alt="" src="data:{media};base64,{data}">'
-        elif isinstance(figure, Mapping):
-            yield str(figure["title"]), svg(figure, f"{key}-{name}")
 
 
 def _flat(values: Mapping[str, Any], way: str = "") -> Iterator[tuple[str, str]]:

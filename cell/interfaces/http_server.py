@@ -130,7 +130,7 @@ class Connection(H11Protocol):
         for its first one. What the cell takes for the answer does not count.
     """
 
-    def __init__(self, places: Places[asyncio.Transport], limit_s: float, **server: Any) -> None:
+    def __init__(self, places: Places, limit_s: float, **server: Any) -> None:
         super().__init__(**server)
         self._places = places
         self._limit_s = limit_s
@@ -247,9 +247,7 @@ class HttpServer:
         idle_s: int = 5,
         **settings: Any,
     ) -> None:
-        places = Places[asyncio.Transport](
-            lambda link: link.abort(), lambda link: link.is_closing()
-        )
+        places = Places()
         server = uvicorn.Config(
             Gate(app, config, longest, pages=pages),
             log_config=None,

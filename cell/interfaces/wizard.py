@@ -290,10 +290,7 @@ class Wizard(Dialog):
             "status": finding.status.value,
             "ended": finding.ended,
             "lines": list(finding.lines),
-            "figures": {
-                name: figure.get("title", name) if isinstance(figure, dict) else name
-                for name, figure in finding.figures.items()
-            },
+            "figures": {name: figure["title"] for name, figure in finding.figures.items()},
         }
 
 
@@ -373,17 +370,13 @@ class WizardApi(GuardedApi):
         }
 
     def figure(self, key: str, name: str) -> Response:
-        """Return a picture of a step, SVG or PNG."""
+        """Return a picture of a step, SVG."""
         finding = self._wizard.engine.findings.get(key)
         figure = None if finding is None else finding.figures.get(name)
-        if not isinstance(figure, dict):
+        if figure is None:
             raise HTTPException(404, f"step {key!r:.40} has no figure {name!r:.40}")
         headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
-        if "file" not in figure:
-            return Response(standalone_svg(figure), media_type="image/svg+xml", headers=headers)
-        path = self._wizard.engine.bench.folder / str(figure["file"])
-        media = "image/png" if path.suffix == ".png" else "image/svg+xml"
-        return Response(path.read_bytes(), media_type=media, headers=headers)
+        return Response(standalone_svg(figure), media_type="image/svg+xml", headers=headers)
 
     def record(self) -> Response:
         """Return the record of what was found so far, HTML."""

@@ -167,9 +167,7 @@ class ModbusServer:
     ) -> None:
         self._connect = connect
         self._request_timeout_s = request_timeout_s
-        self._places = Places[asyncio.WriteTransport](
-            lambda link: link.abort(), lambda link: link.is_closing()
-        )
+        self._places = Places()
         self._loop = asyncio.new_event_loop()
         try:
             self._server = self._loop.run_until_complete(

@@ -102,7 +102,7 @@ class Sessions(InternalServer):
         self.max_connections = 100 * BUSY_MAX
         self.max_subscriptions = BUSY_MAX
         self.max_pending_activation_seconds = config.request_timeout_s
-        self.places: Places[Any] = Places(lambda link: link.abort(), lambda link: link.is_closing())
+        self.places = Places()
         self.max_monitored_item_queue_size = 100  # 10 s of taxels
         self.max_session_timeout_ms = 60_000  # a session that is silent for longer is closed
 

@@ -4,13 +4,14 @@ import hmac
 import re
 import socket
 import time
+from asyncio import WriteTransport
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from ipaddress import IPv4Address, IPv6Address, ip_address, ip_network
 from pathlib import Path
 from threading import Lock
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from cell.config.serve import ServeConfig
 from cell.errors import ConfigError
@@ -22,8 +23,6 @@ _PEER_IDLE_S, _PEER_ASKED_S, _PEER_ASKED_MAX = 10, 5, 4
 between two questions, and questions without an answer: one without power is gone after 30 s."""
 _SECRET_MIN = 16
 """Fewest characters of a token or secret."""
-
-T = TypeVar("T")
 
 
 def may_connect(host: str, config: ServeConfig) -> bool:
@@ -104,7 +103,7 @@ def notice_dead_peers(link: Any) -> None:
                 link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
 
 
-class Places(Generic[T]):
+class Places:
     """The connections of a door: where all places are taken, a new one takes that of another.
 
     It is one of the address that has most of them, so that no address keeps another one out, and
@@ -112,18 +111,16 @@ class Places(Generic[T]):
     connections that say nothing keep no client from a hold.
     """
 
-    def __init__(self, close: Callable[[T], object], closed: Callable[[T], bool]) -> None:
-        self._close = close
-        self._closed = closed
+    def __init__(self) -> None:
         self._lock = Lock()
-        self._heard_s: dict[T, float] = {}
-        self._hosts: dict[T, str] = {}
+        self._heard_s: dict[WriteTransport, float] = {}
+        self._hosts: dict[WriteTransport, str] = {}
 
-    def enter(self, one: T, host: str) -> None:
+    def enter(self, one: WriteTransport, host: str) -> None:
         """Give a new connection from an address its place."""
         leaves = None
         with self._lock:
-            for other in [other for other in self._hosts if self._closed(other)]:
+            for other in [other for other in self._hosts if other.is_closing()]:
                 self._leave(other)
             if len(self._hosts) >= BUSY_MAX:
                 crowd = Counter(self._hosts.values())
@@ -132,12 +129,12 @@ class Places(Generic[T]):
                 self._leave(leaves)
             self._heard_s[one], self._hosts[one] = 0.0, host
         if leaves is not None:
-            self._close(leaves)
+            leaves.abort()
 
-    def _leave(self, one: T) -> None:
+    def _leave(self, one: WriteTransport) -> None:
         del self._heard_s[one], self._hosts[one]
 
-    def heard(self, one: T) -> None:
+    def heard(self, one: WriteTransport) -> None:
         """Take note of a whole request."""
         with self._lock:
             if one in self._heard_s:

@@ -4,8 +4,10 @@ import socket
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -107,15 +109,17 @@ def test_the_system_asks_whether_a_peer_is_still_there(serve: Any, link: Any, do
 
 
 def test_places_go_to_those_who_have_fewest() -> None:
-    gone: list[int] = []
-    places = Places[int](gone.append, lambda one: one in gone)
-    for one in range(BUSY_MAX):
-        places.enter(one, "crowd" if one % 4 else f"host {one}")
-    places.heard(1)
-    places.enter(100, "late")
-    places.enter(101, "later")
+    places, gone = Places(), list[int]()
+    links = [Mock(**{"is_closing.return_value": False}) for _ in range(BUSY_MAX + 3)]
+    for number, link in enumerate(links):
+        link.abort.side_effect = partial(gone.append, number)
+    for number, link in enumerate(links[:BUSY_MAX]):
+        places.enter(link, "crowd" if number % 4 else f"host {number}")
+    places.heard(links[1])
+    places.enter(links[-3], "late")
+    places.enter(links[-2], "later")
     assert gone == [2, 3]  # of the crowd, those that were never heard, from the oldest on
-    places.enter(102, "crowd")
+    places.enter(links[-1], "crowd")
     assert gone == [2, 3, 5]
 
 
