@@ -20,7 +20,7 @@ from recognition.recognizer import Recognizer
 
 _LOG_GAIN_STEP = 1 / 6
 """Largest step between two hypotheses of the logarithm of the gain."""
-_OFFSET_STEP_MM = 1.0
+_OFFSET_STEP_MM = 0.5
 """Largest step between two hypotheses of the opening's zero in mm."""
 _REACH = (8 / 3, 3.0)
 """How far the hypotheses reach to either side, in standard deviations: of gain, of opening."""
@@ -126,7 +126,7 @@ class DriftGrid:
         found = np.broadcast_to(log_likelihood, shape)
         for axis, values, sd in (
             (0, self.log_gains, _PLACING_LOG_GAIN),
-            (1, self.offsets_mm, max(placing_mm, 0.5)),
+            (1, self.offsets_mm, max(placing_mm, 0.5 * _OFFSET_STEP_MM)),
         ):
             blur = -0.5 * ((values[:, None] - values) / sd) ** 2
             blur = blur - logsumexp(blur, axis=1, keepdims=True)
@@ -167,9 +167,13 @@ class DriftGrid:
     @property
     def offset_sd_m(self) -> float:
         """Standard deviation of the offset of the opening in m."""
-        share = self.weight.sum(axis=0)
+        return self.offset_sd_mm(self.weight) * 1e-3
+
+    def offset_sd_mm(self, weight: NDArray[np.float64]) -> float:
+        """Return the standard deviation of the offset of the opening under some weights (G, O)."""
+        share = weight.sum(axis=0)
         mean = share @ self.offsets_mm
-        return float(np.sqrt(share @ (self.offsets_mm - mean) ** 2)) * 1e-3
+        return float(np.sqrt(share @ (self.offsets_mm - mean) ** 2))
 
     @property
     def unchanged(self) -> float:

@@ -263,11 +263,26 @@ def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh
         taken([drift.apply(fresh[0])], source) for source in ("cell one", "cell two")
     )
     soon, elsewhere = taught.posterior(here), taught.posterior(there)
-    assert soon.unknown > elsewhere.unknown
-    assert taught.posterior(a_day_later(here)).unknown == elsewhere.unknown
+    later = taught.posterior(a_day_later(here))
+    assert soon.unknown > later.unknown > elsewhere.unknown
     told = taught.with_grid(DriftGrid(prior=DriftPrior(offset_mm=-3.0, offset_sd_mm=0.2)))
     assert told.posterior(here).best == fresh[0].label
     assert told.posterior(here).unknown < 0.5
+
+
+def test_objects_that_only_their_size_tells_apart_have_no_name_on_another_day(factory, pads):
+    _, _, disc, egg, pin = factory.things
+    things = (disc, dataclasses.replace(disc, label="thicker", opening_mm=23.0), egg, pin)
+    taught = make_trainer("force_ramp").fit(factory.many(10, seed=1, pads=pads, things=things))
+    grasps = factory.many(5, seed=2, pads=pads, things=things)
+    drifts = [Drift(aperture_offset_m=mm * 1e-3) for mm in (-3.0, -1.0, 0.0, 1.0, 3.0)]
+    later = [a_day_later(drift.apply(grasp)) for drift in drifts for grasp in grasps]
+    names = [(taught.posterior(grasp).name, grasp.label) for grasp in later]
+    wrong = sum(name not in (label, UNKNOWN) for name, label in names)
+    others = [name == label for name, label in names if label in ("egg", "pin")]
+    assert wrong <= 0.05 * len(names)
+    assert np.mean(others) > 0.5
+    assert all(taught.posterior(grasp).name == grasp.label for grasp in grasps)
 
 
 def test_a_self_zero_of_each_day_takes_its_drift_off(train, fresh):
