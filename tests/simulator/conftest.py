@@ -3,7 +3,7 @@
 import select
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -20,12 +20,12 @@ from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruct
 
 
 class ServoBench:
-    """Servos with IDs 1, 2 ... on a bus in memory; the fingers move as the clock is slept on."""
+    """Servos on a bus in memory; the fingers of one or two move as the clock is slept on."""
 
     def __init__(
         self,
+        ids: Sequence[int] = (1, 2),
         *,
-        count: int = 2,
         model: ServoModel = XM430_W350,
         firmware: int | None = None,
         settings: Mapping[str, int] | None = None,
@@ -35,11 +35,11 @@ class ServoBench:
         crc_error_reply: bool = True,
     ) -> None:
         self.clock = VirtualClock()
-        self.motors = [ServoMotor(model) for _ in range(count)]
+        self.motors = [ServoMotor(model) for _ in ids]
         self.force_n = (0.0, 0.0)
         self.mechanics = None
-        if count <= 2:
-            mounts = [ServoMount(direction=1), ServoMount(direction=-1)][:count]
+        if len(ids) <= 2:
+            mounts = [ServoMount(direction=1), ServoMount(direction=-1)][: len(ids)]
             self.mechanics = FingerMechanics(
                 self.motors, mounts, ParallelogramLinkage(), aperture_m=0.06
             )
@@ -53,7 +53,7 @@ class ServoBench:
                 settings={**defaults, **(settings or {})},
                 watchdog_stop=watchdog_stop,
             )
-            for i, motor in enumerate(self.motors, start=1)
+            for i, motor in zip(ids, self.motors, strict=True)
         ]
         self.device = ServoBusDevice(
             self.servos,

@@ -103,17 +103,6 @@ def test_one_servo_can_drive_both_fingers() -> None:
         assert near_n > 0.5
 
 
-def test_two_cells_of_one_seed_are_the_same_and_of_another_are_not() -> None:
-    frames = []
-    for seed in (3, 3, 4):
-        with SimulatedCell(SimulatorSettings(seed=seed)) as cell:
-            host = Host(cell)
-            host.start_unit()
-            frames.append(host.frame().counts)
-    assert np.array_equal(frames[0], frames[1])
-    assert not np.array_equal(frames[0], frames[2])
-
-
 def test_everything_runs_on_the_clock_that_was_given() -> None:
     clock = VirtualClock(start_s=1000.0)
     with SimulatedCell(SimulatorSettings(layout=pinch_layout()), clock) as cell:

@@ -148,18 +148,6 @@ def line() -> Line:
     return Line()
 
 
-def test_one_boot_up_comes_after_power_on() -> None:
-    line = Line(boot=False)
-    assert line.unit.state == "INITIALISING"
-    assert line.unit.next_event_s() == pytest.approx(0.02)
-    assert line.tell(SDO_IN, bytes((0x40, 0, 0x10, 0, 0, 0, 0, 0))) == []
-    line.wait(0.019)
-    assert line.take() == []
-    line.wait(1.0)
-    assert line.heard == [(pytest.approx(0.02), HEARTBEAT, b"\x00")]
-    assert line.unit.state == "PRE-OPERATIONAL"
-
-
 def test_services_follow_the_nmt_state(line: Line) -> None:
     upload = struct.pack("<BHB4x", 0x40, od.DEVICE_TYPE, 0)
     assert line.tell(SYNC) == []
@@ -233,14 +221,6 @@ def test_frames_follow_each_nth_sync_of_the_identifier_that_is_set(line: Line) -
     assert bursts == [0, 0, 59, 0, 0, 59]
 
 
-def test_a_tpdo_that_is_switched_off_is_not_sent(line: Line) -> None:
-    assert line.write(od.TPDO1_PARAMETER, 1, 0x8000_0185, 4) == 0
-    line.start()
-    assert line.tell(SYNC) == []
-    assert line.write(od.TPDO1_PARAMETER, 1, 0x0000_0186, 4) == 0
-    assert {can_id for can_id, _ in line.tell(SYNC)} == {0x186}
-
-
 def forces(line: Line, seconds: float) -> list[ForceMessage]:
     line.take()
     found = []
@@ -250,21 +230,6 @@ def forces(line: Line, seconds: float) -> list[ForceMessage]:
             decode_force_message(d, line.now_s) for can_id, d in line.take() if can_id == 0x285
         ]
     return found
-
-
-def test_the_force_goes_out_on_the_event_timer_while_operational(line: Line) -> None:
-    timer = (od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER)
-    assert line.write(*timer, 3, 2) == 0
-    assert forces(line, 0.05) == []
-    line.start()
-    found = forces(line, 0.3)
-    assert [message.counter for message in found] == [(n + 1) % 16 for n in range(100)]
-    assert {message.status for message in found} == {ForceStatus(0)}
-    assert line.number(od.FORCE_MESSAGE, 1) % 16 == found[-1].counter
-    assert line.write(*timer, 2, 2) == 0
-    assert len(forces(line, 0.3)) == 150
-    assert line.write(*timer, 0, 2) == 0
-    assert forces(line, 0.1) == []
 
 
 def test_a_force_message_waits_for_the_one_before_and_says_so(line: Line) -> None:
@@ -284,18 +249,6 @@ def test_table_and_zero_need_a_right_checksum_and_can_be_read_back(line: Line) -
     damaged = bytes((table[0] ^ 1,)) + table[1:]
     assert line.write(od.FORCE_TABLE, 0, damaged) == 0x0609_0030
     assert line.read(od.FORCE_TABLE) == table
-
-
-def test_the_dictionary_describes_the_layout() -> None:
-    for layout in (paper_layout(), pinch_layout()):
-        line = Line(layout)
-        assert line.number(od.LAYOUT, od.LAYOUT_PADS) == layout.n_pads
-        shapes = line.read(od.PAD_SHAPES)
-        assert [tuple(shapes[i : i + 2]) for i in range(0, len(shapes), 2)] == [
-            (pad.rows, pad.columns) for pad in layout.pads
-        ]
-        touch = line.number(od.THRESHOLDS, od.THRESHOLD_TOUCH)
-        assert touch == round(30 * layout.adc_max / 255)
 
 
 def test_the_identity_is_that_of_the_settings() -> None:

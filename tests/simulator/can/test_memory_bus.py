@@ -93,30 +93,6 @@ def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire()
     ]  # fmt: skip
 
 
-def test_what_is_sent_is_there_at_once_and_in_order() -> None:
-    echo, bus, clock = echo_bus()
-    bus.send(message(0x123, 1, 2))
-    bus.send(message(0x124))
-    bus.send(can.Message(arbitration_id=0x80, is_extended_id=True))  # the device hears no such
-    assert echo.heard == [(10.0, 0x123, b"\x01\x02"), (10.0, 0x124, b"")]
-    assert clock.monotonic() == 10.0
-
-
-def test_receiving_takes_the_time_on_the_wire() -> None:
-    echo, bus, clock = echo_bus()
-    data = bytes(range(1, 9))
-    echo.send(10.0, 0x185, [data, data])
-    assert bus.recv(0) is None
-    first, second = bus.recv(1.0), bus.recv(1.0)
-    assert first is not None
-    assert second is not None
-    assert bytes(first.data) == data
-    assert (first.dlc, first.is_extended_id, first.arbitration_id) == (8, False, 0x185)
-    step_s = mean_bits(data) * 1e-6
-    assert [first.timestamp, second.timestamp] == pytest.approx([10 + step_s, 10 + 2 * step_s])
-    assert clock.monotonic() == second.timestamp
-
-
 def test_waiting_moves_the_clock_to_the_time_out_and_no_further() -> None:
     echo, bus, clock = echo_bus()
     assert bus.recv(0.25) is None
@@ -159,17 +135,6 @@ def test_all_that_has_arrived_is_taken_at_once_as_one_by_one() -> None:
     bus.faults.unplugged = True
     with pytest.raises(can.CanOperationError, match="gone"):
         bus.recv_all(9)
-
-
-def test_a_bus_that_was_shut_down_is_of_no_use() -> None:
-    _, bus, clock = echo_bus()
-    bus.shutdown()
-    bus.shutdown()
-    assert clock.on_advance == []
-    with pytest.raises(can.CanOperationError, match="shut down"):
-        bus.recv(0)
-    with pytest.raises(can.CanOperationError, match="shut down"):
-        bus.send(message(1))
 
 
 @pytest.mark.parametrize("kind", ["is_remote_frame", "is_error_frame", "is_fd"])

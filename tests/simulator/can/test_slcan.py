@@ -48,17 +48,6 @@ def test_messages_come_as_lines_when_they_are_through() -> None:
     assert line.say(b"", 1.001) == b"t1850\r"
 
 
-def test_a_closed_channel_neither_hears_nor_sends() -> None:
-    line = Line()
-    assert line.say(b"t1230\r") == b"\a"
-    line.device.send(1.0, 0x185, [bytes(8)])
-    assert line.say(b"", 2.0) == b""
-    line = Line(b"O")
-    line.device.send(0.9, 0x185, [bytes(8)])
-    line.adapter.receive(b"C\rO\r", 1.0)
-    assert line.say(b"", 2.0) == b"\r\r"
-
-
 def test_another_bit_rate_reaches_nobody() -> None:
     line = Line(b"S6", b"O")
     assert line.say(b"t1230\r") == b"z\r"
@@ -80,52 +69,25 @@ def test_time_stamps_are_milliseconds_of_a_minute() -> None:
     assert line.say(b"", 70.0) == b"t70510504D2\r"
 
 
-@pytest.mark.parametrize(
-    ("command", "answer"),
-    [
-        (b"V", b"V1013\r"),
-        (b"v", b"V1013\r"),
-        (b"N", b"NSIM1\r"),
-        (b"F", b"F00\r"),
-        (b"T000001231FF", b"Z\r"),
-        (b"r1230", b"z\r"),
-        (b"R000001238", b"Z\r"),
-        (b"S8", b"\a"),
-        (b"x", b"\a"),
-        (b"V1", b"\a"),
-        (b"t12", b"\a"),
-        (b"t8000", b"\a"),
-        (b"t1239001122334455667788", b"\a"),
-        (b"t1232AA", b"\a"),
-        (b"t1231A", b"\a"),
-        (b"t1231AABB", b"\a"),
-        (b"t123x", b"\a"),
-        (b"t1_31AA", b"\a"),
-        (b"t 231AA", b"\a"),
-        (b"T200000000", b"\a"),
-        (b"r1231FF", b"\a"),
-        (b"\xff\xfe", b"\a"),
-    ],
+ANSWERS = (
+    {b"s0014": b"\r", b"M00000000": b"\r"},
+    {b"V": b"V1013\r", b"v": b"V1013\r", b"N": b"NSIM1\r", b"F": b"F00\r"}
+    | {b"T000001231FF": b"Z\r", b"r1230": b"z\r", b"R000001238": b"Z\r"},
 )
-def test_answers_of_an_open_adapter(command: bytes, answer: bytes) -> None:
-    assert Line(b"O").say(command + b"\r") == answer
+"""Commands to a closed and to an open adapter, and their answers."""
+REFUSED = (
+    b"S9|S|S88|Z2|F|C",
+    b"S8|x|V1|t12|t8000|t1239001122334455667788|t1232AA|t1231A|t1231AABB|t123x|t1_31AA|t 231AA"
+    b"|T200000000|r1231FF|\xff\xfe",
+)
+"""Commands that they refuse."""
 
 
-@pytest.mark.parametrize(
-    ("command", "answer"),
-    [
-        (b"S9", b"\a"),
-        (b"S", b"\a"),
-        (b"S88", b"\a"),
-        (b"Z2", b"\a"),
-        (b"s0014", b"\r"),
-        (b"M00000000", b"\r"),
-        (b"F", b"\a"),
-        (b"C", b"\a"),
-    ],
-)
-def test_answers_of_a_closed_adapter(command: bytes, answer: bytes) -> None:
-    assert Line().say(command + b"\r") == answer
+@pytest.mark.parametrize("is_open", [False, True])
+def test_answers_of_a_closed_and_an_open_adapter(is_open: bool) -> None:
+    refused = dict.fromkeys(REFUSED[is_open].split(b"|"), b"\a")
+    for command, answer in (ANSWERS[is_open] | refused).items():
+        assert Line(*[b"O"] * is_open).say(command + b"\r") == answer, command
 
 
 def test_a_client_that_does_not_read_loses_messages_and_is_told() -> None:

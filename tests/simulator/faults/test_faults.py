@@ -235,12 +235,6 @@ def test_intermittent_loss_comes_in_bursts(cell: SimulatedCell) -> None:
     assert np.count_nonzero(np.diff(lost)) == 4
 
 
-def test_chosen_taxels_read_the_counts_of_the_fault(cell: SimulatedCell) -> None:
-    cell.inject("taxels.stuck_at=3-5:200")
-    counts = cell.devices.faults.unit.apply(np.full(156, 7, np.uint16), adc_max=4095)
-    assert counts[:8].tolist() == [7, 7, 7, 200, 200, 200, 7, 7]
-
-
 def test_the_next_messages_and_answers_are_lost(cell: SimulatedCell) -> None:
     cell.inject("can.lose_next=3")
     cell.inject("can.lose_next=2")

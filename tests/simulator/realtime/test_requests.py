@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simulator.devices import CellDevices
-from simulator.errors import EndpointError, SimulatorError, SimulatorSettingsError
+from simulator.errors import SimulatorError, SimulatorSettingsError
 from simulator.faults.injector import FaultInjector
 from simulator.realtime.requests import CellRequests
 from simulator.realtime.socket_server import CLIENT_LIMIT, LINE_LIMIT, PositionerServer
@@ -208,13 +208,6 @@ def test_the_socket_belongs_to_its_owner_and_replaces_a_stale_one(tmp_path: Path
     served = Served(path)
     assert path.stat().st_mode & 0o777 == 0o600
     served.server.close()
-
-
-def test_a_socket_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "s").write_text("a file of somebody else")
-    with pytest.raises(EndpointError, match="no socket"):
-        Served(tmp_path / "s")
-    assert (tmp_path / "s").read_text() == "a file of somebody else"
 
 
 def test_faults_are_injected_and_cleared_by_their_text(

@@ -64,15 +64,6 @@ def assert_answers(endpoint: ServoPty) -> None:
     os.close(descriptor)
 
 
-def test_a_ping_is_answered_when_its_time_has_come(endpoint, client):
-    os.write(client, PING)
-    due_s = endpoint.poll(1.0)
-    assert due_s == pytest.approx(1.0 + 24e-5)
-    assert drain(client) == b""
-    assert endpoint.poll(due_s) is None
-    assert len(drain(client)) == 14
-
-
 def test_a_packet_that_waited_feeds_the_watchdog(endpoint, device, client):
     servo = device.servos[0]
     servo.write(64, b"\x01", 1.0)
@@ -102,12 +93,6 @@ def test_a_rate_set_as_a_number_is_known_too(endpoint, client, baudrate: int):
     settings[-2:] = [baudrate, baudrate]
     fcntl.ioctl(client, 0x402C542B, layout.pack(*settings))
     assert endpoint.client_baudrate == baudrate
-
-
-def test_a_client_may_come_and_go(endpoint):
-    for _ in range(3):
-        assert_answers(endpoint)
-        assert endpoint.poll(3.0) is None
 
 
 def test_a_client_that_never_reads_does_not_block(endpoint, client):

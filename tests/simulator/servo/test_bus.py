@@ -114,11 +114,6 @@ def round_trip_s(bench, request: bytes) -> float:
     return due_s - start_s
 
 
-def test_a_ping_takes_its_wire_time(bench):
-    wire_s = (10 + 14) * 10 / 1_000_000
-    assert round_trip_s(bench, encode_instruction(1, Instruction.PING)) == pytest.approx(wire_s)
-
-
 def test_slow_lines_return_delay_and_adapter_add_up(servo_bench):
     bench = servo_bench(
         baudrate=57600,
@@ -177,15 +172,6 @@ def test_a_damaged_request_is_not_carried_out(bench):
     for _ in range(20):
         bench.exchange(encode_instruction(1, Instruction.WRITE, bytes((65, 0, 1))))
     assert bench.servos[0].core.table.data[65] == 0
-
-
-def test_a_delayed_answer_comes_with_the_next(bench):
-    bench.device.faults.delay = Trigger(next_packets=1)
-    bench.stream.write(PING)
-    assert bench.stream.read(64, 0.034) == b""
-    bench.stream.write(encode_instruction(2, Instruction.PING))
-    late = bench.stream.read(64, 0.02) + bench.stream.read(64, 0.02)
-    assert ids(late) == [2, 1]
 
 
 def test_answers_in_pieces(bench):
@@ -291,13 +277,6 @@ def test_read_returns_what_is_there_and_keeps_the_rest(bench):
     before_s = bench.clock.monotonic()
     assert len(bench.stream.read(100, 1.0)) == 10
     assert bench.clock.monotonic() == before_s
-
-
-def test_a_time_out_takes_exactly_its_time(bench):
-    before_s = bench.clock.monotonic()
-    assert bench.stream.read(10, 0.034) == b""
-    assert bench.clock.monotonic() - before_s == pytest.approx(0.034, abs=1e-6)
-    assert bench.stream.read(10, 0.0) == b""
 
 
 def test_drop_input_drops_what_has_arrived_only(bench):

@@ -9,10 +9,8 @@ import pytest
 from dxl2 import v2 as dxl2
 
 from gripper.dynamixel.models import XM430_W210
-from simulator.servo.bus import ServoBusDevice
-from simulator.servo.device import SimulatedServo
 from simulator.servo.firmware import ServoCore
-from simulator.servo.motor import ServoMotor
+from tests.simulator.conftest import ServoBench
 
 PREFIX = "FFFFFD00"
 ACK = "FFFFFD00 01 0400 55 00 A10C"
@@ -71,35 +69,21 @@ def registers_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ServoCore, "refresh", lambda _self, _now_s: None)
 
 
-class Conversation:
-    """Servos on a line in memory; the registers of some hold what an example wants."""
+class Conversation(ServoBench):
+    """Servos of the examples; the registers of some hold what an example wants."""
 
     def __init__(self, firmware: int, values: dict[int, dict[str, int]]) -> None:
-        self.servos = {
-            servo_id: SimulatedServo(
-                servo_id,
-                XM430_W210,
-                ServoMotor(XM430_W210),
-                firmware=firmware,
-                settings={"baud_rate": 3, "return_delay_time": 0},
-            )
-            for servo_id in sorted(values.keys() | {1, 2})
-        }
+        super().__init__(sorted(values.keys() | {1, 2}), model=XM430_W210, firmware=firmware)
+        self._registers = {servo.servo_id: servo.core.registers for servo in self.servos}
         for servo_id, named in values.items():
             for name, value in named.items():
-                self.servos[servo_id].core.registers.put(name, value)
-        self._device = ServoBusDevice(list(self.servos.values()), 1_000_000)
+                self.put(servo_id, name, value)
 
-    def exchange(self, request: bytes) -> bytes:
-        """Return all that comes back."""
-        self._device.receive(request, 0.5)
-        answer = b""
-        while (due_s := self._device.next_event_s()) is not None:
-            answer += self._device.transmit(due_s)
-        return answer
+    def put(self, servo_id: int, name: str, value: int) -> None:
+        self._registers[servo_id].put(name, value)
 
     def get(self, servo_id: int, name: str) -> int:
-        return self.servos[servo_id].core.registers.get(name)
+        return self._registers[servo_id].get(name)
 
 
 @pytest.mark.parametrize(
@@ -164,13 +148,8 @@ def test_bytes_that_are_stuffed_both_ways() -> None:
     assert talk.get(1, "goal_position") == -131073
     # As the vendor's package 4.1.0 sends it: the stuffing does not reach the wire.
     assert talk.exchange(wire("FFFFFD00 01 0900 03 7400 FFFFFDFF CB05")) == b""
-    current, velocity, position = -1, -3, 2048
-    for name, value in (
-        ("present_current", current),
-        ("present_velocity", velocity),
-        ("present_position", position),
-    ):
-        talk.servos[1].core.registers.put(name, value)
+    for name, value in (("current", -1), ("velocity", -3), ("position", 2048)):
+        talk.put(1, f"present_{name}", value)
     answer = talk.exchange(dxl2_read(1, 126, 10))
     assert answer == wire("FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0")
 

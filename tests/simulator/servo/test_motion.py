@@ -42,15 +42,6 @@ def bench(closing):
     return closing()
 
 
-def test_goal_current_is_a_limit_of_the_magnitude_in_mode_5(bench):
-    bench.clock.sleep(0.3)
-    assert bench.read(1, 126, 2, signed=True) == -100
-    assert bench.read(2, 126, 2, signed=True) == 100
-    assert bench.write(1, 102, 2, -60) == 0
-    bench.clock.sleep(0.1)
-    assert bench.read(1, 126, 2, signed=True) == -60
-
-
 def test_position_mode_reaches_its_goal_and_says_so(servo_bench):
     bench = servo_bench()
     goal = bench.read(1, 132, 4) - 300

@@ -69,21 +69,9 @@ def test_the_current_loop_settles_within_a_few_ms(motor):
     assert motor.current_a == pytest.approx(1.0, abs=0.02)
 
 
-def test_back_emf_limits_the_current_at_speed(motor):
-    motor.velocity_rad_s = 0.8 * XM430_W350.no_load_rad_s
-    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=2.0))
-    assert motor.current_a < 0.6
-
-
 def test_the_pwm_limit_bounds_the_current(motor):
     stall(motor, DriveCommand(DriveMode.CURRENT, current_a=2.0, duty=0.1))
     assert motor.current_a == pytest.approx(0.23, abs=0.005)
-
-
-def test_torque_off_means_no_current(motor):
-    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0))
-    assert stall(motor, DriveCommand(), STEP_S) == 0.0
-    assert (motor.current_a, motor.duty) == (0.0, 0.0)
 
 
 def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current(motor):

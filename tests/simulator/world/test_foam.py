@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import SimulatorSettingsError
-from simulator.world.foam import TABLE_STEP_M, Foam, ForceTable
+from simulator.world.foam import Foam, ForceTable
 
 FOAM = Foam()
 
@@ -70,12 +70,6 @@ def test_the_stiffness_is_the_slope_of_the_force() -> None:
         assert further_n - force_n == pytest.approx(1e-6 * stiffness_n_m, rel=1e-6)
     assert table.lookup(0.0) == (0.0, 0.0)
     assert table.lookup(-1.0) == (0.0, 0.0)
-
-
-def test_deeper_than_the_table_the_force_still_grows() -> None:
-    table = ForceTable(FOAM, np.full((10, 10), 4e-3), 1e-6)
-    end_m = FOAM.thickness_m + TABLE_STEP_M
-    assert table.lookup(end_m + 1e-3)[0] > table.lookup(end_m)[0]
 
 
 def test_a_surface_beside_the_pad_is_refused() -> None:

@@ -13,7 +13,6 @@ from simulator.world.shapes import (
     Ellipsoid,
     ObjectPose,
     Shape,
-    ball,
     cylinder,
     dumbbell,
     ellipsoid,
@@ -66,26 +65,6 @@ def test_rotation_is_counted_from_x_to_y() -> None:
     covered = np.isfinite(low)
     direction = np.linalg.svd(np.cov(GRID[0][covered], GRID[1][covered]))[0][:, 0]
     assert math.degrees(math.atan(direction[1] / direction[0])) == pytest.approx(30.0, abs=0.5)
-
-
-def test_an_offset_moves_the_highest_point() -> None:
-    low, _ = posed_heights(PAPER_OBJECTS["ball"], ObjectPose(x_m=3e-3, y_m=-2e-3), *GRID)
-    top = np.unravel_index(np.argmax(low), low.shape)
-    assert (GRID[0][top], GRID[1][top]) == pytest.approx((3e-3, -2e-3), abs=1e-9)
-
-
-def test_a_ball_has_the_height_of_a_circle() -> None:
-    low, high = ball(diameter_m=10e-3).heights(np.array([3e-3]), np.array([0.0]), 0.4)
-    assert low == pytest.approx([4e-3])
-    assert high == pytest.approx([4e-3])
-
-
-def test_roll_brings_another_side_of_a_box_up() -> None:
-    box = Box(length_m=20e-3, width_m=6e-3, height_m=12e-3)
-    flat = extent_m(box, ObjectPose())
-    rolled = extent_m(box, ObjectPose(roll_rad=0.5 * math.pi))
-    assert (flat[1], flat[2]) == pytest.approx((6e-3, 12e-3), abs=0.3e-3)
-    assert (rolled[1], rolled[2]) == pytest.approx((12e-3, 6e-3), abs=0.3e-3)
 
 
 def test_a_box_on_its_edge_is_a_roof() -> None:
