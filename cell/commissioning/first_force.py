@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -314,35 +315,25 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Write]:
     ]
 
 
+@dataclass(frozen=True, slots=True)
 class _Trial:
     """One run of the step on open lines."""
 
-    def __init__(
-        self,
-        config: CellConfig,
-        dialog: Dialog,
-        clock: Clock,
-        notes: Notes,
-        motion: WatchedMotion,
-        *,
-        most_n: float,
-        cap_n: float,
-    ) -> None:
-        self._config = config
-        self._dialog = dialog
-        self._clock = clock
-        self._notes = notes
-        self._motion = motion
-        self._most_n = most_n
-        self._cap_n = cap_n
+    config: CellConfig
+    dialog: Dialog
+    clock: Clock
+    notes: Notes
+    motion: WatchedMotion
+    most_n: float
+    cap_n: float
 
     def run(self, fingers: Fingers) -> None:
         hand = None if isinstance(fingers, _GripperAlone) else fingers
-        start_free(fingers, self._dialog)
+        start_free(fingers, self.dialog)
         if hand is not None:
             hand.start_sensor()
         self._open(fingers)
-        self._notes.fact(
+        self.notes.fact(
             "The empty fingers opened as direction, zero and linkage say, and the bus watchdog "
             "stopped them when this program fell silent."
         )
@@ -354,20 +345,20 @@ class _Trial:
             "Hold the soft part between the pads, and keep it there until the fingers hold it.",
         )
         self._grasp(fingers)
-        if hand is not None and meets(self._config):
+        if hand is not None and meets(self.config):
             self._meet(hand)
 
     def _ask(self, fingers: Fingers, key: str, text: str) -> None:
         """Ask for something by hand, while the grip is looked after."""
-        period_s = 1.0 / self._config.gripper.loop_rate_hz
-        self._dialog.confirm(
-            f"first_force.{key}", text, watch=lambda: look_after(fingers, self._clock, period_s)
+        period_s = 1.0 / self.config.gripper.loop_rate_hz
+        self.dialog.confirm(
+            f"first_force.{key}", text, watch=lambda: look_after(fingers, self.clock, period_s)
         )
 
     def _open(self, fingers: Fingers) -> None:
         """Open the empty fingers; where that fails their torque may go off at the end."""
         try:
-            fingers.open(self._motion)
+            fingers.open(self.motion)
         except GripperError:
             with suppress(GripperError):
                 fingers.clear_fault(reboot=False)
@@ -375,11 +366,11 @@ class _Trial:
 
     def _check_empty(self, hand: Hand) -> None:
         """Take the zero; the pads of the open fingers show no force then."""
-        hand.tare(self._config.tactile.tare_frames)
+        hand.tare(self.config.tactile.tare_frames)
         first_n, second_n = hand.read_sensor(timeout_s=1.0).finger_force_n
-        limit_n = _EMPTY_SHARE * self._config.gripper.contact_force_n
-        self._notes.values["empty_n"] = [round(first_n, 4), round(second_n, 4)]
-        self._notes.fact(
+        limit_n = _EMPTY_SHARE * self.config.gripper.contact_force_n
+        self.notes.values["empty_n"] = [round(first_n, 4), round(second_n, 4)]
+        self.notes.fact(
             f"Empty fingers: the pads show {first_n:.2f} and {second_n:.2f} N after a new zero."
         )
         if max(first_n, second_n) > limit_n:
@@ -395,30 +386,30 @@ class _Trial:
             "empty_again",
             "Take the part away, and your hands: the empty fingers press on each other next.",
         )
-        begun = len(self._motion.cycles)
+        begun = len(self.motion.cycles)
         ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
-        outcome = hand.meet(ramp, self._motion)
-        last = _course(self._motion.cycles[begun:])[-_LAST_PERIODS:]
+        outcome = hand.meet(ramp, self.motion)
+        last = _course(self.motion.cycles[begun:])[-_LAST_PERIODS:]
         first_n, second_n = (round(float(n), 3) for n in np.nanmean(last[:, 2:], axis=0))
-        hand.release(self._motion)
+        hand.release(self.motion)
         opening_mm = 1e3 * outcome.final_aperture_m
-        self._notes.values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
-        self._notes.fact(
+        self.notes.values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
+        self.notes.fact(
             f"The empty fingers met at an opening of {opening_mm:+.2f} mm, with {first_n:.2f} and "
             f"{second_n:.2f} N."
         )
         if abs(opening_mm) > _MEET_MM:
-            self._notes.warn(
+            self.notes.warn(
                 "The zero of the opening is off: close the fingers by hand again with "
                 "`tactile-cell commission --redo fingers`."
             )
 
     def _grasp(self, fingers: Fingers) -> None:
         """Press the soft part, and let it go."""
-        ramp, motion = self._config.sequence.ramp, self._motion
-        first_n = max(FIRST_FORCE_N, 1.5 * self._config.gripper.contact_force_n)
+        ramp, motion = self.config.sequence.ramp, self.motion
+        first_n = max(FIRST_FORCE_N, 1.5 * self.config.gripper.contact_force_n)
         measured: list[list[float]] = []
-        for force_n in dict.fromkeys((first_n, max(first_n, self._most_n))):
+        for force_n in dict.fromkeys((first_n, max(first_n, self.most_n))):
             follow = fingers.squeeze if measured else fingers.grasp
             outcome = follow(force_ramp(ramp, force_n), motion)
             if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
@@ -433,10 +424,10 @@ class _Trial:
             self._judge(force_n, float(held_n.mean()), outcome)
         fingers.carry(first_n, 0.0, motion)
         peak_n = float(_grip_n(_course(motion.cycles)).max())
-        self._notes.values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
-        if peak_n > self._cap_n + _WRONG_N:
-            self._notes.fail(
-                f"The force reached {peak_n:.2f} N, above the cap of {self._cap_n:g} N: lower "
+        self.notes.values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
+        if peak_n > self.cap_n + _WRONG_N:
+            self.notes.fail(
+                f"The force reached {peak_n:.2f} N, above the cap of {self.cap_n:g} N: lower "
                 "gripper.contact.approach_force_n, or gripper.approach_speed_mm_s, and run the "
                 "step again."
             )
@@ -445,17 +436,17 @@ class _Trial:
 
     def _judge(self, asked_n: float, held_n: float, outcome: GraspOutcome) -> None:
         """Note how a force was reached and held."""
-        self._notes.fact(
+        self.notes.fact(
             f"{asked_n:g} N asked: {held_n:.2f} N held, overshoot {outcome.overshoot_n:.2f} N, "
             f"opening {1e3 * outcome.final_aperture_m:.2f} mm."
         )
         if outcome.result is GraspResult.FORCE_NOT_REACHED:
-            self._notes.warn(
+            self.notes.warn(
                 "That force was not reached: raise gripper.current_max_a where servos and parts "
                 "allow it, or ask for less."
             )
         elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):
-            self._notes.warn(
+            self.notes.warn(
                 f"That is {held_n - asked_n:+.2f} N off: check the law of the pads (`tactile-cell "
                 "commission --redo pads_law`), and the linkage for friction."
             )
