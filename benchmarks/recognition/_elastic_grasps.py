@@ -81,11 +81,8 @@ class Sensed:
 
     noise: float = 1.0
     """Factor on the paper's noise (`simulator.world.taxels`)."""
-    gain: float = 1.0
-    """Factor on what a taxel feels: drift."""
-    aperture_offset_m: float = 0.0
-    aperture_sd_m: float = 0.0
-    """Error in m of the opening: the same in all grasps, and drawn for each grasp."""
+    aperture_sd_m: float = 0.2e-3
+    """Standard deviation of the error of the opening in m, drawn for each grasp."""
     force_sd: float = 0.03
     """Relative standard deviation of the force over the commanded one, of a grasp."""
     pad_gain_sd: float = 0.02
@@ -94,9 +91,14 @@ class Sensed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Pressed:
-    """One pad pressed deeper and deeper; K depths, the first of them 0."""
+class Trial:
+    """An object pressed into one pad deeper and deeper; K depths, the first of them 0."""
 
+    label: str
+    command: GraspCommand
+    material: Material
+    layout: LayoutName
+    """What is pressed, how, and into what."""
     thick_m: float
     """Thickness of the object at its highest points in m."""
     depth_m: Array
@@ -112,9 +114,10 @@ def _grid(pad: ElasticPad, shape: tuple[int, int]) -> ElasticGrid:
 
 
 def pressed(
-    pad: ElasticPad, shape: str, command: GraspCommand, layout: LayoutName, largest_n: float
-) -> Pressed:
-    """Press an object into a pad until it carries a force."""
+    label: str, shape: str, command: GraspCommand, material: Material, layout: LayoutName = "paper"
+) -> Trial:
+    """Press an object into a pad until it carries the force of the command, and some to spare."""
+    largest_n = 1.15 * command.force_n
     thing = parse_shape(shape)
     half_m = [np.abs(PADS[layout].taxel_xy_m[:, axis]).max() + 4e-3 for axis in (0, 1)]
     x_m, y_m = (
@@ -135,7 +138,7 @@ def pressed(
         _even(np.flatnonzero(near.any(axis=axis)), near.shape[1 - axis]) for axis in (1, 0)
     )
     lag_m = lag_m[rows, columns]
-    grid = _grid(pad, lag_m.shape)
+    grid = _grid(material.pad, lag_m.shape)
     gripping = _LAYOUTS[layout].pads[_LAYOUTS[layout].gripping_pads[0]]
     m = grid.margin
     along = _areas(
@@ -158,7 +161,11 @@ def pressed(
         stress_pa = grid.stress_pa(pressure_pa)
         taxels_n.append((along @ stress_pa @ across.T).ravel() * _CELL_M**2)
         depth_m *= _DEEPER
-    return Pressed(
+    return Trial(
+        label=label,
+        command=command,
+        material=material,
+        layout=layout,
         thick_m=float(heights_m[0].max() + heights_m[1].max()),
         depth_m=np.array(depths_m),
         force_n=np.array(forces_n),
@@ -166,25 +173,11 @@ def pressed(
     )
 
 
-def elastic_grasp(
-    label: str,
-    shape: str,
-    command: GraspCommand,
-    *,
-    material: Material,
-    seed: int,
-    sensed: Sensed | None = None,
-    layout: LayoutName = "paper",
-    press: Pressed | None = None,
-) -> Grasp:
-    """Return one grasp: 0.3 s of rest, a ramp of 5 N/s, 0.4 s of hold, 50 frames a second.
-
-    ``press`` is what `pressed` gave for the same object and command, with some force to spare.
-    """
-    sensed = sensed or Sensed()
+def elastic_grasp(trial: Trial, sensed: Sensed, seed: int) -> Grasp:
+    """Return one grasp: 0.3 s of rest, a ramp of 5 N/s, 0.4 s of hold, 50 frames a second."""
     rng = np.random.default_rng(seed)
+    command, material, layout = trial.command, trial.material, trial.layout
     factor = 1.0 + rng.normal(0.0, sensed.force_sd)
-    press = press or pressed(material.pad, shape, command, layout, 1.15 * command.force_n)
     n_rest, n_hold = round(_REST_S / FRAME_S), round(_HOLD_S / FRAME_S)
     n_ramp = max(2, round(command.force_n / _RATE_N_S / FRAME_S))
     ramp_n = np.linspace(0.0, command.force_n, n_ramp + 1)[1:]
@@ -193,16 +186,16 @@ def elastic_grasp(
     force_n = factor * goal_n * (1.0 - material.relaxation * -np.expm1(-held_s / material.slow_s))
     # A force that relaxes is held at one opening.
     pressing_n = factor * goal_n if material.relaxation else force_n
-    depth_m = np.interp(pressing_n, press.force_n, press.depth_m)
+    depth_m = np.interp(pressing_n, trial.force_n, trial.depth_m)
     depth_m += material.creep * _slowly(depth_m, material.slow_s)
-    half_m = 0.5 * press.thick_m - depth_m
+    half_m = 0.5 * trial.thick_m - depth_m
     half_m[:n_rest] += 0.5 * _APPROACH_M * np.linspace(1.0, 0.0, n_rest, endpoint=False)
     pads, gripping = PADS[layout], _LAYOUTS[layout].gripping_pads
     model = NoiseModel(level=sensed.noise)
     counts = model.sample(rng, len(goal_n) * pads.n_taxels, pads.adc_max)
     counts = counts.reshape(len(goal_n), -1)
     taxels_n = np.stack(
-        [np.interp(force_n, press.force_n, one) for one in press.taxels_n.T], axis=1
+        [np.interp(force_n, trial.force_n, one) for one in trial.taxels_n.T], axis=1
     )
     taxels_n += material.lag * (_slowly(taxels_n, material.slow_s) - taxels_n)
     for pad in gripping:
@@ -210,19 +203,17 @@ def elastic_grasp(
         gains = rng.lognormal(0.0, sensed.pad_gain_sd) * np.exp(
             rng.normal(0.0, sensed.taxel_gain_sd, len(where))
         )
-        felt_n = sensed.gain * gains * taxels_n
+        felt_n = gains * taxels_n
         full_n = FULL_SCALE_N[layout]
         share = -np.expm1(-0.449 * felt_n) if full_n is None else np.minimum(felt_n / full_n, 1.0)
         counts[:, where] += pads.adc_max * share**material.bend
-    offset_m = sensed.aperture_offset_m + rng.normal(0.0, sensed.aperture_sd_m)
     return Grasp(
         pads=pads,
         counts=np.rint(np.clip(counts, 0.0, pads.adc_max)).astype(np.uint16),
         t_s=np.arange(len(goal_n)) * FRAME_S,
-        aperture_m=2.0 * half_m + offset_m,
+        aperture_m=2.0 * half_m + rng.normal(0.0, sensed.aperture_sd_m),
         force_n=goal_n,
-        label=label,
-        shape=shape.partition(":")[0],
+        label=trial.label,
         source="elastic pads",
         start_ms=seed,
     )
