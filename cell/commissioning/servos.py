@@ -155,7 +155,8 @@ class ServosStep(Step):
         with bench.servo_bus(port, rate) as bus:
             _set_up(bench, bus, dialog, fingers, notes)
             try:
-                timing = check_link(bus, [one.servo_id for one in fingers], _period_s(bench))
+                period_s = 1.0 / bench.gripper().loop_rate_hz
+                timing = check_link(bus, [one.servo_id for one in fingers], period_s)
                 notes.fact(f"round trip of a ping: {timing.median_s * 1e3:.2f} ms (median)")
             except LinkTooSlow as error:
                 notes.fail(str(error))
@@ -164,10 +165,6 @@ class ServosStep(Step):
                 f"servo {other.servo_id} drives no finger: an axis needs a port of its own, see "
                 "the step `axes`"
             )
-
-
-def _period_s(bench: Bench) -> float:
-    return 1.0 / bench.gripper().loop_rate_hz
 
 
 def _model(identity: ServoIdentity) -> ServoModel | None:

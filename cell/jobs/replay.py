@@ -197,7 +197,8 @@ class _Rig:
             self._link.start()
             undo.callback(self._link.close)
             self._closing = undo.pop_all()
-        self._wait_for_frame()
+        while not self._link.poll():
+            self._cell.clock.sleep(_WAIT_S)
 
     def __enter__(self) -> Self:
         return self
@@ -244,10 +245,6 @@ class _Rig:
             start_ms=grasp.start_ms,
             command=grasp.command,
         )
-
-    def _wait_for_frame(self) -> None:
-        while not self._link.poll():
-            self._cell.clock.sleep(_WAIT_S)
 
 
 def _wide_config(grasps: Sequence[Grasp]) -> CellConfig:

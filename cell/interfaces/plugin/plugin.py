@@ -31,6 +31,7 @@ from cell.interfaces.plugin.answer import (
     Verification,
 )
 from cell.interfaces.plugin.goals import (
+    TASKS,
     GaugeGoal,
     Goal,
     GripGoal,
@@ -76,15 +77,7 @@ __all__ = [
 ]
 
 
-_COMMANDS = {
-    "teach": Command.GRASP,
-    "gauge": Command.GRASP,
-    "zero": Command.GRASP,
-    "identify": Command.GRASP,
-    "grip": Command.GRIP,
-    "verify": Command.VERIFY,
-    "sort": Command.GRASP,
-}
+_COMMANDS = dict.fromkeys(TASKS, Command.GRASP) | {"grip": Command.GRIP, "verify": Command.VERIFY}
 """Command of the controller that each task begins with."""
 _NAMING = ("identify", "sort")
 """Tasks that name parts: an earlier answer is not that of their part."""
