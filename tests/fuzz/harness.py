@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from random import Random, SystemRandom
+from random import SystemRandom
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,6 @@ INPUTS = int(os.environ.get("TACTILE_CELL_INPUTS", "0"))
 MEMORY_KB = 64 << 10
 """What one input may take beyond what the process has: four times the largest chunk unpacked."""
 
-Maker = Callable[[Random], Any]
-"""Makes one input from random numbers."""
 Damage = tuple[str, int, int, bytes]
 """Kind, place, size and new bytes of one damage; see `spoilt`."""
 _KINDS = ("flip", "set", "put", "cut", "end", "double", "move")
@@ -38,38 +36,17 @@ _PIECES = (b"\0\0\0\0", b"\x7f", b"\xff\xff\xfd\0", b"\n", b'"', b"-", b":", b"[
 """Bytes that mean something to one of the parsers."""
 
 
-def random_bytes(random: Random, least: int, most: int) -> bytes:
-    """Return so many random bytes."""
-    return bytes(random.randint(0, 255) for _ in range(random.randint(least, most)))
-
-
-def several(make: Maker, least: int, most: int) -> Maker:
-    """Return the maker of lists of so many inputs."""
-    return lambda random: [make(random) for _ in range(random.randint(least, most))]
-
-
-def drawn_damages(at_least: int = 0, at_most: int = 4) -> Maker:
-    """Return the maker of lists of damages."""
-    return several(_damage, at_least, at_most)
-
-
-def _damage(random: Random) -> Damage:
-    return (
-        random.choice(_KINDS),
-        random.randint(0, 1 << 16),
-        random.randint(1, random.choice((8, 200))),
-        random_bytes(random, 1, 8) if random.random() < 0.5 else random.choice(_PIECES),
-    )
+_DAMAGE = st.tuples(
+    st.sampled_from(_KINDS),
+    st.integers(0, 1 << 16),
+    st.integers(1, 8) | st.integers(1, 200),
+    st.binary(min_size=1, max_size=8) | st.sampled_from(_PIECES),
+)
 
 
 def damages(*, at_least: int = 0, at_most: int = 4) -> st.SearchStrategy[list[Damage]]:
     """Return a strategy for lists of damages."""
-    return drawn(drawn_damages(at_least, at_most))
-
-
-def drawn(make: Maker) -> st.SearchStrategy[Any]:
-    """Return the strategy of what a maker makes: Hypothesis draws its random numbers."""
-    return st.builds(make, st.randoms(use_true_random=False))
+    return st.lists(_DAMAGE, min_size=at_least, max_size=at_most)
 
 
 def spoilt(data: bytes, damages: Iterable[Damage]) -> bytes:
@@ -146,7 +123,7 @@ def bad_input(
     examples: int = 60,
     limit_s: float = 0.5,
     using: Mapping[str, Callable[[], AbstractContextManager[Any]]] | None = None,
-    **inputs: Maker | st.SearchStrategy[Any],
+    **inputs: st.SearchStrategy[Any],
 ) -> Any:
     """Make a property of a function that returns what became of its input, in a few words.
 
@@ -163,12 +140,8 @@ def bad_input(
         What the function needs beside its inputs, by the name of its argument: opened once for all
         of them. ``tmp_path`` needs no entry.
     inputs
-        A maker or a strategy of Hypothesis for each input.
+        The strategy of Hypothesis for each input.
     """
-    strategies = {
-        name: drawn(how) if callable(how) else how  # no strategy can be called
-        for name, how in inputs.items()
-    }
     chosen = settings(
         max_examples=INPUTS or examples,
         derandomize=not INPUTS,
@@ -195,7 +168,7 @@ def bad_input(
                 once.__name__ = test.__name__  # by which Hypothesis keeps what broke
                 logging.disable(logging.CRITICAL)  # libraries log each damage, pytest keeps it all
                 try:
-                    chosen(given(**strategies)(once))()
+                    chosen(given(**inputs)(once))()
                 finally:
                     logging.disable(logging.NOTSET)
             assert len(found) > 1, f"the same became of all inputs: {dict(found)}"

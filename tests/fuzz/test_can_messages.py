@@ -1,16 +1,17 @@
 """Bad CAN messages: frames, features, emergencies, a link in operation, SDO at both ends."""
 
 import functools
+import struct
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from random import Random
 from types import SimpleNamespace
 
 import can
 import canopen
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from simulator.devices import CellDevices
 from simulator.settings import SimulatorSettings
@@ -26,15 +27,7 @@ from tactile.unit.sdo import ObjectAccess
 from tactile.unit.session import LinkSession
 from tactile.unit.settings import LinkSettings
 from tactile.unit.supervision import decode_emergency
-from tests.fuzz.harness import (
-    Clock,
-    bad_input,
-    disturbed,
-    drawn_damages,
-    pieces,
-    random_bytes,
-    several,
-)
+from tests.fuzz.harness import Clock, bad_input, damages, disturbed, pieces
 
 NODE = 5
 SMALL = FrameFormat(n_taxels=8, sample_bytes=2)
@@ -52,17 +45,12 @@ def assert_came(frame: TactileFrame, frame_format: FrameFormat, messages: Iterab
     assert set(parts) <= set(messages)
 
 
-def lengths(random: Random) -> dict[int, int]:
-    """Return wrong lengths of some messages, by their number."""
-    return {random.randint(0, 20): random.randint(0, 15) for _ in range(random.randint(0, 2))}
-
-
 @bad_input(
-    size=lambda random: random.choice((SMALL, SMALL, SMALL, PAPER)),
-    first=lambda random: random.choice((0, 7, 0xFFFE)),
-    steps=several(lambda random: random.choice((1, 1, 1, 0, 2, 4)), 0, 3),
-    harm=drawn_damages(),
-    lengths=lengths,
+    size=st.sampled_from((SMALL, SMALL, SMALL, PAPER)),
+    first=st.sampled_from((0, 7, 0xFFFE)),
+    steps=st.lists(st.sampled_from((1, 1, 1, 0, 2, 4)), max_size=3),
+    harm=damages(),
+    lengths=st.dictionaries(st.integers(0, 20), st.integers(0, 15), max_size=2),
     examples=120,
 )
 def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, harm, lengths):
@@ -80,19 +68,19 @@ def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, h
     return "whole frames" if found else "dropped"
 
 
-def some_force(random: Random) -> bytes:
-    return encode_force_message(
-        ForceMessage(
-            t_s=0.0,
-            counter=random.randint(0, 15),
-            status=ForceStatus(random.randint(0, 15)),
-            force_n=(random.uniform(-70.0, 70.0), random.uniform(-70.0, 70.0)),
-            centre_taxels=random.choice((None, (random.uniform(-9.0, 9.0), 0.0))),
-        )
-    )
+newtons = st.floats(-70.0, 70.0)
+forces = st.builds(
+    ForceMessage,
+    t_s=st.just(0.0),
+    counter=st.integers(0, 15),
+    status=st.integers(0, 15).map(ForceStatus),
+    force_n=st.tuples(newtons, newtons),
+    centre_taxels=st.none() | st.tuples(st.floats(-9.0, 9.0), st.just(0.0)),
+).map(encode_force_message)
+eight = st.binary(min_size=8, max_size=8)
 
 
-@bad_input(sent=several(some_force, 1, 6), harm=drawn_damages(at_most=3))
+@bad_input(sent=st.lists(forces, min_size=1, max_size=6), harm=damages(at_most=3))
 def test_force_messages_are_those_that_came_each_once(sent, harm):
     messages = disturbed(sent, harm)
     stream = ForceStream(0.003)
@@ -108,7 +96,7 @@ def test_force_messages_are_those_that_came_each_once(sent, harm):
     return "forces" if taken else "dropped"
 
 
-@bad_input(data=lambda random: random_bytes(random, *random.choice(((8, 8), (0, 64)))))
+@bad_input(data=eight | st.binary(max_size=64))
 def test_an_emergency_has_eight_bytes_and_a_text(data):
     emergency = decode_emergency(data)
     assert (emergency is not None) == (len(data) == 8)
@@ -161,20 +149,19 @@ def message(can_id: int, data: bytes, kind: str = "data", dlc: int | None = None
 SERVICES = (0x180, 0x280, 0x380, 0x580, 0x600, 0x700, 0x80)
 
 
-def stranger(random: Random) -> can.Message:
-    of_node = NODE + random.choice(SERVICES)
-    return message(
-        of_node if random.random() < 0.5 else random.randint(0, 0x7FF),
-        random_bytes(random, *random.choice(((8, 8), (0, 8)))),
-        random.choice(("data",) * 8 + ("extended", "remote", "error")),
-        random.choice((None, None, random.randint(0, 15))),
-    )
+strangers = st.builds(
+    message,
+    st.sampled_from(SERVICES).map(NODE.__add__) | st.integers(0, 0x7FF),
+    eight | st.binary(max_size=8),
+    st.sampled_from(("data",) * 8 + ("extended", "remote", "error")),
+    st.none() | st.integers(0, 15),
+)
 
 
 @bad_input(
-    before=several(stranger, 0, 4),
-    harm=drawn_damages(),
-    after=several(stranger, 0, 4),
+    before=st.lists(strangers, max_size=4),
+    harm=damages(),
+    after=st.lists(strangers, max_size=4),
     using={"bus": quiet_bus},
 )
 def test_a_link_in_operation_gives_frames_that_came_or_its_own_errors(bus, before, harm, after):
@@ -233,23 +220,19 @@ COMMANDS = (0x40, 0x23, 0x2F, 0x2B, 0x21, 0x20, 0x60, 0x70, 0x00, 0x10, 0x01)
 OBJECTS = (0x1000, 0x1005, 0x1008, 0x1014, 0x1017, 0x1018, 0x1800, 0x1A00)
 
 
-def a_request(random: Random) -> bytes:
-    index = random.choice(
-        (random.choice(OBJECTS), random.randint(0x2100, 0x2210), random.randint(0, 0xFFFF))
-    )
-    data = random.choice((bytes(4), b"\x01\0\0\0", random_bytes(random, 4, 4)))
-    head = (random.choice(COMMANDS), *index.to_bytes(2, "little"), random.randint(0, 6))
-    return bytes(head) + data
-
-
-def another_message(random: Random) -> tuple[bytes, int]:
-    return random_bytes(random, 0, 8), random.choice((0, 0x80, random.randint(0, 0x7FF)))
+requests = st.builds(
+    lambda command, index, subindex, data: struct.pack("<BHB", command, index, subindex) + data,
+    st.sampled_from(COMMANDS),
+    st.sampled_from(OBJECTS) | st.integers(0x2100, 0x2210) | st.integers(0, 0xFFFF),
+    st.integers(0, 6),
+    st.sampled_from((bytes(4), b"\x01\0\0\0")) | st.binary(min_size=4, max_size=4),
+)
 
 
 @bad_input(
-    other=another_message,
-    requests=several(a_request, 1, 6),
-    harm=drawn_damages(at_most=2),
+    other=st.tuples(st.binary(max_size=8), st.sampled_from((0, 0x80)) | st.integers(0, 0x7FF)),
+    requests=st.lists(requests, min_size=1, max_size=6),
+    harm=damages(at_most=2),
 )
 def test_the_simulated_unit_answers_each_request_once_or_not_at_all(other, requests, harm):
     unit = Unit()
@@ -293,15 +276,13 @@ PLACES = (
 )
 
 
-def responses(random: Random) -> tuple[list, list[bytes]]:
-    """Return damage of one response, and what comes before it."""
-    before = several(lambda random: random_bytes(random, 8, 8), 0, 4)(random)
-    return drawn_damages(at_most=1)(random), before if random.random() < 0.5 else []
+responses = st.tuples(damages(at_most=1), st.just([]) | st.lists(eight, max_size=4))
+"""Damage of one response, and what comes before it."""
 
 
 @bad_input(
-    place=lambda random: random.choice(PLACES),
-    script=several(responses, 0, 8),
+    place=st.sampled_from(PLACES),
+    script=st.lists(responses, max_size=8),
     using={"bus": quiet_bus},
 )
 def test_an_object_is_read_as_it_came_or_not_at_all(bus, place, script):

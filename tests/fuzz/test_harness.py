@@ -21,7 +21,7 @@ def test_an_input_that_hangs_or_takes_memory_is_found() -> None:
 
 
 def test_a_property_of_which_nothing_is_learnt_fails_and_what_breaks_is_shown() -> None:
-    @bad_input(number=lambda random: random.randrange(10))
+    @bad_input(number=st.integers(0, 9))
     def broken(number: int) -> str:
         return "taken" if number < 8 else str(1 // (9 - number))
 

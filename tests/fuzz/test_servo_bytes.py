@@ -2,7 +2,8 @@
 
 from collections import deque
 from collections.abc import Iterator
-from random import Random
+
+from hypothesis import strategies as st
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
@@ -25,16 +26,7 @@ from simulator.servo.protocol2 import (
     encode_instruction,
     encode_status,
 )
-from tests.fuzz.harness import (
-    Clock,
-    Maker,
-    bad_input,
-    drawn_damages,
-    pieces,
-    random_bytes,
-    several,
-    spoilt,
-)
+from tests.fuzz.harness import Clock, bad_input, damages, pieces, spoilt
 
 BAUD = 1_000_000
 QUIET = bytes(8)
@@ -109,44 +101,22 @@ def with_checksum(start: bytes) -> bytes:
     return start + crc16(start).to_bytes(2, "little")
 
 
-def streams(packet: Maker) -> Maker:
-    """Return the maker of packets, and of false ones: other bytes, or wrong lengths under a right
-    checksum."""
-
-    def one(random: Random) -> bytes:
-        kind = random.randrange(4)
-        if kind < 2:
-            return packet(random)
-        if kind == 2:
-            return random_bytes(random, 0, 14)
-        return with_checksum(START + random_bytes(random, 0, 20))
-
-    return lambda random: b"".join(several(one, 0, 4)(random))
+def streams(packets: st.SearchStrategy[bytes]) -> st.SearchStrategy[bytes]:
+    """Return the strategy of packets, and of false ones: other bytes, or wrong lengths under a
+    right checksum."""
+    false = st.binary(max_size=20).map(lambda data: with_checksum(START + data))
+    return st.lists(packets | st.binary(max_size=14) | false, max_size=4).map(b"".join)
 
 
-def parameters(random: Random) -> bytes:
-    if random.random() < 0.5:
-        return random_bytes(random, 0, 24)
-    return b"".join(random.choice(STUFFED) for _ in range(random.randint(0, 8)))
+ids = st.integers(0, 252)
+errors = st.sampled_from((0, 0, 0x80, 4))
+parameters = st.binary(max_size=24) | st.lists(st.sampled_from(STUFFED), max_size=8).map(b"".join)
+statuses = st.builds(encode_status, ids, errors, parameters)
+orders = st.builds(encode_instruction, ids, st.sampled_from(Instruction), parameters)
+piece = st.integers(1, 40)
 
 
-def a_status(random: Random) -> bytes:
-    error = random.choice((0, 0, 0x80, 4))
-    return encode_status(random.randint(0, 252), error, parameters(random))
-
-
-def an_order(random: Random) -> bytes:
-    instruction = random.choice([*Instruction])
-    return encode_instruction(random.randint(0, 252), instruction, parameters(random))
-
-
-def a_piece(random: Random) -> int:
-    return random.randint(1, 40)
-
-
-@bad_input(
-    stream=streams(a_status), harm=drawn_damages(), last=a_status, piece=a_piece, examples=120
-)
+@bad_input(stream=streams(statuses), harm=damages(), last=statuses, piece=piece, examples=120)
 def test_status_packets_behind_any_bytes_are_found_and_nothing_else(stream, harm, last, piece):
     line = Line()
     wire = spoilt(stream, harm) + QUIET + last
@@ -157,9 +127,7 @@ def test_status_packets_behind_any_bytes_are_found_and_nothing_else(stream, harm
     return check(wire, bodies, last)
 
 
-@bad_input(
-    stream=streams(an_order), harm=drawn_damages(), last=an_order, piece=a_piece, examples=120
-)
+@bad_input(stream=streams(orders), harm=damages(), last=orders, piece=piece, examples=120)
 def test_instructions_behind_any_bytes_are_found_and_nothing_else(stream, harm, last, piece):
     wire = spoilt(stream, harm) + QUIET + last
     parser = PacketParser()
@@ -168,21 +136,23 @@ def test_instructions_behind_any_bytes_are_found_and_nothing_else(stream, harm, 
     return check(wire, intact, last)
 
 
-def any_instruction(random: Random) -> tuple[float, int, int, bytes]:
-    """Return pause before it in s, ID, instruction and parameters, which often begin as a write."""
-    address = random.choice((random.randint(0, 240), random.randint(560, 720)))
-    write = address.to_bytes(2, "little") + random_bytes(random, 1, random.choice((1, 8)))
-    return (
-        random.choice((0.0, random.uniform(0.0, 0.5))),
-        random.choice((0, 1, 2, 3, 0xFE)),
-        random.choice((*Instruction, 0x77)),
-        random.choice((write, write, random_bytes(random, 0, 12))),
-    )
+writes = st.builds(
+    lambda address, data: address.to_bytes(2, "little") + data,
+    st.integers(0, 240) | st.integers(560, 720),
+    st.binary(min_size=1, max_size=8),
+)
+any_instruction = st.tuples(
+    st.just(0.0) | st.floats(0.0, 0.5),
+    st.sampled_from((0, 1, 2, 3, 0xFE)),
+    st.sampled_from((*Instruction, 0x77)),
+    writes | st.binary(max_size=12),
+)
+"""Pause before it in s, ID, instruction and parameters, which often begin as a write."""
 
 
 @bad_input(
-    model=lambda random: random.choice(tuple(MODELS.values())),
-    orders=several(any_instruction, 0, 25),
+    model=st.sampled_from(list(MODELS.values())),
+    orders=st.lists(any_instruction, max_size=25),
     examples=150,
 )
 def test_the_simulated_servos_survive_any_instruction_and_keep_their_limits(model, orders):
@@ -205,20 +175,19 @@ def test_the_simulated_servos_survive_any_instruction_and_keep_their_limits(mode
     return "answered" if answers else "silent"
 
 
-def an_answer(random: Random) -> tuple[float, int, int, list]:
-    """Return delay in s, ID of the servo that answers, its error byte, damage."""
-    return (
-        random.choice((0.0003, 0.0003, 0.0003, 0.01, 0.03)),
-        random.choice((1, 1, 1, 2)),
-        random.choice((0, 0, 0x80, 4)),
-        drawn_damages(at_most=2)(random),
-    )
+answers = st.tuples(
+    st.sampled_from((0.0003, 0.0003, 0.0003, 0.01, 0.03)),
+    st.sampled_from((1, 1, 1, 2)),
+    errors,
+    damages(at_most=2),
+)
+"""Delay in s, ID of the servo that answers, its error byte, damage."""
 
 
 @bad_input(
-    register=lambda random: random.choice(REGISTERS),
-    data=lambda random: random_bytes(random, 4, 4),
-    script=several(an_answer, 0, 8),
+    register=st.sampled_from(REGISTERS),
+    data=st.binary(min_size=4, max_size=4),
+    script=st.lists(answers, max_size=8),
 )
 def test_a_register_is_read_as_it_was_sent_or_not_at_all(register, data, script):
     line, rest, wire = Line(), iter(script), bytearray()

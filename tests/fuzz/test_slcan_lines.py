@@ -4,22 +4,14 @@ import contextlib
 import os
 import re
 from collections.abc import Iterator
-from random import Random
 
 import pytest
+from hypothesis import strategies as st
 
 from simulator.can.faults import CanLinkFaults
 from simulator.can.slcan import OUTPUT_LIMIT, SlcanAdapter
 from tactile.can.bus import BulkSlcanBus
-from tests.fuzz.harness import (
-    Maker,
-    bad_input,
-    drawn_damages,
-    pieces,
-    random_bytes,
-    several,
-    spoilt,
-)
+from tests.fuzz.harness import bad_input, damages, pieces, spoilt
 
 _DATA = re.compile(
     rb"(?:t(?P<id>[0-7][0-9A-Fa-f]{2})|T(?P<xid>[01][0-9A-Fa-f]{7}))"
@@ -54,25 +46,14 @@ COMMANDS = (b"O", b"C", b"S8", b"L", b"Z1", b"F", b"V", b"N", b"s031C", b"M00000
 ALPHABET = b"tTrRdDbB0123456789ABCDEF+-_ .\r\a"
 
 
-def streams(others: tuple[bytes, ...]) -> Maker:
-    """Return the maker of lines of data and others, and of bytes that only look like some."""
-
-    def line(random: Random) -> bytes:
-        if random.randrange(3) == 0:
-            return random.choice(others)
-        can_id = random.randrange(1 << 29)
-        return line_of(can_id, random.random() < 0.5, random_bytes(random, 0, 8))
-
-    def make(random: Random) -> bytes:
-        if random.randrange(3):
-            return b"\r".join(several(line, 1, 5)(random))
-        return bytes(random.choice(ALPHABET) for _ in range(random.randint(0, 40)))
-
-    return make
+def streams(others: tuple[bytes, ...]) -> st.SearchStrategy[bytes]:
+    """Return the strategy of lines of data and others, and of bytes that only look like some."""
+    data = st.builds(line_of, st.integers(0, (1 << 29) - 1), st.booleans(), st.binary(max_size=8))
+    lines = st.lists(data | st.sampled_from(others), min_size=1, max_size=5).map(b"\r".join)
+    return lines | st.lists(st.sampled_from(ALPHABET), max_size=40).map(bytes)
 
 
-def a_piece(random: Random) -> int:
-    return random.randint(1, 60)
+piece = st.integers(1, 60)
 
 
 @contextlib.contextmanager
@@ -113,8 +94,8 @@ def received(master: int, bus: BulkSlcanBus, parts: list[bytes]) -> list[Message
 
 @bad_input(
     stream=streams(REPLIES),
-    harm=drawn_damages(),
-    piece=a_piece,
+    harm=damages(),
+    piece=piece,
     using={"terminal": opened_terminal},
     examples=120,
 )
@@ -159,7 +140,7 @@ def sent_by_adapter(parts: list[bytes]) -> list[Message]:
     return wire.sent
 
 
-@bad_input(stream=streams(COMMANDS), harm=drawn_damages(), piece=a_piece, examples=120)
+@bad_input(stream=streams(COMMANDS), harm=damages(), piece=piece, examples=120)
 def test_the_simulated_adapter_sends_whole_lines_only(stream, harm, piece):
     wire = spoilt(stream, harm) + b"\r"
     sent = sent_by_adapter(pieces(wire, piece))
