@@ -29,12 +29,6 @@ def test_the_three_readings_of_smallest():
     assert smallest_eigenvalue(Q, Reading.COVARIANCE).value == pytest.approx(1e-6, rel=1e-12)
 
 
-def test_covariance_reading_is_the_smallest_eigenvalue_of_the_gram_matrix():
-    Q = _rotated(np.array([-4.0, -1.0, 0.5, 2.0]), np.random.default_rng(1))
-    gram = np.linalg.eigvalsh(Q.T @ Q)[0]
-    assert smallest_eigenvalue(Q, Reading.COVARIANCE).value == pytest.approx(gram, rel=1e-10)
-
-
 def test_graded_spectrum_keeps_ten_digits():
     rng = np.random.default_rng(2)
     batch = np.stack([_rotated(GRADED, rng) for _ in range(500)])

@@ -196,11 +196,6 @@ def test_fingers_and_pads_are_kept_apart(sensor, frames) -> None:
         reading.force_n[0] = 1.0
 
 
-def test_a_light_contact_of_half_a_newton_is_seen(sensor, frames) -> None:
-    frames.press(0.5)
-    assert np.mean([r.finger_force_n[0] > 0.3 for r in readings(sensor, frames, 50)[3:]]) > 0.95
-
-
 def test_pinch_layout_with_a_linear_law_and_little_noise() -> None:
     sensor, frames = pinching(noise=False)
     frames.base[30:36] = 300.0
@@ -500,13 +495,6 @@ def test_without_noise_dead_taxels_cannot_be_told() -> None:
     assert health.summary() == "0 dead, 0 stuck, 1 saturated"
     with pytest.raises(ValueError, match="at least 8"):
         assess_health(frames[:5], 255)
-
-
-def test_a_sensor_without_noise_may_repeat_itself() -> None:
-    sensor, frames = noiseless()
-    assert all(r.ok for r in readings(sensor, frames, 60)[2:])
-    frames.press(2.0)
-    assert readings(sensor, frames, 60)[-1].finger_force_n[0] == pytest.approx(2.0, rel=0.02)
 
 
 @pytest.mark.parametrize(

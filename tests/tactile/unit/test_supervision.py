@@ -2,7 +2,7 @@
 
 import pytest
 
-from tactile.errors import BusErrorPassive, HeartbeatLost
+from tactile.errors import BusErrorPassive
 from tactile.unit.supervision import (
     Emergency,
     NodeSupervisor,
@@ -30,16 +30,6 @@ def test_texts(code: int, text: str) -> None:
 
 def make() -> NodeSupervisor:
     return NodeSupervisor("the unit", SupervisionLimits(heartbeat_s=0.1))
-
-
-def test_heartbeat_is_not_missed_before_operation() -> None:
-    supervisor = make()
-    supervisor.on_heartbeat(b"\x7f", 1.0)
-    supervisor.check(100.0)
-    supervisor.enter_operation(100.0)
-    supervisor.check(100.249)
-    with pytest.raises(HeartbeatLost):
-        supervisor.check(100.251)
 
 
 def test_restart_of_the_controller_ends_error_passive() -> None:
