@@ -1,28 +1,119 @@
-"""Limit of UNKNOWN: how many taught and new objects are called UNKNOWN, by `recognition.caution`.
+"""Limit of UNKNOWN: how many taught and new objects are called so, by `recognition.caution` and by
+the number of taught grasps.
 
 Objects are dealt out into six groups; each in turn is left out of teaching and is new then. Of each
 object the first 60 per cent in time teach, the others are grasped: as they are, and as on the next
 day under a gain of 0.7 and with the opening 4 mm off.
+
+Then a few objects are taught alone with a few grasps each: grasps of the simulated cell, and of the
+recorded ones the first 60 per cent in time alone, of which 60 per cent teach.
 """
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from benchmarks._measure import line, repeats
+from benchmarks.recognition._cell_grasps import cell_grasps
 from benchmarks.recognition._grasps import recorded, simulated
 from recognition.drift.drift import Drift
 from recognition.evaluation.splits import a_day_later, chronological_split
+from recognition.grasp import Grasp, by_label
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
+from recognition.statistics.fusion import DecisionKind, StopRule, decide
 
 CAUTIONS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Factors on the likelihood of a new object."""
 _DRIFT = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
 _GROUPS = 6
+TAUGHT = (3, 5, 8, 12)
+"""Grasps of each object where a few objects are taught alone."""
+SIMULATED = {name: name for name in ("ball", "box", "cylinder", "dumbbell", "oval")} | {
+    "small ball": "sphere:diameter=8mm",
+    "large ball": "sphere:diameter=12mm",
+    "rod": "cylinder:diameter=6mm,length=20mm",
+    "thick rod": "cylinder:diameter=11mm,length=18mm",
+    "block": "box:length=12mm,width=12mm,height=7mm",
+}
+"""Objects of the simulated cell; some differ by a millimetre."""
+_RULE = StopRule()
+
+Answer = tuple[bool, str, str]
+"""Whether the object was new, its label, and the answer."""
+
+
+def show_few(
+    name: str, train: Sequence[Grasp], test: Sequence[Grasp], n_objects: int, n_taught: int
+) -> None:
+    """Print the answers of random groups of objects that are taught alone; as many others are new."""
+    taught, tested = by_label(train), by_label(test)
+    labels = np.random.default_rng(0).permutation(sorted(taught)).tolist()
+    single: list[Answer] = []
+    several: list[Answer] = []
+    for start in range(0, len(labels) - n_objects + 1, n_objects):
+        group = (labels[start:] + labels[:start])[: 2 * n_objects]
+        recognizer = ForceRampTrainer().fit(
+            [grasp for label in group[:n_objects] for grasp in taught[label][:n_taught]]
+        )
+        for label in group:
+            new = label not in recognizer.labels
+            posteriors = [recognizer.posterior(grasp) for grasp in tested[label]]
+            single += [(new, label, one.name) for one in posteriors]
+            for begin in range(0, len(posteriors), _RULE.max_grasps):
+                row = posteriors[begin : begin + _RULE.max_grasps]
+                found = [decide(row[:n], _RULE) for n in range(1, len(row) + 1)]
+                ended = next((d for d in found if d.kind is not DecisionKind.CONTINUE), found[-1])
+                decided = ended.kind is DecisionKind.DECIDED
+                several.append((new, label, ended.label if decided else UNKNOWN))
+    line(
+        f"  {name}, {n_objects} objects, {n_taught} grasps",
+        f"{_shares(single)}; in sequences {_shares(several)}",
+    )
+
+
+def _shares(given: Sequence[Answer]) -> str:
+    """Return the shares of UNKNOWN and wrong answers as text."""
+    known = [(truth, answer) for new, truth, answer in given if not new]
+    unknown = sum(answer == UNKNOWN for _, answer in known)
+    wrong = sum(answer not in (truth, UNKNOWN) for truth, answer in known)
+    return (
+        f"taught: {100 * unknown / len(known):.1f} % UNKNOWN, "
+        f"{100 * wrong / len(known):.1f} % named wrongly; "
+        f"new: {100 - 100 * _named(given):.1f} % UNKNOWN"
+    )
+
+
+def _named(given: Sequence[Answer]) -> float:
+    """Return the share of new objects that were named."""
+    new = [answer for is_new, _, answer in given if is_new]
+    return sum(answer != UNKNOWN for answer in new) / len(new)
+
+
+def show_teachings(grasps: Sequence[Grasp] | None, effort: float) -> None:
+    """Print what few taught grasps of few objects give."""
+    counts = TAUGHT[: repeats(len(TAUGHT), effort)]
+    objects = dict(list(SIMULATED.items())[: repeats(len(SIMULATED), effort, least=4)])
+    n_tested = repeats(15, effort, least=2)
+    made = by_label(cell_grasps(objects, counts[-1] + n_tested, seed=11))
+    train, test = (
+        [grasp for members in made.values() for grasp in members[part]]
+        for part in (slice(counts[-1]), slice(counts[-1], None))
+    )
+    for n_objects in (3, 5)[: 1 + (len(objects) >= 10)]:
+        for n_taught in counts:
+            show_few("simulated", train, test, n_objects, n_taught)
+    if grasps is not None:
+        train, test = map(list, chronological_split(chronological_split(grasps, 0.6)[0], 0.6))
+        for n_taught in counts[:-1]:
+            show_few("recorded", train, test, 4, n_taught)
 
 
 def main(effort: float = 1.0) -> None:
-    grasps = recorded()
+    real = recorded()
+    grasps = real
     if grasps is None:
         grasps = simulated(5, repeats(20, effort, least=10))
     train, test = chronological_split(grasps, 0.6)
@@ -32,7 +123,7 @@ def main(effort: float = 1.0) -> None:
     }
     labels = sorted({grasp.label for grasp in grasps})
     groups = [set(labels[i::_GROUPS]) for i in range(min(_GROUPS, len(labels)))]
-    answers: dict[tuple[str, float], list[tuple[bool, str, str]]] = defaultdict(list)
+    answers: dict[tuple[str, float], list[Answer]] = defaultdict(list)
     for out in groups[: repeats(len(groups), effort)]:
         taught = ForceRampTrainer().fit([grasp for grasp in train if grasp.label not in out])
         for day, tested in days.items():
@@ -42,21 +133,11 @@ def main(effort: float = 1.0) -> None:
                     name = replace(taught, caution=caution).answer(grasp, evidence).name
                     answers[day, caution].append((grasp.label in out, grasp.label, name))
     line("compared", f"{len(labels)} objects, {len(test)} grasps tested for each group left out")
-    missed = {}
     for (day, caution), given in answers.items():
-        known = [(truth, answer) for new, truth, answer in given if not new]
-        new = [answer for new, _, answer in given if new]
-        unknown = sum(answer == UNKNOWN for _, answer in known)
-        wrong = sum(answer not in (truth, UNKNOWN) for truth, answer in known)
-        missed[day, caution] = sum(answer != UNKNOWN for answer in new) / len(new)
-        line(
-            f"  {day}, {caution:g}",
-            f"taught: {100 * unknown / len(known):.1f} % UNKNOWN, "
-            f"{100 * wrong / len(known):.1f} % named wrongly; "
-            f"new: {100 - 100 * missed[day, caution]:.1f} % UNKNOWN",
-        )
-    least, most = (max(missed["minutes later", c], 1e-3) for c in (CAUTIONS[-1], CAUTIONS[0]))
+        line(f"  {day}, {caution:g}", _shares(given))
+    least, most = (max(_named(answers["minutes later", c]), 1e-3) for c in CAUTIONS[::-4])
     line("  ratio", f"{most / least:.1f} times as many new objects named at the least caution")
+    show_teachings(real, effort)
 
 
 if __name__ == "__main__":
