@@ -1,5 +1,4 @@
-"""Limit of UNKNOWN: how many taught and new objects are called so, by `recognition.caution` and by
-the number of taught grasps.
+"""Limit of UNKNOWN: how many taught and new objects are called so, by caution and taught grasps.
 
 Objects are dealt out into six groups; each in turn is left out of teaching and is new then. Of each
 object the first 60 per cent in time teach, the others are grasped: as they are, and as on the next
@@ -48,7 +47,7 @@ Answer = tuple[bool, str, str]
 def show_few(
     name: str, train: Sequence[Grasp], test: Sequence[Grasp], n_objects: int, n_taught: int
 ) -> None:
-    """Print the answers of random groups of objects that are taught alone; as many others are new."""
+    """Print the answers where random groups are taught alone; as many other objects are new."""
     taught, tested = by_label(train), by_label(test)
     labels = np.random.default_rng(0).permutation(sorted(taught)).tolist()
     single: list[Answer] = []

@@ -111,7 +111,7 @@ class ForceRamp:
         probability /= probability.sum()
         log_share = log_weight + evidence.of_any(_NEW_IN_ANSWER * self.caution)
         share = np.exp(log_share - logsumexp(log_share))
-        odds_of_taught = 1.0 / max(float((share * evidence.new).sum()), 1e-12) - 1.0
+        odds_of_taught = 1.0 / float(np.clip((share * evidence.new).sum(), 1e-12, 1.0)) - 1.0
         drawn_m = self.drawn_m[int(probability.argmax())]
         drawn_m = drawn_m[np.isfinite(drawn_m)]
         offset = share.sum(axis=0)

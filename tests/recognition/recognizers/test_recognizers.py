@@ -329,6 +329,15 @@ def test_a_size_between_two_taught_ones_is_no_taught_object(train, fresh):
     assert all(taught.posterior(g).name == UNKNOWN for g in moved)
 
 
+def test_two_objects_with_three_grasps_are_named_and_the_others_are_unknown(train, fresh):
+    labels = ("bar", "disc")
+    few = [g for label in labels for g in [g for g in train if g.label == label][:3]]
+    taught = make_trainer("force_ramp").fit(few)
+    named = [(g.label, taught.posterior(g).name) for g in fresh]
+    assert np.mean([name == label for label, name in named if label in labels]) >= 0.9
+    assert {name for label, name in named if label not in labels} == {UNKNOWN}
+
+
 def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(train, fresh):
     taught = make_trainer("force_ramp").fit(train)
     levels = load_levels(fresh, taught.rest)
