@@ -154,7 +154,7 @@ def test_no_taught_object_is_impossible():
 
 
 def _error(rng: np.random.Generator, n: int, *, ordered: bool) -> float:
-    """Return the share of mistakes of independent features of one unit, each class taught n times."""
+    """Return the share of mistakes where features of one unit are taught n times."""
     x, y = gaussians(rng, n=n, shift=2.5, n_features=60)
     fresh, truth = gaussians(rng, n=200, shift=2.5, n_features=60)
     lda = fit_lda(x, y, 3, ordered=ordered)
