@@ -18,7 +18,6 @@ from gripper.force.part_loss import EmptyGrip
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.slip import LevelSlip
 from gripper.kinematics import Linkage, transmissions
-from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
@@ -408,7 +407,7 @@ class RampStep:
         self._peak_n = max(self._peak_n, control.force_n)
         if self.lost:
             goals = tuple(
-                ServoGoal(angle_rad=angle_rad, current_a=goal.current_a)
+                replace(goal, angle_rad=angle_rad)
                 for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
             )
         elif not control.doubts:

@@ -527,7 +527,14 @@ class GripControl:
                 angle_rad = max(deepest_rad - margin_rad, min(least_rad, servo.angle_rad))
             else:
                 angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD, widest_rad)
-            goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
+            goals.append(
+                ServoGoal(
+                    angle_rad=angle_rad,
+                    current_a=current_a,
+                    setpoint_n=self.setpoint_n,
+                    friction_share=self._friction_share,
+                )
+            )
         return tuple(goals)
 
 

@@ -10,14 +10,13 @@ from collections import deque
 from math import copysign, exp, log, sqrt
 
 from gripper.force.controller import History
+from gripper.servos.goals import STICTION
 from gripper.state import ForceSample
 
 # Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
 _CURRENT_S, _WRITE_S = 0.003, 0.001
 """Time constant in s of a servo's current (assumed), and time in s from the feedback of a period to
 the write of its goals."""
-_STICTION = 1.05
-"""Friction at rest over friction in motion."""
 _SOFTEST_N_M, _STIFFEST_N_M = 100.0, 1e5
 """Range of the stiffness in N/m of pad and part at one pad."""
 _LOG_STIFFNESS_SD, _LOG_STIFFNESS_RS = 0.5, 2.0
@@ -35,11 +34,8 @@ _BELIEVED_SDS, _BELIEVED_N = 3.0, 0.2
 more lie, or a part slips, and what watches over them ends the ramp."""
 _RATE_S = 0.025
 """Time in s in which the rate of a plan gets to that of its ramp, and back to 0."""
-_INERTIA_N, _PUSH_N = 2.0, 3.0
-"""Force in N that the mass may need for a plan, a soft part makes it slower, and that it may get to
-follow it: where samples stand still while the fingers run, a part seems ever softer."""
-_LACKING_SHARE, _LACKING_N = 0.2, 0.25
-"""Most that drive and friction are taken to lack, as a share of the drive and beside it in N."""
+_INERTIA_N = 2.0
+"""Force in N that the mass may need for a plan: a soft part makes it slower."""
 _FORCE_S, _SPEED_S = 0.04, 0.012
 """Time constants in s with which an error of force and of speed are made up for."""
 _LATE_S = 0.3
@@ -177,7 +173,7 @@ class ContactObserver:
         after = speed + (push_n - copysign(friction_n, speed)) * dt_s / self._mass_kg
         if speed * after > 0.0:
             return after
-        if abs(push_n) <= _STICTION * friction_n:
+        if abs(push_n) <= STICTION * friction_n:
             return 0.0
         return (push_n - copysign(friction_n, push_n)) * dt_s / self._mass_kg
 
@@ -209,13 +205,13 @@ class ContactObserver:
         if dt_s > 0.0:
             self._predict(dt_s, drive_n, friction_n)
         self._history.add(now_s, self.force_n)
-        self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2, drive_n)
+        self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2)
         if sample is not None and sample.t_s > self._sample_s:
             self._sample_s = sample.t_s
             most_n = max(_BELIEVED_N, _BELIEVED_SDS * sqrt(self._p[0][0] + sample.noise_n**2))
             error_n = min(max(self.unexplained_n(sample), -most_n), most_n)
             before_n = self.force_n
-            self._correct(0, error_n, sample.noise_n**2, drive_n)
+            self._correct(0, error_n, sample.noise_n**2)
             self._history.shift(self.force_n - before_n)
 
     def unexplained_n(self, sample: ForceSample) -> float:
@@ -253,14 +249,13 @@ class ContactObserver:
             p[3][3] += _LOG_STIFFNESS_RS**2 * dt_s
         p[0][0] += _FORCE_WANDER_N**2
 
-    def _correct(self, of: int, error: float, noise2: float, drive_n: float) -> None:
+    def _correct(self, of: int, error: float, noise2: float) -> None:
         """Take one measured entry of the state in."""
         p = self._p
         gains = [p[row][of] / (p[of][of] + noise2) for row in range(4)]
         self.force_n += gains[0] * error
         self.speed_m_s += gains[1] * error
-        most_n = _LACKING_SHARE * max(drive_n, 0.0) + _LACKING_N
-        self.lacking_n = min(max(self.lacking_n + gains[2] * error, -most_n), most_n)
+        self.lacking_n += gains[2] * error
         self._log_stiffness = min(
             max(self._log_stiffness + gains[3] * error, log(_SOFTEST_N_M)), log(_STIFFEST_N_M)
         )
@@ -367,9 +362,9 @@ class RampMotion:
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         centre_n = force_n + observer.lacking_n
         band_n = _LOCKED_SHARE * friction_n
-        push_n = sign * (friction_n + min(sign * self._mass_kg * accelerates, _PUSH_N))
+        push_n = sign * (friction_n + sign * self._mass_kg * accelerates)
         if observer.speed_m_s == 0.0:
-            push_n = sign * max(sign * push_n, _STICTION * friction_n + _BREAKAWAY_N)
+            push_n = sign * max(sign * push_n, STICTION * friction_n + _BREAKAWAY_N)
         if arrived:
             push_n = sign * band_n if stands else 0.0
         push_n = sign * max(sign * push_n, -band_n)

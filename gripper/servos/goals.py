@@ -18,8 +18,8 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
-from gripper.impact import ImpactLimit, impact_limit
-from gripper.kinematics import Linkage, Transmission
+from gripper.impact import ImpactLimit, closing_current_max_a, impact_limit
+from gripper.kinematics import Linkage, Transmission, transmissions
 from gripper.recent import RecentForce
 from gripper.settings import GripperSettings, OverForce, ServoSettings
 from gripper.state import Clock, ForceSample, GripperState, ServoState
@@ -54,6 +54,12 @@ _OVER_FORCE = {
 GOAL_BLOCK = RegisterBlock.between(GOAL_CURRENT, GOAL_POSITION)
 """Registers that one write of goals sets, 102 to 119, in the order of their addresses."""
 
+STICTION = 1.05
+"""Friction at rest over friction in motion."""
+_LACKING_SHARE, _RESERVE_N = 0.15, 1.5
+"""Share of the set-point by which a drive may make less force than its figures say, and what the
+moving mass needs beside it in N for the rate of a ramp: the driving current allows no more."""
+
 OPENING_MARGIN_RAD = 0.05
 """How far in rad beyond an opening its goal may lie, so that friction does not stop short of it."""
 
@@ -66,6 +72,10 @@ class ServoGoal:
     """Goal position in the linkage's sense."""
     current_a: float
     """Limit of the current's magnitude."""
+    setpoint_n: float | None = None
+    """Grip force in N that is asked for now; None where the fingers move and press on no part."""
+    friction_share: float = 1.0
+    """Friction of the gearing as a share of the model's, by the current of an approach."""
 
 
 class GoalGuard:
@@ -93,6 +103,28 @@ class GoalGuard:
     def note_force(self, sample: ForceSample) -> None:
         """Add the newest force sample; the same one may come again."""
         self._forces.push(sample)
+
+    def bounded(self, goals: Sequence[ServoGoal], state: GripperState) -> tuple[ServoGoal, ...]:
+        """Return the goals with no more current than the force that is asked for needs.
+
+        No sample of the pads enters: whatever these show, fingers that close press with no more
+        than the set-point, friction at rest, the share that a drive may lack and what the moving
+        mass needs. Without a set-point they press below the cap, as an approach does.
+        """
+        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        return tuple(
+            replace(goal, current_a=min(goal.current_a, self._most_a(goal, path)))
+            if goal.angle_rad < servo.angle_rad
+            else goal
+            for goal, path, servo in zip(goals, paths, state.servos, strict=True)
+        )
+
+    def _most_a(self, goal: ServoGoal, path: Transmission) -> float:
+        if goal.setpoint_n is None:
+            return closing_current_max_a(self._settings, [path])
+        loading_n = min(_loading_n(goal.setpoint_n), self._settings.force_max_n)
+        friction_nm = STICTION * goal.friction_share * path.friction_nm
+        return (loading_n * path.radius_m + friction_nm) / path.kt_nm_a
 
     def slowed(self, goals: Sequence[ServoGoal], state: GripperState) -> tuple[ServoGoal, ...]:
         """Return the goals with which the momentum of no finger passes the cap of the force.
@@ -124,14 +156,20 @@ class GoalGuard:
         path = Transmission.at(model, self._linkage, servo.angle_rad)
         empty = force_n < self._settings.contact_force_n
         reach_m = self._pads * self._linkage.opening_per_rad_m(servo.angle_rad)
-        fastest_rad_s = impact.pad_speed_m_s(None if empty else force_n) / reach_m
+        fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
+        if goal.setpoint_n is not None:
+            # Samples that show too little must not make it faster than its drive allows.
+            most_n = 0.5 * (goal.setpoint_n + impact.most_n)
+            loading_n = min(_loading_n(goal.setpoint_n), most_n)
+            fastest_m_s = min(fastest_m_s, impact.pad_speed_m_s(loading_n))
+        fastest_rad_s = fastest_m_s / reach_m
         over_rad_s = -servo.velocity_rad_s - fastest_rad_s
         if over_rad_s > _SPEED_GRAIN_RAD_S:
             # No more momentum is taken than it has too much, or the finger would swing.
             drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
             current_a = min(abs(drive_n) * path.radius_m / path.kt_nm_a, goal.current_a)
             angle_rad = goal.angle_rad if drive_n > 0.0 else servo.angle_rad
-            return ServoGoal(angle_rad=angle_rad, current_a=current_a)
+            return replace(goal, angle_rad=angle_rad, current_a=current_a)
         if not empty:
             return goal
         ahead_rad = lead_rad(model, goal.current_a, fastest_rad_s)
@@ -246,6 +284,11 @@ class GoalGuard:
             )
 
 
+def _loading_n(setpoint_n: float) -> float:
+    """Return the most that a drive may press with beyond friction, in N, for a set-point in N."""
+    return (1.0 + _LACKING_SHARE) * setpoint_n + _RESERVE_N
+
+
 def most_closed_rad(settings: GripperSettings, linkage: Linkage) -> tuple[float, ...]:
     """Return the most closed goal of each servo in rad: pads that meet, at the largest current."""
     return tuple(
@@ -332,7 +375,7 @@ class GoalWriter:
         profile_velocity_raw
             Profile Velocity (register 112) in raw units; 0 is no limit.
         """
-        goals = self._guard.slowed(goals, state)
+        goals = self._guard.slowed(self._guard.bounded(goals, state), state)
         self._guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}
         for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):

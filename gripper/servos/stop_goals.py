@@ -6,6 +6,7 @@ step that opens.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
@@ -23,9 +24,9 @@ def frozen(
     which position control takes what it needs.
     """
     return [
-        ServoGoal(angle_rad=goal.angle_rad, current_a=min(goal.current_a, before.current_a))
+        replace(goal, current_a=min(goal.current_a, before.current_a))
         if goal.angle_rad <= servo.angle_rad
-        else ServoGoal(angle_rad=servo.angle_rad, current_a=max(goal.current_a, before.current_a))
+        else replace(goal, angle_rad=servo.angle_rad, current_a=max(goal.current_a, before.current_a))
         for goal, before, servo in zip(last, earlier, state.servos, strict=True)
     ]
 
@@ -38,14 +39,14 @@ def holding_position(
     No finger pushes on, and none yields by more than the servos' position control does.
     """
     return [
-        ServoGoal(angle_rad=servo.angle_rad, current_a=goal.current_a)
+        replace(goal, angle_rad=servo.angle_rad)
         for goal, servo in zip(frozen(last, earlier, state), state.servos, strict=True)
     ]
 
 
 def lowered(last: Sequence[ServoGoal], share: float) -> list[ServoGoal]:
     """Return the last goals with a share of their currents."""
-    return [ServoGoal(angle_rad=goal.angle_rad, current_a=share * goal.current_a) for goal in last]
+    return [replace(goal, current_a=share * goal.current_a) for goal in last]
 
 
 def opened_a_step(
