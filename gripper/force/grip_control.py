@@ -12,7 +12,12 @@ from gripper.force.part_loss import BREAKAWAY_SHARE, PartWatch
 from gripper.force.ramp_motion import ContactObserver, RampMotion
 from gripper.impact import impact_limit
 from gripper.kinematics import Linkage, Transmission, transmissions
-from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
+from gripper.servos.goals import (
+    ServoGoal,
+    closing_margin_rad,
+    most_closed_rad,
+    pressing_speed_m_s,
+)
 from gripper.settings import GripperSettings
 from gripper.state import ForceSample, GripperState
 
@@ -163,12 +168,12 @@ class GripControl:
         self._quick_n, self._quick_s = force_n, now_s
         closed = transmissions(settings, linkage, linkage.angles_rad(0.0))
         self._weight = sum((_LEVER_M / path.radius_m) ** 2 for path in closed) / len(closed)
+        self._impact = impact_limit(settings, linkage)
         # More than this would swing a light finger that is looked at rarely.
-        stable_n_s_m = _DAMPED_SHARE * impact_limit(settings, linkage).mass_kg / settings.period_s
+        stable_n_s_m = _DAMPED_SHARE * self._impact.mass_kg / settings.period_s
         self._damping_n_s_m = min(0.5 * self._weight * tuning.damping_n_s_m, stable_n_s_m)
         self._inertia_n_s_m = min(self._weight * _INERTIA_N_S_M, stable_n_s_m)
         self._uneven_s = 0.0
-        self._mass_kg = impact_limit(settings, linkage).mass_kg
         # Both pads yield by what the opening shrinks.
         way_m = max(touch_m - state.aperture_m, 0.0) + _WAY_DOUBT_M
         self._pad_n_m = 2.0 * _HARDENS * max(force_n, self._watch.empty_n) / way_m
@@ -326,7 +331,7 @@ class GripControl:
             self._lacking_n[self._falls] = before.lacking_n
         self._falls = falls
         self._observer = ContactObserver(
-            mass_kg=self._mass_kg,
+            mass_kg=self._impact.mass_kg,
             now_s=moment.now_s - moment.dt_s,
             force_n=max(0.0, force_n),
             doubt_n=self._controller.doubt_n,
@@ -338,7 +343,7 @@ class GripControl:
         )
         self._motion = RampMotion(
             self._observer,
-            mass_kg=self._mass_kg,
+            mass_kg=self._impact.mass_kg,
             setpoint_n=setpoint_n,
             falls=falls,
             corrects=corrects,
@@ -377,6 +382,7 @@ class GripControl:
             end_n,
             friction_n=friction_n,
             drive_max_n=drive_max_n,
+            speed_max_m_s=pressing_speed_m_s(self._settings, self._impact, self.setpoint_n),
             acting_n=self._drive_n,
         )
         self._filter.force_n, self._filter.rate_n_s = motion.plan.force_n, motion.plan.rate_n_s

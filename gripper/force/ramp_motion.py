@@ -76,6 +76,7 @@ class ForcePlan:
         *,
         ramp_n_s: float,
         change_n_s2: float,
+        most_n_s: float,
     ) -> None:
         """Advance by ``dt_s`` s.
 
@@ -93,13 +94,15 @@ class ForcePlan:
             Rate of the ramp in N/s.
         change_n_s2
             Largest change of the rate in N/s².
+        most_n_s
+            Largest rate in N/s.
         """
         if dt_s <= 0.0:
             return
         left_n = max(0.0, sign * (end_n - self.force_n))
         behind_n = sign * (setpoint_n - self.force_n)
         # The rate from which the rest is just enough to come to rest.
-        most_n_s = sqrt(2.0 * change_n_s2 * left_n)
+        most_n_s = min(most_n_s, sqrt(2.0 * change_n_s2 * left_n))
         wanted_n_s = min(max(0.0, ramp_n_s + behind_n / (2.0 * _FORCE_S)), most_n_s, left_n / dt_s)
         step_n_s = change_n_s2 * dt_s
         before_n_s = self.rate_n_s
@@ -315,6 +318,7 @@ class RampMotion:
         *,
         friction_n: float,
         drive_max_n: float,
+        speed_max_m_s: float,
         acting_n: float,
     ) -> float:
         """Advance by one period and return the driving force in N.
@@ -329,6 +333,8 @@ class RampMotion:
             Friction of a finger in N.
         drive_max_n
             Largest driving force in N.
+        speed_max_m_s
+            Largest speed of a pad in m/s.
         acting_n
             Driving force in N that acts until the new one does.
         """
@@ -345,19 +351,29 @@ class RampMotion:
             max(ramp_n_s, _LEAST_RATE_N_S) / _RATE_S, _INERTIA_N * stiffness / self._mass_kg
         )
         plan = self.plan
-        plan.step(dt_s, sign, setpoint_n, end_n, ramp_n_s=ramp_n_s, change_n_s2=change_n_s2)
+        plan.step(
+            dt_s,
+            sign,
+            setpoint_n,
+            end_n,
+            ramp_n_s=ramp_n_s,
+            change_n_s2=change_n_s2,
+            most_n_s=speed_max_m_s * stiffness,
+        )
         # The new drive acts a little later.
         ahead_s = _WRITE_S + _CURRENT_S
         speed = observer.speed_after_m_s(ahead_s, acting_n, friction_n)
         force_n = observer.force_n + 0.5 * (speed + observer.speed_m_s) * stiffness * ahead_s
         planned_n = plan.force_n + sign * plan.rate_n_s * ahead_s
         error_n = sign * (planned_n - force_n)
-        wanted = sign * max(0.0, plan.rate_n_s + error_n / _FORCE_S) / stiffness
+        wanted_m_s = max(0.0, plan.rate_n_s + error_n / _FORCE_S) / stiffness
+        wanted = sign * min(wanted_m_s, speed_max_m_s)
         accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / _SPEED_S
         # What the force still grows by while friction alone brakes the fingers.
         stopping_n = 0.5 * self._mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
         arrived = sign * (end_n - force_n) <= _NEAR_N + stopping_n
-        self._late_s += dt_s if at_end else 0.0
+        if at_end and wanted_m_s < speed_max_m_s:
+            self._late_s += dt_s
         stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         centre_n = force_n + observer.lacking_n

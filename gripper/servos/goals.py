@@ -59,6 +59,8 @@ STICTION = 1.05
 _LACKING_SHARE, _RESERVE_N = 0.15, 1.5
 """Share of the set-point by which a drive may make less force than its figures say, and what the
 moving mass needs beside it in N for the rate of a ramp: the driving current allows no more."""
+_RUNNING_SHARE = 1.25
+"""Rate of the opening over ``runaway_speed_m_s`` up to which a set-point does not limit it."""
 
 OPENING_MARGIN_RAD = 0.05
 """How far in rad beyond an opening its goal may lie, so that friction does not stop short of it."""
@@ -158,10 +160,9 @@ class GoalGuard:
         reach_m = self._pads * self._linkage.opening_per_rad_m(servo.angle_rad)
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
         if goal.setpoint_n is not None:
-            # Samples that show too little must not make it faster than its drive allows.
-            most_n = 0.5 * (goal.setpoint_n + impact.most_n)
-            loading_n = min(_loading_n(goal.setpoint_n), most_n)
-            fastest_m_s = min(fastest_m_s, impact.pad_speed_m_s(loading_n))
+            fastest_m_s = min(
+                fastest_m_s, pressing_speed_m_s(self._settings, impact, goal.setpoint_n)
+            )
         fastest_rad_s = fastest_m_s / reach_m
         over_rad_s = -servo.velocity_rad_s - fastest_rad_s
         if over_rad_s > _SPEED_GRAIN_RAD_S:
@@ -287,6 +288,16 @@ class GoalGuard:
 def _loading_n(setpoint_n: float) -> float:
     """Return the most that a drive may press with beyond friction, in N, for a set-point in N."""
     return (1.0 + _LACKING_SHARE) * setpoint_n + _RESERVE_N
+
+
+def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_n: float) -> float:
+    """Return the largest speed of a pad in m/s at a set-point in N, whatever the pads show.
+
+    What its drive may press with leaves the rest below the cap for momentum. Fingers that run as
+    they do without a part are not slowed down so far that nothing shows it.
+    """
+    runs_m_s = 0.5 * _RUNNING_SHARE * settings.runaway_speed_m_s
+    return max(impact.pad_speed_m_s(_loading_n(setpoint_n)), runs_m_s)
 
 
 def most_closed_rad(settings: GripperSettings, linkage: Linkage) -> tuple[float, ...]:

@@ -26,7 +26,9 @@ def frozen(
     return [
         replace(goal, current_a=min(goal.current_a, before.current_a))
         if goal.angle_rad <= servo.angle_rad
-        else replace(goal, angle_rad=servo.angle_rad, current_a=max(goal.current_a, before.current_a))
+        else replace(
+            goal, angle_rad=servo.angle_rad, current_a=max(goal.current_a, before.current_a)
+        )
         for goal, before, servo in zip(last, earlier, state.servos, strict=True)
     ]
 
