@@ -124,9 +124,9 @@ class GoalGuard:
     def _most_a(self, goal: ServoGoal, path: Transmission) -> float:
         if goal.setpoint_n is None:
             return closing_current_max_a(self._settings, [path])
-        loading_n = min(_loading_n(goal.setpoint_n), self._settings.force_max_n)
         friction_nm = STICTION * goal.friction_share * path.friction_nm
-        return (loading_n * path.radius_m + friction_nm) / path.kt_nm_a
+        asked_a = (_loading_n(goal.setpoint_n) * path.radius_m + friction_nm) / path.kt_nm_a
+        return min(asked_a, path.loading_current_a(self._settings.force_max_n) - _EQUAL)
 
     def slowed(self, goals: Sequence[ServoGoal], state: GripperState) -> tuple[ServoGoal, ...]:
         """Return the goals with which the momentum of no finger passes the cap of the force.

@@ -10,6 +10,7 @@ import pytest
 from gripper.errors import (
     ForceSensorStale,
     GripContradicted,
+    GripperError,
     LimitExceeded,
     PartLost,
     PartSlipped,
@@ -240,6 +241,52 @@ def test_pads_that_report_too_little_let_no_force_above_the_cap(
         cell.gripper.grasp(ForceRamp.linear(14.2, rate_n_s=20.0, hold_s=0.5), observe)
     assert pads.began_s is not None
     assert 12.0 < cell.peak_n < 15.1
+
+
+LIES = {
+    "stand still": lambda it, first: replace(it, force_n=first.force_n),
+    "half": lambda it, _: replace(it, force_n=tuple(0.5 * n for n in it.force_n)),
+    "2 N too little": lambda it, _: replace(
+        it, force_n=tuple(max(0.0, n - 2.0) for n in it.force_n)
+    ),
+    "nothing": lambda it, _: replace(it, force_n=(0.0, 0.0)),
+    "old and new": lambda it, first: first if round(200.0 * it.t_s) % 2 else it,
+}
+"""Samples that show too little force, made of the newest one and of the first wrong one."""
+
+
+@pytest.mark.parametrize("rate_n_s", [10.0, 40.0])
+@pytest.mark.parametrize("lie", LIES)
+def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(
+    make_cell, make_part, lie, rate_n_s
+) -> None:
+    """Torque constant and friction are off as far as they may be: the current alone decides."""
+    cell = make_cell(
+        part=make_part(stiffness_n_m=5e3),
+        kt_error=0.1,
+        friction_error=-0.15,
+        force_max_n=15.0,
+        rate_hz=200.0,
+    )
+    first: list[ForceSample] = []
+
+    def wrong(sample: ForceSample) -> ForceSample:
+        first[:] = first or [sample]
+        return LIES[lie](sample, first[0])
+
+    pads = WrongPads(cell, wrong)
+    cell.gripper.start()
+
+    def observe(cycle) -> None:
+        if pads.began_s is None and cycle.setpoint_n > 2.0:
+            pads.began_s = cycle.t_s
+
+    with suppress(GripperError):
+        cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=rate_n_s, hold_s=0.3), observe)
+    cell.clock.sleep(0.5)
+    assert pads.began_s is not None
+    # A fifth more, and the band of friction of these servos at 60 mm.
+    assert cell.peak_n < 1.2 * 6.0 + 3.7
 
 
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
