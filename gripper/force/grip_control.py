@@ -168,9 +168,9 @@ class GripControl:
         self._quick_n, self._quick_s = force_n, now_s
         closed = transmissions(settings, linkage, linkage.angles_rad(0.0))
         self._weight = sum((_LEVER_M / path.radius_m) ** 2 for path in closed) / len(closed)
-        self._impact = impact_limit(settings, linkage)
+        self._mass_kg = impact_limit(settings, linkage).mass_kg
         # More than this would swing a light finger that is looked at rarely.
-        stable_n_s_m = _DAMPED_SHARE * self._impact.mass_kg / settings.period_s
+        stable_n_s_m = _DAMPED_SHARE * self._mass_kg / settings.period_s
         self._damping_n_s_m = min(0.5 * self._weight * tuning.damping_n_s_m, stable_n_s_m)
         self._inertia_n_s_m = min(self._weight * _INERTIA_N_S_M, stable_n_s_m)
         self._uneven_s = 0.0
@@ -331,7 +331,7 @@ class GripControl:
             self._lacking_n[self._falls] = before.lacking_n
         self._falls = falls
         self._observer = ContactObserver(
-            mass_kg=self._impact.mass_kg,
+            mass_kg=self._mass_kg,
             now_s=moment.now_s - moment.dt_s,
             force_n=max(0.0, force_n),
             doubt_n=self._controller.doubt_n,
@@ -343,7 +343,7 @@ class GripControl:
         )
         self._motion = RampMotion(
             self._observer,
-            mass_kg=self._impact.mass_kg,
+            mass_kg=self._mass_kg,
             setpoint_n=setpoint_n,
             falls=falls,
             corrects=corrects,
@@ -376,13 +376,14 @@ class GripControl:
             sample=None if jumped else sample,
         )
         self._measured_n = measured_n
+        impact = impact_limit(self._settings, self._linkage, moment.state.angles_rad)
         drive_n = motion.drive_n(
             moment.dt_s,
             self.setpoint_n,
             end_n,
             friction_n=friction_n,
             drive_max_n=drive_max_n,
-            speed_max_m_s=pressing_speed_m_s(self._settings, self._impact, self.setpoint_n),
+            speed_max_m_s=pressing_speed_m_s(self._settings, impact, self.setpoint_n),
             acting_n=self._drive_n,
         )
         self._filter.force_n, self._filter.rate_n_s = motion.plan.force_n, motion.plan.rate_n_s
