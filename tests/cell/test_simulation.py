@@ -63,6 +63,10 @@ def test_the_built_in_objects_are_those_of_the_paper() -> None:
         ),
         ({"gripper__linkage": {"kind": "parallel_linkage", "offset_mm": -100.0}}, "linkage"),
         (
+            {"simulator__faults": ["servo3.off"]},
+            "simulator: fault servo3.off: this cell has 2 servos",
+        ),
+        (
             {"tactile__calibration": {"kind": "linear", "force_per_count_n": 0.05}},
             "is 1.2 N on a pad at rest under tactile.calibration, gripper.contact_force_n is 0.6 N",
         ),

@@ -116,6 +116,11 @@ def test_written_config_reads_back_equal() -> None:
             ["positioner.kind is simulated but the cell is not"],
         ),
         (
+            "gripper: {port: /dev/ttyUSB0}\ntactile: {interface: socketcan, channel: can0}\n"
+            "positioner: {kind: operator}\nsimulator: {faults: [can.off]}\n",
+            ["faults are for the simulated cell, and this one has real ports"],
+        ),
+        (
             "simulator:\n  objects:\n    - {label: a, shape: s}\n    - {label: a, shape: s}\n",
             ["repeat"],
         ),

@@ -45,6 +45,7 @@ from gripper.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
+from simulator.faults.injector import VOCABULARY
 from tests.cell.conftest import call, once
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
@@ -660,6 +661,12 @@ def test_simulate_plays_records_that_fit(
     assert fail("simulate") == f"{BUILT_IN} error: no terminals left"
 
 
+def test_all_faults_are_listed() -> None:
+    listed = " ".join(call("simulate", "--list-faults").split())
+    for entry in VOCABULARY.values():
+        assert f"{entry.name} {entry.kind.value} {entry.meaning}" in listed
+
+
 # -- exit codes ------------------------------------------------------------------------------------
 
 
@@ -721,6 +728,7 @@ def files(tmp_path: Path, taught: Any, config: Path, make_grasp: Any) -> dict[st
         (2, "identify x.npz -m m.npz --fault can.off", "recorded grasps are what they are"),
         (2, "teach x -o {made} --shape sphere:diameter=9mm --fault can.off", "has no faults"),
         (2, "run -c {config} --fault can.lost", "there is no fault 'can.lost'"),
+        (2, "run -c {config} --fault taxels.saturated=10", "simulator: pad 10: pads are 0 to 9"),
         (2, "simulate --fault can.loss=7", "takes share, 0 to 1"),
         (2, "simulate --fault taxels.saturated=400", "pads are 0 to 9"),
         (1, "train {none} -o {made}", "none.npz"),

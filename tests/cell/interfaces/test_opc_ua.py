@@ -341,21 +341,6 @@ async def test_a_trusted_client_walks_a_simulated_cell_through_all_commands(
         await link.until("State.Name", lambda name: name == "IDLE")
         assert served.grip_n == 0.0
         assert await link.read("LastAnswer.LabelId") == 1
-        assert await link.call("teach", lease, "ball", 1, 3) == 3
-        await link.ended(3)
-        fault = served.plugin._cell.simulated.inject("unit.off@contact+50ms")
-        assert await link.call("grip", lease, 3.0, 4) == 4
-        await link.until("State.Name", lambda name: name == "ABORTED")
-        assert await link.read("FaultNumber") == served.service.status().fault_number > 0
-        assert served.grip_n > 0.3
-        fault.clear()
-        assert await link.call("clear", lease, 5, False) == 5
-        await link.ended(5)
-        assert await link.call("release", lease, RELEASE_KEY, 6) == 6
-        await link.ended(6)
-        assert await link.call("reset", lease, 7) == 7
-        await link.ended(7)
-        await link.until("State.Name", lambda name: name == "IDLE")
         served.service.command(lease, Command.SHUTDOWN)
         await link.until("State.Name", lambda name: name == "STOPPED")
         for path in ("Grip.Force", "Grip.ForceAge", "Grip.Opening", "FrameAge", "Taxels"):

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from cell.errors import CellStateError, CellStopped
-from cell.interfaces.plugin.worker import CellWorker, Job, JobOutcome, Report
+from cell.errors import CellStateError
+from cell.interfaces.plugin.worker import CellWorker, Job, JobOutcome
 
 
 @pytest.fixture
@@ -14,38 +14,6 @@ def worker() -> Iterator[CellWorker]:
     made = CellWorker(idle=lambda: None, idle_period_s=None)
     yield made
     made.close(5.0)
-
-
-def test_start_does_not_wait_and_one_job_runs_at_a_time(worker: CellWorker) -> None:
-    go_on = threading.Event()
-
-    def work(report: Report) -> str:
-        report({"step": 1})
-        go_on.wait(10.0)
-        return "done"
-
-    job = worker.start(work)
-    with pytest.raises(CellStateError, match="is not over"):
-        worker.start(work)
-    with pytest.raises(TimeoutError, match="not over"):
-        worker.wait(job, 0.0)
-    go_on.set()
-    status = worker.wait(job, 10.0)
-    assert (status.outcome, status.value) == (JobOutcome.SUCCEEDED, "done")
-    assert status.progress == {"step": 1}
-
-
-def test_a_stopped_job_is_cancelled_a_failing_one_aborted(worker: CellWorker) -> None:
-    def stopped(_report: Report) -> None:
-        raise CellStopped("stopped on request")
-
-    def failing(_report: Report) -> None:
-        raise ValueError("no")
-
-    assert worker.wait(worker.start(stopped), 10.0).outcome is JobOutcome.CANCELED
-    status = worker.wait(worker.start(failing), 10.0)
-    assert status.outcome is JobOutcome.ABORTED
-    assert status.error == "ValueError: no"
 
 
 def test_jobs_of_others_and_closed_worker_are_refused(worker: CellWorker) -> None:
@@ -117,19 +85,3 @@ def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
     thread.join(10.0)
     assert not thread.is_alive()
     assert gone() is None
-
-
-def test_the_supervision_goes_on_after_an_error_and_jobs_run_all_the_same() -> None:
-    calls: list[int] = []
-    again = threading.Event()
-
-    def idle() -> None:
-        calls.append(1)
-        if len(calls) > 1:
-            again.set()
-        raise RuntimeError("heartbeat lost")
-
-    worker = CellWorker(idle=idle, idle_period_s=0.001)
-    assert again.wait(10.0)
-    assert worker.wait(worker.start(lambda _report: 7), 10.0).value == 7
-    worker.close(5.0)

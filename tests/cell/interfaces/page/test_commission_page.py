@@ -1,7 +1,5 @@
 """The commissioning wizard in a browser: the main way, left and taken up again."""
 
-import re
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,18 +7,11 @@ from typing import Any
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import CONFIG_NAME, Engine, Question
-from cell.commissioning.record import RECORD_NAME, write_record
-from cell.config.file import load_config
+from cell.commissioning.engine import Engine
+from cell.commissioning.record import write_record
 from cell.config.serve import ServeConfig
 from cell.interfaces.wizard import Wizard, WizardDoor
-from simulator.cell import SimulatedCell
-from simulator.settings import SimulatorSettings
-from simulator.world.taxels import NoiseModel
-from tactile.layout import pinch_layout
-from tests.cell.commissioning.hands import Person
-from tests.cell.commissioning.script import SimulatedLines
-from tests.cell.commissioning.test_walk import PADS, SERVOS, brisk_steps
+from tests.cell.commissioning.test_engine import Asking
 from tests.cell.interfaces.conftest import until
 from tests.cell.interfaces.page.test_page import OpenPage, becomes, fits
 from tests.cell.interfaces.test_wizard import Moving, Ports
@@ -31,7 +22,7 @@ pytestmark = pytest.mark.long
 @pytest.fixture
 def walk() -> list[Any]:
     """Steps of the wizard."""
-    return [Ports(), Moving()]
+    return [Ports(), Moving(), Asking("name")]
 
 
 @pytest.fixture
@@ -89,6 +80,11 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     assert page.text_content("#state") == "Waits for you"  # the browser holds it back
     page.fill("#question_value", "12.5")
     page.click("#question_send")
+    becomes(page, "#question_text", r"^\?$")
+    page.reload()
+    becomes(page, "#state", "Waits for you")
+    page.fill("#question_value", "cube")
+    page.click("#question_send")
     becomes(page, "#state", "Commissioned")
     becomes(page, "#files", "commissioning.html")
     page.click("#steps summary >> nth=1")
@@ -97,7 +93,9 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     until(lambda: page.locator("#steps img").evaluate_all(drawn) == 2)
     with page.expect_download() as saved:
         page.click("#record")
-    assert "A block of 12.5 mm" in Path(saved.value.path()).read_text("utf-8")
+    record = Path(saved.value.path()).read_text("utf-8")
+    assert "A block of 12.5 mm" in record
+    assert "name: cube" in record
     page.click("text=Do this step again")
     page.click("#sure_yes")
     becomes(page, "#steps li:nth-child(2) summary", "open")
@@ -135,107 +133,3 @@ def test_a_closed_page_ends_a_motion(
     first_motion(page)
     page.close()
     until(lambda: walk[1].limp)
-
-
-READ = """() => {
-  const text = (id) => document.getElementById(id).textContent;
-  const shown = (id) => !document.getElementById(id).hidden;
-  return {
-    state: text("state"), question: shown("question") ? text("question_text") : "",
-    choices: document.querySelectorAll("#question_choices button").length,
-    id: Number(document.getElementById("main").dataset.asked),
-  };
-}"""
-"""What a person reads on the page."""
-
-
-class HandledWizard(Wizard):
-    """The wizard on a simulated cell in virtual time, whose hands act before the page is asked."""
-
-    def __init__(self, engine: Engine, person: Person) -> None:
-        super().__init__(engine, ServeConfig(http_port=0))
-        self._script = person.script
-        self.wanted: dict[str, str | float] = {}
-
-    def say(self, text: str) -> None:
-        self._script.said.append(text)
-        super().say(text)
-
-    def live(self, name: str, value_text: str) -> None:
-        self._script.moment()
-        super().live(name, value_text)
-
-    def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
-        answer = self._script.ask(question, watch=watch)
-        keys = [choice.key for choice in question.choices or ()]
-        self.wanted[question.text] = keys.index(str(answer)) if answer in keys else answer
-        return super().ask(question, watch=watch)
-
-
-def meet(page: Any, wizard: HandledWizard, until_asked: str = "$^") -> str:
-    """Answer until a question matches, or no step runs any more; return the state shown."""
-    end_s = time.monotonic() + 120.0
-    done = 0
-    while time.monotonic() < end_s:
-        page.wait_for_timeout(50)
-        asked_id, seen = wizard.state()["asked_id"], page.evaluate(READ)
-        if asked_id == done or seen["id"] != asked_id:
-            if seen["state"] in ("Commissioned", "Step failed", "Left"):
-                return str(seen["state"])
-            continue
-        question = seen["question"]
-        if seen["state"] == "Waits for approval":
-            page.click("#approve")
-            done = asked_id
-        elif seen["state"] == "Waits for you" and question:
-            if re.search(until_asked, question):
-                return str(seen["state"])
-            answer = wizard.wanted[question]
-            if seen["choices"]:
-                page.click(f"#question_choices button >> nth={answer}")
-            else:
-                page.fill("#question_value", f"{answer}")
-                page.click("#question_send")
-            done = asked_id
-    raise AssertionError(f"no end: {page.evaluate(READ)}")
-
-
-def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
-    open_page: OpenPage, tmp_path: Path
-) -> None:
-    settings = SimulatorSettings(
-        layout=pinch_layout(),
-        noise=NoiseModel(level=0.4),
-        faults=(*SERVOS, *PADS),
-        aperture_m=0.03,
-    )
-    given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
-    with SimulatedCell(settings) as cell:
-        bench = Bench(tmp_path, SimulatedLines(cell), given=given)
-        engine = Engine(brisk_steps(), bench, finish=write_record)
-        wizard = HandledWizard(engine, Person(cell))
-        door = WizardDoor(wizard)
-        try:
-            page = open_page(f"http://127.0.0.1:{door.port}/#token={door.token}", command=True)
-            # Left, stopped, and the page loaded anew: each time it goes on there.
-            for at, leave in (("one finger by hand", "#leave"), ("Load 2 of 3", "Escape")):
-                page.click("#run")
-                meet(page, wizard, at)
-                page.click(leave) if leave == "#leave" else page.keyboard.press(leave)
-                becomes(page, "#state", "^Left$")
-            page.click("#run")
-            meet(page, wizard, "With which force")
-            page.reload()
-            becomes(page, "#state", "Waits for you")
-            assert meet(page, wizard) == "Commissioned"
-        finally:
-            wizard.close()
-            door.close()
-    config = load_config(tmp_path / CONFIG_NAME)
-    assert [servo.direction for servo in config.gripper.servos] == [1, -1]
-    assert len(config.tactile.mounting) == 2
-    found = bench.found["first_force"]["asked_held_peak_n"]
-    assert [one[1] for one in found] == [pytest.approx(1.0, abs=0.2), pytest.approx(4.0, abs=0.3)]
-    record = (tmp_path / RECORD_NAME).read_text("utf-8")
-    for named in ("The pads of the two fingers are exchanged", "its zero is +16", "is dead"):
-        assert named in record
