@@ -17,16 +17,13 @@ from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
     OperatorPositioner,
-    SimulatedPositioner,
     SocketPlacer,
 )
 from cell.control.states import CellState
 from cell.errors import ConfigError, PositionerError
 from gripper.errors import PortLost
-from gripper.kinematics import ParallelLinkage, RackPinion
 from gripper.state import GraspResult
 from tactile.errors import BusNotOpened, TactileError
-from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 from tests.fuzz.harness import Clock
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
@@ -48,24 +45,6 @@ def test_without_a_folder_nothing_is_recorded(make_bench: Callable[..., Any]) ->
     assert made.recording_path is None
     assert made.simulated is not None
     assert not made.realtime
-
-
-def test_settings_are_in_si(make_config: Callable[..., CellConfig]) -> None:
-    settings = make_config(
-        gripper__force_stale_ms=80.0, gripper__watchdog_ms=60.0, gripper__force_max_n=9
-    ).gripper_settings
-    assert settings.aperture_min_m == pytest.approx(0.5e-3)
-    assert settings.force_stale_s == pytest.approx(0.08)
-    assert settings.watchdog_s == pytest.approx(0.06)
-    assert settings.force_max_n == 9.0
-    assert [servo.servo_id for servo in settings.servos] == [1, 2]
-
-
-def test_linkages(make_config: Callable[..., CellConfig]) -> None:
-    assert isinstance(make_config().linkage, ParallelLinkage)
-    rack = make_config(gripper__linkage=RACK, gripper__servos=[{"id": 1}]).linkage
-    assert isinstance(rack, RackPinion)
-    assert rack.n_servos == 1
 
 
 @pytest.mark.parametrize(
@@ -90,20 +69,6 @@ def test_cells_of_other_make_grasp_too(
     assert record.outcome.result is not GraspResult.NO_CONTACT
     assert record.outcome.final_force_n == pytest.approx(3.0, abs=1.5)
     assert bench.grip_n == 0.0
-
-
-def test_calibrations(make_bench: Callable[..., Any], make_config: Callable[..., Any]) -> None:
-    linear = {"kind": "linear", "force_per_count_n": 0.01}
-    benches = [
-        make_bench(make_config(tactile__calibration=law)) for law in ({"kind": "paper"}, linear)
-    ]
-    laws = [bench.controller.sensor._calibration for bench in benches]
-    assert isinstance(laws[0], FoamCalibration)
-    assert isinstance(laws[1], LinearCalibration)
-
-
-def test_positioner_of_the_simulated_cell(make_bench: Callable[..., Any]) -> None:
-    assert isinstance(positioner(make_bench()), SimulatedPositioner)
 
 
 def test_operator_needs_somebody_to_ask(

@@ -14,23 +14,19 @@ from cell.control.plan import GraspStep, Pose, plan
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import (
-    CellStateError,
     CellStopped,
     NoPartFound,
     PlanRefused,
     PositionerError,
-    error_text,
 )
 from cell.learning.shapes import shape_reader
 from gripper.errors import (
-    BusTimeout,
     GripContradicted,
     GripperError,
     LimitExceeded,
-    ServoFault,
 )
 from gripper.state import GraspResult, GripperPhase
-from tactile.errors import BusOff, LinkFault, TareRefused
+from tactile.errors import LinkFault
 from tests.cell.control.test_identification import Sure
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
@@ -39,15 +35,6 @@ OPEN_M = CellConfig().gripper.aperture_open_mm * 1e-3
 
 
 # -- grasps ----------------------------------------------------------------------------------
-
-
-def test_start_verifies_opens_and_zeroes(bench: Any) -> None:
-    assert bench.controller.state is CellState.STOPPED
-    bench.controller.start()
-    assert bench.controller.state is CellState.IDLE
-    assert bench.controller.sensor.tare_result is not None
-    assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
-    assert not bench.controller.holding
 
 
 def test_a_grasp_reaches_its_force_and_lets_go(bench: Any) -> None:
@@ -86,15 +73,6 @@ def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) 
     assert pressed[-1].max() > pressed[0].max() + 40
 
 
-def test_known_objects_are_collected_with_their_label(bench: Any) -> None:
-    bench.controller.start()
-    steps = plan(bench.cell.controller._sequence, 2, seed=4)
-    records = list(bench.controller.collect("box", steps))
-    assert [record.grasp.label for record in records] == ["box", "box"]
-    assert [record.step for record in records] == list(steps)
-    assert records[0].grasp.start_ms <= records[1].grasp.start_ms
-
-
 def test_a_machine_clock_set_back_leaves_the_grasps_in_order(
     bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,12 +82,6 @@ def test_a_machine_clock_set_back_leaves_the_grasps_in_order(
     monkeypatch.setattr("time.time_ns", lambda: 1_000_000_000)
     (after,) = bench.controller.collect("box", steps)
     assert after.grasp.start_ms == before.grasp.start_ms + 1
-
-
-def test_the_same_seed_gives_the_same_grasp(make_bench: Callable[..., Any]) -> None:
-    grasps = [make_bench().ready().grasp().grasp for _ in range(2)]
-    np.testing.assert_array_equal(grasps[0].counts, grasps[1].counts)
-    np.testing.assert_array_equal(grasps[0].aperture_m, grasps[1].aperture_m)
 
 
 def test_an_empty_gripper_is_no_part_and_no_fault(
@@ -331,86 +303,6 @@ def test_a_cancelled_start_leaves_the_cell_stopped(bench: Any, when: str) -> Non
 # -- faults ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("fault", "error"),
-    [
-        ("can.unplugged", BusOff),
-        ("servos.off", BusTimeout),
-    ],
-)
-def test_a_fault_in_the_ramp_keeps_the_grip_and_latches(
-    make_bench: Callable[..., Any],
-    tmp_path: Path,
-    fault: str,
-    error: type[Exception],
-) -> None:
-    bench = make_bench(folder=tmp_path).ready()
-    bench.once_in(RAMPING, lambda: bench.simulated.inject(fault), 0.2)
-    with pytest.raises(error) as caught:
-        bench.grasp(6.0)
-    controller = bench.controller
-    assert controller.state is CellState.ABORTED
-    assert controller.fault == error_text(caught.value)
-    assert ("a part may still be gripped" in controller.fault) == fault.startswith("servos")
-    assert controller.holding
-    assert bench.grip_n > 0.5
-    for command in (
-        controller.start,
-        controller.release,
-        controller.release_held,
-        controller.reset,
-    ):
-        with pytest.raises(CellStateError, match=r"the cell is ABORTED; allowed: clear; .* fau"):
-            command()
-    controller.tick()
-    bench.sleep(1.0)
-    assert bench.grip_n > 0.5
-
-    bench.simulated.injector.clear(fault)
-    controller.clear()
-    assert controller.fault is None
-    assert controller.state is CellState.RESETTING
-    controller.reset()
-    assert bench.grip_n > 0.5
-    controller.release_held()
-    assert bench.grip_n == 0.0
-    controller.start()
-    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
-
-    bench.cell.close()
-    recording = read_recording(tmp_path / "recording.mcap")
-    assert recording.complete
-    assert len(recording.grasps) == 1
-    kinds = [event["kind"] for event in recording.events]
-    assert kinds[0] == "fault"
-    assert error_name(caught.value) in recording.events[0]["text"]
-    assert kinds[-1] == "release"
-
-
-def error_name(error: BaseException) -> str:
-    return type(error).__name__
-
-
-def test_an_overload_is_cleared_by_restarting_the_servo(bench: Any) -> None:
-    bench.ready()
-    bench.once_in(RAMPING, lambda: bench.simulated.inject("servo1.overload"), 0.2)
-    with pytest.raises(ServoFault, match="overload"):
-        bench.grasp(6.0)
-    controller = bench.controller
-    assert controller.state is CellState.ABORTED
-    for _ in range(2):
-        with pytest.raises(ServoFault, match="clear it with a reboot"):
-            controller.clear()
-        assert controller.state is CellState.ABORTED
-        assert controller.fault is not None
-    assert "overload" in controller.fault
-    controller.clear(reboot=True)
-    controller.release_held()
-    controller.reset()
-    controller.start()
-    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
-
-
 def test_a_stop_that_finds_the_servos_gone_is_a_fault(bench: Any) -> None:
     bench.ready()
 
@@ -425,57 +317,7 @@ def test_a_stop_that_finds_the_servos_gone_is_a_fault(bench: Any) -> None:
     assert bench.grip_n > 0.5
 
 
-def test_a_fault_between_grasps_shows_in_the_next_tick(bench: Any) -> None:
-    bench.ready()
-    for _ in range(20):
-        bench.sleep(0.005)
-        bench.controller.tick()
-    assert bench.controller.state is CellState.IDLE
-    bench.simulated.inject("unit.off")
-
-    def wait() -> None:
-        for _ in range(200):
-            bench.sleep(0.005)
-            bench.controller.tick()
-
-    with pytest.raises(LinkFault):
-        wait()
-    assert bench.controller.state is CellState.ABORTED
-    assert bench.controller.fault is not None
-
-
-def test_a_touched_sensor_refuses_the_start(bench: Any) -> None:
-    bench.simulated.inject("taxels.stuck_at=0-59:200")
-    bench.simulated.inject("taxels.offset=60")
-    with pytest.raises((TareRefused, LinkFault)):
-        bench.controller.start()
-    assert bench.controller.state is CellState.ABORTED
-    assert not bench.controller.holding
-
-
 # -- states ----------------------------------------------------------------------------------
-
-
-def test_a_part_in_the_grip_of_an_earlier_run_is_not_touched_by_the_start(bench: Any) -> None:
-    bench.ready()
-    bench.once_in(RAMPING, bench.controller.cancel, 0.3)
-    with pytest.raises(CellStopped):
-        bench.grasp(6.0)
-    bench.controller.shutdown()
-    assert bench.controller.state is CellState.STOPPED
-    bench.sleep(2.0)
-    held_n = bench.grip_n
-    assert held_n > 1.0
-
-    with pytest.raises(CellStateError, match="a part may be in the grip; nothing was moved"):
-        bench.controller.start()
-    assert bench.grip_n == pytest.approx(held_n, abs=0.2)
-    bench.controller.clear()
-    bench.controller.reset()
-    bench.controller.release_held()
-    assert bench.grip_n == 0.0
-    bench.ready()
-    bench.grasp()
 
 
 def test_shutting_down_twice_is_harmless_and_an_idle_cell_lets_its_servos_rest(bench: Any) -> None:

@@ -206,16 +206,6 @@ def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) ->
     assert bench.grip_n > 1.0
 
 
-def test_the_end_of_the_program_keeps_the_part(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench()
-    bench.ready()
-    bench.controller.grip(5.0, Pose())
-    bench.controller.shutdown()
-    assert bench.controller.state is CellState.STOPPED
-    bench.sleep(1.0)
-    assert bench.grip_n == pytest.approx(CARRY_N, abs=TOLERANCE_N)
-
-
 def test_a_grip_without_a_part_is_no_part(bench: Any) -> None:
     bench.controller.start()
     bench.simulated.devices.physical.remove()

@@ -1,12 +1,14 @@
 """Services with their doors, on a stub and a clock of the test, and plugins on simulated cells."""
 
 import socket
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -128,6 +130,21 @@ def serve(request: pytest.FixtureRequest) -> Iterator[Callable[..., Served]]:
             return undo.enter_context(serving(*doors, cell=cell, **more))
 
         yield make
+
+
+@pytest.fixture
+def tls(tmp_path: Path) -> dict[str, str]:
+    """Options of a service that name a certificate of 127.0.0.1 and its key."""
+    key, certificate = str(tmp_path / "key.pem"), str(tmp_path / "cert.pem")
+    made = subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
+         "-nodes", "-days", "2", "-subj", "/CN=cell", "-addext", "subjectAltName=IP:127.0.0.1",
+         "-keyout", key, "-out", certificate],
+        capture_output=True, check=False,
+    )  # fmt: skip
+    if made.returncode:
+        pytest.skip("openssl is not there to make a certificate")
+    return {"serve__tls_certificate": certificate, "serve__tls_key": key}
 
 
 @pytest.fixture

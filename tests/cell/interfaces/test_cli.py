@@ -111,17 +111,7 @@ def test_run_teaches_identifies_and_writes_everything(config: Path, tmp_path: Pa
         *("--trials", 1, "--out", out, "--seed", 7, "--json", report, "--capture", tmp_path / "c"),
     )
     data = read_json(report)
-    assert set(data) >= {
-        "seconds",
-        "n_taught",
-        "n_trials",
-        "labels",
-        "default",
-        "recognizers",
-        "report",
-        "recording",
-        "dataset",
-    }
+    assert data["seconds"] > 0.0
     assert (data["n_taught"], data["n_trials"], data["labels"]) == (6, 2, ["ball", "box"])
     assert data["default"] == "force_ramp"
     assert data["recognizers"][data["default"]].keys() >= {"accuracy", "confusion"}
@@ -515,14 +505,7 @@ def test_replay_sends_and_compares(config: Path, dataset: Path, tmp_path: Path) 
         *("--capture", tmp_path / "c.pcap"),
     )
     data = read_json(tmp_path / "r.json")
-    assert set(data) >= {
-        "n_grasps",
-        "frames_sent",
-        "frames_received",
-        "frames_equal",
-        "accuracy",
-        "seconds",
-    }
+    assert set(data) >= {"accuracy", "seconds"}
     assert data["n_grasps"] == 1
     assert data["frames_equal"] is True
     assert data["frames_sent"] == data["frames_received"] > 0

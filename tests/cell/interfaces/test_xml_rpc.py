@@ -18,7 +18,6 @@ import pytest
 
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import PositionerError
 from cell.interfaces.http_server import LONGEST
 from cell.interfaces.service.host_calls import METHODS
 from cell.interfaces.service.host_values import ur_pose
@@ -129,17 +128,6 @@ def test_the_last_refusal_of_each_address_says_why(
     job = cell.reset(lease)
     until(lambda: cell.job_state(job) == 4)
     assert (cell.state(), cell.job_text(job)) == (4, "")
-
-
-def test_a_job_that_failed_says_why_and_what_to_do_first(connect: Any) -> None:
-    served, cell = connect()
-    lease = cell.acquire("robot")
-    served.plugin.pause()
-    assert cell.sort(lease, 1, 1, 0.0) == 1
-    assert cell.job_text(1) == ""
-    served.plugin.fail(PositionerError("pose 1 was refused"))
-    assert cell.job_text(1).startswith("Correct pose or positioner, start again. ")
-    assert cell.boot() == served.service.boot > 0
 
 
 def test_methods_are_listed_with_help_and_types(connect: Any) -> None:

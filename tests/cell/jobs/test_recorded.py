@@ -66,16 +66,6 @@ def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
     assert result.recognizers["force_ramp"].full.n == 8
 
 
-def test_the_seed_moves_a_shuffled_split(taught: Any) -> None:
-    scores = [
-        evaluate_recognizers(
-            taught.grasps, split="shuffled:0.6", names=["level_check"], seed=seed, progress=silent
-        ).as_json()
-        for seed in (1, 1)
-    ]
-    assert scores[0]["recognizers"] == scores[1]["recognizers"]
-
-
 def test_what_cannot_be_evaluated_says_why(taught: Any, make_grasp: Callable[..., Any]) -> None:
     def evaluated(grasps: Any, **changes: Any) -> Any:
         options = {"split": SPLIT, "names": ["force_ramp"], "progress": silent}
@@ -111,16 +101,7 @@ def test_replayed_grasps_come_back_bit_for_bit_and_are_named(taught: Any, tmp_pa
     assert result.accuracy == 1.0
     assert told[-1] == ("replay", 4, 4)
     assert (tmp_path / "bus.pcap").stat().st_size > 59 * 16 * result.frames_sent
-    data = json.loads(json.dumps(result.as_json(), allow_nan=False))
-    assert {
-        "n_grasps",
-        "frames_sent",
-        "frames_received",
-        "frames_equal",
-        "accuracy",
-        "seconds",
-    } <= set(data)
-    assert data["frames_equal"] is True
+    assert json.loads(json.dumps(result.as_json(), allow_nan=False))["frames_equal"] is True
 
 
 def test_a_limit_spreads_over_the_rest(taught: Any) -> None:
@@ -155,18 +136,6 @@ def test_other_pads_wide_openings_and_unknown_ones_are_replayed(
     assert result.frames_equal
     assert result.frames_received == 36
     assert result.aperture_error_m < 1e-3
-
-
-def test_a_configured_cell_plays_too(taught: Any) -> None:
-    nameless = [replace(taught.grasps[0], label="")]
-    assert replay_grasps(
-        nameless,
-        taught.config,
-        split=SPLIT,
-        limit=None,
-        recognizer="force_ramp",
-        progress=silent,
-    ).frames_equal
 
 
 def test_what_cannot_be_replayed_says_why(

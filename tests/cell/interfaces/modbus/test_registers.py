@@ -1,6 +1,5 @@
 """The cell over Modbus, with pymodbus as client; what goes wrong on the line lets nothing go."""
 
-import contextlib
 import shutil
 import socket
 import struct
@@ -156,27 +155,6 @@ def test_a_command_runs_once_however_often_it_is_written(connect: Any) -> None:
     assert plc.inputs()[8] == 2
 
 
-def test_what_an_earlier_connection_left_is_not_replayed(connect: Any) -> None:
-    served, plc = connect()
-    plc.adopt()
-    assert plc.command(GRIP, 0, 300) == 0
-    served.ended()
-    # Dies between two registers of a release, after command and key.
-    plc.write(COMMAND, RELEASE)
-    plc.write(6, RELEASE_KEY)
-    plc.link.close()
-    served, again = connect(served)
-    # The same host, started anew: its block has a number of its own, and a command in it.
-    until(lambda: again.write(LIFE, 77) == 0)
-    for seq in (2, 7, 0):
-        assert again.write(COMMAND, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, seq) == 3
-    assert again.write(COMMAND_SEQ, 2) == 3
-    assert again.write(COMMAND_SEQ, 1) == 0
-    assert again.write(COMMAND_SEQ, 2) == 0  # the half written release is gone
-    assert again.inputs()[6] == 513
-    assert served.grip_n > 1.0
-
-
 def test_a_second_master_is_refused_but_may_hold(connect: Any) -> None:
     served, first = connect()
     _, second = connect(served)
@@ -324,17 +302,6 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(
     assert plc.refusal()[0] == 505  # until the next one
 
 
-def test_a_plc_sorts_parts(connect: Any) -> None:
-    served, plc = connect()
-    plc.adopt()
-    assert plc.command(SORT, 2, 350, 1) == 0
-    (goal,) = served.plugin.asked
-    assert (goal.task, goal.parts, goal.force_n, goal.max_grasps) == ("sort", 2, 3.5, 1)
-    assert goal.feed == tuple(one.label for one in served.service.config.simulator.objects)
-    assert plc.command(SORT, 0) == 0
-    assert served.plugin.asked[1].parts == 1
-
-
 def test_each_start_has_a_number_of_its_own(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cell.interfaces.service.service.time.time", lambda: 0xFFFF * 7.0 + 65535)
     _, plc = connect()
@@ -423,26 +390,6 @@ def test_poses_are_reached_or_refused(connect: Any) -> None:
         assert plc.command(command, inputs[16]) == 0
         assert found.result(LIMIT_S) is answer
         assert plc.inputs()[16:21] == [0] * 5
-
-
-def test_torn_requests_change_nothing(connect: Any) -> None:
-    served, plc = connect()
-    plc.adopt()
-    plc.command(GRIP, 0, 300)
-    served.ended()
-    release = struct.pack(">HHHBBHHB8H", 1, 0, 23, 1, 16, 1, 8, 16, 30, 0, 0, 0, 0, 0x4F50, 0, 2)
-    port = served.doors["modbus_port"]
-    for cut in range(len(release)):
-        with (
-            contextlib.suppress(OSError),  # full for a moment: closed at once
-            socket.create_connection(("127.0.0.1", port), timeout=10.0) as link,
-        ):
-            link.sendall(release[:cut])
-    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as page:
-        page.sendall(b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\n" + release)
-        with contextlib.suppress(ConnectionResetError):
-            assert page.recv(100) == b""
-    assert (plc.inputs()[5], plc.inputs()[8], served.grip_n > 1.0) == (1, 1, True)
 
 
 def _full(link: socket.socket, data: bytes) -> bool:

@@ -1,6 +1,5 @@
 """The page on the real door: on a stub of the cell, and once on the simulated cell."""
 
-import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -193,16 +192,8 @@ def test_a_slow_line_is_not_shown_as_live(serve: Any, line: Any, open_page: Open
     becomes(page, "#state", "Ready")
 
 
-def test_over_tls(serve: Any, open_page: OpenPage, tmp_path: Path) -> None:
-    key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
-    wanted = ["-subj", "/CN=cell", "-keyout", str(key), "-out", str(certificate)]
-    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", *wanted]
-    try:
-        subprocess.run(command, capture_output=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        pytest.skip("openssl is not there to make a certificate")
-    files = {"serve__tls_certificate": str(certificate), "serve__tls_key": str(key)}
-    served = serve("http", **files)
+def test_over_tls(serve: Any, tls: dict[str, str], open_page: OpenPage) -> None:
+    served = serve("http", **tls)
     url = address(served).replace("http:", "https:")
     page = open_page(url, command=True, ignore_https_errors=True)
     page.click("#do_identify")
