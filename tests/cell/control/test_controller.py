@@ -77,7 +77,7 @@ def test_a_machine_clock_set_back_leaves_the_grasps_in_order(
     bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.controller.start()
-    steps = plan(bench.cell.controller._sequence, 1, seed=4)
+    steps = plan(bench.config.sequence, 1, seed=4)
     (before,) = bench.controller.collect("box", steps)
     monkeypatch.setattr("time.time_ns", lambda: 1_000_000_000)
     (after,) = bench.controller.collect("box", steps)
@@ -247,7 +247,7 @@ def test_cancelling_an_identification_keeps_what_was_recorded(
     bench.grasp()
     bench.once_in(RAMPING, bench.controller.cancel, 0.2)
     with pytest.raises(CellStopped):
-        bench.controller.identify(Sure(5), plan(bench.controller._sequence, 3, seed=1))
+        bench.controller.identify(Sure(5), plan(bench.config.sequence, 3, seed=1))
     bench.controller.shutdown()
     assert bench.grip_n > 0.3
     bench.cell.close()
