@@ -1,4 +1,4 @@
-"""A short soak: what leaks with each grasp or each cell shows after three blocks."""
+"""A short soak and a short shift: what leaks shows after three blocks, and clients are served."""
 
 import os
 from dataclasses import replace
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.performance import soak
+from benchmarks.performance.shift import condensed
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 
@@ -33,6 +34,19 @@ def test_some_fifty_grasps_leave_no_file_no_thread_and_few_objects() -> None:
     assert last.virtual_s > first.virtual_s + 30.0, samples
     assert (last.descriptors, last.threads) == (first.descriptors, first.threads)
     assert last.objects - first.objects < 1.0 * (last.done - first.done) + 50
+
+
+@pytest.mark.long
+@pytest.mark.no_cover
+@pytest.mark.timeout(600)
+def test_a_shift_of_six_minutes_is_sorted_before_the_eyes_of_its_clients() -> None:
+    samples, messages, ledger = condensed(0.1, quick_config())
+    assert samples[-1].done == ledger["parts"] + ledger["missed"] == 12
+    assert ledger["faults"] == 0
+    assert all(messages)
+    assert messages[3] < messages[0]
+    assert samples[-1].descriptors <= samples[1].descriptors
+    assert samples[-1].threads <= samples[1].threads + 1
 
 
 def made(n: int, **growth: float) -> list[soak.Sample]:

@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from gripper.dynamixel.control_table import GOAL_CURRENT, TORQUE_ENABLE
+from gripper.dynamixel.control_table import GOAL_CURRENT
 from gripper.errors import (
     BusTimeout,
     FingerSilent,
     ForceAboveCap,
     ForceSensorStale,
-    GripperError,
     GripperStateError,
     LimitExceeded,
     MechanicsContradicted,
@@ -276,21 +275,6 @@ def test_an_overloaded_servo_is_named_and_comes_back_by_reboot_only(cell) -> Non
     assert cell.register(1, "torque_enable") == 0
     cell.gripper.release()
     assert cell.gripper.state is GripperPhase.IDLE
-
-
-def test_a_servo_that_reboots_by_itself_gets_no_torque_back(cell) -> None:
-    cell.hold_part(RAMP)
-    with pytest.raises(GripperError):
-        cell.gripper.hold(2.0, at(cell, 1.0, lambda: cell.knobs[0].reboot(cell.clock.monotonic())))
-    cell.clock.sleep(1.0)
-    assert cell.register(0, "torque_enable") == 0
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
-
-
-def test_torque_that_vanishes_is_noticed(cell) -> None:
-    cell.hold_part(RAMP)
-    with pytest.raises(ServoFault, match="torque is off although it was not switched off here"):
-        cell.gripper.hold(1.0, at(cell, 1.0, lambda: cell.bus.write(1, TORQUE_ENABLE, 0)))
 
 
 def test_a_watchdog_that_trips_while_a_part_is_held_is_a_fault(cell) -> None:

@@ -132,6 +132,24 @@ def test_messages_that_differ_from_the_frames_are_a_fault_with_both_numbers() ->
         sensor.poll()
 
 
+def test_the_centre_is_the_mean_place_weighted_by_force() -> None:
+    force_n = np.zeros(LAYOUT.n_taxels)
+    assert ForceCentres(LAYOUT).of(force_n) is None
+    first, second = (np.flatnonzero(LAYOUT.taxel_pad == pad) for pad in LAYOUT.gripping_pads)
+    force_n[first[[0, 1]]] = (1.0, 3.0)
+    assert ForceCentres(LAYOUT).of(force_n) is None
+    force_n[second[5]] = 0.2
+    found = ForceCentres(LAYOUT).of(force_n)
+    assert found is not None
+    position_m = LAYOUT.position_m[:, :2]
+    one_m = 0.25 * position_m[first[0]] + 0.75 * position_m[first[1]]
+    assert found == pytest.approx(tuple(0.5 * (one_m + position_m[second[5]])))
+    # Pads that do not grip have no say.
+    other = np.flatnonzero(~np.isin(LAYOUT.taxel_pad, LAYOUT.gripping_pads))
+    force_n[other] = 9.0
+    assert ForceCentres(LAYOUT).of(force_n) == found
+
+
 def compared(
     check: ForceCheck,
     at_s: float,
