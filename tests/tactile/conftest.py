@@ -24,10 +24,12 @@ class Skin:
     def __init__(self, layout: TaxelLayout) -> None:
         self.counts = np.zeros(layout.n_taxels, dtype=np.uint16)
         self.noisy = False
+        self.scans = 0
         self._rng = np.random.default_rng(1)
         self._adc_max = layout.adc_max
 
     def scan(self) -> np.ndarray:
+        self.scans += 1
         if not self.noisy:
             return self.counts.copy()
         noise = np.rint(np.clip(np.abs(self._rng.normal(0, 10, len(self.counts))), 1, 20))

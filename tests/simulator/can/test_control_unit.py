@@ -23,24 +23,10 @@ from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.force_check import force_table
 from tactile.unit import object_dictionary as od
 from tactile.unit.object_dictionary import TareResult
+from tests.tactile.conftest import Skin
 
 NMT, SYNC, EMCY, TPDO1, SDO_OUT, SDO_IN, HEARTBEAT = 0, 0x80, 0x85, 0x185, 0x585, 0x605, 0x705
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
-
-
-class Skin:
-    """A world whose taxels read what the test says."""
-
-    def __init__(self, layout: TaxelLayout) -> None:
-        self.counts = np.full(layout.n_taxels, 3, dtype=np.uint16)
-        self.scans = 0
-
-    def scan(self) -> np.ndarray:
-        self.scans += 1
-        return self.counts.copy()
-
-    def scan_gripping(self) -> np.ndarray:
-        return self.counts.copy()
 
 
 class Line:
@@ -55,6 +41,7 @@ class Line:
     ) -> None:
         self.layout = layout or paper_layout()
         self.skin = Skin(self.layout)
+        self.skin.counts[:] = 3
         self.faults = ControlUnitFaults()
         self.unit = SimulatedControlUnit(self.skin, self.layout, settings, faults=self.faults)
         self.heard: list[tuple[float, int, bytes]] = []

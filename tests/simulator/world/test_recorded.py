@@ -6,26 +6,9 @@ import pytest
 from simulator.errors import SimulatorSettingsError
 from simulator.world.recorded import RecordedWorld
 from tactile.layout import pinch_layout
+from tests.simulator.world.test_world import HandMovedFingers
 
 LAYOUT = pinch_layout()
-
-
-class Fingers:
-    def __init__(self) -> None:
-        self.driven_m: list[float] = []
-        self.steps = 0
-
-    def drive_to(self, aperture_m: float) -> None:
-        self.driven_m.append(aperture_m)
-
-    def step(
-        self,
-        dt_s: float,
-        contact_force_n: tuple[float, float],
-        contact_stiffness_n_m: tuple[float, float],
-    ) -> None:
-        assert (contact_force_n, contact_stiffness_n_m) == ((0.0, 0.0), (0.0, 0.0))
-        self.steps += round(dt_s / 1e-3)
 
 
 def grasp(n: int) -> np.ndarray:
@@ -34,7 +17,7 @@ def grasp(n: int) -> np.ndarray:
 
 
 def test_each_scan_takes_the_next_frame_and_the_fingers_go_along() -> None:
-    fingers = Fingers()
+    fingers = HandMovedFingers()
     world = RecordedWorld(LAYOUT, fingers)
     assert not world.scan().any()
     assert world.remaining == 0
@@ -51,20 +34,20 @@ def test_each_scan_takes_the_next_frame_and_the_fingers_go_along() -> None:
 
 
 def test_a_frame_that_was_handed_out_is_nobody_elses() -> None:
-    world = RecordedWorld(LAYOUT, Fingers())
+    world = RecordedWorld(LAYOUT, HandMovedFingers())
     world.load(grasp(2), [0.03, 0.03])
     world.scan()[:] = 7
     assert world.scan()[0] == 1
 
 
 def test_time_passes_for_the_servos() -> None:
-    fingers = Fingers()
+    fingers = HandMovedFingers()
     world = RecordedWorld(LAYOUT, fingers, start_s=1.0)
     world.advance_to(1.0255)
-    assert fingers.steps == 25
+    assert fingers.steps == [((0.0, 0.0), (0.0, 0.0))] * 25
     world.skip_to(2.0)
     world.advance_to(2.001)
-    assert fingers.steps == 26
+    assert len(fingers.steps) == 26
 
 
 @pytest.mark.parametrize(
@@ -81,7 +64,7 @@ def test_time_passes_for_the_servos() -> None:
 def test_grasps_that_do_not_fit_are_refused(
     counts: np.ndarray, aperture_m: list[float], message: str
 ) -> None:
-    world = RecordedWorld(LAYOUT, Fingers())
+    world = RecordedWorld(LAYOUT, HandMovedFingers())
     with pytest.raises(SimulatorSettingsError, match=message):
         world.load(counts, aperture_m)
     assert world.remaining == 0

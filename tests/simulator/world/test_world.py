@@ -50,7 +50,11 @@ class HandMovedFingers:
 
     def __init__(self, half_m: float = 12e-3) -> None:
         self.finger_position_m = (half_m, half_m)
+        self.driven_m: list[float] = []
         self.steps: list[tuple[tuple[float, float], tuple[float, float]]] = []
+
+    def drive_to(self, aperture_m: float) -> None:
+        self.driven_m.append(aperture_m)
 
     def step(
         self,
