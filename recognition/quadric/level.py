@@ -75,13 +75,15 @@ _LEAST_SPREAD = 0.02
 """Least standard deviation of a level's logarithm, however alike the taught grasps are."""
 _DEFAULT_SPREAD = 0.08
 """Pooled spread where every object was grasped once: the noise of the paper's levels."""
+_LEAST_SHARE = 0.05
+"""Part of the first pad's load below which the second counts as untouched."""
 _DRAWS = 12
 """Disturbances by noise from which its effect on a level is taken."""
 _NOISE_GRASPS = 30
 """About as many taught grasps are disturbed; more would change the result by little."""
 
 
-def gripping_pads(load: ArrayLike, pads: PadArray, *, min_share: float = 0.05) -> tuple[int, ...]:
+def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
     """Return the one or two pads that hold the object, the most loaded one first.
 
     The second is the counterpart of the first: the same place in the other half of the list of pads
@@ -93,8 +95,6 @@ def gripping_pads(load: ArrayLike, pads: PadArray, *, min_share: float = 0.05) -
         Load of each pad in counts.
     pads
         The pads.
-    min_share
-        Part of the first pad's load below which the second counts as untouched.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def gripping_pads(load: ArrayLike, pads: PadArray, *, min_share: float = 0.05) -
     second = (first + pads.n_pads // 2) % pads.n_pads
     if pads.n_pads % 2 or not np.array_equal(pads.pad_shape[first], pads.pad_shape[second]):
         second = int(np.argsort(-load, kind="stable")[1])
-    return (first, second) if load[second] > min_share * load[first] else (first,)
+    return (first, second) if load[second] > _LEAST_SHARE * load[first] else (first,)
 
 
 def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int64]:

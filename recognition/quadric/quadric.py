@@ -23,6 +23,8 @@ from recognition.errors import QuadricError, TransformError
 
 J = -0.5
 """The entry j of every height-field matrix: 2 j = -1."""
+_MAX_CONDITION = 1e6
+"""Largest condition number of the design matrix of a fit, in centred and scaled coordinates."""
 MIN_POINTS = 7
 """Six unknowns and one point to judge the fit by."""
 
@@ -153,8 +155,6 @@ def fit_height_field(
     xy_m: ArrayLike,
     height: ArrayLike,
     weight: ArrayLike | None = None,
-    *,
-    max_condition: float = 1e6,
 ) -> Quadric:
     """Fit the height field by weighted linear least squares.
 
@@ -166,8 +166,6 @@ def fit_height_field(
         Heights in any one unit; counts by default in this package.
     weight : (n,), optional
         Weight of each squared residual, >= 0; 1 where not given.
-    max_condition
-        Largest condition number of the design matrix, taken in centred and scaled coordinates.
 
     Raises
     ------
@@ -190,10 +188,10 @@ def fit_height_field(
     design = np.stack([x * x, y * y, 2 * x * y, 2 * x, 2 * y, np.ones_like(x)], axis=1)
     u, singular, vt = np.linalg.svd(design * root[:, None], full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
-    if not condition <= max_condition:
+    if not condition <= _MAX_CONDITION:
         raise QuadricError(
             f"{n} points do not determine a height field: condition {condition:.3g}, limit "
-            f"{max_condition:.3g}; they lie on a line, on two rows or on another conic"
+            f"{_MAX_CONDITION:.3g}; they lie on a line, on two rows or on another conic"
         )
     a, b, d, g, h, k = vt.T @ ((u.T @ (z * root)) / singular)
     residual = float(np.sqrt(w @ (design @ (a, b, d, g, h, k) - z) ** 2))

@@ -1,7 +1,8 @@
-"""The paper's Algorithm 1: sweep the taught quadrics through poses, then check a level.
+"""The training of the paper's Algorithm 1: taught quadrics are swept through poses.
 
-The values stand in the order of the printed loops (scale, translation, rotation, the last
-innermost). What the printed text leaves open is a setting with a default.
+Values stand in the order of the printed loops (scale, translation, rotation, the last innermost).
+What the printed text leaves open is a setting with a default. `recognition.quadric.thresholds`
+names a level by the values that are found.
 """
 
 from dataclasses import dataclass, field
@@ -14,11 +15,9 @@ from recognition.quadric.eigen import (
     Reading,
     ascending,
     check_symmetric,
-    smallest_eigenvalue,
     smallest_of,
 )
 from recognition.quadric.quadric import by_inverse, rotation_xyz, scaling, translation
-from recognition.quadric.thresholds import check_level, find_thresholds, with_noise
 
 
 def _grid(start: float, stop: float, count: int) -> NDArray[np.float64]:
@@ -116,39 +115,3 @@ def sweep(D: ArrayLike, settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
         value[part], degenerate[part] = found.value, found.degenerate
         begin += len(M_inv)
     return Trajectory(value=value, degenerate=degenerate, settings=settings)
-
-
-def contact_classify(
-    D: ArrayLike,
-    unknown: ArrayLike,
-    settings: SweepSettings = PAPER_SWEEP,
-    *,
-    noise_share: float = 0.0,
-) -> int | None:
-    """Return the taught object of a matrix by Algorithm 1, Contact-Classify.
-
-    Parameters
-    ----------
-    D : (n_objects, 4, 4)
-        Property matrices of the taught objects.
-    unknown : (4, 4)
-        Property matrix of the object to be named (I in the paper).
-    settings
-        Grid and readings.
-    noise_share
-        Part of its value by which the level of ``unknown`` is uncertain, which widens the bands
-        and narrows the windows (`recognition.quadric.thresholds.with_noise`).
-
-    Returns
-    -------
-    int or None
-        Index into ``D``; None for unknown: outside every band, in a closed window, or where the
-        eigenvalue of ``unknown`` is rounding noise.
-    """
-    trajectory = sweep(D, settings)
-    usable = np.where(trajectory.degenerate, np.nan, trajectory.value)
-    levels = with_noise(find_thresholds(list(usable)), noise_share)
-    smallest = smallest_eigenvalue(unknown, settings.reading)
-    if smallest.degenerate:
-        return None
-    return check_level(levels, float(smallest.value))

@@ -11,7 +11,7 @@ from recognition.quadric.thresholds import (
     find_thresholds,
     with_noise,
 )
-from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, contact_classify, sweep
+from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, sweep
 
 # the paper's objects as full quadrics in mm, k = -1
 PAPER_OBJECTS = np.array(
@@ -105,15 +105,6 @@ def test_caps_in_counts_hardly_feel_translation_and_rotation():
     assert both == pytest.approx([0.12, 0.06, 0.03], rel=0.4)
 
 
-def test_contact_classify_names_caps_that_differ_in_height():
-    grid = SweepSettings(scale=np.ones(1))
-    for index, peak in enumerate((50.0, 100.0, 200.0)):
-        seen = height_field_matrix(a=-3.0, b=-5.0, g=1.0, k=peak * 1.03)
-        assert contact_classify(CAPS, seen, grid) == index
-    assert contact_classify(CAPS, height_field_matrix(a=-4, b=-4, k=500.0), grid) is None
-    assert contact_classify(CAPS, height_field_matrix(a=-4, b=0, k=100.0), grid) is None
-
-
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
@@ -200,11 +191,3 @@ def test_windows_narrow_with_the_noise_seen_until_they_close():
     assert [check_level(much, value) for value in (1.15, 3.1)] == [None, 2]
     with pytest.raises(TrajectoryError, match="noise_share is 1"):
         with_noise(levels, 1.0)
-
-
-def test_contact_classify_is_silent_where_the_noise_closes_the_window():
-    grid = SweepSettings(scale=np.ones(1))
-    close = np.array([height_field_matrix(a=-4.0, b=-4.0, k=peak) for peak in (100.0, 125.0)])
-    seen = height_field_matrix(a=-4.0, b=-4.0, k=108.0)
-    assert contact_classify(close, seen, grid) == 0
-    assert contact_classify(close, seen, grid, noise_share=0.2) is None
