@@ -14,7 +14,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from random import SystemRandom
 from typing import Any
@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import Grasp
+from tests.recognition.conftest import THINGS, make_grasps, make_pads
 
 INPUTS = int(os.environ.get("TACTILE_CELL_INPUTS", "0"))
 """New inputs that each property meets in a campaign; 0 for the same few in every run."""
@@ -231,31 +232,13 @@ class Clock:
 @functools.cache
 def good_grasps() -> tuple[Grasp, ...]:
     """Return twelve grasps of two objects, six frames each, by two pads of 8 x 5 taxels."""
-    pads = PadArray(
-        pad_shape=np.array([[8, 5], [8, 5]]),
-        taxel_pad=np.repeat([0, 1], 40),
-        taxel_xy_m=np.tile([(r * 3e-3, c * 3e-3) for r in range(8) for c in range(5)], (2, 1)),
-        adc_max=255,
+    things = [replace(THINGS[2], label="ball"), replace(THINGS[1], label="box")]
+    pads = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
+    made = make_grasps(6, seed=3, pads=pads, things=things, n_before=1, n_ramp=5, noise_counts=4.0)
+    more = {"force_n": np.linspace(0.0, 8.0, 6), "source": "made"}
+    return tuple(
+        replace(grasp, **more, start_ms=1_700_000_000_000 + i) for i, grasp in enumerate(made)
     )
-    rng = np.random.default_rng(3)
-    share = np.linspace(0.0, 1.0, 6)[:, None]
-    away_m = np.linalg.norm(pads.taxel_xy_m - pads.taxel_xy_m.mean(axis=0), axis=1)
-
-    def grasp(i: int) -> Grasp:
-        touch = np.maximum(0.0, 1 - (away_m / (8e-3 if i % 2 else 11e-3)) ** 2)
-        counts = (90 + 100 * (i % 2)) * share * touch + rng.integers(1, 4, (6, len(away_m)))
-        return Grasp(
-            pads=pads,
-            counts=counts.astype(np.uint16),
-            t_s=np.arange(6) / 30,
-            aperture_m=np.linspace(0.03, 0.02, 6),
-            force_n=share[:, 0] * 8,
-            label=("ball", "box")[i % 2],
-            source="made",
-            start_ms=1_700_000_000_000 + i,
-        )
-
-    return tuple(grasp(i) for i in range(12))
 
 
 def same_grasps(ours: Sequence[Grasp], others: Sequence[Grasp]) -> bool:

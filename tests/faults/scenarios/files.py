@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import numpy as np
-
 from cell.build import build_cell
 from cell.control.records import pad_array
 from cell.data.recorder import Recorder
@@ -28,7 +26,6 @@ from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.learning.model import save_model
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import PortLost
-from recognition.grasp import Grasp
 from recognition.recognizers import make_trainer
 from tactile.can.bus import close_bus, open_bus
 from tactile.errors import BusNotOpened
@@ -42,6 +39,7 @@ from tests.faults.campaign import (
     campaign_config,
     observe,
 )
+from tests.recognition.conftest import make_grasps
 
 # -- 36: the disk ----------------------------------------------------------------------------
 
@@ -218,21 +216,9 @@ def bad_config(_row: FaultRow, *, text: str, word: str) -> Observed:
 
 @cache
 def model_file() -> bytes:
-    """Return a model of two objects."""
+    """Return a model of some objects."""
     pads = pad_array(paper_layout())
-    rng = np.random.default_rng(1)
-    grasps = [
-        Grasp(
-            pads=pads,
-            counts=rng.integers(0, 40 + 40 * number, (30, pads.n_taxels)).astype(np.uint16),
-            t_s=np.arange(30) * 0.02,
-            aperture_m=np.linspace(0.02, 0.01, 30),
-            force_n=np.linspace(0.0, 6.0, 30),
-            label=label,
-        )
-        for number, label in enumerate(("ball", "box"))
-        for _ in range(4)
-    ]
+    grasps = make_grasps(4, seed=1, pads=pads, gripping=paper_layout().gripping_pads)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.npz"
         model = make_trainer("shrinkage_lda").fit(grasps)
