@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.data.dataset import read_dataset
 from recognition.evaluation.evaluation import evaluate
 from recognition.evaluation.splits import chronological_split
-from recognition.grasp import Grasp, PadArray
 from recognition.recognizers import make_trainer
 
 
@@ -72,35 +72,6 @@ def test_nothing_to_test_is_refused(train, fresh):
         evaluate([(train, renamed)], make_trainer("shrinkage_lda"))
 
 
-def recorded() -> list[Grasp]:
-    path = Path(os.environ["TACTILE_CELL_DATA"]) / "pinch36.npz"
-    with np.load(path, allow_pickle=False) as archive:
-        z = {key: archive[key] for key in archive.files}
-    pads = PadArray(
-        pad_shape=z["pad_shape"],
-        taxel_pad=z["taxel_pad"],
-        taxel_xy_m=z["taxel_xy_mm"] * 1e-3,
-        adc_max=int(z["adc_max"]),
-    )
-    grasps = []
-    for i, (begin, end) in enumerate(
-        zip(z["grasp_offsets"][:-1], z["grasp_offsets"][1:], strict=True)
-    ):
-        frames = slice(begin, end)
-        grasps.append(
-            Grasp(
-                pads=pads,
-                counts=z["counts"][frames],
-                t_s=z["t_s"][frames],
-                aperture_m=z["aperture_mm"][frames] * 1e-3,
-                force_n=np.full(end - begin, np.nan),
-                label=str(z["label"][i]),
-                start_ms=int(z["start_ms"][i]),
-            )
-        )
-    return grasps
-
-
 @pytest.mark.shared_data
 @pytest.mark.skipif(
     "TACTILE_CELL_DATA" not in os.environ,
@@ -108,7 +79,8 @@ def recorded() -> list[Grasp]:
 )
 def test_recorded_grasps_are_named():
     # Only the earlier part of the recording: the later part is for the benchmark alone.
-    earlier, _ = chronological_split(recorded(), 0.6)
+    recorded = read_dataset(Path(os.environ["TACTILE_CELL_DATA"]) / "pinch36.npz")
+    earlier, _ = chronological_split(recorded, 0.6)
     train, test = chronological_split(earlier, 0.7)
     found = evaluate([(train, test)], make_trainer("force_ramp"), unknown_groups=2)
     assert found.single_accuracy > 0.94
