@@ -56,13 +56,6 @@ def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, par
     assert [bench.read(i, 65, 1) for i in (1, 2)] == [0, 0]
 
 
-@pytest.mark.parametrize(
-    ("request_ids", "answered"), [((1, 9, 2), [1]), ((9, 1, 2), []), ((1, 2, 9), [1, 2])]
-)
-def test_a_servo_stays_silent_when_an_earlier_one_is_missing(bench, request_ids, answered):
-    assert ids(bench.exchange(sync_read(132, 4, *request_ids))) == answered
-
-
 @pytest.mark.parametrize(("missing", "length"), [(2, 8 + 8), (1, 0)])
 def test_a_missing_servo_truncates_a_fast_read(bench, missing: int, length: int):
     bench.device.faults.silent.add(missing)
