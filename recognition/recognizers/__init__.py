@@ -42,9 +42,7 @@ RECOGNIZERS: tuple[RecognizerEntry, ...] = (
         "force_ramp", "recognition.recognizers.force_ramp.recognizer", "ForceRampTrainer"
     ),
     RecognizerEntry("level_check", "recognition.recognizers.level_check", "LevelCheckTrainer"),
-    RecognizerEntry(
-        "shrinkage_lda", "recognition.recognizers.shrinkage_lda", "ShrinkageLdaTrainer"
-    ),
+    RecognizerEntry("shrinkage_lda", _METHODS, "ShrinkageLda.trainer"),
     RecognizerEntry("radius_vector", _METHODS, "RadiusVector.trainer", comparator=True),
     RecognizerEntry("contour_network", _METHODS, "ContourNetwork.trainer", comparator=True),
     RecognizerEntry("contact_invariants", _METHODS, "ContactInvariants.trainer", comparator=True),

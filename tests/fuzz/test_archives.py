@@ -22,8 +22,8 @@ from cell.errors import DatasetError, ModelError
 from cell.learning.model import _digest, load_model, save_model
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
+from recognition.recognizers import make_trainer
 from recognition.recognizers.level_check import LevelCheckTrainer
-from recognition.recognizers.shrinkage_lda import ShrinkageLdaTrainer
 from tests.fuzz.harness import (
     bad_input,
     damages,
@@ -34,7 +34,7 @@ from tests.fuzz.harness import (
     spoilt,
 )
 
-TRAINERS = {"level_check": LevelCheckTrainer(), "shrinkage_lda": ShrinkageLdaTrainer()}
+TRAINERS = {"level_check": LevelCheckTrainer(), "shrinkage_lda": make_trainer("shrinkage_lda")}
 exploded: list[str] = []
 """What a pickle that is loaded puts here."""
 

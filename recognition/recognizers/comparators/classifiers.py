@@ -33,6 +33,10 @@ class Classifier(Protocol):
         """Return (n, C) finite scores."""
         ...
 
+    def space(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return rows (n, r) in the space in which the distance to taught ones is novelty."""
+        ...
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all that was learnt as plain arrays."""
         ...
@@ -54,6 +58,10 @@ def missing_extra(kind: str) -> MissingExtraError:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Arrays:
     """A classifier whose fields are arrays: they are what a model keeps."""
+
+    def space(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the rows: novelty goes by the features."""
+        return rows
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the fields by name."""
@@ -151,6 +159,10 @@ class Linear:
     def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C): minus half the squared distance to each class."""
         return -0.5 * self.discriminant.distances(rows)
+
+    def space(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, r): the rows in the space that separates the classes."""
+        return self.discriminant.project(rows)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the discriminant."""

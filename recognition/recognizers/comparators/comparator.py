@@ -76,7 +76,7 @@ class Comparator:
     temperature: float
     """Scores are divided by it."""
     samples: NDArray[np.float64]
-    """(n, F) float64: taught grasps."""
+    """(n, r) float64: taught grasps in the classifier's space."""
     limit: float
     """Squared distance to the nearest of them above which a grasp is more likely unknown."""
 
@@ -97,7 +97,7 @@ class Comparator:
         if not levels.touched[0] or not np.all(np.isfinite(features)):
             return Posterior.uninformed(self.labels)
         rows = (features - self.mean) / self.scale
-        distance = max(float(_nearest(rows, self.samples)[0]), 1e-12)
+        distance = max(float(_nearest(self.classifier.space(rows), self.samples)[0]), 1e-12)
         return Posterior(
             labels=self.labels,
             probability=to_probability(self.classifier.scores(rows), self.temperature)[0],
@@ -145,7 +145,9 @@ class Comparator:
         except KeyError as missing:
             raise ValueError(f"the model lacks the array {missing}") from missing
         try:
-            scores = taught.classifier.scores(taught.samples[:1])
+            row = np.zeros((1, len(taught.mean)))
+            scores = taught.classifier.scores(row)
+            _nearest(taught.classifier.space(row), taught.samples)
         except (IndexError, ValueError, TypeError) as cause:
             raise ValueError(f"the arrays of the model do not fit each other: {cause}") from cause
         if scores.shape != (1, len(taught.labels)) or not np.all(np.isfinite(scores)):
@@ -206,8 +208,8 @@ class ComparatorTrainer:
         distances = np.full(len(rows), np.nan)
 
         def score(fit: NDArray[np.bool_], test: NDArray[np.bool_]) -> NDArray[np.float64]:
-            distances[test] = _nearest(rows[test], rows[fit])
             taught = method.classifier.fit(rows[fit], classes[fit], len(labels))
+            distances[test] = _nearest(taught.space(rows[test]), taught.space(rows[fit]))
             return taught.scores(rows[test])
 
         classifier = method.classifier.fit(rows, classes, len(labels))
@@ -224,7 +226,7 @@ class ComparatorTrainer:
             scale=scale,
             classifier=classifier,
             temperature=fit_temperature(scores[scored], classes[scored]),
-            samples=rows,
+            samples=classifier.space(rows),
             limit=max(float(np.quantile(distances[scored], KNOWN_KEPT)), 1e-9),
         )
 

@@ -1,7 +1,7 @@
 """Comparators of the paper's references and of today: features of each and its classifier.
 
-Each is a `Comparator` subclass with its `Method`, and one entry in `recognition.recognizers`. Only
-`ExtraTrees` has a place for the opening.
+Each is a `Comparator` subclass with its `Method`, and one entry in `recognition.recognizers`.
+`ShrinkageLda` and `ExtraTrees` alone have a place for the opening.
 """
 
 from collections.abc import Callable, Sequence
@@ -74,10 +74,27 @@ class ContourNetwork(Comparator):
     )
 
 
-def _moment_features(
-    levels: Levels, grids: Sequence[PadGrid], use_aperture: bool
-) -> NDArray[np.float64]:
-    return features_of(levels, grids, FeatureView.EXTRA_TREES, opening=use_aperture)
+def _of_view(view: FeatureView) -> Describe:
+    """Return the features of a view, with the opening where it is to be used."""
+
+    def features(
+        levels: Levels, grids: Sequence[PadGrid], use_aperture: bool
+    ) -> NDArray[np.float64]:
+        return features_of(levels, grids, view, opening=use_aperture)
+
+    return features
+
+
+class ShrinkageLda(Comparator):
+    """Plain reference: one shrunken discriminant, one temperature, one distance."""
+
+    __slots__ = ()
+    method = Method(
+        name="shrinkage_lda",
+        describe=_of_view(FeatureView.SHRINKAGE_LDA),
+        classifier=Linear,
+        can_use_aperture=True,
+    )
 
 
 class ExtraTrees(Comparator):
@@ -89,7 +106,10 @@ class ExtraTrees(Comparator):
 
     __slots__ = ()
     method = Method(
-        name="extra_trees", describe=_moment_features, classifier=Forest, can_use_aperture=True
+        name="extra_trees",
+        describe=_of_view(FeatureView.EXTRA_TREES),
+        classifier=Forest,
+        can_use_aperture=True,
     )
 
 
