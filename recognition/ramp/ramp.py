@@ -76,8 +76,8 @@ class Rest:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        return cls(
+        """Rebuild from `to_arrays`; KeyError where an array is missing, ValueError out of range."""
+        rest = cls(
             pads=PadArray(
                 pad_shape=arrays["pad_shape"],
                 taxel_pad=arrays["taxel_pad"],
@@ -88,6 +88,10 @@ class Rest:
             counts=np.asarray(arrays["rest_counts"], dtype=np.float64),
             noise_counts=np.asarray(arrays["noise_counts"], dtype=np.float64),
         )
+        largest = float(np.abs(np.concatenate([rest.counts, rest.noise_counts])).max())
+        if not largest <= rest.pads.adc_max:
+            raise ValueError(f"untouched pads read {largest:g}, beyond {rest.pads.adc_max}")
+        return rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

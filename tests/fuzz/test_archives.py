@@ -249,6 +249,7 @@ def test_a_model_of_other_arrays_is_refused_or_answers(tmp_path, *, kind, change
         (TRAINERS, "pads.taxel_pad", np.full(80, 10**9)),
         (["level_check"], "learnt.labels", np.array(["ball", "box", "x"])),
         (["level_check"], "learnt.labels", np.array("ball")),
+        (["shrinkage_lda"], "learnt.rest_counts", np.full(80, 1e300)),
     ],
 )
 def test_a_model_that_could_not_answer_is_refused_when_it_is_loaded(tmp_path, kinds, array, value):

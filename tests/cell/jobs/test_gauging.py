@@ -171,9 +171,9 @@ def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught: Any, tmp_path:
     config.write_text(config_text(changed_config(taught.config, changes)))
     call(
         *("calibrate", "--gauge", "ball", "-m", taught.result.model, "-o", tmp_path / "m.npz"),
-        *("-n", 1, "-c", config, "--json", tmp_path / "c.json"),
+        *("-n", 3, "-c", config, "--json", tmp_path / "c.json"),
     )
     found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
-    assert found["n_grasps"] == 1
+    assert found["n_grasps"] == 3
     assert abs(found["aperture_mm"]) < 2.0 * found["aperture_sd_mm"]
     assert load_model(tmp_path / "m.npz").labels == ("ball", "box")
