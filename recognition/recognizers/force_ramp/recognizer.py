@@ -28,10 +28,9 @@ MIN_GRASPS = 3
 _SOON_MS = 3_600_000
 """Time in ms from a taught grasp within which the sensors hardly drift."""
 _SOON_UNCHANGED = 0.99
-"""Probability that they have not within that time, on the cell that taught."""
-_LATER_UNCHANGED = 0.03
-"""Probability that they have not on another day, on the cell that taught. It is small: a zero that
-counts as known names surely, and wrongly where it is off by what two objects differ in."""
+"""Probability that they have not within that time, on the cell that taught; at any other time none:
+a zero that counts as known names surely, and wrongly where it is off by what two objects differ in.
+"""
 _NEW_IN_ANSWER = 20.0
 """Factor on the likelihood of a new object in an answer: a wrong name costs more than UNKNOWN, so a
 drift excuses what a grasp has of a new object only where it fits well. Following goes without."""
@@ -200,10 +199,9 @@ class ForceRamp:
         grid = self.grid_at(grasp)
         if grid.prior != DriftPrior() or grid.n_gauged:
             return None
-        if self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on:
-            return 0.0
+        elsewhere = self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on
         apart_ms = int(np.abs(self.taught_ms - grasp.start_ms).min())
-        return _SOON_UNCHANGED if apart_ms <= _SOON_MS else _LATER_UNCHANGED
+        return _SOON_UNCHANGED if apart_ms <= _SOON_MS and not elsewhere else 0.0
 
     def _slack_mm(self, grasp: Grasp) -> NDArray[np.float64]:
         """Return (O,): how far the size of an object may lie off under each offset, in mm.
@@ -213,7 +211,7 @@ class ForceRamp:
         grid = self.grid_at(grasp)
         offsets_mm = grid.offsets_mm
         slack_mm = np.full(len(offsets_mm), _SLACK * grid.prior.offset_sd_mm)
-        if self._unchanged(grasp) == _SOON_UNCHANGED:
+        if self._unchanged(grasp):
             slack_mm[np.argmin(np.abs(offsets_mm))] = 0.0
         return slack_mm
 

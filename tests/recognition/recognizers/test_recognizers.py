@@ -264,7 +264,7 @@ def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh
     )
     soon, elsewhere = taught.posterior(here), taught.posterior(there)
     later = taught.posterior(a_day_later(here))
-    assert soon.unknown > later.unknown > elsewhere.unknown
+    assert soon.unknown > later.unknown == elsewhere.unknown
     told = taught.with_grid(DriftGrid(prior=DriftPrior(offset_mm=-3.0, offset_sd_mm=0.2)))
     assert told.posterior(here).best == fresh[0].label
     assert told.posterior(here).unknown < 0.5
@@ -279,9 +279,12 @@ def test_objects_that_only_their_size_tells_apart_have_no_name_on_another_day(fa
     later = [a_day_later(drift.apply(grasp)) for drift in drifts for grasp in grasps]
     names = [(taught.posterior(grasp).name, grasp.label) for grasp in later]
     wrong = sum(name not in (label, UNKNOWN) for name, label in names)
-    others = [name == label for name, label in names if label in ("egg", "pin")]
+    alike, others = (
+        np.mean([name != UNKNOWN for name, label in names if (label in ("egg", "pin")) is apart])
+        for apart in (False, True)
+    )
     assert wrong <= 0.05 * len(names)
-    assert np.mean(others) > 0.5
+    assert others > alike + 0.2
     assert all(taught.posterior(grasp).name == grasp.label for grasp in grasps)
 
 
