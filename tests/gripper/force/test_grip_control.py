@@ -246,11 +246,6 @@ def test_pads_that_report_too_little_let_no_force_above_the_cap(
 LIES = {
     "stand still": lambda it, first: replace(it, force_n=first.force_n),
     "half": lambda it, _: replace(it, force_n=tuple(0.5 * n for n in it.force_n)),
-    "2 N too little": lambda it, _: replace(
-        it, force_n=tuple(max(0.0, n - 2.0) for n in it.force_n)
-    ),
-    "nothing": lambda it, _: replace(it, force_n=(0.0, 0.0)),
-    "old and new": lambda it, first: first if round(200.0 * it.t_s) % 2 else it,
 }
 """Samples that show too little force, made of the newest one and of the first wrong one."""
 
