@@ -32,8 +32,8 @@ TAUGHT = (3, 5, 8, 12)
 """Grasps of each object where a few objects are taught alone."""
 SIMULATED = {name: name for name in ("ball", "box", "cylinder", "dumbbell", "oval")} | {
     "small ball": "sphere:diameter=8mm",
-    "large ball": "sphere:diameter=12mm",
-    "rod": "cylinder:diameter=6mm,length=20mm",
+    "large ball": "sphere:diameter=13mm",
+    "rod": "cylinder:diameter=7.5mm,length=20mm",
     "thick rod": "cylinder:diameter=11mm,length=18mm",
     "block": "box:length=12mm,width=12mm,height=7mm",
 }

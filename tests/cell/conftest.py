@@ -124,7 +124,7 @@ class Taught:
 def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
     """Two objects, five grasps each, one identification of each.
 
-    Five grasps teach little: one in four is UNKNOWN then. With this seed the first ones are named.
+    Five grasps teach little: one in ten is UNKNOWN then. With this seed the first ones are named.
     """
     folder = tmp_path_factory.mktemp("taught")
     config = small_config(seed=5)
