@@ -19,7 +19,7 @@ from cell.commissioning.baseline import (
     changed_unit,
     gauge_of,
 )
-from cell.commissioning.engine import STORE_NAME, Left, Verdict
+from cell.commissioning.engine import STORE_NAME, Verdict
 from cell.errors import CellError
 from cell.jobs.doctor import gauge_again
 from simulator.world.taxels import NoiseModel
@@ -164,15 +164,3 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(
     one.cell.inject("servo1.horn=10")
     changed = gauge_again(bench, bench.config, script)
     assert any("--redo fingers" in one.advice for one in changed)
-
-
-def test_a_person_stops_the_grasp_of_the_gauge_object(stand: Callable[..., Stand]) -> None:
-    one = stand()
-
-    def stop() -> None:
-        if "baseline.place" in one.person.script.asked:
-            raise Left("stopped at the page")
-
-    with pytest.raises(Left, match="at the page"):
-        one.run(BaselineStep(), moment=stop)
-    assert one.person.script.asked[-1] == "baseline.place"

@@ -465,7 +465,12 @@ def test_evaluate_writes_the_figures_of_each_recognizer(dataset: Path, tmp_path:
     for name, figures in data["recognizers"].items():
         assert set(figures) >= EVALUATION
         assert set(figures["without_aperture"]) >= EVALUATION
+        assert set(figures["fused_accuracy"]) == {"1", "2"}
+        assert np.sum(figures["confusion"]) == 4
+        low, high = figures["interval"]
+        assert low <= figures["single_accuracy"] <= high
         assert name in text
+    assert data["recognizers"][data["default"]]["single_accuracy"] == 1.0
     assert "2 fused" in text
     assert "which takes three objects (here 2)" in text
     assert "nan" not in text
