@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-import cell.build
 from cell.build import Cell, build_cell
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
@@ -38,13 +37,6 @@ REAL = {
 
 def positioner(bench: Any) -> Any:
     return bench.controller._positioner
-
-
-def test_without_a_folder_nothing_is_recorded(make_bench: Callable[..., Any]) -> None:
-    made = make_bench().cell
-    assert made.recording_path is None
-    assert made.simulated is not None
-    assert not made.realtime
 
 
 @pytest.mark.parametrize(
@@ -100,23 +92,6 @@ def test_callback_needs_a_mover_and_the_simulated_cell_follows_it(
     label, pose = bench.simulated.world.placed
     assert label == "ball"
     assert pose.x_m == pytest.approx(1.5e-3)
-
-
-def test_a_host_that_moves_a_real_cell_is_asked_alone(
-    make_config: Callable[..., CellConfig], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[Any] = []
-
-    def note(*arguments: Any, **named: Any) -> Any:
-        seen.append(original(*arguments, **named))
-        return seen[-1]
-
-    original = cell.build._positioner
-    monkeypatch.setattr(cell.build, "_positioner", note)
-    config = make_config(**REAL | {"positioner__kind": "callback", "tactile__interface": "virtual"})
-    with pytest.raises(PortLost):
-        build_cell(config, mover=lambda _pose: True)
-    assert isinstance(seen[0], CallbackPositioner)
 
 
 def test_a_socket_is_used_where_one_is_named(
@@ -175,13 +150,6 @@ def test_health_counts_what_the_links_did(make_bench: Callable[..., Any], tmp_pa
     assert health["servo_bus"]["transactions"] > 300
     assert health["loop"]["cycles"] > 100
     assert health["recording"] is None
-
-
-def test_closing_twice_is_harmless(make_bench: Callable[..., Any], tmp_path: Path) -> None:
-    bench = make_bench(folder=tmp_path).ready()
-    bench.cell.close()
-    bench.cell.close()
-    assert bench.cell.recording_path.stat().st_size > 0
 
 
 def paced(cell: Cell, real: Clock, real_s: float) -> None:

@@ -200,17 +200,6 @@ def test_a_drive_at_fault_is_a_fault_of_the_cell_until_it_is_cleared(bench: Any)
     assert near(bench.grasp(3.0, POSE).reached, POSE)
 
 
-def test_a_host_that_moves_by_itself_takes_the_place_of_the_axes(
-    make_bench: Callable[..., Any], config: CellConfig
-) -> None:
-    positioner = config.positioner.model_copy(update={"kind": "callback"})
-    host = config.model_copy(update={"positioner": positioner})
-    bench = make_bench(host, mover=lambda _pose: None).ready("box")
-    assert bench.grasp(3.0, POSE).reached.x_m == pytest.approx(POSE.x_m)
-    assert bench.simulated.world.placed[1].x_m == pytest.approx(POSE.x_m)
-    assert not bench.simulated.devices.axes
-
-
 def test_a_person_brings_the_object_where_nothing_is_simulated() -> None:
     asked: list[str | None] = []
 
