@@ -439,20 +439,6 @@ def test_faults_of_the_converter_show_in_the_frames(line: Line) -> None:
     assert line.frame().status == FrameStatus.CONVERTER_FAULT
 
 
-def test_a_dead_unit_neither_hears_nor_speaks_and_the_heartbeat_alone_can_fail(line: Line) -> None:
-    line.write(od.HEARTBEAT_MS, 0, 100, 2)
-    line.start()
-    line.faults.dead = True
-    line.wait(0.5)
-    assert line.tell(SYNC) == []
-    line.unit.emergency(0x5000)
-    assert line.take() == []
-    line.faults.dead, line.faults.heartbeat_off = False, True
-    line.wait(0.5)
-    assert line.take() == []
-    assert len(line.tell(SYNC)) == 59
-
-
 def test_a_unit_that_is_on_no_bus_says_so() -> None:
     unit = SimulatedControlUnit(Skin(paper_layout()), paper_layout())
     with pytest.raises(SimulatorStateError, match="connect"):

@@ -56,13 +56,6 @@ def test_another_bit_rate_reaches_nobody() -> None:
     assert line.say(b"", 2.0) == b""
 
 
-def test_listening_only_sends_nothing() -> None:
-    line = Line(b"L")
-    assert line.say(b"t1230\r") == b"\a"
-    line.device.send(1.0, 0x705, [b"\x05"])
-    assert line.say(b"", 2.0) == b"t705105\r"
-
-
 def test_time_stamps_are_milliseconds_of_a_minute() -> None:
     line = Line(b"Z1", b"O")
     line.device.send(61.2345, 0x705, [b"\x05"])

@@ -1,6 +1,5 @@
 """Faults by name: the text form, the vocabulary, and when each begins and ends."""
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,7 +15,7 @@ from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.faults.text import FaultEvent, When, parse_fault
 from simulator.servo.firmware import WatchdogStop
 from simulator.servo.wrist import WristMount
-from simulator.settings import RecordedGrasp, SimulatorSettings
+from simulator.settings import SimulatorSettings
 from tactile.layout import pinch_layout
 
 
@@ -267,15 +266,6 @@ def test_the_watchdog_and_registers_of_one_servo_are_changed(cell: SimulatedCell
     assert isinstance(VOCABULARY["servoN.wrong"].value, Setting)
 
 
-def test_a_cell_that_plays_grasps_has_no_object_to_lose() -> None:
-    grasp = RecordedGrasp(counts=np.zeros((3, 156), np.uint16), aperture_m=np.full(3, math.nan))
-    with (
-        SimulatedCell(SimulatorSettings(layout=pinch_layout(), grasps=(grasp,))) as cell,
-        pytest.raises(SimulatorStateError, match="no objects to place"),
-    ):
-        cell.inject("object.gone")
-
-
 @pytest.mark.parametrize("text", ["servo1.turned", "servo1.horn=100"])
 def test_a_servo_that_sits_otherwise_leaves_its_finger_where_it_is(
     cell: SimulatedCell, text: str
@@ -341,12 +331,3 @@ def test_pads_that_sit_otherwise_and_noisy_ones_show_in_the_scan(cell: Simulated
     noisy.clear()
     with pytest.raises(SimulatorSettingsError, match="pads are 0 to 1"):
         cell.inject("taxels.noisy=2:400")
-
-
-def test_pads_of_another_law_feel_another_force(cell: SimulatedCell) -> None:
-    world = cell.devices.physical
-    world.press(0, 0.0, 0.0, 2.0)
-    before = np.mean([world.scan().astype(float) for _ in range(20)], axis=0).max()
-    cell.inject("taxels.force_gain=0.5")
-    after = np.mean([world.scan().astype(float) for _ in range(20)], axis=0).max()
-    assert after < 0.8 * before

@@ -117,12 +117,6 @@ def test_slow_lines_return_delay_and_adapter_add_up(servo_bench):
     assert round_trip_s(bench, sync_read(126, 10, 1, 2)) == pytest.approx(expected_s)
 
 
-def test_a_fast_read_is_faster(bench):
-    normal_s = round_trip_s(bench, sync_read(126, 10, 1, 2))
-    fast_s = round_trip_s(bench, sync_read(126, 10, 1, 2, fast=True))
-    assert normal_s - fast_s == pytest.approx((2 * 21 - (8 + 2 * 14)) * 10 / 1e6, abs=1e-8)
-
-
 # Faults of the wire
 
 
@@ -262,14 +256,6 @@ def test_servos_with_the_same_id_answer_at_once(bench):
 
 
 # The stream in memory
-
-
-def test_read_returns_what_is_there_and_keeps_the_rest(bench):
-    bench.stream.write(PING)
-    assert len(bench.stream.read(4, 1.0)) == 4
-    before_s = bench.clock.monotonic()
-    assert len(bench.stream.read(100, 1.0)) == 10
-    assert bench.clock.monotonic() == before_s
 
 
 def test_drop_input_drops_what_has_arrived_only(bench):

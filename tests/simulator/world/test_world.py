@@ -223,13 +223,6 @@ def test_the_noise_is_new_for_each_frame_and_the_same_for_each_run() -> None:
     assert np.array_equal(first, worlds[1].scan())
 
 
-def test_counts_stay_within_the_converter() -> None:
-    bench = Bench(settings=WorldSettings())
-    bench.world.place("ball")
-    bench.squeeze(60.0)
-    assert bench.world.scan().max() == 255
-
-
 def test_an_object_goes_only_between_open_fingers() -> None:
     bench = Bench()
     bench.world.place("box")
