@@ -16,15 +16,6 @@ variation."""
 _DIAGONAL_FLOOR = 1e-9
 """Added to the diagonal of the covariance, in squared units of the features, for its
 factorisation."""
-_NEIGHBOURS = 25
-"""Features in a row that share an expected variance: in a vector they are much the same quantity at
-other loads and places of the pad."""
-_NEIGHBOUR_GRASPS = 16.0
-"""Weight of that expectation, in grasps: by few grasps the variance of one feature is chance.
-Chosen with the row on the taught part of recorded objects and on simulated ones."""
-_LARGEST_STRETCH = 5.0
-"""Largest factor by which the deviations of a feature are raised to it: of what hardly varies, most
-is rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +85,6 @@ def fit_lda(
     min_shrinkage: float = 0.0,
     target: NDArray[np.float64] | None = None,
     nuisance: NDArray[np.float64] | None = None,
-    ordered: bool = False,
     keep_whitening: bool = False,
 ) -> LinearDiscriminant:
     """Fit a linear discriminant to labelled rows.
@@ -116,9 +106,6 @@ def fit_lda(
         Diagonal of the target; None for the identity.
     nuisance : (m, F)
         Deviations that the rows do not show; the mean of their squares adds to the covariance.
-    ordered
-        Whether features that stand next to each other are alike: then the variance of each is drawn
-        towards those beside it, the less, the more rows there are.
     keep_whitening
         Whether `LinearDiscriminant.whitening` is wanted.
 
@@ -138,8 +125,6 @@ def fit_lda(
     within = features - means[classes]
     mean = means.mean(axis=0)
     freedom = float(n - n_classes)
-    if ordered:
-        within = _moderated(within, freedom)
     scale = _units(features, within, freedom, nuisance)
     within = within / scale
     covariance = within.T @ within / freedom
@@ -185,22 +170,6 @@ def _class_means(
     members[classes, np.arange(len(features))] = 1.0
     means: NDArray[np.float64] = (members @ features) / members.sum(axis=1)[:, None]
     return means
-
-
-def _moderated(within: NDArray[np.float64], freedom: float) -> NDArray[np.float64]:
-    """Return deviations (n, F) stretched so that variances are drawn to those beside them.
-
-    As under an inverse chi-square prior (Smyth 2004, "Linear models and empirical Bayes methods"),
-    but for the logarithms: a feature that varies far less than those beside it stays sharp where
-    many rows show that. Correlations stay.
-    """
-    variance = np.maximum((within**2).mean(axis=0), 1e-12)
-    window = np.full(_NEIGHBOURS, 1.0 / _NEIGHBOURS)
-    usual = np.convolve(np.pad(variance, _NEIGHBOURS // 2, mode="edge"), window, mode="valid")
-    share = _NEIGHBOUR_GRASPS / (freedom + _NEIGHBOUR_GRASPS)
-    stretch = (usual / variance) ** (0.5 * share)
-    moderated: NDArray[np.float64] = within * np.minimum(stretch, _LARGEST_STRETCH)
-    return moderated
 
 
 def _units(

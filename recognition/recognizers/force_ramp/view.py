@@ -312,7 +312,6 @@ def fit_view(
             min_shrinkage=0.0 if opening else _TOUCH_SHRINKAGE,
             target=target,
             nuisance=nuisance,
-            ordered=True,
             keep_whitening=True,
         )
         z = discriminant.project(every[rows])

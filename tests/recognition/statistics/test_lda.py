@@ -151,27 +151,3 @@ def test_no_taught_object_is_impossible():
     p = to_probability(np.array([[1000.0, 0.0, -1000.0]]), 1.0)
     assert p.sum() == pytest.approx(1.0)
     assert p.min() >= UNIFORM_SHARE / 3
-
-
-def _error(rng: np.random.Generator, n: int, *, ordered: bool) -> float:
-    """Return the share of mistakes where features of one unit are taught n times."""
-    x, y = gaussians(rng, n=n, shift=2.5, n_features=60)
-    fresh, truth = gaussians(rng, n=200, shift=2.5, n_features=60)
-    lda = fit_lda(x, y, 3, ordered=ordered)
-    return float(np.mean(lda.distances(fresh).argmin(axis=1) != truth))
-
-
-def test_few_rows_are_helped_by_features_that_stand_beside_each_other():
-    rng = np.random.default_rng(7)
-    plain, ordered = (
-        np.mean([_error(rng, 4, ordered=how) for _ in range(20)]) for how in (False, True)
-    )
-    assert ordered < 0.9 * plain
-
-
-def test_many_rows_keep_the_variance_of_each_feature():
-    rng = np.random.default_rng(8)
-    x, y = gaussians(rng, n=2000)
-    x = x * np.array([1.0, 0.01, 1.0, 1.0, 100.0, 1.0])
-    plain, ordered = (fit_lda(x, y, 3, shrinkage=0.0, ordered=how).scale for how in (False, True))
-    assert ordered == pytest.approx(plain, rel=0.03)
