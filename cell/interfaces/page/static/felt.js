@@ -265,7 +265,8 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
   context.beginPath();
   context.rect(left, 0, width - left - right, height);
   context.clip();
-  for (const at of contacts(series)) {
+  const touched = contacts(series);
+  for (const at of touched) {
     context.strokeStyle = colour("muted");
     context.lineWidth = 1;
     context.setLineDash([1, 3]);
@@ -275,7 +276,8 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
     context.stroke();
     context.setLineDash([]);
     const right_edge = toX(at) > width - right - 70;
-    if (toX(at) < left + 110) continue; // there the axis has its name
+    // One name is enough, and where the axis has its own there is none.
+    if (at !== touched.at(-1) || toX(at) < left + 110) continue;
     label(t("felt.contact"), toX(at) + (right_edge ? -5 : 5), openTop - 10, right_edge ? "right" : "left");
   }
   context.lineJoin = "round";
