@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, expit, fdtri, logsumexp
+from scipy.special import expit, logsumexp
 
 from recognition.drift.drift import shifted_levels
 from recognition.drift.grid import DriftGrid, DriftPrior
@@ -34,9 +34,6 @@ new."""
 _PRIOR_AXES = 3.0
 """Axes between the classes at which half of that power is reached: few classes do not span what new
 objects differ in, which then shows beside them."""
-_FEWEST_AXES = 2.0
-"""Axes between the classes at which novelty goes by the distance alone; with one axis, what lies
-beside the classes makes a grasp new instead of excusing it."""
 _UNIT = (0.1, 1.0)
 """Unit of drifts: of the logarithm of a gain, of the opening in mm."""
 _NUISANCE = 0.15
@@ -173,7 +170,7 @@ class ClassModel:
         z = (touch @ model.projection[:n_touch])[:, :, None]
         z = z + (opening @ model.projection[n_touch:])[:, None]
         shape, rank = z.shape[:3], z.shape[3]
-        unit = unit_of_novelty = np.ones(shape)
+        unit = np.ones(shape)
         n_beside = len(model.mean) - rank
         if n_beside:
             a, b = touch @ model.whitening[:n_touch], opening @ model.whitening[n_touch:]
@@ -181,7 +178,6 @@ class ClassModel:
             every = every + 2.0 * (a @ b.transpose(0, 2, 1))
             beside = np.maximum(every - (z**2).sum(-1), 0.0) / n_beside
             unit = (1.0 + beside) ** (_BESIDE_POWER * rank / (rank + _PRIOR_AXES))
-            unit_of_novelty = (1.0 + beside) ** (_BESIDE_POWER * (1.0 - _FEWEST_AXES / rank))
         z = z.reshape(-1, rank)
         distances = squared_distances(z, model.centres)
         log_volume: NDArray[np.float64] | float = 0.0
@@ -191,7 +187,7 @@ class ClassModel:
         scores = -0.5 * (rank + _FREEDOM) * tails - log_volume
         nearest = squared_distances(z, self.taught).min(axis=1).reshape(shape)
         scores = scores.reshape(*shape, -1)
-        novelty = np.log(nearest / unit_of_novelty / rank + _LEAST_DISTANCE)
+        novelty = np.log(nearest / unit / rank + _LEAST_DISTANCE)
         novelty = np.stack([novelty, novelty], axis=-1)
         if features.sizes_mm.size:
             off = self.sizes.distances(features.sizes_mm, features.slack_mm)
@@ -346,7 +342,7 @@ def fit_view(
     return View(
         model=teach(np.ones(len(classes), dtype=np.bool_)),
         temperature=temperature,
-        limit=_limit(np.concatenate(novelty), int(classes.max()) + 1),
+        limit=_limit(np.concatenate(novelty)),
         log_new=float(np.quantile(logsumexp(score / temperature, axis=1), _NEW_QUANTILE)),
         placing_mm=_placing_mm(levels, classes) if opening else 0.0,
         dependence=fit_dependence(
@@ -403,20 +399,11 @@ def _doubt(
     return float(np.clip((limit - 0.5) / max(limit - even, 1e-9), 0.0, 1.0))
 
 
-def _limit(novelty: NDArray[np.float64], n_classes: int) -> NDArray[np.float64]:
-    """Return novelties with even odds, from those of held-out grasps (n, 2) and what is usual.
-
-    What is usual holds for many grasps. By few the covariance is not known: distances then are
-    Hotelling's, with heavier tails.
-    """
-    n, n_axes = len(novelty), max(n_classes - 1, 1)
-    freedom = n - n_classes
-    rest = freedom - n_axes + 1
-    tail = n_axes * fdtri(n_axes, rest, _KEPT[0]) * freedom / rest
-    usual = np.array(_USUAL_LIMIT) + np.log(tail / chdtri(n_axes, 1.0 - _KEPT[0]))
-    share = n / (n + _PRIOR_GRASPS)
-    held = np.array([np.quantile(novelty[:, k], q) for k, q in enumerate(_KEPT)])
-    return np.asarray(share * held + (1.0 - share) * usual)
+def _limit(novelty: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return novelties with even odds, from those of held-out grasps (n, 2) and what is usual."""
+    share = len(novelty) / (len(novelty) + _PRIOR_GRASPS)
+    held = [np.quantile(novelty[:, k], q) for k, q in enumerate(_KEPT)]
+    return np.asarray(share * np.array(held) + (1.0 - share) * np.array(_USUAL_LIMIT))
 
 
 def _placing_mm(levels: Levels, classes: NDArray[np.int64]) -> float:

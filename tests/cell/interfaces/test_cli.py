@@ -107,12 +107,12 @@ def read_json(path: Path) -> Any:
 def test_run_teaches_identifies_and_writes_everything(config: Path, tmp_path: Path) -> None:
     out, report = tmp_path / "elsewhere", tmp_path / "json" / "run.json"
     text = call(
-        *("run", "--config", config, "--object", "ball", "--object", "box", "--teach", 3),
+        *("run", "--config", config, "--object", "ball", "--object", "box", "--teach", 5),
         *("--trials", 1, "--out", out, "--seed", 7, "--json", report, "--capture", tmp_path / "c"),
     )
     data = read_json(report)
     assert data["seconds"] > 0.0
-    assert (data["n_taught"], data["n_trials"], data["labels"]) == (6, 2, ["ball", "box"])
+    assert (data["n_taught"], data["n_trials"], data["labels"]) == (10, 2, ["ball", "box"])
     assert data["default"] == "force_ramp"
     assert data["recognizers"][data["default"]].keys() >= {"accuracy", "confusion"}
     assert data["health"]["tactile"]["lost"] == 0
@@ -123,7 +123,7 @@ def test_run_teaches_identifies_and_writes_everything(config: Path, tmp_path: Pa
     assert "ball: ball 1" in text
     assert "This cell, as many grasps as it takes: 2 of 2 right, 0 wrong" in text
     assert (tmp_path / "c").stat().st_size > 100_000
-    assert len(read_dataset(data["dataset"])) == 6
+    assert len(read_dataset(data["dataset"])) == 10
 
 
 def test_run_with_a_model_teaches_nothing_and_says_what_it_is(

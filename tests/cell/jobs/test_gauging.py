@@ -37,15 +37,16 @@ def drifted(taught: Any, tmp_path: Path) -> Path:
 def test_evaluate_drifts_and_gauges(taught: Any, tmp_path: Path) -> None:
     text = call(
         *("evaluate", taught.result.dataset, "--recognizer", "force_ramp", "--fuse", "1"),
-        *("--drift", "gain=0.8,aperture_mm=-1", "--gauge", "ball", "--json", tmp_path / "e.json"),
+        *("--drift", "gain=0.8,aperture_mm=-3", "--gauge", "ball", "--json", tmp_path / "e.json"),
     )
     data = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))
-    assert "gain 0.80, opening -1.0 mm" in text
+    assert "gain 0.80, opening -3.0 mm" in text
     assert "gauged with 2 grasps of ball" in text
-    wanted = {"gain": pytest.approx(0.8), "gains": [0.8], "aperture_mm": pytest.approx(-1.0)}
+    wanted = {"gain": pytest.approx(0.8), "gains": [0.8], "aperture_mm": pytest.approx(-3.0)}
     assert data["drift"] == wanted
     assert data["gauge"]["label"] == "ball"
-    assert data["gauge"]["aperture_mm"] == pytest.approx(-1.0, abs=1.0)
+    # Three taught balls show little of how balls are placed.
+    assert data["gauge"]["aperture_mm"] == pytest.approx(-3.0, abs=1.5)
     figures = data["recognizers"]["force_ramp"]
     # Box and ball differ by 0.5 mm, the gauged opening may be off by as much.
     assert np.sum(figures["confusion"]) == 2
