@@ -17,12 +17,13 @@ import numpy as np
 from benchmarks._measure import line, repeats
 from benchmarks.recognition._cell_grasps import cell_grasps
 from benchmarks.recognition._grasps import recorded, simulated
+from benchmarks.recognition.sequences import ended
 from recognition.drift.drift import Drift
 from recognition.evaluation.splits import a_day_later, chronological_split
 from recognition.grasp import Grasp, by_label
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
-from recognition.statistics.fusion import DecisionKind, StopRule, decide
+from recognition.statistics.fusion import DecisionKind, StopRule
 
 CAUTIONS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Factors on the likelihood of a new object."""
@@ -62,11 +63,9 @@ def show_few(
             posteriors = [recognizer.posterior(grasp) for grasp in tested[label]]
             single += [(new, label, one.name) for one in posteriors]
             for begin in range(0, len(posteriors), _RULE.max_grasps):
-                row = posteriors[begin : begin + _RULE.max_grasps]
-                found = [decide(row[:n], _RULE) for n in range(1, len(row) + 1)]
-                ended = next((d for d in found if d.kind is not DecisionKind.CONTINUE), found[-1])
-                decided = ended.kind is DecisionKind.DECIDED
-                several.append((new, label, ended.label if decided else UNKNOWN))
+                answer, _ = ended(posteriors[begin : begin + _RULE.max_grasps], _RULE)
+                decided = answer.kind is DecisionKind.DECIDED
+                several.append((new, label, answer.label if decided else UNKNOWN))
     line(
         f"  {name}, {n_objects} objects, {n_taught} grasps",
         f"{_shares(single)}; in sequences {_shares(several)}",

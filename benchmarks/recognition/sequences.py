@@ -19,7 +19,7 @@ from recognition.grasp import Grasp, by_label
 from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyTrainer
-from recognition.statistics.fusion import DecisionKind, StopRule, decide, fuse
+from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
 from simulator.world.shapes import PAPER_OBJECTS
 
 HARD = {
@@ -81,6 +81,15 @@ def show_dependence(rows: Rows) -> None:
         )
 
 
+def ended(row: Sequence[Posterior], rule: StopRule) -> tuple[Decision, int]:
+    """Return the decision with which a sequence of grasps ends, and after how many."""
+    for length in range(1, len(row) + 1):
+        answer = decide(row[:length], rule)
+        if answer.kind is not DecisionKind.CONTINUE:
+            break
+    return answer, length
+
+
 def show_stopping(rows: Rows) -> None:
     """Print wanted and measured rate of wrong labels among those given before the last grasp."""
     for wanted in WANTED:
@@ -88,10 +97,7 @@ def show_stopping(rows: Rows) -> None:
         wrong = given = unknown = grasps = early = early_wrong = n = 0
         for label, row in rows.items():
             for start in range(0, len(row) - MAX_GRASPS + 1):
-                for length in range(1, MAX_GRASPS + 1):
-                    answer = decide(row[start : start + length], rule)
-                    if answer.kind is not DecisionKind.CONTINUE:
-                        break
+                answer, length = ended(row[start : start + MAX_GRASPS], rule)
                 n, grasps = n + 1, grasps + length
                 if answer.kind is DecisionKind.UNKNOWN:
                     unknown += 1
