@@ -214,7 +214,9 @@ class Grasper:
         collector, collect = self._collecting()
 
         def so_far() -> Grasp:
-            return collector.grasp(self.pads, start_ms=start_ms, zero=self._zeros.newest)
+            return collector.grasp(
+                self.pads, source=self._source, start_ms=start_ms, zero=self._zeros.newest
+            )
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             collect(cycle, frames)

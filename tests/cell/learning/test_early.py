@@ -36,9 +36,11 @@ class Saying:
     act: Callable[[], object] = lambda: None
     labels: tuple[str, ...] = ("ball", "box")
     asked: list[int] = field(default_factory=list)
+    contacts: list[int | None] = field(default_factory=list)
 
     def posterior(self, grasp: Any) -> Posterior:
         self.asked.append(grasp.n_frames)
+        self.contacts.append(grasp.contact_frame)
         self.act()
         probability = np.array([self.share, 1.0 - self.share])
         return Posterior(labels=self.labels, probability=probability, unknown=self.unknown)
@@ -77,6 +79,8 @@ def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
     assert found.posteriors == (record.early.posterior,)
     assert whole.asked == []
     assert unsure.asked[0] < sure.asked[0] == record.early.n_frames <= record.grasp.n_frames
+    assert unsure.contacts == sure.contacts == [record.grasp.contact_frame]
+    assert record.grasp.contact_frame is not None
     assert record.cycles[-1].setpoint_n < 5.0
     assert record.outcome.final_force_n == pytest.approx(record.cycles[-1].setpoint_n, abs=0.5)
     assert bench.controller.state is CellState.IDLE
