@@ -23,7 +23,7 @@ from recognition.evaluation.splits import a_day_later, chronological_split
 from recognition.grasp import Grasp, by_label
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
-from recognition.statistics.fusion import DecisionKind, StopRule
+from recognition.statistics.fusion import StopRule
 
 CAUTIONS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Factors on the likelihood of a new object."""
@@ -39,7 +39,7 @@ SIMULATED = {name: name for name in ("ball", "box", "cylinder", "dumbbell", "ova
     "block": "box:length=12mm,width=12mm,height=7mm",
 }
 """Objects of the simulated cell; some differ by a millimetre."""
-_RULE = StopRule()
+_MAX_GRASPS = StopRule().max_grasps
 
 Answer = tuple[bool, str, str]
 """Whether the object was new, its label, and the answer."""
@@ -62,10 +62,10 @@ def show_few(
             new = label not in recognizer.labels
             posteriors = [recognizer.posterior(grasp) for grasp in tested[label]]
             single += [(new, label, one.name) for one in posteriors]
-            for begin in range(0, len(posteriors), _RULE.max_grasps):
-                answer, _ = ended(posteriors[begin : begin + _RULE.max_grasps], _RULE)
-                decided = answer.kind is DecisionKind.DECIDED
-                several.append((new, label, answer.label if decided else UNKNOWN))
+            for begin in range(0, len(posteriors), _MAX_GRASPS):
+                row = posteriors[begin : begin + _MAX_GRASPS]
+                answer, _ = ended(row, StopRule(max_grasps=len(row)))
+                several.append((new, label, answer.label))
     line(
         f"  {name}, {n_objects} objects, {n_taught} grasps",
         f"{_shares(single)}; in sequences {_shares(several)}",

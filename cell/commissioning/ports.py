@@ -17,7 +17,7 @@ _WAIT_S = 30.0
 """Longest time in s for an adapter to vanish or come back after it was asked for."""
 _LOOK_S = 0.5
 """Time in s between two looks at the ports: udev takes some tenths."""
-_LATENCY_MS = 1
+LATENCY_MS = 1
 """Latency timer in ms with which the force loop of 200 Hz works."""
 
 
@@ -41,11 +41,10 @@ class PortsStep(Step):
         notes.fact(f"servo port: {port}")
         if timer_ms is not None:
             notes.fact(f"latency timer of its adapter: {timer_ms} ms")
-        if timer_ms is not None and timer_ms > _LATENCY_MS:
+        if timer_ms is not None and timer_ms > LATENCY_MS:
             notes.warn(
-                f"each answer waits {timer_ms} ms in the adapter, {_LATENCY_MS} ms is needed. "
-                f"Until the next start: echo {_LATENCY_MS} | sudo tee {latency_timer_file(port)}. "
-                f"For good: {udev_rule()}"
+                f"each answer waits {timer_ms} ms in the adapter, {LATENCY_MS} ms is needed. "
+                f"Until the next start: {latency_command(port)}. For good: {udev_rule()}"
             )
         for obstacle in _obstacles(bench, port):
             notes.fail(obstacle)
@@ -58,12 +57,26 @@ def by_id(port: str, folder: Path = BY_ID) -> str:
     return next((str(name) for name in names if os.path.realpath(name) == device), port)
 
 
+def latency_command(port: str) -> str:
+    """Return the command that sets the latency timer of a port until the next start."""
+    return f"echo {LATENCY_MS} | sudo tee {latency_timer_file(port)}"
+
+
 def udev_rule() -> str:
     """Return the udev rule that sets the latency timer of each adapter that has one."""
     return (
         'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
-        f'ATTR{{latency_timer}}="{_LATENCY_MS}" in /etc/udev/rules.d/99-tactile-cell.rules'
+        f'ATTR{{latency_timer}}="{LATENCY_MS}" in /etc/udev/rules.d/99-tactile-cell.rules'
     )
+
+
+def rights_command(port: str) -> str:
+    """Return the command after which this user may open a port; empty where none is needed."""
+    device = Path(port)
+    if not device.exists() or os.access(device, os.R_OK | os.W_OK):
+        return ""
+    group = grp.getgrgid(device.stat().st_gid).gr_name
+    return f"sudo usermod -a -G {group} {pwd.getpwuid(os.getuid()).pw_name}"
 
 
 def users_of(port: str, processes: Path = Path("/proc")) -> tuple[str, ...]:
@@ -137,17 +150,14 @@ def _changed(bench: Bench, before: tuple[str, ...]) -> tuple[str, ...]:
 
 def _obstacles(bench: Bench, port: str) -> Iterator[str]:
     """Return why a port cannot be opened, with the command that mends it."""
-    device = Path(port)
-    if device.exists() and not os.access(device, os.R_OK | os.W_OK):
-        group = grp.getgrgid(device.stat().st_gid).gr_name
-        user = pwd.getpwuid(os.getuid()).pw_name
-        yield (f"this user may not open it: sudo usermod -a -G {group} {user}, then log out and in")
+    if command := rights_command(port):
+        yield f"this user may not open it: {command}, then log out and in"
         return
     try:
         bench.lines.open_servos(port, 57600).close()
     except PortLost as error:
         yield str(error)
-    users = users_of(port) if device.exists() else ()
+    users = users_of(port) if Path(port).exists() else ()
     if users:
         yield (
             f"in use by {', '.join(users)}: end it (brltty takes such adapters: sudo apt remove "

@@ -1,7 +1,6 @@
 """The system check: each finding passes, warns or fails, with what to do about it."""
 
 import importlib.metadata
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from cell.commissioning.baseline import (
 )
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Verdict, kept_values
+from cell.commissioning.ports import LATENCY_MS, latency_command, rights_command, udev_rule
 from cell.commissioning.servos import model_name
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
@@ -37,7 +37,7 @@ from gripper.dynamixel.control_table import (
     HARDWARE_ERROR_STATUS,
     MODEL_NUMBER,
 )
-from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms, serial_candidates
+from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
 from gripper.force.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
@@ -162,20 +162,21 @@ def _machine() -> Iterator[Finding]:
 
 
 def _ports(config: CellConfig) -> Iterator[Finding]:
-    port = Path(config.gripper.port)
-    candidates = ", ".join(serial_candidates()) or "none"
-    found, advice = str(port), ""
-    if not port.exists():
+    port = config.gripper.port
+    found, advice = port, ""
+    if command := rights_command(port):
+        found = f"{port} may not be opened by this user"
+        advice = f"{command}, then log out and in"
+    elif not Path(port).exists():
+        candidates = ", ".join(serial_candidates()) or "none"
         found = f"{port} does not exist; serial ports here: {candidates}"
         advice = "plug in the adapter or correct gripper.port"
-    elif not os.access(port, os.R_OK | os.W_OK):
-        found = f"{port} may not be opened by this user"
-        advice = "add the user to the group dialout and log in again"
     yield _finding("servo port", found, advice, ok=not advice, bad=Verdict.FAIL)
-    timer_ms = None if advice else latency_timer_ms(config.gripper.port)
+    timer_ms = None if advice else latency_timer_ms(port)
     if timer_ms is not None:
-        remedied = f"echo 1 > {latency_timer_file(config.gripper.port)} (a udev rule keeps it)"
-        yield _finding("USB latency timer", f"{timer_ms} ms", remedied, ok=timer_ms <= 1)
+        remedy = f"until the next start: {latency_command(port)}; for good: {udev_rule()}"
+        ok = timer_ms <= LATENCY_MS
+        yield _finding("USB latency timer", f"{timer_ms} ms", remedy, ok=ok)
 
 
 def _self_zero(config: CellConfig, named: str) -> Finding:

@@ -15,6 +15,8 @@ NOT_SHOWN = ("backup", "bench", "figures", "record")
 """Modules whose texts are for the terminal, for logs, or on the record, which is English."""
 ENGLISH = {"curves", "pads_figure", "Change", "_change", "CellError", "ValueError"}
 """Calls whose texts stay English: pictures, `doctor`, errors of programs."""
+NO_SENTENCES = "advice|changed_|udev_rule|.*_command"
+"""Names of functions whose texts are for `doctor`, or for a shell."""
 ELSEWHERE = {"title", "purpose"}
 """Names of texts that are translated by the key of their step."""
 
@@ -40,7 +42,7 @@ def texts(node: ast.AST) -> Iterator[str]:
                 continue
             case ast.Call(func=ast.Name(id=name)) if name in ENGLISH:
                 continue
-            case ast.FunctionDef(name=name) if name.startswith(("advice", "changed_", "udev_rule")):
+            case ast.FunctionDef(name=name) if re.match(NO_SENTENCES, name):
                 continue
             case ast.Constant(value=str()):
                 yield pattern(child)

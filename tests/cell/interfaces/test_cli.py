@@ -169,7 +169,7 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
         default="force_ramp",
         n_taught=0,
         seconds=1.0,
-        scores={"force_ramp": score(labels, labels, labels)},
+        scores=dict.fromkeys(("force_ramp", "level_check"), score(labels, labels, labels)),
         trials=(),
         examples={},
         recognizers={},
@@ -181,6 +181,10 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
     lines = capsys.readouterr().out.splitlines()
     assert "its Table 1): 48 of 50 right" in lines[0]
     assert "  ball: ball 90, cylinder 10" in lines
+    # Two answers that are right alike have one table.
+    assert sum("5 of 5 right, 0 wrong" in line for line in lines) == 2
+    assert lines.count("  ball: ball 1") == 1
+    assert "One grasp takes 0.0 s of the cell's time." in lines
 
 
 def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path) -> None:

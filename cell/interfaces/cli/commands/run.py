@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from cell.config.model import CellConfig
-    from cell.jobs.run import MainResult, Score
+    from cell.jobs.run import MainResult
     from cell.learning.taught_model import TaughtModel
 
 ObjectsOption = Annotated[
@@ -140,7 +140,7 @@ def _labels(
 
 def print_result(result: "MainResult") -> None:
     """Print confusion tables, shapes, times and files of a run, and the paper's table beside."""
-    from cell.interfaces.cli.terminal import print_line, print_table
+    from cell.interfaces.cli.terminal import percent, print_line, print_table
     from cell.jobs.run_report import score_title, sequences
     from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
     from cell.report.shapes import shapes_view
@@ -152,10 +152,16 @@ def print_result(result: "MainResult") -> None:
         print_line(f"The paper's own cell (its Table 1): {right} of {n} right; per cent:")
         rows = [[TABLE_1[row][column] for column in order] for row in order]
         print_table(confusion_table(result.labels, rows))
+    same: dict[Any, list[str]] = {}
     for name, score in result.scores.items():
-        print_line(f"{score_title(result, name)}: {score.text}; {_interval(score)}")
-        print_table(confusion_table(result.labels, score.confusion))
-    print_line(f"One grasp takes {result.grasp_s:.1f} s.")
+        accuracy = percent(score.accuracy, score.interval)
+        text = f"{score_title(result, name)}: {score.text}; {accuracy}"
+        same.setdefault(score.confusion, []).append(f"{text}, in brackets the 95 % interval")
+    for confusion, lines in same.items():
+        for text in lines:
+            print_line(text)
+        print_table(confusion_table(result.labels, confusion))
+    print_line(f"One grasp takes {result.grasp_s:.1f} s of the cell's time.")
     for remark in result.remarks:
         print_line(remark)
     shapes = shapes_view(sequences(result))
@@ -172,12 +178,6 @@ def print_result(result: "MainResult") -> None:
         if path is not None:
             print_line(f"{name + ':':<10} {path}")
     print_line(f"The whole run took {result.seconds:.0f} s.")
-
-
-def _interval(score: "Score") -> str:
-    from cell.interfaces.cli.terminal import percent
-
-    return f"{percent(score.accuracy, score.interval)}, in brackets the 95 % interval"
 
 
 def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> "Table":
