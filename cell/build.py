@@ -11,7 +11,7 @@ from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
 from cell.control.axes import AxesBuilder, AxesPositioner
 from cell.control.controller import CellController
-from cell.control.journal import loop_values
+from cell.control.journal import Journal, loop_values
 from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
@@ -239,7 +239,7 @@ def build_cell(
             )
             undo.callback(recorder.close)
             for note in hand.notes:
-                recorder.event("note", note)
+                Journal(recorder).note("note", note)
         controller = CellController(
             config,
             hand,

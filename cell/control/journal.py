@@ -1,11 +1,14 @@
 """The journal of a cell: what goes into its recording, where one is made."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from cell.control.identification import Identification
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
+from cell.data import recording_schema as schema
 from cell.data.recorder import Recorder
+from cell.data.recording_values import estimate_values, plain_fields, shape_values
 from cell.hand.interface import HandStatistics
 from gripper.force.timing import Distribution, LoopStatistics
 from gripper.state import Cycle
@@ -57,16 +60,27 @@ class Journal:
         self._recorder = recorder
         self._states: tuple[CellState, GraspState] | None = None
 
+    def _now(self, topic: str, values: Mapping[str, Any]) -> None:
+        if self._recorder is not None:
+            self._recorder.now(topic, values)
+
     def note(self, kind: str, text: str, fault_number: int = 0) -> None:
         """Record that something happened; a fault with its number."""
-        if self._recorder is not None:
-            self._recorder.event(kind, text, fault_number)
+        number = {"fault_number": fault_number} if fault_number else {}
+        self._now(schema.EVENT, {"kind": kind, "text": text} | number)
 
     def states(self, state: CellState, grasp: GraspState) -> None:
-        """Record both states where one of them has changed."""
+        """Record both states, with both clocks, where one of them has changed."""
         now = (state, grasp)
         if self._recorder is not None and now != self._states:
-            self._recorder.state(*now)
+            values = {
+                "state": state.value,
+                "state_number": state.number,
+                "grasp": grasp.value,
+                "grasp_number": grasp.number,
+                "wall_ns": self._recorder.wall_clock_ns(),
+            }
+            self._now(schema.STATE, values)
         self._states = now
 
     def cycle(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
@@ -86,8 +100,7 @@ class Journal:
 
     def pose(self, pose: Pose) -> None:
         """Record the pose that was reached."""
-        if self._recorder is not None:
-            self._recorder.pose(pose)
+        self._now(schema.POSE, plain_fields(pose))
 
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames make up this grasp."""
@@ -96,23 +109,25 @@ class Journal:
 
     def loop(self, statistics: HandStatistics) -> None:
         """Record how punctual the force loop was so far."""
-        if self._recorder is not None:
-            self._recorder.loop(loop_values(statistics.loop, undelivered=statistics.undelivered))
+        self._now(schema.LOOP, loop_values(statistics.loop, undelivered=statistics.undelivered))
 
     def result(self, found: Identification) -> None:
         """Record the answer of a sequence and its complaints."""
         for text in found.complaints:
             self.note("callback", text)
-        if self._recorder is not None:
-            self._recorder.result(
-                label=found.label,
-                probability=found.probability,
-                labels=found.fused.labels,
-                probabilities=[float(p) for p in found.fused.probability],
-                unknown=found.fused.unknown,
-                n_grasps=len(found.records),
-                n_ended_early=sum(record.early is not None for record in found.records),
-                shape=found.shape,
-                grasp_shapes=found.shapes,
-                drift=found.drift,
-            )
+        values: dict[str, Any] = {
+            "label": found.label,
+            "probability": float(found.probability),
+            "labels": list(found.fused.labels),
+            "probabilities": found.fused.probability.tolist(),
+            "unknown": float(found.fused.unknown),
+            "n_grasps": len(found.records),
+            "n_ended_early": sum(record.early is not None for record in found.records),
+        }
+        if found.shape is not None:
+            values["shape"] = shape_values(found.shape)
+        if found.shapes:
+            values["grasp_shapes"] = [shape_values(shape) for shape in found.shapes]
+        if found.drift is not None:
+            values |= estimate_values(found.drift)
+        self._now(schema.RESULT, values)

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -12,15 +12,12 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from cell.data import recording_schema as schema
-from cell.data.recorder_sink import BackgroundFile, DirectFile, RecordSink
+from cell.data.recorder_sink import BackgroundFile, DirectFile
 from cell.data.recording_values import (
     begin,
     cycle_values,
-    estimate_values,
     grasp_values,
     metadata_values,
-    plain_fields,
-    shape_values,
     to_json,
     to_ns,
 )
@@ -29,11 +26,7 @@ from gripper.state import Clock
 from recognition.grasp import Grasp, PadArray
 
 if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
     from gripper.state import Cycle
-    from recognition.drift.grid import DriftGrid
-    from recognition.shape.answer import ShapeAnswer
     from tactile.frames.codec import TactileFrame
 
 CHUNK_BYTES = 64 << 10
@@ -43,18 +36,6 @@ _NEWEST_FRAMES = 65536
 """Frames that a grasp can name; 20 minutes at 50 frames a second."""
 _TIME_TOLERANCE_S = 1e-6
 """Difference in s between a frame's time in the recording and in its grasp: rounding only."""
-
-
-class NumberedState(Protocol):
-    """A state with a name and, for controllers, a number."""
-
-    @property
-    def value(self) -> str:
-        """Name of the state."""
-
-    @property
-    def number(self) -> int:
-        """Number of the state."""
 
 
 class Tap(Protocol):
@@ -78,7 +59,7 @@ class Recorder:
     path
         The new file; an existing one is never overwritten. None writes none, for a ``tap`` alone.
     clock
-        Stamps poses, events and results; frames and cycles carry their own monotonic stamps.
+        Stamps the messages of `now`; frames and cycles carry their own monotonic stamps.
     pads
         The pads whose counts are recorded.
     metadata
@@ -117,7 +98,7 @@ class Recorder:
         self._clock = clock
         self._pads = pads
         self._tap = tap
-        self._wall_clock_ns = wall_clock_ns
+        self.wall_clock_ns = wall_clock_ns
         self._fault: RecordingError | None = None
         self._closed = False
         self._n_frames = 0
@@ -128,7 +109,7 @@ class Recorder:
         if self.path is None:
             return
         try:
-            self._sink: RecordSink = DirectFile(self.path)
+            self._sink = (BackgroundFile if background else DirectFile)(self.path)
         except FileExistsError as cause:
             raise RecordingError(
                 f"{path} is there already; recordings are never overwritten, choose another name"
@@ -137,8 +118,6 @@ class Recorder:
             raise RecordingError(
                 f"cannot record to {path}: {cause.strerror}; check folder and rights"
             ) from cause
-        if background:
-            self._sink = BackgroundFile(self._sink)
         self._writer = Writer(
             self._sink,  # type: ignore[arg-type]
             chunk_size=CHUNK_BYTES,
@@ -179,31 +158,9 @@ class Recorder:
         """Record one period of the force loop."""
         self._put(schema.CYCLE, cycle.t_s, cycle_values(cycle))
 
-    def pose(self, pose: "DataclassInstance") -> None:
-        """Record the pose that the positioner reached: a dataclass of numbers."""
-        self._put(schema.POSE, self._clock.monotonic(), plain_fields(pose))
-
-    def event(self, kind: str, text: str, fault_number: int = 0) -> None:
-        """Record that something happened: its kind, a text for people, the number of a fault."""
-        values: dict[str, Any] = {"kind": kind, "text": text}
-        if fault_number:
-            values["fault_number"] = fault_number
-        self._put(schema.EVENT, self._clock.monotonic(), values)
-
-    def state(self, state: NumberedState, grasp: NumberedState) -> None:
-        """Record that the state of the cell or of the grip has changed, with both clocks."""
-        values = {
-            "state": state.value,
-            "state_number": state.number,
-            "grasp": grasp.value,
-            "grasp_number": grasp.number,
-            "wall_ns": self._wall_clock_ns(),
-        }
-        self._put(schema.STATE, self._clock.monotonic(), values)
-
-    def loop(self, values: Mapping[str, float]) -> None:
-        """Record how punctual the loop was so far; see `cell.control.journal`."""
-        self._put(schema.LOOP, self._clock.monotonic(), dict(values))
+    def now(self, topic: str, values: Mapping[str, Any]) -> None:
+        """Record a message of the present time; see `recording_schema` for its fields."""
+        self._put(topic, self._clock.monotonic(), dict(values))
 
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames make up this grasp.
@@ -225,38 +182,6 @@ class Recorder:
             raise ValueError("the counts of the grasp are not the raw counts that were recorded")
         values = grasp_values(grasp, first_frame=self._n_frames - grasp.n_frames)
         self._put(schema.GRASP, float(stamps_s[0]), values)
-
-    def result(
-        self,
-        *,
-        label: str,
-        probability: float,
-        labels: Sequence[str],
-        probabilities: Sequence[float],
-        unknown: float,
-        n_grasps: int,
-        n_ended_early: int = 0,
-        shape: "ShapeAnswer | None" = None,
-        grasp_shapes: "Sequence[ShapeAnswer | None]" = (),
-        drift: "DriftGrid | None" = None,
-    ) -> None:
-        """Record the answer of a sequence; see `recording_schema` for the fields."""
-        values: dict[str, Any] = {
-            "label": label,
-            "probability": float(probability),
-            "labels": list(labels),
-            "probabilities": [float(p) for p in probabilities],
-            "unknown": float(unknown),
-            "n_grasps": n_grasps,
-            "n_ended_early": n_ended_early,
-        }
-        if shape is not None:
-            values["shape"] = shape_values(shape)
-        if grasp_shapes:
-            values["grasp_shapes"] = [shape_values(one) for one in grasp_shapes]
-        if drift is not None:
-            values |= estimate_values(drift)
-        self._put(schema.RESULT, self._clock.monotonic(), values)
 
     def close(self) -> None:
         """Finish the file. Raises the RecordingError of a recording that stopped early."""

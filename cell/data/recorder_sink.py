@@ -5,33 +5,15 @@ import os
 import threading
 from collections import deque
 from pathlib import Path
-from typing import Protocol
 
 MAX_WAITING_BYTES = 16 << 20
 """Bytes that may wait for a slow disk before the recording is given up."""
 
 
-class RecordSink(Protocol):
-    """What the MCAP writer writes to; each `write` brings whole records."""
-
-    def write(self, data: bytes, /) -> int:
-        """Take the bytes. Raises OSError where they cannot be kept."""
-
-    def tell(self) -> int:
-        """Return the number of bytes taken so far."""
-
-    def written_bytes(self) -> int:
-        """Return the number of bytes that the file has."""
-
-    def flush(self) -> None:
-        """Nothing is held back by a sink."""
-
-    def close(self) -> None:
-        """Bring everything to the disk and end. Raises OSError where that fails."""
-
-
 class DirectFile:
-    """Writes in the caller's thread. A failed write leaves no half record behind.
+    """What the MCAP writer writes whole records to, in the caller's thread.
+
+    A failed write leaves no half record behind.
 
     Raises FileExistsError where the file is already there: no recording is ever overwritten.
     """
@@ -81,13 +63,13 @@ class DirectFile:
             os.close(self._handle)
 
 
-class BackgroundFile:
+class BackgroundFile(DirectFile):
     """Hands the bytes to one writing thread, so that a slow disk never holds up the force loop.
 
     Parameters
     ----------
-    sink
-        Where the thread writes; this object closes it.
+    path
+        The new file.
     max_waiting_bytes
         More than this waiting is an OSError: the disk is too slow.
     close_timeout_s
@@ -96,18 +78,18 @@ class BackgroundFile:
 
     def __init__(
         self,
-        sink: RecordSink,
+        path: Path,
         *,
         max_waiting_bytes: int = MAX_WAITING_BYTES,
         close_timeout_s: float = 10.0,
     ) -> None:
-        self._sink = sink
+        super().__init__(path)
         self._max_waiting_bytes = max_waiting_bytes
         self._close_timeout_s = close_timeout_s
         self._queue: deque[bytes] = deque()
         self._changed = threading.Condition()
         self._waiting_bytes = 0
-        self._length = 0
+        self._taken_bytes = 0
         self._closing = False
         self._error: OSError | None = None
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
@@ -125,20 +107,13 @@ class BackgroundFile:
                 )
             self._queue.append(bytes(data))
             self._waiting_bytes += len(data)
-            self._length += len(data)
+            self._taken_bytes += len(data)
             self._changed.notify()
         return len(data)
 
     def tell(self) -> int:
         """Return the number of bytes taken."""
-        return self._length
-
-    def written_bytes(self) -> int:
-        """Return the number of bytes that the thread has written."""
-        return self._sink.written_bytes()
-
-    def flush(self) -> None:
-        """Nothing is held back beyond the queue."""
+        return self._taken_bytes
 
     def close(self) -> None:
         """Wait until all is written, then close; OSError on failure or after the time-out."""
@@ -154,7 +129,7 @@ class BackgroundFile:
     def _run(self) -> None:
         try:
             while (data := self._next()) is not None:
-                self._sink.write(data)
+                super().write(data)
                 with self._changed:
                     self._waiting_bytes -= len(data)
         except OSError as error:
@@ -163,7 +138,7 @@ class BackgroundFile:
             self._fail(OSError(f"the recording's thread died: {type(error).__name__}: {error}"))
         finally:
             try:
-                self._sink.close()
+                super().close()
             except OSError as error:
                 self._fail(error)
 

@@ -13,6 +13,7 @@ import numpy as np
 import zstandard
 from hypothesis import strategies as st
 
+from cell.control.journal import Journal
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import Recording, read_recording
 from cell.data.recording_recovery import recover_recording
@@ -93,7 +94,7 @@ def good() -> Good:
                     )
                     recorder.cycle(cycle(clock.now_s))
                 recorder.grasp(replace(grasp, t_s=times_s - times_s[0]))
-            recorder.event("state", "COMPLETE")
+            Journal(recorder).note("state", "COMPLETE")
         data, recording = path.read_bytes(), read_recording(path)
     made = Good(data, records_of(data[len(MAGIC) : -len(MAGIC)]), recording)
     assert file_of(made.records) == data

@@ -15,7 +15,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from cell.control.journal import loop_values
+from cell.control.identification import Identification
+from cell.control.journal import Journal
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.data import recorder_sink, recording_reader, recording_schema
@@ -24,14 +25,18 @@ from cell.data.recorder_sink import BackgroundFile, DirectFile
 from cell.data.recording_reader import read_recording, recording_grasps
 from cell.data.recording_values import plain_fields
 from cell.errors import RecordingError
+from cell.hand.interface import HandStatistics
+from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.timing import LoopStatistics
 from gripper.state import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero
+from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
+from recognition.statistics.fusion import Decision, DecisionKind
 from tactile.frames.codec import TactileFrame
 from tests.cell.conftest import plain_pads
 from tests.fuzz.harness import Clock
-from tests.values import make_cycle, make_servo, make_state
+from tests.values import make_cycle, make_link_statistics, make_servo, make_state
 
 PADS = plain_pads((4, 3), (4, 3), adc_max=255)
 
@@ -43,8 +48,8 @@ def make_frame(t_s: float, rng: np.random.Generator, n_taxels: int = 24) -> Tact
 
 def record_grasp(recorder: Recorder, clock: Clock, label: str, n_frames: int = 20) -> Grasp:
     rng = np.random.default_rng(int(clock.now_s * 1000))
-    recorder.pose(Pose(x_m=0.001, rotation_rad=0.3))
-    recorder.event("state", "EXECUTE")
+    Journal(recorder).pose(Pose(x_m=0.001, rotation_rad=0.3))
+    Journal(recorder).note("state", "EXECUTE")
     frames = []
     start_s = clock.now_s
     for i in range(4 * n_frames):
@@ -92,19 +97,30 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
     with Recorder(
         path, clock, pads=PADS, metadata={"config": "abc"}, wall_clock_ns=lambda: 1_700 * 10**9
     ) as recorder:
-        recorder.state(CellState.HELD, GraspState.NO_PART_FOUND)
-        recorder.loop(loop_values(LoopStatistics(cycles=7, worst_lateness_s=0.5)))
+        journal = Journal(recorder)
+        journal.states(CellState.HELD, GraspState.NO_PART_FOUND)
+        journal.loop(
+            HandStatistics(
+                loop=LoopStatistics(cycles=7, worst_lateness_s=0.5),
+                servo_bus=BusStatistics(),
+                link=make_link_statistics(),
+            )
+        )
         grasps = [record_grasp(recorder, clock, f"object {i}") for i in range(n_grasps)]
-        recorder.result(
+        likely = Posterior(
+            labels=("object 0", "object 1"), probability=np.array([0.003, 0.997]), unknown=0.01
+        )
+        found = Identification(
             label="object 1",
             probability=0.997,
-            labels=("object 0", "object 1"),
-            probabilities=(0.003, 0.997),
-            unknown=0.01,
-            n_grasps=n_grasps,
+            decision=Decision(kind=DecisionKind.DECIDED, label="object 1", probability=0.997),
+            posteriors=(likely,),
+            fused=likely,
+            records=(),
             shape=BAR,
-            grasp_shapes=(BAR, None),
+            shapes=(BAR, None),
         )
+        journal.result(found)
     return grasps
 
 
@@ -477,7 +493,7 @@ def test_recorder_refuses_what_is_not_in_order(tmp_path: Path) -> None:
         recorder.grasp(grasp)
     recorder.close()
     with pytest.raises(RecordingError, match="is closed"):
-        recorder.event("state", "late")
+        recorder.now(recording_schema.EVENT, {})
 
 
 def test_writing_from_a_thread_gives_the_same_file(tmp_path: Path) -> None:
@@ -491,21 +507,15 @@ def test_writing_from_a_thread_gives_the_same_file(tmp_path: Path) -> None:
     assert not any(thread.name == "recording" for thread in threading.enumerate())
 
 
-class StuckDisk(DirectFile):
-    """Takes nothing until it is let go."""
+def test_slow_disk_is_an_error_not_a_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on, write = threading.Event(), DirectFile.write
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self.go_on = threading.Event()
+    def stuck(file: DirectFile, data: bytes) -> int:
+        go_on.wait(20.0)
+        return write(file, data)
 
-    def write(self, data: bytes, /) -> int:
-        self.go_on.wait(20.0)
-        return super().write(data)
-
-
-def test_slow_disk_is_an_error_not_a_delay(tmp_path: Path) -> None:
-    disk = StuckDisk(tmp_path / "slow")
-    file = BackgroundFile(disk, max_waiting_bytes=100, close_timeout_s=0.0)
+    monkeypatch.setattr(DirectFile, "write", stuck)
+    file = BackgroundFile(tmp_path / "slow", max_waiting_bytes=100, close_timeout_s=0.0)
     file.write(bytes(60))
     file.flush()
     with pytest.raises(OSError, match="too slow: 60 bytes wait"):
@@ -513,7 +523,7 @@ def test_slow_disk_is_an_error_not_a_delay(tmp_path: Path) -> None:
     assert file.tell() == 60
     with pytest.raises(OSError, match=r"within 0\.0 s"):
         file.close()
-    disk.go_on.set()
+    go_on.set()
 
 
 def test_long_sequence_is_written_in_little_space(tmp_path: Path) -> None:

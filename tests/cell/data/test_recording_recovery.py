@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cell.control.journal import Journal
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import read_recording
 from cell.data.recording_recovery import RECOVERED, recover_recording
@@ -34,7 +35,7 @@ def recording(tmp_path: Path, make_grasp: Any) -> Path:
                         counts=grasp.counts[i],
                     )
                 )
-            recorder.event("note", f"grasp {number}")
+            Journal(recorder).note("note", f"grasp {number}")
             recorder.grasp(grasp)
     return path
 

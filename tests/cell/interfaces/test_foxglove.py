@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
+from cell.control.journal import Journal
 from cell.control.plan import Pose
 from cell.data.recorder import Recorder
 from cell.data.recording_schema import CYCLE, EVENT, FRAME, SCHEMAS, STATE
@@ -81,13 +82,13 @@ def test_messages_come_as_they_are_recorded_stamped_with_the_wall_clock(
     clock = Clock(now_s=50.0)
     recorder = Recorder(None, clock, pads=plain_pads((4, 3), (4, 3)), tap=door)
     assert recorder.path is None
-    recorder.event("note", "nobody looks")
+    Journal(recorder).note("note", "nobody looks")
     viewer.subscribe(EVENT)
     until(lambda: door.wants(EVENT))
     assert not door.wants(CYCLE)
-    recorder.event("note", "first")
+    Journal(recorder).note("note", "first")
     clock.now_s += 0.25
-    recorder.event("note", "second")
+    Journal(recorder).note("note", "second")
     assert viewer.receive() == (
         EVENT,
         WALL_S * 10**9,
@@ -97,7 +98,7 @@ def test_messages_come_as_they_are_recorded_stamped_with_the_wall_clock(
     assert (topic, content["text"]) == (EVENT, "second")
     assert stamp_ns - WALL_S * 10**9 == pytest.approx(0.25e9)
     clock.now_s += 3600.0  # the cell's time has run ahead: it is related to real time anew
-    recorder.event("note", "third")
+    Journal(recorder).note("note", "third")
     assert viewer.receive()[1] == WALL_S * 10**9
     recorder.close()
 
