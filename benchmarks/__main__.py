@@ -15,7 +15,6 @@ BENCHMARKS = {
         "identify",
         "loop_lateness",
         "touch",
-        "virtual_time",
     ),
     "recognition": (
         "caution",

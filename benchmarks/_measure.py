@@ -1,12 +1,13 @@
 """Small shared helpers: alternatives that take turns in one run, quantiles, lines of figures."""
 
-import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+
+from recognition.evaluation.metrics import wilson_interval
 
 _Result = TypeVar("_Result")
 
@@ -19,11 +20,11 @@ class Timed:
     cpu_s: float
 
 
-def timed(work: Callable[[], object]) -> Timed:
-    """Do the work once and return what it took."""
+def timed(work: Callable[[], _Result]) -> tuple[_Result, Timed]:
+    """Do the work once; return its result and what it took."""
     cpu_s, wall_s = time.process_time(), time.perf_counter()
-    work()
-    return Timed(wall_s=time.perf_counter() - wall_s, cpu_s=time.process_time() - cpu_s)
+    result = work()
+    return result, Timed(wall_s=time.perf_counter() - wall_s, cpu_s=time.process_time() - cpu_s)
 
 
 def in_turns(cases: Mapping[str, Callable[[], _Result]], rounds: int) -> dict[str, list[_Result]]:
@@ -40,9 +41,13 @@ def in_turns(cases: Mapping[str, Callable[[], _Result]], rounds: int) -> dict[st
     return found
 
 
-def ratio(numerators: Sequence[float], denominators: Sequence[float]) -> float:
-    """Return the median of the ratios of the rounds."""
-    return statistics.median(a / b for a, b in zip(numerators, denominators, strict=True))
+def share(n_hits: int, n: int, *, times: int = 1) -> str:
+    """Return a share in per cent with Wilson's 95 % interval as text.
+
+    Where each trial was made several ``times``, it counts as one for the interval.
+    """
+    low, high = wilson_interval(n_hits // times, n // times)
+    return f"{100 * n_hits / max(1, n):.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 def quantile(values: Sequence[float], share: float) -> float:
@@ -53,6 +58,11 @@ def quantile(values: Sequence[float], share: float) -> float:
 def repeats(full: int, effort: float, *, least: int = 1) -> int:
     """Return how often to do what is done ``full`` times at effort 1."""
     return max(least, round(full * effort))
+
+
+def some(things: Mapping[str, _Result], effort: float, *, least: int = 2) -> dict[str, _Result]:
+    """Return the first of some things: all at effort 1."""
+    return dict(list(things.items())[: repeats(len(things), effort, least=least)])
 
 
 def same(found: bool, what: str) -> None:

@@ -1,6 +1,6 @@
 """The loops whose lateness is compared, each run as a process of its own that prints its figures.
 
-python -m benchmarks.performance._loop_workers ours|plain|plain_idle RATE_HZ DURATION_S
+python -m benchmarks.performance._loop_workers ours|plain RATE_HZ DURATION_S
 """
 
 import json
@@ -9,7 +9,6 @@ import threading
 import time
 from contextlib import nullcontext
 from dataclasses import asdict
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -85,16 +84,10 @@ def ours(rate_hz: float, duration_s: float) -> dict[str, Any]:
         return Action(goals=_GOALS, done=moment.now_s >= end_s)
 
     runner.run(GripperPhase.HOLDING, step, None, needs_force=False)
-    statistics = runner.statistics
-    return {
-        "lateness": asdict(statistics.lateness),
-        "late": statistics.late,
-        "cycles": statistics.cycles,
-        "notes": notes,
-    }
+    return {"statistics": asdict(runner.statistics), "notes": notes}
 
 
-def plain(rate_hz: float, duration_s: float, *, computing: bool = True) -> dict[str, Any]:
+def plain(rate_hz: float, duration_s: float) -> dict[str, Any]:
     """Run a thread that sleeps from one period to the next, beside a main thread that computes."""
     period_s = 1.0 / rate_hz
     histogram = Histogram()
@@ -118,17 +111,12 @@ def plain(rate_hz: float, duration_s: float, *, computing: bool = True) -> dict[
 
     threading.Thread(target=loop).start()
     total = 0
-    while computing and not over.is_set():
+    while not over.is_set():
         total += sum(range(1000))
-    over.wait()
     found = histogram.distribution()
-    return {"lateness": asdict(found), "late": late, "cycles": found.n, "notes": ()}
+    return {"statistics": {"lateness": asdict(found), "late": late, "cycles": found.n}, "notes": ()}
 
 
 if __name__ == "__main__":
-    run = {
-        "ours": ours,
-        "plain": plain,
-        "plain_idle": partial(plain, computing=False),
-    }[sys.argv[1]]
+    run = {"ours": ours, "plain": plain}[sys.argv[1]]
     print(json.dumps(run(float(sys.argv[2]), float(sys.argv[3]))))

@@ -17,7 +17,7 @@ from typing import Any
 from xmlrpc.client import dumps
 
 from benchmarks._measure import line
-from benchmarks.performance.soak import WARM_UP, Sample, grown, look, slopes
+from benchmarks.performance.soak import Sample, look, show_growth
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import CellState
@@ -144,17 +144,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--connects", type=int, default=10_000)
     wanted = parser.parse_args(arguments)
-    bad = []
+    bad: list[str] = []
     with closing(serve()) as service, open_doors(service) as found:
         for name, door in requests(found).items():
             begin_s = time.monotonic()
             samples = list(hammer(service, name, door, wanted.connects))
             line(name, f"{samples[-1].done} connections in {time.monotonic() - begin_s:.1f} s")
-            kept = samples[int(WARM_UP * len(samples)) :]
-            for what, slope in slopes(samples).items():
-                start, end = getattr(kept[0], what), getattr(kept[-1], what)
-                line(f"  {what}", f"{start} to {end}; {slope:+.5f} each, allowed {LIMITS[what]:g}")
-            bad += [f"{name}: {text}" for text in grown(samples, LIMITS)]
+            bad += [f"{name}: {text}" for text in show_growth(samples, LIMITS)]
     if bad:
         sys.exit("; ".join(bad))
 

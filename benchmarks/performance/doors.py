@@ -4,9 +4,8 @@ The question is the state of the cell. The command is a reset, which goes all th
 and is refused there, because it is ready: nothing moves, so that nothing but the way is measured.
 Over Modbus it is one block and the reading of its result. The cell is the simulated one in virtual
 time. Then how late the periods of the force loop begin on pseudo-terminals while parts are gripped
-and let go: with nobody connected, with four clients that ask 200 times a second each, and with five
-pages that show everything 30 times a second, one of which takes nothing. Clients and pages are
-processes of their own.
+and let go: with nobody connected, and with four clients that ask 200 times a second each, processes
+of their own.
 """
 
 import contextlib
@@ -16,13 +15,12 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 from xmlrpc.client import ServerProxy
 
 from benchmarks._measure import in_turns, line, quantile, repeats, same
-from benchmarks.performance.loop_lateness import figures, simulated_cell
+from benchmarks.performance.loop_lateness import figures, running, simulated_cell
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.states import Command
@@ -48,15 +46,6 @@ cell = ServerProxy(sys.argv[1])
 while True:
     cell.state()
     time.sleep(0.005)
-"""
-_PAGE = """
-import sys, time
-from websockets.sync.client import connect
-with connect(sys.argv[1], max_queue=1, open_timeout=60) as link:
-    while sys.argv[2] == "stalled":
-        time.sleep(1.0)
-    for _message in link:
-        pass
 """
 _GRIPS = 4
 """Grips of one run in real time."""
@@ -170,43 +159,27 @@ def measured(
 
 
 @contextlib.contextmanager
-def clients(n_clients: int, n_pages: int, doors: Mapping[str, Any]) -> Iterator[None]:
-    """Run clients that ask without a pause, and pages, the first of which takes nothing."""
-    robot = f"http://127.0.0.1:{doors['xmlrpc_port']}"
-    live = f"ws://127.0.0.1:{doors['http_port']}/api/live?frames=newtons&token={doors['token']}"
-    pages = [(_PAGE, live, "showing" if page else "stalled") for page in range(n_pages)]
-    asking = [
-        subprocess.Popen([sys.executable, "-c", *arguments], stderr=subprocess.DEVNULL)
-        for arguments in [(_CLIENT, robot)] * n_clients + pages
-    ]
-    try:
+def clients(n_clients: int, port: int) -> Iterator[None]:
+    """Run clients that ask without a pause."""
+    program = [sys.executable, "-c", _CLIENT, f"http://127.0.0.1:{port}"]
+    with running([subprocess.Popen(program, stderr=subprocess.DEVNULL) for _ in range(n_clients)]):
         yield
-    finally:
-        for client in asking:
-            client.kill()
-            client.wait()
 
 
-def lateness(n_clients: int, n_pages: int) -> dict[str, Any]:
-    """Grip on pseudo-terminals with so many clients and pages; return the loop's figures."""
+def lateness(n_clients: int) -> str:
+    """Grip on pseudo-terminals with so many clients; return the loop's figures."""
     with simulated_cell() as hello:
         service = open_service(changed_config(load_config(Path(hello["config"])), _DOORS))
         with contextlib.closing(service), open_doors(service) as doors:
             lease = service.lease.acquire("benchmark")
             grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
-            with clients(n_clients, n_pages, doors):
+            with clients(n_clients, doors["xmlrpc_port"]):
                 for _ in range(_GRIPS):
                     wait_for(service, service.start(lease, grip))
                     release = service.command(lease, Command.RELEASE, key=RELEASE_KEY)
                     wait_for(service, release)
             hand = service._plugin._cell.controller.hand  # noqa: SLF001  its figures are no door's
-            loop = hand.statistics.loop
-            names = ("p50_s", "p99_s", "p999_s", "max_s")
-            return {
-                "lateness": {name: getattr(loop.lateness, name) for name in names},
-                "late": loop.late,
-                "cycles": loop.cycles,
-            }
+            return figures(hand.statistics.loop)
 
 
 def wait_for(service: Service, number: int) -> None:
@@ -221,11 +194,8 @@ def main(effort: float = 1.0) -> None:
     compare(repeats(5, effort), repeats(_CALLS, effort, least=20))
     if effort < 1.0:
         return  # real time is for a machine that does nothing else
-    for n_clients, n_pages in ((0, 0), (4, 0), (0, 5)):
-        line(
-            f"force loop, {n_clients} clients, {n_pages} pages",
-            figures(lateness(n_clients, n_pages)),
-        )
+    for n_clients in (0, 4):
+        line(f"force loop, {n_clients} clients", lateness(n_clients))
 
 
 if __name__ == "__main__":

@@ -96,11 +96,9 @@ def main(effort: float = 1.0) -> None:
     """Measure and print."""
     seconds = repeats(round(SECONDS), effort)
     line("compared", f"messages and frames of one unit for {seconds} s, either first")
-    worst_s: dict[bool, float] = {}
     for period_ms in PERIODS_MS:
         for frames_first in (False, True) if period_ms else (False,):
             load, left_out, waits_s = measure(period_ms, frames_first=frames_first, seconds=seconds)
-            worst_s[frames_first] = max(waits_s, default=0.0)
             what = f"{1e3 / period_ms:.0f} a second" if period_ms else "none"
             order = ", frames first" if frames_first else ", forces first" if period_ms else ""
             waited = (
@@ -110,10 +108,6 @@ def main(effort: float = 1.0) -> None:
                 else ""
             )
             line(f"  {what}{order}", f"bus load {100 * load:.1f} %{waited}")
-    line(
-        "  ratio",
-        f"worst wait, frames first over forces first: {worst_s[True] / worst_s[False]:.0f}",
-    )
 
 
 if __name__ == "__main__":

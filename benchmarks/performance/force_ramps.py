@@ -154,12 +154,6 @@ def met(quality: Quality, final_n: float) -> tuple[bool, bool, bool]:
     )
 
 
-def _cell(quality: Quality) -> str:
-    if quality.lost:
-        return f"{'part lost':^17}"
-    return f"{quality.overshoot_n:5.2f} {quality.settling_s:5.2f} {quality.holding_n:5.2f}"
-
-
 def _counts(found: Mapping[Case, Quality]) -> tuple[int, int, int]:
     """Return how many ramps meet the aims of overshoot, settling and holding."""
     marks = [met(quality, case.final_n) for case, quality in found.items()]
@@ -176,47 +170,21 @@ def main(effort: float = 1.0, *, page: bool = False) -> None:
     n_truths = repeats(len(TRUTHS), effort)
     cases = CASES[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else CASES
     line("compared", f"{len(cases)} ramps x {n_truths} truths x {len(SETUPS)} laws and plants")
-    line("", "overshoot in N, settling in s, holding error in N; the worst of each")
-    line("", f"{'':<14} " + " ".join(f"{name:^17}" for name in ("messages", "further truths")))
     found: dict[str, dict[Case, Quality]] = {name: {} for name in SETUPS}
     for case in cases:
         turns = {name: partial(run, setup, case, n_truths) for name, setup in SETUPS.items()}
         for name, (quality,) in in_turns(turns, 1).items():
             found[name][case] = quality
-        line(
-            case.part,
-            f"{case.final_n:2.0f} N {case.rate_n_s:3.0f} N/s  "
-            + "  ".join(
-                f"{_cell(found[name][case])} {_missed(case, found[name][case]):3}"
-                for name in (OWN, OWN_TRUTHS)
-            ),
-        )
-    for name, qualities in found.items():
-        line("", f"{name}: {_summary(qualities)}")
-    own_n = _mean_n(found[OWN])
-    others = ("force loop, frames", "plain PI, messages", "plain PI, frames", "feed-forward")
-    line(
-        "  ratio",
-        f"mean holding error {own_n:.2f} N with messages, "
-        + ", ".join(f"{name} {_mean_n(found[name]) / own_n:.1f} times" for name in others),
-    )
+    lines = tables(found)
+    print("\n".join(lines), flush=True)
     if page:
-        write_page(found)
+        write_page(lines)
 
 
 def _missed(case: Case, quality: Quality) -> str:
     """Return the initials of the aims that are missed: overshoot, settling, hold."""
     marks = zip("OSH", met(quality, case.final_n), strict=True)
     return "".join(mark for mark, ok in marks if not ok)
-
-
-def _summary(qualities: Mapping[Case, Quality]) -> str:
-    overshoot, settling, holding = _counts(qualities)
-    return (
-        f"of {len(qualities)} ramps overshoot met in {overshoot}, settling in {settling}, holding "
-        f"in {holding}; mean holding error {_mean_n(qualities):.2f} N, part lost in "
-        f"{_lost(qualities)}"
-    )
 
 
 def _lost(qualities: Mapping[Case, Quality]) -> int:
@@ -234,11 +202,10 @@ def row(case: Case, plain: Quality, further: Quality) -> str:
     return f"| {case.part} | {case.final_n:g} N | {case.rate_n_s:g} N/s | {figures} |"
 
 
-def write_page(found: Mapping[str, Mapping[Case, Quality]]) -> None:
-    """Write the figures of all laws between the marks of the page."""
+def tables(found: Mapping[str, Mapping[Case, Quality]]) -> list[str]:
+    """Return the figures of all laws as the lines of the page."""
     own, further = found[OWN], found[OWN_TRUTHS]
-    lines = [
-        BEGIN,
+    return [
         "| part | to | rate | overshoot (N) | settling (s) | hold (N) | missed "
         "| with further truths: overshoot | settling | hold | missed |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
@@ -254,11 +221,14 @@ def write_page(found: Mapping[str, Mapping[Case, Quality]]) -> None:
             f"| {_lost(qualities)} |"
             for name, qualities in found.items()
         ),
-        END,
     ]
+
+
+def write_page(lines: Sequence[str]) -> None:
+    """Write lines between the marks of the page."""
     before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     after = rest.partition(END)[2]
-    PAGE.write_text(before + "\n".join(lines) + after, encoding="utf-8")
+    PAGE.write_text(before + "\n".join([BEGIN, *lines, END]) + after, encoding="utf-8")
     line("  written", str(PAGE))
 
 

@@ -2,10 +2,10 @@
 
 Ours on a null bus: the gripper's loop in a process of its own, as the product sets it up, with
 servos that answer at once. Plain: a thread that sleeps from deadline to deadline, in an interpreter
-whose main thread computes (so does a program that classifies), and in one that does nothing else.
-In turns, on the machine as it is and with as many busy processes as there are processors. Then the
-whole path: our process on pseudo-terminals against the simulated cell in a process of its own,
-which gets real-time priority where the system grants it (real servos wait for no processor).
+whose main thread computes, as a program that classifies does. In turns, on the machine as it is and
+with as many busy processes as there are processors. Then the whole path: our process on
+pseudo-terminals against the simulated cell in a process of its own, which gets real-time priority
+where the system grants it (real servos wait for no processor).
 
 Late is a period that begins more than half a period late.
 """
@@ -13,7 +13,6 @@ Late is a period that begins more than half a period late.
 import contextlib
 import json
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from benchmarks._measure import in_turns, line, repeats
@@ -31,6 +31,7 @@ from cell.errors import CellError
 from cell.hand.client import HandProcess
 from gripper.errors import GripperError
 from gripper.force.ramp import ForceRamp
+from gripper.force.timing import Distribution, LoopStatistics
 from tactile.errors import TactileError
 
 _RATES_HZ = (200, 500)
@@ -38,93 +39,71 @@ _PROGRAM = (sys.executable, "-c", "from cell.interfaces.cli import main; main()"
 
 
 @contextlib.contextmanager
-def busy(n_processes: int) -> Iterator[None]:
-    """Keep processors busy with other programs of ordinary priority."""
-    burners = [
-        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(n_processes)
-    ]
+def running(programs: Sequence[subprocess.Popen[Any]]) -> Iterator[None]:
+    """End other programs with the block."""
     try:
         yield
     finally:
-        for burner in burners:
-            burner.kill()
-            burner.wait()
+        for program in programs:
+            program.kill()
+            program.wait()
 
 
-def worker(kind: str, rate_hz: float, duration_s: float) -> dict[str, Any]:
-    """Run one loop in a process of its own and return its figures."""
+def busy(n_processes: int) -> contextlib.AbstractContextManager[None]:
+    """Keep processors busy with other programs of ordinary priority."""
+    burner = [sys.executable, "-c", "while True: pass"]
+    return running([subprocess.Popen(burner) for _ in range(n_processes)])
+
+
+def worker(kind: str, rate_hz: float, duration_s: float) -> tuple[LoopStatistics, list[str]]:
+    """Run one loop in a process of its own; return its figures, and what was refused to it."""
+    program = [sys.executable, "-m", "benchmarks.performance._loop_workers"]
     done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "benchmarks.performance._loop_workers",
-            kind,
-            str(rate_hz),
-            str(duration_s),
-        ],
+        [*program, kind, str(rate_hz), str(duration_s)],
         stdout=subprocess.PIPE,
         check=True,
         text=True,
     )
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    found = json.loads(done.stdout)
+    plain = found["statistics"]
+    lateness = Distribution(**plain["lateness"])
+    loop = LoopStatistics(cycles=plain["cycles"], late=plain["late"], lateness=lateness)
+    return loop, found["notes"]
 
 
-def figures(found: dict[str, Any]) -> str:
-    late = found["lateness"]
+def figures(loop: LoopStatistics) -> str:
+    late = loop.lateness
     return (
-        f"p50 {1e3 * late['p50_s']:.3f}, p99 {1e3 * late['p99_s']:.3f}, "
-        f"p99.9 {1e3 * late['p999_s']:.3f}, max {1e3 * late['max_s']:.3f} ms; "
-        f"{found['late']} of {found['cycles']} late"
+        f"p50 {1e3 * late.p50_s:.3f}, p99 {1e3 * late.p99_s:.3f}, "
+        f"p99.9 {1e3 * late.p999_s:.3f}, max {1e3 * late.max_s:.3f} ms; "
+        f"{loop.late} of {loop.cycles} late"
     )
 
 
-def middle(runs: list[dict[str, Any]]) -> dict[str, Any]:
+def middle(runs: Sequence[LoopStatistics]) -> LoopStatistics:
     """Return medians over the rounds, sums of what was counted, the largest maximum."""
-    lateness = {
-        key: statistics.median(run["lateness"][key] for run in runs)
-        for key in ("p50_s", "p99_s", "p999_s")
-    }
-    lateness["max_s"] = max(run["lateness"]["max_s"] for run in runs)
-    return {
-        "lateness": lateness,
-        "late": sum(run["late"] for run in runs),
-        "cycles": sum(run["cycles"] for run in runs),
-    }
+    late = [run.lateness for run in runs]
+    return LoopStatistics(
+        cycles=sum(run.cycles for run in runs),
+        late=sum(run.late for run in runs),
+        lateness=Distribution(
+            p50_s=median(one.p50_s for one in late),
+            p99_s=median(one.p99_s for one in late),
+            p999_s=median(one.p999_s for one in late),
+            max_s=max(one.max_s for one in late),
+        ),
+    )
 
 
-def compare(rates_hz: Sequence[int], duration_s: float, rounds: int) -> tuple[str, ...]:
+def compare(rates_hz: Sequence[int], duration_s: float, rounds: int) -> list[str]:
     """Print both loops on one machine as it is now; return what was refused to ours."""
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     for rate_hz in rates_hz:
-        runs = in_turns(
-            {
-                name: partial(worker, kind, rate_hz, duration_s)
-                for name, kind in (
-                    ("ours, null bus", "ours"),
-                    ("plain thread", "plain"),
-                    ("plain, nothing beside", "plain_idle"),
-                )
-            },
-            rounds,
-        )
-        for name, found in runs.items():
-            line(f"  {name}, {rate_hz} Hz", figures(middle(found)))
-        ours = runs.pop("ours, null bus")
-        for name, others in runs.items():
-            p50, p99, p999 = (
-                statistics.median(
-                    b["lateness"][key] / a["lateness"][key]
-                    for a, b in zip(ours, others, strict=True)
-                )
-                for key in ("p50_s", "p99_s", "p999_s")
-            )
-            line(
-                f"  ratio, {rate_hz} Hz",
-                f"{name} is {p50:.1f} times as late as ours at p50, {p99:.1f} times at p99, "
-                f"{p999:.1f} times at p99.9",
-            )
-        notes = tuple(ours[0]["notes"])
+        kinds = {"ours, null bus": "ours", "plain thread": "plain"}
+        cases = {name: partial(worker, kind, rate_hz, duration_s) for name, kind in kinds.items()}
+        for name, found in in_turns(cases, rounds).items():
+            line(f"  {name}, {rate_hz} Hz", figures(middle([loop for loop, _ in found])))
+            notes = notes or found[0][1]
     return notes
 
 
@@ -169,11 +148,9 @@ def whole_path(rate_hz: int, hold_s: float) -> str:
             hand.close()
             placer.close()
         loop = hand.statistics.loop
-        late, read = loop.lateness, loop.transaction
+        read = loop.transaction
         return (
-            f"p50 {1e3 * late.p50_s:.3f}, p99 {1e3 * late.p99_s:.3f}, "
-            f"p99.9 {1e3 * late.p999_s:.3f}, max {1e3 * late.max_s:.3f} ms; {loop.late} of "
-            f"{loop.cycles} late, {loop.overruns} overruns; servos read in p50 "
+            f"{figures(loop)}, {loop.overruns} overruns; servos read in p50 "
             f"{1e3 * read.p50_s:.2f}, p99 {1e3 * read.p99_s:.2f} ms; force at most "
             f"{1e3 * loop.sensor_age.max_s:.0f} ms old"
         )

@@ -24,7 +24,7 @@ from websockets.sync.client import connect
 
 from benchmarks._measure import line
 from benchmarks.performance.connects import settle
-from benchmarks.performance.soak import WARM_UP, Sample, grown, look, slopes
+from benchmarks.performance.soak import Sample, look, show_growth
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.interfaces.service.service import Service
@@ -126,12 +126,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     line("shift", f"{wanted.hours:g} h, {samples[-1].done} parts, in {took_s / 60:.1f} min")
     line("  sorted", f"{ledger['counts']}, {ledger['missed']} missed, {ledger['faults']} faults")
     line("  messages to the clients", ", ".join(map(str, messages)))
-    kept = samples[int(WARM_UP * len(samples)) :]
-    for name, slope in slopes(samples).items():
-        start, end = getattr(kept[0], name), getattr(kept[-1], name)
-        line(f"  {name}", f"{start} to {end}; {slope:+.4f} a part, allowed {LIMITS[name]:g}")
-    if found := grown(samples, LIMITS):
-        sys.exit("; ".join(found))
+    if bad := show_growth(samples, LIMITS):
+        sys.exit("; ".join(bad))
 
 
 if __name__ == "__main__":

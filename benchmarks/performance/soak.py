@@ -184,27 +184,26 @@ def grown(samples: Sequence[Sample], limits: Mapping[str, float] = LIMITS) -> li
     ]
 
 
-def _print_row(sample: Sample) -> None:
-    print(
-        f"{sample.done:>8} {sample.virtual_s / 3600:>9.2f} {sample.rss_kib / 1024:>9.1f} "
-        f"{sample.objects:>9} {sample.descriptors:>6} {sample.threads:>8}",
-        flush=True,
-    )
-
-
-def _print_table(samples: Sequence[Sample], wall_s: float) -> None:
-    last = samples[-1]
-    line("soak", f"{last.done} grasps, {last.virtual_s / 3600:.1f} h of the cell")
-    line("  took", f"{wall_s / 60:.1f} min, {1e3 * wall_s / last.done:.0f} ms a grasp")
+def show_growth(samples: Sequence[Sample], limits: Mapping[str, float] = LIMITS) -> list[str]:
+    """Print what grew after the warm-up; return what grows faster than its limit."""
     kept = samples[int(WARM_UP * len(samples)) :]
     for name, slope in slopes(samples).items():
         start, end = getattr(kept[0], name), getattr(kept[-1], name)
         highest = max(getattr(sample, name) for sample in kept)
         line(
             f"  {name}",
-            f"{start} after {kept[0].done} grasps, {end} at the end, {highest} at most; "
-            f"{slope:+.5f} a grasp, allowed {LIMITS[name]:g}",
+            f"{start} after {kept[0].done}, {end} at the end, {highest} at most; {slope:+.5f} "
+            f"each, allowed {limits[name]:g}",
         )
+    return grown(samples, limits)
+
+
+def _print_row(sample: Sample) -> None:
+    print(
+        f"{sample.done:>8} {sample.virtual_s / 3600:>9.2f} {sample.rss_kib / 1024:>9.1f} "
+        f"{sample.objects:>9} {sample.descriptors:>6} {sample.threads:>8}",
+        flush=True,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -228,11 +227,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if report is not None:
         report.close()
     _print_row(samples[-1])
-    _print_table(samples, time.monotonic() - start_s)
+    last, wall_s = samples[-1], time.monotonic() - start_s
+    line("soak", f"{last.done} grasps, {last.virtual_s / 3600:.1f} h of the cell")
+    line("  took", f"{wall_s / 60:.1f} min, {1e3 * wall_s / last.done:.0f} ms a grasp")
     if len(threading.enumerate()) != 1:
         sys.exit(f"threads are left: {threading.enumerate()}")
-    if found := grown(samples):
-        sys.exit("; ".join(found))
+    if bad := show_growth(samples):
+        sys.exit("; ".join(bad))
 
 
 if __name__ == "__main__":

@@ -357,11 +357,8 @@ def main(effort: float = 1.0, *, only: str = "", first_seed: int = _FIRST_SEED) 
     for name in rows(IMPACTS):
         line(name, "   ".join(f"{_impacts(c):^18}" for c in cells(IMPACTS[name], n).values()))
     line("", "ms until it is noticed: median and worst")
-    medians: dict[str, float] = {}
     for name in rows(TIMES):
-        found = cells(TIMES[name], n)
-        line(name, "   ".join(f"{_times(found_s):^18}" for found_s in found.values()))
-        medians = medians or {sensor: median(found_s) for sensor, found_s in found.items()}
+        line(name, "   ".join(f"{_times(c):^18}" for c in cells(TIMES[name], n).values()))
     line("", "wrong reports")
     for name in rows(QUIET):
         reports = cells(QUIET[name], n_quiet * (3 if QUIET[name] is random_ramp else 1))
@@ -369,12 +366,6 @@ def main(effort: float = 1.0, *, only: str = "", first_seed: int = _FIRST_SEED) 
         for sensor, texts in reports.items():
             for text in filter(None, texts):
                 line("", f"{sensor}: {text[:150]}")
-    if medians:
-        line(
-            "  ratio",
-            f"{next(iter(rows(TIMES)))}: noticed {medians['frames'] / medians['333 Hz']:.1f} times "
-            f"as soon with messages of 333 Hz as with frames",
-        )
 
 
 if __name__ == "__main__":

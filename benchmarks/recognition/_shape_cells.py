@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks._measure import line
+from benchmarks.recognition._answers import shape_figures
 from cell.config.model import CellConfig
 from cell.jobs.teach_from_drawing import teach_drawing
 from cell.learning.pad_knowledge import PadKnowledge, usual_foam
@@ -91,25 +92,14 @@ def fused(objects: Mapping[str, tuple[str, float, str]], n_cells: int) -> None:
         f"{len(objects)} objects",
     )
     for n in GRASPS:
-        line(f"  {n} grasps" if n > 1 else "  1 grasp", _row(plain, n))
+        told = [(one.kind, one.sizes_mm[0], fuse_shapes(one.answers[:n])) for one in plain]
+        several = sum(len(answer.thicknesses) > 1 for _, _, answer in told)
+        line(
+            f"  {n} grasps" if n > 1 else "  1 grasp",
+            f"{shape_figures(told)}, a second thickness by mistake {several}",
+        )
     for n in GRASPS[1:]:
         line(f"  bar 10 x 15.9, {n} grasps", _bar_row(bars, n))
-
-
-def _row(told: Sequence[CellSequence], n: int) -> str:
-    answers = [fuse_shapes(one.answers[:n]) for one in told]
-    sizes_mm = np.array([one.sizes_mm[0] for one in told])
-    found_mm = np.array([1e3 * a.size_m for a in answers])
-    held = sum(_holds(a, size) for a, size in zip(answers, sizes_mm, strict=True))
-    right = sum(a.kind == one.kind for a, one in zip(answers, told, strict=True))
-    widths = [1e3 * (a.high_m - a.low_m) for a in answers]
-    several = sum(len(a.thicknesses) > 1 for a in answers)
-    total = len(answers)
-    return (
-        f"type right {100 * right / total:.1f} % of {total}, 90 % interval held "
-        f"{100 * held / total:.1f} %, {np.median(widths):.2f} mm wide, mean error "
-        f"{np.abs(found_mm - sizes_mm).mean():.2f} mm, a second thickness by mistake {several}"
-    )
 
 
 def _bar_row(told: Sequence[CellSequence], n: int) -> str:
@@ -125,7 +115,3 @@ def _bar_row(told: Sequence[CellSequence], n: int) -> str:
         f"both sides met in {both} of {len(told)} sequences and told in {shown}; interval held "
         f"{held} of {total} thicknesses"
     )
-
-
-def _holds(answer: ShapeAnswer, size_mm: float) -> bool:
-    return any(t.low_m <= 1e-3 * size_mm <= t.high_m for t in answer.thicknesses)

@@ -14,24 +14,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks._measure import line, repeats
+from benchmarks._measure import line, repeats, some
+from benchmarks.recognition._answers import Answer, figures
 from benchmarks.recognition._cell_grasps import cell_grasps
-from benchmarks.recognition._grasps import recorded, simulated
+from benchmarks.recognition._grasps import PAPER, recorded, simulated
+from benchmarks.recognition.drift import DRIFT
 from benchmarks.recognition.sequences import ended
-from recognition.drift.drift import Drift
 from recognition.evaluation.splits import a_day_later, chronological_split
 from recognition.grasp import Grasp, by_label
-from recognition.recognizer import UNKNOWN
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 from recognition.statistics.fusion import StopRule
 
 CAUTIONS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Factors on the likelihood of a new object."""
-_DRIFT = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
 _GROUPS = 6
 TAUGHT = (3, 5, 8, 12)
 """Grasps of each object where a few objects are taught alone."""
-SIMULATED = {name: name for name in ("ball", "box", "cylinder", "dumbbell", "oval")} | {
+SIMULATED = {name: name for name in sorted(PAPER)} | {
     "small ball": "sphere:diameter=8mm",
     "large ball": "sphere:diameter=13mm",
     "rod": "cylinder:diameter=7.5mm,length=20mm",
@@ -41,12 +40,9 @@ SIMULATED = {name: name for name in ("ball", "box", "cylinder", "dumbbell", "ova
 """Objects of the simulated cell; some differ by a millimetre."""
 _MAX_GRASPS = StopRule().max_grasps
 
-Answer = tuple[bool, str, str]
-"""Whether the object was new, its label, and the answer."""
-
 
 def show_few(
-    name: str, train: Sequence[Grasp], test: Sequence[Grasp], n_objects: int, n_taught: int
+    name_of_data: str, train: Sequence[Grasp], test: Sequence[Grasp], n_objects: int, n_taught: int
 ) -> None:
     """Print the answers where random groups are taught alone; as many other objects are new."""
     taught, tested = by_label(train), by_label(test)
@@ -59,41 +55,20 @@ def show_few(
             [grasp for label in group[:n_objects] for grasp in taught[label][:n_taught]]
         )
         for label in group:
-            new = label not in recognizer.labels
             posteriors = [recognizer.posterior(grasp) for grasp in tested[label]]
-            single += [(new, label, one.name) for one in posteriors]
+            single += [Answer.of(label, one) for one in posteriors]
             for begin in range(0, len(posteriors), _MAX_GRASPS):
                 row = posteriors[begin : begin + _MAX_GRASPS]
-                answer, _ = ended(row, StopRule(max_grasps=len(row)))
-                several.append((new, label, answer.label))
-    line(
-        f"  {name}, {n_objects} objects, {n_taught} grasps",
-        f"{_shares(single)}; in sequences {_shares(several)}",
-    )
-
-
-def _shares(given: Sequence[Answer]) -> str:
-    """Return the shares of UNKNOWN and wrong answers as text."""
-    known = [(truth, answer) for new, truth, answer in given if not new]
-    unknown = sum(answer == UNKNOWN for _, answer in known)
-    wrong = sum(answer not in (truth, UNKNOWN) for truth, answer in known)
-    return (
-        f"taught: {100 * unknown / len(known):.1f} % UNKNOWN, "
-        f"{100 * wrong / len(known):.1f} % named wrongly; "
-        f"new: {100 - 100 * _named(given):.1f} % UNKNOWN"
-    )
-
-
-def _named(given: Sequence[Answer]) -> float:
-    """Return the share of new objects that were named."""
-    new = [answer for is_new, _, answer in given if is_new]
-    return sum(answer != UNKNOWN for answer in new) / len(new)
+                name = ended(row, StopRule(max_grasps=len(row)))[0].label
+                several.append(Answer(label, label in recognizer.labels, name, name))
+    line(f"  {name_of_data}, {n_objects} objects, {n_taught} grasps", figures(single))
+    line("    in sequences", figures(several))
 
 
 def show_teachings(grasps: Sequence[Grasp] | None, effort: float) -> None:
     """Print what few taught grasps of few objects give."""
     counts = TAUGHT[: repeats(len(TAUGHT), effort)]
-    objects = dict(list(SIMULATED.items())[: repeats(len(SIMULATED), effort, least=4)])
+    objects = some(SIMULATED, effort, least=4)
     n_tested = repeats(15, effort, least=2)
     made = by_label(cell_grasps(objects, counts[-1] + n_tested, seed=11))
     train, test = (
@@ -111,13 +86,11 @@ def show_teachings(grasps: Sequence[Grasp] | None, effort: float) -> None:
 
 def main(effort: float = 1.0) -> None:
     real = recorded()
-    grasps = real
-    if grasps is None:
-        grasps = simulated(5, repeats(20, effort, least=10))
+    grasps = real or simulated(5, repeats(20, effort, least=10))
     train, test = chronological_split(grasps, 0.6)
     days = {
         "minutes later": test,
-        "next day, drifted": tuple(a_day_later(_DRIFT.apply(grasp)) for grasp in test),
+        "next day, drifted": tuple(a_day_later(DRIFT.apply(grasp)) for grasp in test),
     }
     labels = sorted({grasp.label for grasp in grasps})
     groups = [set(labels[i::_GROUPS]) for i in range(min(_GROUPS, len(labels)))]
@@ -128,13 +101,11 @@ def main(effort: float = 1.0) -> None:
             for grasp in tested:
                 evidence = taught.evidence(grasp)
                 for caution in CAUTIONS:
-                    name = replace(taught, caution=caution).answer(grasp, evidence).name
-                    answers[day, caution].append((grasp.label in out, grasp.label, name))
+                    posterior = replace(taught, caution=caution).answer(grasp, evidence)
+                    answers[day, caution].append(Answer.of(grasp.label, posterior))
     line("compared", f"{len(labels)} objects, {len(test)} grasps tested for each group left out")
     for (day, caution), given in answers.items():
-        line(f"  {day}, {caution:g}", _shares(given))
-    least, most = (max(_named(answers["minutes later", c]), 1e-3) for c in CAUTIONS[::-4])
-    line("  ratio", f"{most / least:.1f} times as many new objects named at the least caution")
+        line(f"  {day}, {caution:g}", figures(given))
     show_teachings(real, effort)
 
 

@@ -11,18 +11,14 @@ slow ramps names fast ones.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
-from benchmarks._measure import line, repeats
+from benchmarks._measure import line, repeats, some
+from benchmarks.recognition._answers import asked, figures, followed, gauged
 from benchmarks.recognition._cell_grasps import cell_grasps
-from recognition.evaluation.metrics import wilson_interval
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp
-from recognition.recognizer import UNKNOWN, Recognizer
-from recognition.recognizers import make_trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
@@ -61,74 +57,33 @@ OTHER = {
     ),
 }
 """Settings of the other cell; 10 counts of a servo are 0.9 mm of half opening."""
-_GAUGE_GRASPS = 3
 _ZEROED = {"self_zero": "always"}
 RATES_N_S = {5.0: 0.3, 20.0: 0.1, 40.0: 0.05}
 """Rates of the ramps in N/s, and how long each is held in s."""
 
 
-def names(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[tuple[str, str]]:
-    """Return the likeliest label of each grasp, and the name that one grasp gives it."""
-    posteriors = map(recognizer.posterior, grasps)
-    return [(posterior.best, posterior.name) for posterior in posteriors]
-
-
-def figures(answers: Sequence[tuple[str, str]], grasps: Sequence[Grasp]) -> str:
-    """Return shares of grasps of taught objects as text."""
-    n = len(grasps)
-    likeliest = sum(best == g.label for (best, _), g in zip(answers, grasps, strict=True))
-    right = sum(named == g.label for (_, named), g in zip(answers, grasps, strict=True))
-    unknown = sum(named == UNKNOWN for _, named in answers)
-    low, high = wilson_interval(right, n)
-    return (
-        f"likeliest right {100 * likeliest / n:.1f} %, named right {100 * right / n:.1f} % "
-        f"({100 * low:.1f}-{100 * high:.1f}), wrong {100 * (n - right - unknown) / n:.1f} % of {n}"
-    )
-
-
 def main(effort: float = 1.0) -> None:
     n = repeats(20, effort, least=4)
-    taught_objects = dict(list(TAUGHT.items())[: repeats(len(TAUGHT), effort, least=2)])
-    new_objects = dict(list(NEVER_TAUGHT.items())[: repeats(len(NEVER_TAUGHT), effort, least=1)])
+    taught_objects, new_objects = some(TAUGHT, effort), some(NEVER_TAUGHT, effort, least=1)
     train = cell_grasps(taught_objects, n, seed=51, changes=_ZEROED)
     same = cell_grasps(taught_objects, n, seed=52, changes=_ZEROED)
     there = cell_grasps(taught_objects | new_objects, n, seed=53, changes=_ZEROED, **OTHER)
-    there = [a_day_later(grasp) for grasp in there]
-    zeroed = [grasp for grasp in there if grasp.label in taught_objects]
-    zeroed_new = [grasp for grasp in there if grasp.label in new_objects]
-    test, new = ([replace(grasp, zero=None) for grasp in part] for part in (zeroed, zeroed_new))
+    zeroed = [a_day_later(grasp) for grasp in there]
+    untold = [replace(grasp, zero=None) for grasp in zeroed]
+    test, new = ([g for g in untold if (g.label in TAUGHT) is known] for known in (True, False))
     taught = ForceRampTrainer().fit(train)
-    plain = make_trainer("shrinkage_lda").fit(train)
     line("compared", f"{len(taught_objects)} objects, {n} grasps each; {len(new)} grasps of others")
-    line("  same cell", figures(names(taught, same), same))
-    untold = names(taught, test)
-    line("  other cell, untold", figures(untold, test))
-    line("", _called_unknown(taught, new))
-    line("  other cell, zeroed by itself", figures(names(taught, zeroed), zeroed))
-    line("", _called_unknown(taught, zeroed_new))
-    day = taught
-    answered = []
-    for number in np.random.default_rng(0).permutation(len(test)).tolist():
-        answered += zip(names(day, [test[number]]), [test[number]], strict=True)
-        day = day.follow(test[number])
-    line("  followed", figures([one for one, _ in answered], [grasp for _, grasp in answered]))
-    line("", _called_unknown(day, new))
-    gauged: list[tuple[str, str]] = []
-    truth: list[Grasp] = []
+    line("  same cell", figures(asked(taught, same)))
+    line("  other cell, untold", figures(asked(taught, untold)))
+    line("  other cell, zeroed by itself", figures(asked(taught, zeroed)))
+    answers, day = followed(taught, test, 0)
+    line("  followed", figures(answers + asked(day, new)))
+    every = []
     for label in taught_objects:
-        taken = [grasp for grasp in test if grasp.label == label][:_GAUGE_GRASPS]
-        rest = [grasp for grasp in test if not any(grasp is one for one in taken)]
-        with_gauge = taught.gauge(label, taken)
-        answers = names(with_gauge, rest)
-        gauged += answers
-        truth += rest
-        line(f"  gauged by {label}", figures(answers, rest))
-        line("", _called_unknown(with_gauge, new))
-    line("  gauged, all together", figures(gauged, truth))
-    ours = sum(best != g.label for (best, _), g in zip(untold, test, strict=True))
-    theirs = sum(plain.posterior(g).best != g.label for g in test)
-    ratio = max(theirs, 0.5) / max(ours, 0.5)
-    line("  ratio", f"shrinkage_lda errs {ratio:.1f} times as often untold")
+        answers = gauged(taught, untold, [label])
+        every += [one for one in answers if one.taught]
+        line(f"  gauged by {label}", figures(answers))
+    line("  gauged, all together", figures(every))
     rates(taught_objects, n)
 
 
@@ -145,12 +100,7 @@ def rates(objects: Mapping[str, str], n_grasps: int) -> None:
         recognizer = ForceRampTrainer().fit(grasps(taught_n_s, 51))
         for used_n_s, used in tested.items():
             what = f"  taught {taught_n_s:g}, used {used_n_s:g} N/s"
-            line(what, figures(names(recognizer, used), used))
-
-
-def _called_unknown(recognizer: Recognizer, new: Sequence[Grasp]) -> str:
-    found = sum(named == UNKNOWN for _, named in names(recognizer, new))
-    return f"{100 * found / len(new):.1f} % of the grasps of new objects called UNKNOWN"
+            line(what, figures(asked(recognizer, used)))
 
 
 if __name__ == "__main__":

@@ -7,27 +7,25 @@ recorded grasps in TACTILE_CELL_DATA, real objects are measured too, with the go
 ping-pong ball as the gauge.
 """
 
-import os
-import statistics
-import time
-from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
-from benchmarks._measure import line, repeats
+from benchmarks._measure import line, quantile, repeats, timed
+from benchmarks.recognition._answers import Told, shape_figures
 from benchmarks.recognition._cell_grasps import cell_grasps, with_aperture_noise
+from benchmarks.recognition._grasps import LEFT_OUT, recorded
 from benchmarks.recognition._shape_cells import fused
-from cell.data.dataset import read_dataset
 from cell.learning.pad_knowledge import calibrate_on_gauge
 from cell.simulation import drawn_shape
 from recognition.errors import ContactError
 from recognition.evaluation.splits import chronological_split
 from recognition.grasp import Grasp, by_label
 from recognition.ramp.ramp import learn_rest
-from recognition.shape.answer import UNCLEAR, ShapeAnswer, shape_of
+from recognition.shape.answer import ShapeAnswer, shape_of
 from recognition.shape.foam import FoamModel
 
 OBJECTS = {
@@ -52,68 +50,40 @@ OBJECTS = {
 REAL_MM = {"golf_ball": 42.7, "ping-pong_ball": 40.0, "tennis_ball": 67.0}
 """Diameters in mm that rules of sport prescribe."""
 _N_GAUGE = 10
-_RECORDED = "pinch36.npz"
 _KINDS = {"sphere": "sphere", "cylinder": "cylinder", "box": "flat"}
 
 
 def measured(
     title: str, kind: str, size_mm: float | None, answers: Sequence[ShapeAnswer]
-) -> tuple[int, int]:
-    """Print one line; return how often the interval held the size, and the type was right."""
-    sizes = np.array([1e3 * a.size_m for a in answers])
-    widths = [1e3 * (a.high_m - a.low_m) for a in answers]
-    right = sum(a.kind == kind for a in answers)
-    unclear = sum(a.kind == UNCLEAR for a in answers)
-    text = f"measured {np.median(sizes):5.1f} mm, interval {np.median(widths):.2f} mm wide, "
-    held = 0
-    if size_mm is not None:
-        held = sum(1e3 * a.low_m <= size_mm <= 1e3 * a.high_m for a in answers)
-        text = f"true {size_mm:5.1f}, {text}mean error {np.abs(sizes - size_mm).mean():.2f} mm, "
-        text += f"held {held} of {len(answers)}, "
-    said = ", ".join(f"{n} {k}" for k, n in Counter(a.likeliest for a in answers).most_common())
-    misfit = statistics.median(a.misfit for a in answers)
-    line(
-        f"  {title}",
-        f"{text}{kind} {right} of {len(answers)}, unclear {unclear}, misfit {misfit:.1f} ({said})",
-    )
-    return held, right
+) -> list[Told]:
+    """Print one line about an object; return its answers beside the truth."""
+    told = [(kind, size_mm, answer) for answer in answers]
+    true = "" if size_mm is None else f"true {size_mm:5.1f}, "
+    middle_mm = np.median([1e3 * answer.size_m for answer in answers])
+    line(f"  {title}", f"{kind}, {true}measured {middle_mm:5.1f} mm; {shape_figures(told)}")
+    return told
 
 
 def simulated(labels: Sequence[str], n_grasps: int) -> None:
     """Measure simulated objects with known foam."""
     grasps = cell_grasps({label: OBJECTS[label][2] for label in labels}, n_grasps, seed=41)
-    grasps = with_aperture_noise(grasps, 0.2e-3, 8)
+    members = by_label(with_aperture_noise(grasps, 0.2e-3, 8))
     cpus_s: list[float] = []
-    held = right = 0
-    errors_mm = []
+    told: list[Told] = []
     for label in labels:
         kind, size_mm, _ = OBJECTS[label]
-        answers = []
-        for grasp in grasps:
-            if grasp.label == label:
-                start_s = time.process_time()
-                answers.append(shape_of(grasp))
-                cpus_s.append(time.process_time() - start_s)
-        one_held, one_right = measured(label, kind, size_mm, answers)
-        held, right = held + one_held, right + one_right
-        errors_mm += [abs(1e3 * a.size_m - size_mm) for a in answers]
-    n = len(grasps)
-    line(
-        "  all",
-        f"type right {100 * right / n:.1f} % of {n}, 90 % interval held {100 * held / n:.1f} %, "
-        f"mean error {np.mean(errors_mm):.2f} mm",
-    )
-    grasp_s = statistics.median(float(grasp.t_s[-1]) for grasp in grasps)
-    share = 100 * statistics.median(cpus_s) / grasp_s
-    line(
-        "  ratio",
-        f"an answer takes {1e3 * statistics.median(cpus_s):.1f} ms of CPU (p90 "
-        f"{1e3 * float(np.quantile(cpus_s, 0.9)):.1f}), {share:.1f} % of the {grasp_s:.1f} s of "
-        "its grasp",
-    )
+        answers: list[ShapeAnswer] = []
+        for grasp in members[label]:
+            answer, took = timed(partial(shape_of, grasp))
+            answers.append(answer)
+            cpus_s.append(took.cpu_s)
+        told += measured(label, kind, size_mm, answers)
+    line("  all", shape_figures(told))
+    middle_ms, late_ms = (1e3 * quantile(cpus_s, part) for part in (0.5, 0.9))
+    line("  time", f"an answer takes {middle_ms:.1f} ms of CPU (p90 {late_ms:.1f})")
 
 
-def recorded(grasps: Sequence[Grasp], n_grasps: int, gauge: str) -> None:
+def real(grasps: Sequence[Grasp], n_grasps: int, gauge: str) -> None:
     """Measure recorded objects, calibrated on the first grasps of one of them.
 
     Of each object the first 60 % of its grasps in time are used.
@@ -133,33 +103,22 @@ def recorded(grasps: Sequence[Grasp], n_grasps: int, gauge: str) -> None:
         f"{1e3 * foam.spread_m:.2f} mm, opening {1e3 * foam.aperture_offset_m:+.1f} mm within "
         f"{1e3 * trust.aperture_m:.1f} mm, misfit {trust.misfit:.0f}",
     )
-    told: Counter[str] = Counter()
     # With the misfit of the gauge, and as where no known shape had been tried.
     for trust in (known.trust, replace(known.trust, misfit=0.0)):
+        told: list[Told] = []
         for label, found in sorted(members.items()):
             answers = []
             for grasp in found[_N_GAUGE if label == gauge else 0 :][:n_grasps]:
-                try:
+                with suppress(ContactError):
                     answers.append(shape_of(grasp, foam=foam, uncertainty=trust, rest=rest))
-                except ContactError:
-                    continue
-            if not answers:
-                continue
             kind = _KINDS.get(found[0].shape, "other")
-            if trust.misfit:
+            if trust.misfit and answers:
                 measured(label, kind, REAL_MM.get(label), answers)
-            told.update(_verdict(kind, answer) for answer in answers)
+            told += [(kind, None, answer) for answer in answers]
         line(
             "  all recorded" if trust.misfit else "  without the gauge's misfit",
-            f"type right {told['right']}, wrong {told['wrong']}, unclear {told[UNCLEAR]}",
+            shape_figures(told),
         )
-        told.clear()
-
-
-def _verdict(kind: str, answer: ShapeAnswer) -> str:
-    if answer.kind == UNCLEAR:
-        return UNCLEAR
-    return "right" if answer.kind == kind else "wrong"
 
 
 def main(effort: float = 1.0) -> None:
@@ -168,13 +127,12 @@ def main(effort: float = 1.0) -> None:
     line("compared", f"{len(labels)} objects never taught, {n_grasps} grasps of the cell each")
     simulated(labels, n_grasps)
     fused({label: OBJECTS[label] for label in labels}, repeats(6, effort))
-    folder = os.environ.get("TACTILE_CELL_DATA")
-    if folder is None:
-        line("recorded grasps", f"left out, TACTILE_CELL_DATA names no folder with {_RECORDED}")
+    grasps = recorded()
+    if grasps is None:
+        line(*LEFT_OUT)
         return
-    grasps = read_dataset(Path(folder) / _RECORDED)
     for gauge in ("golf_ball", "ping-pong_ball"):
-        recorded(grasps, repeats(7, effort), gauge)
+        real(grasps, repeats(7, effort), gauge)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,16 @@ import pytest
 
 from benchmarks.performance import force_ramps
 from benchmarks.performance._force_plant import Quality
-from benchmarks.performance.force_ramps import CASES, OWN, SETUPS, Case, row, run, write_page
+from benchmarks.performance.force_ramps import (
+    CASES,
+    OWN,
+    SETUPS,
+    Case,
+    row,
+    run,
+    tables,
+    write_page,
+)
 
 pytestmark = [pytest.mark.no_cover, pytest.mark.long]
 
@@ -61,7 +70,7 @@ def test_the_figures_alone_are_written_anew(
     lost = Quality(overshoot_n=0.0, settling_s=1.5, holding_n=2.0, lost=True)
     found = {name: dict.fromkeys(CASES, good) for name in SETUPS}
     found[OWN][CASES[0]] = lost
-    write_page(found)
+    write_page(tables(found))
     page = path.read_text()
     assert page.startswith(f"# Page\n\n{force_ramps.BEGIN}\n| part |")
     assert page.endswith(f"{force_ramps.END}\n\nafter\n")

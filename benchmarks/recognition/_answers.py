@@ -1,0 +1,108 @@
+"""Answers to grasps of known objects, and how right they are as text."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from benchmarks._measure import share
+from recognition.grasp import Grasp
+from recognition.recognizer import UNKNOWN, Posterior, Recognizer
+from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.shape.answer import UNCLEAR, ShapeAnswer
+
+GAUGE_GRASPS = 3
+"""Grasps of an object that a gauge takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The answer to one grasp or sequence, and the truth."""
+
+    truth: str
+    taught: bool
+    """What was grasped, and whether the recogniser was taught it."""
+    best: str
+    name: str
+    """The likeliest label, and the name that is given: that label or ``UNKNOWN``."""
+
+    @classmethod
+    def of(cls, truth: str, posterior: Posterior) -> Self:
+        """Return what a posterior answers."""
+        return cls(truth, truth in posterior.labels, posterior.best, posterior.name)
+
+
+def asked(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[Answer]:
+    """Answer each grasp by itself."""
+    return [Answer.of(grasp.label, recognizer.posterior(grasp)) for grasp in grasps]
+
+
+def followed(
+    recognizer: ForceRamp, grasps: Sequence[Grasp], seed: int
+) -> tuple[list[Answer], ForceRamp]:
+    """Answer the grasps of a shift in a mixed order, each after those before it.
+
+    Returns the answers, and the recogniser after the last one.
+    """
+    answers = []
+    for i in np.random.default_rng(seed).permutation(len(grasps)).tolist():
+        answers += asked(recognizer, [grasps[i]])
+        recognizer = recognizer.follow(grasps[i])
+    return answers, recognizer
+
+
+def gauged(recognizer: ForceRamp, grasps: Sequence[Grasp], labels: Sequence[str]) -> list[Answer]:
+    """Gauge with the first grasps of each label and answer all others."""
+    taken: list[Grasp] = []
+    for label in labels:
+        some = [grasp for grasp in grasps if grasp.label == label][:GAUGE_GRASPS]
+        recognizer = recognizer.gauge(label, some)
+        taken += some
+    return asked(recognizer, [g for g in grasps if not any(g is one for one in taken)])
+
+
+def figures(answers: Sequence[Answer], *, times: int = 1) -> str:
+    """Return the shares of right, wrong and missing names, of taught objects and of new ones.
+
+    Each grasp was answered several ``times``: for the intervals it counts as one.
+    """
+    known = [one for one in answers if one.taught]
+    new = [one.name == UNKNOWN for one in answers if not one.taught]
+    kinds = {
+        "likeliest right": [one.best == one.truth for one in known],
+        "named right": [one.name == one.truth for one in known],
+        "wrong": [one.name not in (one.truth, UNKNOWN) for one in known],
+        "UNKNOWN": [one.name == UNKNOWN for one in known],
+    }
+    texts = [f"{kind} {share(sum(hits), len(hits), times=times)}" for kind, hits in kinds.items()]
+    text = f"{', '.join(texts)} of {len(known) // times}"
+    return text + (f"; new UNKNOWN {share(sum(new), len(new))} of {len(new)}" if new else "")
+
+
+Told = tuple[str, float | None, ShapeAnswer]
+"""True kind and thickness in mm (None: not known) of what was grasped, and the answer."""
+
+
+def shape_figures(told: Sequence[Told]) -> str:
+    """Return how right kinds are and how often intervals hold; sizes must be known of all or none.
+
+    Of several thicknesses in an answer one has to hold.
+    """
+    n = len(told)
+    right = sum(answer.kind == kind for kind, _, answer in told)
+    unclear = sum(answer.kind == UNCLEAR for _, _, answer in told)
+    text = f"kind right {share(right, n)} of {n}, wrong {n - right - unclear}, unclear {unclear}"
+    away_mm, held = [], 0
+    for _, size_mm, answer in told:
+        if size_mm is not None:
+            away_mm.append(1e3 * answer.size_m - size_mm)
+            held += any(t.low_m <= 1e-3 * size_mm <= t.high_m for t in answer.thicknesses)
+    wide_mm = np.median([1e3 * (answer.high_m - answer.low_m) for _, _, answer in told])
+    text += f"; 90 % interval {wide_mm:.2f} mm wide"
+    if away_mm:
+        text += (
+            f", held {share(held, n)}, mean error {np.abs(away_mm).mean():.2f} mm "
+            f"(bias {np.mean(away_mm):+.2f})"
+        )
+    return text
