@@ -1,9 +1,24 @@
-"""Values of a gripper and a link without a meaning, for tests that only pass them on."""
+"""Values of a cell without a meaning, for tests that only pass them on."""
 
 from dataclasses import replace
 from typing import Any
 
-from gripper.state import Cycle, ForceSample, GripperPhase, GripperState, ServoState
+from cell.control.identification import Identification
+from cell.control.plan import GraspStep, Pose
+from cell.control.records import GraspRecord
+from gripper.state import (
+    Cycle,
+    ForceSample,
+    GraspOutcome,
+    GraspResult,
+    GripperPhase,
+    GripperState,
+    ServoState,
+)
+from recognition.grasp import Grasp
+from recognition.recognizer import Posterior
+from recognition.shape.answer import ShapeAnswer, Thickness
+from recognition.statistics.fusion import StopRule, decide, fuse
 from tactile.frames.assembler import FrameStatistics
 from tactile.unit.settings import LinkStatistics
 
@@ -55,3 +70,57 @@ def make_link_statistics(**changes: Any) -> LinkStatistics:
     counts = dict.fromkeys(("syncs", "late_syncs", "foreign", "malformed", "error_frames"), 0)
     values: dict[str, Any] = {"frames": FrameStatistics(), "recent_loss_rate": 0.0, **counts}
     return LinkStatistics(**(values | changes))
+
+
+def make_record(grasp: Grasp, *cycles: Cycle, contact_t_s: float | None = None) -> GraspRecord:
+    pose = Pose(x_m=3e-3)
+    return GraspRecord(
+        grasp=grasp,
+        step=GraspStep(pose=pose, force_n=8.0),
+        reached=pose,
+        outcome=GraspOutcome(
+            result=GraspResult.FORCE_REACHED,
+            contact_t_s=contact_t_s,
+            contact_aperture_m=None,
+            final_aperture_m=0.012,
+            final_force_n=8.0,
+            overshoot_n=0.0,
+        ),
+        cycles=cycles or (make_cycle(),),
+    )
+
+
+def make_identification(*posteriors: Posterior, **changes: Any) -> Identification:
+    decision = decide(posteriors, StopRule(max_grasps=len(posteriors)))
+    found = Identification(
+        label=decision.label,
+        probability=decision.probability,
+        decision=decision,
+        posteriors=posteriors,
+        fused=fuse(posteriors),
+        records=(),
+    )
+    return replace(found, **changes)
+
+
+def make_shape(
+    kind: str, *sizes_mm: float, half_mm: float = 0.3, n_grasps: int = 1, **changes: Any
+) -> ShapeAnswer:
+    """Thicknesses with their intervals; the last one was met by so many grasps."""
+    met = [
+        Thickness(size_m=1e-3 * s, low_m=1e-3 * (s - half_mm), high_m=1e-3 * (s + half_mm))
+        for s in sizes_mm
+    ]
+    met[-1] = replace(met[-1], n_grasps=n_grasps)
+    main = met[-1] if n_grasps > 1 else met[0]
+    answer = ShapeAnswer(
+        kind=kind,
+        probability={kind: 1.0},
+        size_m=main.size_m,
+        low_m=main.low_m,
+        high_m=main.high_m,
+        dimensions_m={},
+        misfit=1.0,
+        thicknesses=tuple(met),
+    )
+    return replace(answer, **changes)

@@ -7,22 +7,17 @@ import numpy as np
 
 from cell.build import Cell
 from cell.config.model import CellConfig
-from cell.control.records import GraspRecord
 from cell.jobs.run import BASELINE, MainResult
 from cell.learning.blas import one_blas_thread
 from cell.report.build import (
     link_health,
     loop_health,
     paper_table,
-    pressure_levels,
     servo_health,
-    timeline,
     windows,
 )
 from cell.report.data import (
     ConfusionTable,
-    ExampleGrasp,
-    IdentifySequence,
     KeyFigure,
     ObjectTrajectory,
     ReportData,
@@ -34,7 +29,6 @@ from recognition.quadric.level import grip_surfaces, ramp_levels
 from recognition.quadric.trajectory import sweep
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer
-from tactile.layout import TaxelLayout
 
 _RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
 """Shares of the grip force at which the eigenvalue along the ramp is drawn."""
@@ -61,11 +55,10 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         created=datetime.now().strftime("%Y-%m-%d %H:%M"),
         key_figures=_key_figures(result, config),
         facts=_facts(config, cell),
-        examples=tuple(
-            _example(label, record, hand.layout) for label, record in result.examples.items()
-        ),
+        layout=hand.layout,
+        examples=tuple(result.examples.items()),
         trajectories=_trajectories(result),
-        sequences=sequences(result),
+        sequences=tuple((trial.truth, trial.found) for trial in result.trials),
         confusions=_confusions(result),
         health=(
             link_health(statistics.link),
@@ -116,20 +109,6 @@ def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...
     return tuple(figures)
 
 
-def sequences(result: MainResult) -> tuple[IdentifySequence, ...]:
-    """Return all identifications."""
-    return tuple(
-        IdentifySequence(
-            truth=trial.truth,
-            answer=trial.found.label,
-            posteriors=trial.found.posteriors,
-            notes=tuple(map(_grasp_note, trial.found.records)),
-            shape=trial.found.shape,
-        )
-        for trial in result.trials
-    )
-
-
 def _facts(config: CellConfig, cell: Cell) -> tuple[tuple[str, str], ...]:
     sequence, layout = config.sequence, cell.controller.hand.layout
     shown = {
@@ -171,16 +150,6 @@ def _notes(config: CellConfig) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _example(label: str, record: GraspRecord, layout: TaxelLayout) -> ExampleGrasp:
-    return ExampleGrasp(
-        label=label,
-        layout=layout,
-        levels=pressure_levels(record.grasp),
-        timeline=timeline(record.cycles, contact_t_s=record.outcome.contact_t_s),
-        note=f"{record.reached}; ramp to {record.step.force_n:.1f} N",
-    )
-
-
 def _trajectories(result: MainResult) -> Trajectories | None:
     recognizer = result.recognizers.get(BASELINE)
     if not isinstance(recognizer, LevelCheckRecognizer):
@@ -209,11 +178,6 @@ def _trajectories(result: MainResult) -> Trajectories | None:
         objects=tuple(objects),
         windows=windows(recognizer.levels, recognizer.labels),
     )
-
-
-def _grasp_note(record: GraspRecord) -> str:
-    ended = f", {record.ended}" if record.ended else ""
-    return f"{record.reached}; {record.step.force_n:.1f} N{ended}"
 
 
 def _confusions(result: MainResult) -> tuple[ConfusionTable, ...]:

@@ -1,68 +1,24 @@
 """The parts of a report, made from the values of a run."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.report.data import (
     ConfusionTable,
-    GraspTimeline,
     HealthGroup,
     HealthRow,
     HealthState,
-    PressureLevel,
     Window,
 )
 from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
-from recognition.grasp import Grasp
 from recognition.quadric.thresholds import Levels
 
 if TYPE_CHECKING:
     from gripper.dynamixel.transactions import BusStatistics
     from gripper.force.timing import LoopStatistics
-    from gripper.state import Cycle
     from tactile.unit.settings import LinkStatistics
-
-_MAX_TIMELINE_POINTS = 1500
-"""Periods of a grasp that are drawn; more are thinned out."""
-_LEVELS, _LEVEL_FRAMES = 4, 5
-"""Forces of the ramp at which the pads are drawn, and frames whose mean is drawn."""
-
-
-def pressure_levels(grasp: Grasp) -> tuple[PressureLevel, ...]:
-    """Pick the pressure at four equal parts of the force ramp, each the mean of the nearest frames.
-
-    The force is the one that was asked for, which each frame of a cell's grasp has.
-    """
-    levels = []
-    for wanted_n in np.linspace(0, float(grasp.force_n.max()), _LEVELS + 1)[1:]:
-        # Of equally near frames the later ones: the pressure has settled in them.
-        near = np.lexsort((-np.arange(grasp.n_frames), np.abs(grasp.force_n - wanted_n)))
-        counts = grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)
-        levels.append(PressureLevel(caption=f"{wanted_n:.1f} N", counts=counts))
-    return tuple(levels)
-
-
-def timeline(cycles: Sequence["Cycle"], *, contact_t_s: float | None = None) -> GraspTimeline:
-    """Make the course of a grasp from the periods of the force loop; time starts at the first."""
-    every = max(1, len(cycles) // _MAX_TIMELINE_POINTS)
-    kept = cycles[::every]
-    start_s = kept[0].t_s if kept else 0.0
-    nowhere = (np.nan, np.nan)
-    return GraspTimeline(
-        t_s=_floats([cycle.t_s - start_s for cycle in kept]),
-        force_n=_floats([c.force.force_n if c.force else nowhere for c in kept]).reshape(-1, 2),
-        setpoint_n=_floats([cycle.setpoint_n for cycle in kept]),
-        goal_current_a=_floats([cycle.goal_current_a for cycle in kept]),
-        aperture_m=_floats([cycle.state.aperture_m for cycle in kept]),
-        contact_t_s=None if contact_t_s is None else contact_t_s - start_s,
-    )
-
-
-def _floats(values: Sequence[Any]) -> NDArray[np.float64]:
-    return np.array(values, dtype=np.float64)  # None becomes NaN
 
 
 def windows(levels: Levels, labels: Sequence[str]) -> tuple[Window, ...]:

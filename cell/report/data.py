@@ -9,10 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.recognizer import Posterior
-from recognition.shape.answer import ShapeAnswer
+from cell.control.identification import Identification
+from cell.control.records import GraspRecord
 from tactile.layout import TaxelLayout
 
+HeldAndFound = tuple[str, Identification]
+"""What it really was, and its identification."""
 HealthState = Literal["ok", "warn", "bad", "plain"]
 """How a figure of the links' health is marked."""
 
@@ -25,20 +27,6 @@ class KeyFigure:
     caption: str
     note: str = ""
     """The figure with its unit, what it is, and in small what it rests on."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IdentifySequence:
-    """One identification, grasp by grasp."""
-
-    truth: str
-    answer: str
-    """What it really was, and what was answered."""
-    posteriors: tuple[Posterior, ...] = ()
-    notes: tuple[str, ...] = ()
-    """Answer to each grasp by itself, and its pose and force for people."""
-    shape: ShapeAnswer | None = None
-    """Shape and size by all grasps; None where not asked for, or not felt."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,16 +42,6 @@ class ConfusionTable:
     """(n_labels, n_columns) int64: trials."""
     caption: str = ""
     """What was counted."""
-
-    def __post_init__(self) -> None:
-        counts = np.array(self.counts, dtype=np.int64)
-        if counts.shape != (len(self.labels), len(self.columns)) or np.any(counts < 0):
-            raise ValueError(
-                f"table {self.name!r}: counts of shape {counts.shape} do not fit "
-                f"{len(self.labels)} rows and {len(self.columns)} columns"
-            )
-        counts.setflags(write=False)
-        object.__setattr__(self, "counts", counts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,48 +60,6 @@ class HealthGroup:
 
     title: str
     rows: tuple[HealthRow, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PressureLevel:
-    """What all taxels showed at one force."""
-
-    caption: str
-    """The force, for people: ``2.0 N``."""
-    counts: NDArray[np.float64]
-    """(n_taxels,) float64: counts, as a rule averaged over some frames."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GraspTimeline:
-    """One grasp over time; NaN where a value is not known."""
-
-    t_s: NDArray[np.float64]
-    """(n,) float64: time in s."""
-    force_n: NDArray[np.float64]
-    """(n, 2) float64: tactile force on finger 0 and 1 in N."""
-    setpoint_n: NDArray[np.float64]
-    goal_current_a: NDArray[np.float64]
-    aperture_m: NDArray[np.float64]
-    """(n,) float64: set-point of the grip force in N, goal current in A, opening in m."""
-    contact_t_s: float | None = None
-    """Time of contact in s, None where there was none."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ExampleGrasp:
-    """One grasp that is shown in full."""
-
-    label: str
-    """What was grasped."""
-    layout: TaxelLayout
-    """The pads."""
-    levels: tuple[PressureLevel, ...]
-    """Pressure at rising forces."""
-    timeline: GraspTimeline
-    """The grasp over time."""
-    note: str
-    """Pose and the like, in small."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -180,15 +116,18 @@ class ReportData:
     created: str
     subtitle: str = ""
     """Heading, when it was made, and a line below."""
+    layout: TaxelLayout
+    """The pads."""
     key_figures: tuple[KeyFigure, ...] = ()
     """The result in a few large figures."""
     facts: tuple[tuple[str, str], ...] = ()
     """Description of the cell: name and value."""
-    examples: tuple[ExampleGrasp, ...] = ()
-    """One grasp of each object in full."""
+    examples: tuple[tuple[str, GraspRecord], ...] = ()
+    """One grasp of each object, by its label."""
     trajectories: Trajectories | None = None
-    sequences: tuple[IdentifySequence, ...] = ()
-    """The paper's method, where it was taught; all identifications."""
+    """The paper's method, where it was taught."""
+    sequences: tuple[HeldAndFound, ...] = ()
+    """All identifications."""
     confusions: tuple[ConfusionTable, ...] = ()
     """One table for each recogniser; `build.paper_table` gives the paper's."""
     health: tuple[HealthGroup, ...] = ()

@@ -4,13 +4,13 @@ A picture holds one path for each of `N_SHADES` shades (CSS classes ``s1`` to ``
 408 taxels of a grasp take a few kilobytes.
 """
 
-from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.report.data import ExampleGrasp, PressureLevel
+from recognition.grasp import Grasp
 from tactile.layout import TaxelLayout
 
 N_SHADES = 12
@@ -23,57 +23,54 @@ _FILL = 0.92
 """Side of a drawn taxel as a share of the pitch: a thin gap separates the taxels."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PadPicture:
-    """One pad at one force: name, peak in counts, and the picture as inline SVG."""
-
-    name: str
-    peak: float
-    touched: bool
-    svg: str
+_LEVELS, _LEVEL_FRAMES = 4, 5
+"""Forces of the ramp at which the pads are drawn, and frames whose mean is drawn."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LevelPictures:
-    """All pads at one force: the gripping ones, the others, and names of the untouched."""
+def pressure_levels(grasp: Grasp) -> dict[str, NDArray[np.float64]]:
+    """Return the counts (n_taxels,) at four equal parts of the force ramp, by the force for people.
 
-    caption: str
-    gripping: tuple[PadPicture, ...]
-    others: tuple[PadPicture, ...]
-    untouched: tuple[str, ...]
+    Each is the mean of the nearest frames. The force is the one that was asked for, which each
+    frame of a cell's grasp has.
+    """
+    levels = {}
+    for wanted_n in np.linspace(0, float(grasp.force_n.max()), _LEVELS + 1)[1:]:
+        # Of equally near frames the later ones: the pressure has settled in them.
+        near = np.lexsort((-np.arange(grasp.n_frames), np.abs(grasp.force_n - wanted_n)))
+        levels[f"{wanted_n:.1f} N"] = grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)
+    return levels
 
 
-def full_shade(example: ExampleGrasp) -> float:
-    """Return the counts that the darkest shade stands for: the largest of all levels."""
-    return max([1.0, *(float(level.counts.max()) for level in example.levels)])
+def level_pictures(
+    layout: TaxelLayout, caption: str, counts: NDArray[np.float64], full: float
+) -> dict[str, Any]:
+    """Draw all pads at one force: the gripping ones, the others, and names of the untouched.
 
-
-def level_pictures(example: ExampleGrasp, level: PressureLevel) -> LevelPictures:
-    """Draw all pads of a grasp at one force; all levels of a grasp share one scale."""
-    layout, full = example.layout, full_shade(example)
-    pictures = [_picture(layout, index, level.counts, full) for index in range(layout.n_pads)]
+    ``full`` are the counts that the darkest shade stands for.
+    """
+    places = range(layout.n_pads)
+    pictures = [_picture(layout, i, counts[layout.taxels_of(i)], full) for i in places]
     small = [one for index, one in enumerate(pictures) if index not in layout.gripping_pads]
-    return LevelPictures(
-        caption=level.caption,
-        gripping=tuple(pictures[index] for index in layout.gripping_pads),
-        others=tuple(picture for picture in small if picture.touched),
-        untouched=tuple(picture.name for picture in small if not picture.touched),
-    )
+    return {
+        "caption": caption,
+        "gripping": [pictures[index] for index in layout.gripping_pads],
+        "others": [picture for picture in small if picture["touched"]],
+        "untouched": [picture["name"] for picture in small if not picture["touched"]],
+    }
 
 
 def _picture(
-    layout: TaxelLayout, index: int, counts: NDArray[np.float64], full: float
-) -> PadPicture:
-    taxels = layout.taxels_of(index)
-    values = counts[taxels]
+    layout: TaxelLayout, index: int, values: NDArray[np.float64], full: float
+) -> dict[str, Any]:
+    """Return name of a pad, peak in counts, whether it is touched, and the picture."""
     peak = float(values.max())
-    label = f"pressure map, peak {peak:.0f} counts"
-    return PadPicture(
-        name=layout.pads[index].name,
-        peak=peak,
-        touched=peak > UNTOUCHED_SHARE * layout.adc_max,
-        svg=pad_svg(layout.taxel_xy_m[taxels] * 1e3, values, full, label),
-    )
+    xy_mm = layout.taxel_xy_m[layout.taxels_of(index)] * 1e3
+    return {
+        "name": layout.pads[index].name,
+        "peak": peak,
+        "touched": peak > UNTOUCHED_SHARE * layout.adc_max,
+        "svg": pad_svg(xy_mm, values, full, f"pressure map, peak {peak:.0f} counts"),
+    }
 
 
 def _pitch_mm(places_mm: NDArray[np.float64]) -> float:

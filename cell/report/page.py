@@ -7,22 +7,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cell.control.identification import Identification
+from cell.control.records import GraspRecord
 from cell.data.files import write_atomically
 from cell.errors import ReportError
 from cell.installation import remedy
 from cell.learning.shapes import in_words
-from cell.report.data import (
-    ConfusionTable,
-    ExampleGrasp,
-    IdentifySequence,
-    ReportData,
-)
-from cell.report.pad_pictures import full_shade, level_pictures
+from cell.report.data import ConfusionTable, HeldAndFound, ReportData
+from cell.report.pad_pictures import level_pictures, pressure_levels
 from cell.report.plots import N_COLOURS, levels_figure, sweep_figure, timeline_figure
 from cell.report.shapes import shapes_view
 from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
+from tactile.layout import TaxelLayout
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -75,21 +73,23 @@ def page_template(name: str) -> "Template":
 def label_order(data: ReportData) -> tuple[str, ...]:
     """Return all taught labels, each once; its place is a label's colour on the whole page."""
     tables = [table.labels for table in data.confusions]
-    answers = [one.labels for sequence in data.sequences for one in sequence.posteriors]
+    answers = [found.fused.labels for _, found in data.sequences]
     return tuple(dict.fromkeys(label for labels in (*tables, *answers) for label in labels))
 
 
-def example_view(example: ExampleGrasp, number: int) -> dict[str, Any]:
-    """Return heat maps and time-line of one grasp."""
-    levels = [level_pictures(example, level) for level in example.levels]
+def example_view(layout: TaxelLayout, label: str, record: GraspRecord, name: str) -> dict[str, Any]:
+    """Return heat maps, all of one scale, and time-line of one grasp."""
+    levels = pressure_levels(record.grasp)
+    full = max([1.0, *(float(counts.max()) for counts in levels.values())])
+    pictures = [level_pictures(layout, *level, full) for level in levels.items()]
     return {
-        "label": example.label,
-        "note": example.note,
-        "levels": levels,
-        "last": levels[-1],
-        "full": f"{full_shade(example):.0f}",
-        "adc_max": example.layout.adc_max,
-        "timeline": timeline_figure(example.timeline, f"t{number}"),
+        "label": label,
+        "note": f"{record.reached}; ramp to {record.step.force_n:.1f} N",
+        "levels": pictures,
+        "last": pictures[-1],
+        "full": f"{full:.0f}",
+        "adc_max": layout.adc_max,
+        "timeline": timeline_figure(record, name),
     }
 
 
@@ -119,53 +119,46 @@ def trajectories_view(data: ReportData, colours: Mapping[str, int]) -> dict[str,
     }
 
 
-def drawn_sequences(data: ReportData) -> list[IdentifySequence]:
+def drawn_sequences(data: ReportData) -> list[HeldAndFound]:
     """Return some identifications of each object: wrong ones first, then the longest.
 
     These are what a reader wants to see; the tables count all.
     """
     drawn = []
-    for truth in dict.fromkeys(one.truth for one in data.sequences):
-        of_truth = [one for one in data.sequences if one.truth == truth]
-        of_truth.sort(key=lambda one: (one.answer == truth, -len(one.posteriors)))
-        drawn += of_truth[:_SEQUENCES_PER_OBJECT]
+    for name in dict.fromkeys(truth for truth, _ in data.sequences):
+        found = [found for truth, found in data.sequences if truth == name]
+        found.sort(key=lambda one: (one.label == name, -len(one.posteriors)))
+        drawn += [(name, one) for one in found[:_SEQUENCES_PER_OBJECT]]
     return drawn[:MAX_SEQUENCES]
 
 
-def sequence_view(sequence: IdentifySequence, colours: Mapping[str, int]) -> dict[str, Any]:
-    """Return the bars of one identification."""
-    right = sequence.answer == sequence.truth
-    posteriors, steps = sequence.posteriors, []
-    for number, (posterior, note) in enumerate(zip(posteriors, sequence.notes, strict=True), 1):
-        fused = _bars(fuse(posteriors[:number]), colours)
-        steps.append({"note": note, "fused": fused, "single": _bars(posterior, colours)})
+def sequence_view(truth: str, found: Identification, colours: Mapping[str, int]) -> dict[str, Any]:
+    """Return the bars of one identification.
+
+    Its figure is the share of the answer in the last thick bar, whose shares sum to one.
+    """
+    steps = []
+    for number, (posterior, record) in enumerate(
+        zip(found.posteriors, found.records, strict=True), start=1
+    ):
+        ended = f", {record.ended}" if record.ended else ""
+        steps.append(
+            {
+                "note": f"{record.reached}; {record.step.force_n:.1f} N{ended}",
+                "fused": _bars(fuse(found.posteriors[:number]), colours),
+                "single": _bars(posterior, colours),
+            }
+        )
+    unknown = found.label == UNKNOWN
+    shape = "" if found.shape is None else in_words(found.shape) if unknown else str(found.shape)
     return {
-        "truth": sequence.truth,
-        "answer": sequence.answer,
-        "probability": _answer_share(sequence),
-        "verdict": "right" if right else "unknown" if sequence.answer == UNKNOWN else "wrong",
-        "shape": _shape_text(sequence),
+        "truth": truth,
+        "answer": found.label,
+        "probability": _percent(found.probabilities[found.label]),
+        "verdict": "right" if found.label == truth else "unknown" if unknown else "wrong",
+        "shape": shape,
         "steps": steps,
     }
-
-
-def _answer_share(sequence: IdentifySequence) -> str:
-    """Return the share of the answer in the last thick bar, whose shares sum to one.
-
-    A label has its probability if it was taught, times that of being taught at all.
-    """
-    fused = fuse(sequence.posteriors)
-    if sequence.answer not in fused.labels:
-        return _percent(fused.unknown)
-    share = (1.0 - fused.unknown) * fused.probability[fused.labels.index(sequence.answer)]
-    return _percent(float(share))
-
-
-def _shape_text(sequence: IdentifySequence) -> str:
-    """Return shape and size; of an object without a name as a phrase."""
-    if sequence.shape is None:
-        return ""
-    return in_words(sequence.shape) if sequence.answer == UNKNOWN else str(sequence.shape)
 
 
 def _bars(posterior: Posterior, colours: Mapping[str, int]) -> list[dict[str, str]]:
@@ -268,9 +261,12 @@ def page_view(data: ReportData) -> dict[str, Any]:
         "data": data,
         "sections": [(key, name) for key, name in sections.items() if name],
         "legend": [(label, f"c{place % N_COLOURS}") for label, place in colours.items()],
-        "examples": [example_view(item, number) for number, item in enumerate(data.examples)],
+        "examples": [
+            example_view(data.layout, label, record, f"t{number}")
+            for number, (label, record) in enumerate(data.examples)
+        ],
         "trajectories": trajectories_view(data, colours),
-        "sequences": [sequence_view(sequence, colours) for sequence in shown],
+        "sequences": [sequence_view(*one, colours) for one in shown],
         "shapes": shapes,
         "n_hidden": len(data.sequences) - len(shown),
         "confusions": [confusion_view(table, colours) for table in data.confusions],

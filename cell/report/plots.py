@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.control.records import GraspRecord
 from cell.errors import ReportError
 from cell.installation import remedy
-from cell.report.data import GraspTimeline, Trajectories
+from cell.report.data import Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,47 +107,50 @@ def colour(index: int) -> str:
     return _COLOURS[index % N_COLOURS]
 
 
+_MAX_PERIODS = 1500
+"""Periods of a grasp that are drawn; more are thinned out."""
 _MAX_BINS = 260
 """Points of a sweep that are drawn; a plot has about two pixels for each."""
 
 
-def timeline_figure(timeline: GraspTimeline, name: str) -> str:
-    """Draw force against set-point, goal current and opening over time."""
+def timeline_figure(record: GraspRecord, name: str) -> str:
+    """Draw force against set-point, goal current and opening over time, from the first period on.
+
+    Nothing is drawn of a force that is not known.
+    """
+    cycles = record.cycles[:: max(1, len(record.cycles) // _MAX_PERIODS)]
+    start_s, contact_t_s = cycles[0].t_s, record.outcome.contact_t_s
+    t_s = np.array([cycle.t_s - start_s for cycle in cycles])
+    nowhere = (np.nan, np.nan)
+    force_n = np.array([cycle.force.force_n if cycle.force else nowhere for cycle in cycles])
     with drawing():
         figure = new_figure(6.4, 6.3)
         force, current, opening = figure.subplots(
             3, 1, sharex=True, gridspec_kw={"height_ratios": [2.2, 1, 1]}
         )
-        t_s = timeline.t_s
         for finger in (0, 1):
-            force.plot(
-                t_s,
-                timeline.force_n[:, finger],
-                color=colour(finger),
-                lw=1.1,
-                alpha=0.75,
-                label=f"finger {finger}",
-            )
-        grip_n = timeline.force_n.mean(axis=1)
-        force.plot(t_s, grip_n, color=colour(2), lw=2.0, label="grip")
-        force.plot(t_s, timeline.setpoint_n, color=INK, lw=1.3, ls=(0, (4, 2)), label="set-point")
+            look: Any = {"color": colour(finger), "lw": 1.1, "alpha": 0.75}
+            force.plot(t_s, force_n[:, finger], label=f"finger {finger}", **look)
+        force.plot(t_s, force_n.mean(axis=1), color=colour(2), lw=2.0, label="grip")
+        asked_n = [cycle.setpoint_n for cycle in cycles]
+        force.plot(t_s, asked_n, color=INK, lw=1.3, ls=(0, (4, 2)), label="set-point")
         force.set_ylabel("force / N")
-        force.set_ylim(bottom=min(0.0, _least(timeline.force_n)))
+        force.set_ylim(bottom=min(0.0, _least(force_n)))
         force.legend(loc="upper left", ncols=4, handlelength=1.6, columnspacing=1.2)
         force.margins(y=0.22)
-        current.plot(t_s, timeline.goal_current_a * 1e3, color=colour(3))
+        current.plot(t_s, [1e3 * cycle.goal_current_a for cycle in cycles], color=colour(3))
         current.set_ylabel("goal current / mA")
-        opening.plot(t_s, timeline.aperture_m * 1e3, color=colour(6))
+        opening.plot(t_s, [1e3 * cycle.state.aperture_m for cycle in cycles], color=colour(6))
         opening.set_ylabel("opening / mm")
         opening.set_xlabel("time / s")
         for axes in (force, current, opening):
             axes.margins(x=0.01)
-            if timeline.contact_t_s is not None:
-                axes.axvline(timeline.contact_t_s, color=MUTED, lw=0.9, ls=":")
-        if timeline.contact_t_s is not None:
+            if contact_t_s is not None:
+                axes.axvline(contact_t_s - start_s, color=MUTED, lw=0.9, ls=":")
+        if contact_t_s is not None:
             opening.annotate(
                 "contact",
-                (timeline.contact_t_s, 0.92),
+                (contact_t_s - start_s, 0.92),
                 xycoords=("data", "axes fraction"),
                 xytext=(4, 0),
                 textcoords="offset points",

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cell.learning.shapes import in_words
-from cell.report.data import IdentifySequence
+from cell.report.data import HeldAndFound
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import ShapeAnswer
 
@@ -19,24 +19,26 @@ _TICKS = 6
 """Ticks of the scale at most."""
 
 
-def shapes_view(rows: Sequence[IdentifySequence]) -> dict[str, Any] | None:
+def shapes_view(rows: Sequence[HeldAndFound]) -> dict[str, Any] | None:
     """Return a group for each object, the scale, and what has no name; None without shapes."""
-    felt = [(row, row.shape) for row in rows if row.shape is not None]
+    felt = [(truth, found.label, found.shape) for truth, found in rows if found.shape is not None]
     if not felt:
         return None
-    ends_mm = [1e3 * x for _, shape in felt for t in shape.thicknesses for x in (t.low_m, t.high_m)]
+    ends_mm = [
+        1e3 * x for *_, shape in felt for t in shape.thicknesses for x in (t.low_m, t.high_m)
+    ]
     step_mm = _step_mm(max(ends_mm) - min(ends_mm))
     low_mm = step_mm * np.floor(min(ends_mm) / step_mm)
     high_mm = step_mm * np.ceil(max(ends_mm) / step_mm)
     span_mm = max(high_mm - low_mm, step_mm)
-    names = dict.fromkeys(row.truth for row in rows)
+    counts = Counter(truth for truth, _ in rows)
     groups = []
-    for name in names:
-        shapes = [shape for row, shape in felt if row.truth == name]
+    for name, count in counts.items():
+        shapes = [shape for truth, _, shape in felt if truth == name]
         groups.append(
             {
                 "label": name,
-                "kinds": _kinds(shapes, sum(row.truth == name for row in rows)),
+                "kinds": _kinds(shapes, count),
                 "bars": [
                     {
                         "text": str(shape),
@@ -54,7 +56,7 @@ def shapes_view(rows: Sequence[IdentifySequence]) -> dict[str, Any] | None:
                 "text": _sizes(shapes),
             }
         )
-    strangers = [(row.truth, shape) for row, shape in felt if row.answer == UNKNOWN]
+    strangers = [(truth, shape) for truth, answer, shape in felt if answer == UNKNOWN]
     ticks = np.arange(low_mm, high_mm + 0.5 * step_mm, step_mm)
     return {
         "groups": groups,

@@ -15,7 +15,6 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from cell.control.identification import Identification
 from cell.control.journal import Journal
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
@@ -31,12 +30,17 @@ from gripper.force.timing import LoopStatistics
 from gripper.state import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.recognizer import Posterior
-from recognition.shape.answer import ShapeAnswer, Thickness
-from recognition.statistics.fusion import Decision, DecisionKind
 from tactile.frames.codec import TactileFrame
 from tests.cell.conftest import plain_pads
 from tests.fuzz.harness import Clock
-from tests.values import make_cycle, make_link_statistics, make_servo, make_state
+from tests.values import (
+    make_cycle,
+    make_identification,
+    make_link_statistics,
+    make_servo,
+    make_shape,
+    make_state,
+)
 
 PADS = plain_pads((4, 3), (4, 3), adc_max=255)
 
@@ -78,17 +82,12 @@ def record_grasp(recorder: Recorder, clock: Clock, label: str, n_frames: int = 2
     return grasp
 
 
-_THIN = Thickness(size_m=10e-3, low_m=9.6e-3, high_m=10.4e-3)
-_THICK = Thickness(size_m=15.9e-3, low_m=15.5e-3, high_m=16.3e-3, n_grasps=2)
-BAR = ShapeAnswer(
-    kind="flat",
+BAR = make_shape(
+    *("flat", 10.0, 15.9),
+    half_mm=0.4,
+    n_grasps=2,
     probability={"flat": 0.75, "oval": 0.25},
-    size_m=_THICK.size_m,
-    low_m=_THICK.low_m,
-    high_m=_THICK.high_m,
     dimensions_m={"height": 15.9e-3},
-    misfit=1.0,
-    thicknesses=(_THIN, _THICK),
 )
 
 
@@ -110,16 +109,7 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
         likely = Posterior(
             labels=("object 0", "object 1"), probability=np.array([0.003, 0.997]), unknown=0.01
         )
-        found = Identification(
-            label="object 1",
-            probability=0.997,
-            decision=Decision(kind=DecisionKind.DECIDED, label="object 1", probability=0.997),
-            posteriors=(likely,),
-            fused=likely,
-            records=(),
-            shape=BAR,
-            shapes=(BAR, None),
-        )
+        found = make_identification(likely, shape=BAR, shapes=(BAR, None))
         journal.result(found)
     return grasps
 

@@ -141,7 +141,7 @@ def _labels(
 def print_result(result: "MainResult") -> None:
     """Print confusion tables, shapes, times and files of a run, and the paper's table beside."""
     from cell.interfaces.cli.terminal import percent, print_line, print_table
-    from cell.jobs.run_report import score_title, sequences
+    from cell.jobs.run_report import score_title
     from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
     from cell.report.shapes import shapes_view
 
@@ -164,7 +164,7 @@ def print_result(result: "MainResult") -> None:
     print_line(f"One grasp takes {result.grasp_s:.1f} s of the cell's time.")
     for remark in result.remarks:
         print_line(remark)
-    shapes = shapes_view(sequences(result))
+    shapes = shapes_view([(trial.truth, trial.found) for trial in result.trials])
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""
         print_line(f"{group['label']} feels like: {group['kinds']}{sizes}")
