@@ -26,7 +26,7 @@ from cell.control.positioner import (
     Supervise,
 )
 from cell.control.records import pad_array
-from cell.control.self_zero import SelfZeros, zero_file
+from cell.control.self_zero import kept_zeros
 from cell.data.recorder import Recorder, Tap
 from cell.errors import ConfigError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
@@ -246,11 +246,7 @@ def build_cell(
             positioner,
             clock=clock,
             recorder=recorder,
-            zeros=SelfZeros(
-                config.self_zero,
-                pads_meet=config.gripper.pads_meet,
-                path=None if folder is None else zero_file(folder.parent, config.name),
-            ),
+            zeros=kept_zeros(config, _zero_folder(config, folder)),
         )
         undo.callback(controller.shutdown)
         return Cell(
@@ -261,6 +257,16 @@ def build_cell(
             _recorder=recorder,
             _closing=undo.pop_all(),
         )
+
+
+def _zero_folder(config: CellConfig, folder: Path | None) -> Path | None:
+    """Return where the self-zero is kept: beside the recordings, of a real cell without them too.
+
+    A simulated cell that records nothing leaves nothing behind.
+    """
+    if folder is not None:
+        return folder.parent
+    return None if config.simulated else Path(config.recording.directory)
 
 
 def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:

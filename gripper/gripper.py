@@ -331,11 +331,11 @@ class Gripper:
         """Close the empty fingers onto each other, follow the ramp to its end, return holding.
 
         The way down is that of a grasp, and goes on below ``aperture_min_m`` until the pads meet.
+        Where they touch something farther open than a zero that is off explains, the ramp ends at
+        the contact: ``ended_early``. It is held, as whatever is between them after `end_ramp`.
 
         Raises
         ------
-        PartBetweenFingers
-            When they touch something farther open than a zero that is off explains; it is kept.
         MechanicsContradicted
             When nothing stops the fingers; they have no torque then.
         GripContradicted

@@ -24,6 +24,7 @@ from cell.commissioning.motion import WatchedMotion
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
+from cell.control.self_zero import part_between
 from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
@@ -389,6 +390,8 @@ class _Trial:
         begun = len(self.motion.cycles)
         ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
         outcome = hand.meet(ramp, self.motion)
+        if between := part_between(outcome):
+            raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
         last = _course(self.motion.cycles[begun:])[-_LAST_PERIODS:]
         first_n, second_n = (round(float(n), 3) for n in np.nanmean(last[:, 2:], axis=0))
         hand.release(self.motion)

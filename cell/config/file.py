@@ -40,7 +40,13 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
     ConfigError
         If there is no such value, or the result is no valid config.
     """
-    values = config.model_dump(mode="json")
+    # What nobody has set is left to its default, which may rest on other keys.
+    left = type(config).model_fields.keys() - config.model_fields_set - changes.keys()
+    values = {
+        name: value
+        for name, value in config.model_dump(mode="json").items()
+        if name not in left or isinstance(value, dict)
+    }
     for path, value in changes.items():
         owner: Any = values
         *way, last = path.split(".")

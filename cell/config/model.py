@@ -81,9 +81,11 @@ class CellConfig(Section):
     """Seed of everything random: poses, noise of the simulated cell."""
     host_timeout_s: float | None = Field(default=None, ge=0.05, le=3600.0)
     """Longest silence of the host program during a job in s, 0.05 to 3600; none: any."""
-    self_zero: Literal["always", "daily", "on_demand", "never"] = "on_demand"
+    self_zero: Literal["always", "daily", "on_demand", "never"] = "daily"
     """When the empty fingers close on each other to measure zero, gains and foam: at each start, at
-    the first start of a day, when asked for (`tactile-cell zero`), or never."""
+    the first start of a day, when asked for (`tactile-cell zero`), or never. A part that is in
+    their way is a fault at each start, at a daily one a note. Without the key never where
+    gripper.pads_meet is false."""
     gripper: GripperConfig = GripperConfig()
     """Servos, linkage and limits."""
     tactile: TactileConfig = TactileConfig()
@@ -163,11 +165,13 @@ class CellConfig(Section):
                 "or name the socket of a simulated cell in another process"
             )
         if not self.gripper.pads_meet and self.self_zero in ("always", "daily"):
-            raise ValueError(
-                f"self_zero is {self.self_zero}, but gripper.pads_meet is false: fingers that "
-                "cannot meet are gauged with a taught object in a holder (`tactile-cell calibrate "
-                "--gauge`); write self_zero: never"
-            )
+            if "self_zero" in self.model_fields_set:
+                raise ValueError(
+                    f"self_zero is {self.self_zero}, but gripper.pads_meet is false: fingers that "
+                    "cannot meet are gauged with a taught object in a holder (`tactile-cell "
+                    "calibrate --gauge`); write self_zero: never"
+                )
+            object.__setattr__(self, "self_zero", "never")
         self._check_axes(simulated[0])
         self._check_motion(max(most_n, carry_n))
         return self

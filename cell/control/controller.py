@@ -68,6 +68,8 @@ class CellController:
     ----------
     zero
         Zero of the taxels that the last start has taken; None before.
+    zero_note
+        Why the last start has no self-zero although one was due; empty where it has.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class CellController:
         self._config = config
         self._journal = Journal(recorder)
         self.zero: TareResult | None = None
+        self.zero_note = ""
         self._hand = hand
         self._life = CellLifecycle(
             hand, self._journal, shows_nothing=lambda: self.shows_nothing, clock=clock
@@ -210,7 +213,8 @@ class CellController:
     def start(self) -> None:
         """Verify servos and control unit, open the fingers, take the zero of the taxels.
 
-        Where a self-zero is due it follows, see `measure_zero`.
+        Where a self-zero is due it follows, see `measure_zero`. A daily one that finds a part opens
+        the fingers again, and `zero_note` has why there is none.
 
         Raises
         ------
@@ -236,8 +240,11 @@ class CellController:
             self._hand.open(self._grasper.watch)
             self.zero = self._hand.tare(self._config.tactile.tare_frames)
             self._life.check_cancelled()
-            if self._zeros.due:
+            self.zero_note = ""
+            if self._zeros.due and self._zeros.wanted:
                 self._grasper.measure_zero()
+            elif self._zeros.due:
+                self.zero_note = self._grasper.zero_unasked()
             self._life.complete()
 
     @property

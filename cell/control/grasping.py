@@ -27,19 +27,20 @@ from cell.control.positioner import PatientCaller, Positioner
 from cell.control.records import GraspCollector, GraspRecord, pad_array
 from cell.control.self_zero import (
     SelfZeros,
-    check_pads_met,
     dead_taxels_text,
-    refuse_unsound,
+    part_between,
+    unsound,
     zero_text,
 )
 from cell.data.dataset import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, Watch
 from gripper.dynamixel.control_table import RAD_PER_PULSE
+from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
 from gripper.kinematics import Linkage
-from gripper.state import Clock, Cycle, GraspResult
-from recognition.drift.self_zero import ZeroMeasurement, measure_zero
+from gripper.state import Clock, Cycle, GraspOutcome, GraspResult
+from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
 from recognition.grasp import CELL_SOURCE, Grasp, PadArray
 from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.frames.codec import TactileFrame
@@ -64,6 +65,8 @@ lost now and then (simulated cell, twice the noise)."""
 _ZERO_FORCE_N, _ZERO_RATE_N_S = 10.0, 5.0
 """Force in N with which the empty fingers press on each other, and its growth in N/s: pads of 55 x
 20 mm give 0.36 mm together, and a ramp of two seconds shows that on each taxel."""
+_LOOK_FRAMES, _LOOKS_UP_TO_N = 3, 5.0
+"""Each so many frames it is looked whether a part is between them, up to that set-point in N."""
 
 
 class Grasper:
@@ -184,26 +187,76 @@ class Grasper:
         ZeroRefused
             If they show no sound pads; the fingers are open.
         """
-        collector, watch = self._collecting()
+        outcome, found, refused = self._meet()
+        if between := part_between(outcome, found):
+            raise PartBetweenFingers(
+                f"{between}. The grip is kept. Look; clear the fault and release"
+            )
+        self._hand.release(self.watch)
+        if found is None or (refused := unsound(found)):
+            raise ZeroRefused(refused)
+        return self._kept_zero(found)
+
+    def zero_unasked(self) -> str:
+        """As `measure_zero`, where nobody has looked whether the fingers are empty.
+
+        What is between them is let go, as where an approach was too much; without a self-zero the
+        cell answers as on any day. Returns why there is none; empty where there is one.
+        """
+        outcome, found, refused = self._meet()
+        self._hand.release(self.watch)
+        why = part_between(outcome, found) or refused
+        if found is not None:
+            why = why or unsound(found) or self._zeros.far_from_last(found.zero)
+            if not why:
+                self._kept_zero(found)
+                return ""
+        why = (
+            f"no self-zero today, answers allow for any drift: {why}. The fingers are open. Take "
+            f"everything out of the grip, then `tactile-cell zero`; with `self_zero: on_demand` "
+            f"no start closes the fingers"
+        )
+        self._journal.note("note", why)
+        return why
+
+    def _meet(self) -> tuple[GraspOutcome, ZeroMeasurement | None, str]:
+        """Press the empty fingers on each other, no longer than their pads show no part.
+
+        Returns while they press: how it ended, what it has shown, and why that is nothing.
+        """
+        collector, collect = self._collecting()
+        layout, n_seen = self._hand.layout, 0
+
+        def so_far() -> Grasp:
+            return collector.grasp(self.pads, source=self._source, start_ms=start_ms)
+
+        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+            nonlocal n_seen
+            collect(cycle, frames)
+            if frames and 0.0 < cycle.setpoint_n < _LOOKS_UP_TO_N:
+                n_seen += 1
+                if n_seen % _LOOK_FRAMES == 0 and shows_part(so_far(), layout.gripping_pads):
+                    self._hand.end_ramp()
+
         self._held = None
         self._hand.open(self.watch)
+        start_ms = self._next_start_ms()
         most_n = min(_ZERO_FORCE_N, self._gripper.ramp_force_max_n)
-        self._hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
-        layout = self._hand.layout
-        grasp = collector.grasp(self.pads, source=self._source, start_ms=self._next_start_ms())
+        outcome = self._hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
+        if part_between(outcome):
+            return outcome, None, ""
         try:
             found = measure_zero(
-                grasp, collector.current_a, layout.gripping_pads, step_m=self._opening_step_m
+                so_far(), collector.current_a, layout.gripping_pads, step_m=self._opening_step_m
             )
         except ValueError as error:
-            self._hand.release(self.watch)
-            raise ZeroRefused(f"no self-zero: {error}; measure again") from error
-        check_pads_met(found)
-        self._hand.release(self.watch)
-        refuse_unsound(found)
+            return outcome, None, f"{error}; measure again"
+        return outcome, found, ""
+
+    def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
         self._zeros.keep(found.zero)
         self._journal.note("self_zero", zero_text(found))
-        if dead := dead_taxels_text(found, layout):
+        if dead := dead_taxels_text(found, self._hand.layout):
             self._journal.note("taxels", dead)
         return found
 

@@ -1,5 +1,6 @@
 """Self-zeros of a cell: when one is due, what is refused, and where the newest is kept."""
 
+import hashlib
 import json
 import math
 import time
@@ -8,9 +9,10 @@ from datetime import date
 from pathlib import Path
 from typing import Literal
 
+from cell.config.model import CellConfig
 from cell.data.files import write_atomically
-from cell.errors import CellError, PlanRefused, ZeroRefused
-from gripper.errors import PartBetweenFingers
+from cell.errors import CellError, PlanRefused
+from gripper.state import GraspOutcome, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import ZERO_COLUMNS, SelfZero
 from tactile.layout import TaxelLayout
@@ -24,6 +26,9 @@ _MOST_RATIO = 1.6
 differently (`gripper.limits.imbalance_share`)."""
 _LONGEST_S = 86_400.0
 """Age in s up to which a self-zero counts: a day."""
+_FAR_M = 2e-3
+"""Largest way in m from the self-zero before that a daily one may find, or from the config's zero:
+a flat part on all of both pads feels like the pads, and nobody has looked whether one is there."""
 _MOST_BYTES = 10_000
 """Longest file of a self-zero."""
 
@@ -34,6 +39,31 @@ def zero_file(directory: Path, cell_name: str) -> Path:
     return directory / f"self-zero-{name}.json"
 
 
+def kept_zeros(config: CellConfig, directory: Path | None) -> "SelfZeros":
+    """Return the self-zeros of a cell, kept in a folder; None: in this program alone."""
+    return SelfZeros(
+        config.self_zero,
+        pads_meet=config.gripper.pads_meet,
+        path=None if directory is None else zero_file(directory, config.name),
+        hand=_hand_digest(config),
+    )
+
+
+def _hand_digest(config: CellConfig) -> str:
+    """Return a digest of what a self-zero rests on: servos, linkage, pads, the simulated hand."""
+    gripper, tactile, simulator = config.gripper, config.tactile, config.simulator
+    parts = [
+        [servo.model_dump(mode="json") for servo in gripper.servos],
+        gripper.linkage.model_dump(mode="json"),
+        tactile.model_dump(
+            mode="json", include={"layout", "mounting", "calibration", "board_serial_numbers"}
+        ),
+        simulator.model_dump(mode="json", include={"pads", "faults"}),
+        config.seed if config.simulated else None,
+    ]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
 class SelfZeros:
     """The newest self-zero of a cell, and when the next one is due.
 
@@ -42,12 +72,15 @@ class SelfZeros:
     Parameters
     ----------
     when
-        At which starts it is due, as the config's ``self_zero`` has it.
+        At which starts it is due, as the config's ``self_zero`` has it. At a daily one nobody has
+        looked whether the fingers are empty.
     pads_meet
         Whether the pads of these fingers can press flat on each other.
     path
         File that keeps it from program to program; None: this program alone has it. One that cannot
-        be read counts as none.
+        be read, or is of another hand, counts as none.
+    hand
+        Digest of the hand that it is of.
     now_s
         Returns the unix time in s.
 
@@ -63,11 +96,13 @@ class SelfZeros:
         *,
         pads_meet: bool = True,
         path: Path | None = None,
+        hand: str = "",
         now_s: Callable[[], float] = time.time,
     ) -> None:
         self._when = when
         self._pads_meet = pads_meet
         self._path = path
+        self._hand = hand
         self._now_s = now_s
         self._last: SelfZero | None = None
         self.measured_s = 0.0
@@ -88,6 +123,21 @@ class SelfZeros:
             return self._last is None or last != now
         return self._when == "always"
 
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody wants it at each start, so that what stands in its way is a fault."""
+        return self._when == "always"
+
+    def far_from_last(self, zero: SelfZero) -> str:
+        """Return as text that a self-zero is far from the last one or the config's, else ""."""
+        last_m = 0.0 if self._last is None else self._last.opening_m
+        if abs(zero.opening_m - last_m) <= _FAR_M:
+            return ""
+        return (
+            f"the fingers meet at {_mm(zero.opening_m)} mm, {_mm(last_m)} mm is where they met "
+            f"last or the config has it: something flat may be between them, or the zero has moved"
+        )
+
     def check(self) -> None:
         """Raise PlanRefused where these fingers have no self-zero."""
         if not self._pads_meet:
@@ -103,7 +153,8 @@ class SelfZeros:
         self._last, self.measured_s = zero, self._now_s()
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            text = json.dumps({"measured_s": self.measured_s} | zero_values(zero), indent=1)
+            kept = {"measured_s": self.measured_s, "hand": self._hand} | zero_values(zero)
+            text = json.dumps(kept, indent=1)
             write_atomically(
                 self._path,
                 lambda file: file.write(text.encode()),
@@ -116,6 +167,8 @@ class SelfZeros:
             if path.stat().st_size > _MOST_BYTES:
                 return
             values = json.loads(path.read_text())
+            if values["hand"] != self._hand:
+                return
             measured_s = float(values["measured_s"])
             date.fromtimestamp(measured_s)
             self._last = SelfZero.from_values([values[name] for name in ZERO_COLUMNS])
@@ -124,34 +177,44 @@ class SelfZeros:
             self._last = None
 
 
-def check_pads_met(found: ZeroMeasurement) -> None:
-    """Raise PartBetweenFingers where the footprint is not that of two pads on each other."""
-    if not found.pads_met:
-        raise PartBetweenFingers(
-            f"the empty fingers were to meet, and the pads show another footprint than their own "
-            f"(two plane pads explain {100 * max(found.fit, 0.0):.0f} % of it) near an opening of "
-            f"{found.zero.opening_m * 1e3:.1f} mm: something is between them, or a pad is "
-            f"damaged. The grip is kept. Look; clear the fault and release"
-        )
+def part_between(outcome: GraspOutcome, found: ZeroMeasurement | None = None) -> str:
+    """Return as text that something else than their pads has stopped the empty fingers, else "".
+
+    Parameters
+    ----------
+    outcome
+        Of `Hand.meet`: it ends early where the opening or the first footprints show a part.
+    found
+        What the pads have shown at the end.
+    """
+    lost = outcome.result is GraspResult.PART_LOST
+    if not (outcome.ended_early or lost or (found is not None and not found.pads_met)):
+        return ""
+    return (
+        f"the empty fingers were to meet, and were stopped at {_mm(outcome.final_aperture_m)} mm: "
+        f"something is between them. Where nothing is, a pad is damaged, or the zero is off as by "
+        f"a tooth of a horn"
+    )
 
 
-def refuse_unsound(found: ZeroMeasurement) -> None:
-    """Raise ZeroRefused where a finger is bent, or one pad feels far less than the other."""
+def unsound(found: ZeroMeasurement) -> str:
+    """Return as text that a finger is bent, or one pad feels far less than the other, else ""."""
     tilt_deg = [math.degrees(tilt) for tilt in found.tilt_rad]
     if max(map(abs, found.tilt_rad)) > _MOST_TILT_RAD:
-        raise ZeroRefused(
+        return (
             f"the pads meet at {tilt_deg[0]:+.1f} degrees along the fingers and "
             f"{tilt_deg[1]:+.1f} across, {math.degrees(_MOST_TILT_RAD):.0f} are allowed: a finger "
             f"is bent or a pad is loose; straighten or mend it, then measure again"
         )
     ratio = math.exp(found.zero.log_gain_ratio)
-    if not 1.0 / _MOST_RATIO <= ratio <= _MOST_RATIO:
-        weak = 0 if ratio < 1.0 else 1
-        raise ZeroRefused(
-            f"under one force the pad of finger 0 shows {ratio:.2f} times what that of finger 1 "
-            f"shows, {_MOST_RATIO:g} or its inverse are allowed: the pad of finger {weak} is worn, "
-            f"or its cable damaged; change it, then measure again"
-        )
+    if 1.0 / _MOST_RATIO <= ratio <= _MOST_RATIO:
+        return ""
+    weak = 0 if ratio < 1.0 else 1
+    return (
+        f"under one force the pad of finger 0 shows {ratio:.2f} times what that of finger 1 "
+        f"shows, {_MOST_RATIO:g} or its inverse are allowed: the pad of finger {weak} is worn, "
+        f"or its cable damaged; change it, then measure again"
+    )
 
 
 def dead_taxels_text(found: ZeroMeasurement, layout: TaxelLayout) -> str:
@@ -171,12 +234,16 @@ def zero_values(zero: SelfZero) -> dict[str, float]:
     return dict(zip(ZERO_COLUMNS, zero.values, strict=True))
 
 
+def _mm(opening_m: float) -> str:
+    return f"{opening_m * 1e3:+.2f}"
+
+
 def zero_text(found: ZeroMeasurement) -> str:
     """Return a self-zero as text for people: zero, gains, foam, how the pads stand."""
     zero = found.zero
     along_deg, across_deg = (math.degrees(tilt) for tilt in found.tilt_rad)
     return (
-        f"pads meet at {zero.opening_m * 1e3:+.2f} mm (±{zero.opening_sd_m * 1e3:.2f}), finger 0 "
+        f"pads meet at {_mm(zero.opening_m)} mm (±{zero.opening_sd_m * 1e3:.2f}), finger 0 "
         f"feels {math.exp(zero.log_gain_ratio):.2f} times finger 1 "
         f"(±{zero.log_gain_ratio_sd:.2f}), tilt {along_deg:+.1f} and {across_deg:+.1f} degrees"
     )

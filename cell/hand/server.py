@@ -162,7 +162,7 @@ class HandServer:
         self._poller = select.poll()
         self._poller.register(connection.fileno(), select.POLLIN)
         self._requests: deque[Request] = deque()
-        self._grasp = 0
+        self._ramp = 0
         self._ending = ""
         self._supervised = True
         self._alive_due_s = 0.0
@@ -218,14 +218,14 @@ class HandServer:
         message = self._connection.recv()
         if isinstance(message, Request):
             self._requests.append(message)
-        elif isinstance(message, EndRamp) and message.number == self._grasp:
+        elif isinstance(message, EndRamp) and message.number == self._ramp:
             self._hand.end_ramp()
 
     def _execute(self, request: Request) -> None:
         value: Any = None
         failure: BaseException | None = None
         dropped = self._outbox.dropped
-        self._grasp = request.number if request.command.name == "grasp" else 0
+        self._ramp = request.number if request.command.name in ("grasp", "meet") else 0
         try:
             value = request.command.run(self._hand, self._watch)
         except GraspStopped as stop:

@@ -27,7 +27,7 @@ from cell.commissioning.ports import LATENCY_MS, latency_command, rights_command
 from cell.commissioning.servos import model_name
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
-from cell.control.self_zero import SelfZeros, zero_file
+from cell.control.self_zero import kept_zeros
 from cell.errors import CellError
 from cell.hand.interface import FORCE_FROM_FRAMES
 from cell.hand.lines import MISSING
@@ -186,7 +186,7 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
             "none: gripper.pads_meet is false" if config.self_zero != "never" else "never wanted"
         )
         return _finding("self-zero", found, ok=True)
-    kept = SelfZeros(path=zero_file(Path(config.recording.directory), config.name))
+    kept = kept_zeros(config, Path(config.recording.directory))
     if kept.newest is None:
         last = datetime.fromtimestamp(kept.measured_s).date()
         return _finding(

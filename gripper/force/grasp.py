@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf
 
-from gripper.errors import GripContradicted, LimitExceeded, PartBetweenFingers, PartLost
+from gripper.errors import GripContradicted, LimitExceeded, PartLost
 from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Observer, Running
 from gripper.force.mechanics_proof import (
@@ -105,11 +105,7 @@ class GraspRun:
             self._widest_m = max(self._widest_m or 0.0, reached.touch_m)
             step, final = self._press(ramp, reached, observer, set_phase)
         if step.lost:
-            ran = step.control is not None and step.control.ran
-            self._confirm_empty(
-                final, observer, set_phase, ran=ran, stiffness_n_m=reached.stiffness.stiffness_n_m
-            )
-            self.forget()
+            self._confirm_lost(step, final, reached, observer, set_phase)
         return step.outcome(final)
 
     def meet(
@@ -125,16 +121,12 @@ class GraspRun:
         self._closed_is_proven = True
         if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(contact)
-        if contact.aperture_m > ZERO_RANGE_M:
-            raise PartBetweenFingers(
-                f"the empty fingers were to meet, and touch at an opening of "
-                f"{contact.aperture_m * 1e3:.1f} mm: something is between them, or the zero is off "
-                f"by more than {ZERO_RANGE_M * 1e3:.0f} mm, as by a tooth of a horn. The grip is "
-                f"kept with {self._settings.contact_force_n:g} N. Look; clear the fault and release"
-            )
-        step, final = self._press(ramp, reached, observer, set_phase)
+        with self._end.counting():
+            if contact.aperture_m > ZERO_RANGE_M:
+                self._end.request()
+            step, final = self._press(ramp, reached, observer, set_phase)
         if step.lost:
-            raise _obstructed(final)
+            self._confirm_lost(step, final, reached, observer, set_phase)
         return step.outcome(final)
 
     def _press(
@@ -158,6 +150,21 @@ class GraspRun:
         )
         final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
         return step, final
+
+    def _confirm_lost(
+        self,
+        step: "RampStep",
+        final: GripperState,
+        reached: "_Reached",
+        observer: Observer | None,
+        set_phase: Callable[[GripperPhase], None],
+    ) -> None:
+        """Forget a part that was lost on the ramp, once nothing shows one any more."""
+        ran = step.control is not None and step.control.ran
+        self._confirm_empty(
+            final, observer, set_phase, ran=ran, stiffness_n_m=reached.stiffness.stiffness_n_m
+        )
+        self.forget()
 
     def _confirm_empty(
         self,

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 
 from recognition.drift.drift import Drift, shifted_levels
 from recognition.drift.grid import DriftPrior
-from recognition.grasp import Grasp, SelfZero
+from recognition.grasp import Grasp, PadArray, SelfZero
 from recognition.ramp.levels import Levels, stack_levels
 
 _REST_GAP_M = 1e-3
@@ -28,6 +28,10 @@ _LEAST_FRAMES = 4
 """Fewest frames of rest, and of the ramp."""
 _TOP_SHARE = 0.7
 """Share of the largest load from which on frames show which taxels answer."""
+_NEWEST = 3
+"""Frames whose mean shows early whether a part is there."""
+_SURE_SIGMAS = 5.0
+"""How far beyond the noise that has to stand out, in standard deviations: some ten looks a ramp."""
 _LEAST_FIT = 0.9
 """Least share of the footprint's variance that pads on each other leave explained: a part between
 them makes another footprint."""
@@ -96,26 +100,14 @@ def measure_zero(
     ValueError
         Frames of rest or ramp are missing, or the pads felt nothing.
     """
-    pressing = np.flatnonzero(grasp.force_n > 0.0)
-    if len(pressing) < _LEAST_FRAMES:
-        raise ValueError(f"{len(pressing)} frames of the ramp, {_LEAST_FRAMES} are needed")
-    touch_m = float(grasp.aperture_m[pressing[0]])
-    open_ = np.flatnonzero(grasp.aperture_m[: pressing[0]] > touch_m + _REST_GAP_M)
-    if len(open_) < _LEAST_FRAMES:
-        raise ValueError(f"{len(open_)} frames of open fingers, {_LEAST_FRAMES} are needed")
+    pressing, before, rise = _risen(grasp, gripping)
     taxels = [grasp.pads.taxels_of(pad) for pad in gripping]
-    before = [grasp.counts[np.ix_(open_, t)].astype(np.float64) for t in taxels]
-    rise = [
-        grasp.counts[np.ix_(pressing, t)] - rest.mean(axis=0)
-        for t, rest in zip(taxels, before, strict=True)
-    ]
     load = np.stack([r.sum(axis=1) for r in rise])
     if np.any(load.mean(axis=1) <= 0.0):
         raise ValueError("a pad has felt nothing while the fingers pressed on each other")
     ratio, ratio_sd = _ratio(load)
     evened = [rise[0] / np.sqrt(ratio), rise[1] * np.sqrt(ratio)]
-    alike = np.array_equal(*(grasp.pads.pad_shape[pad] for pad in gripping))
-    footprint = 0.5 * (evened[0] + evened[1]) if alike else evened[0]
+    footprint = _of_both(evened, alike=_alike(grasp.pads, gripping))
     xy_m = grasp.pads.taxel_xy_m[taxels[0]]
     gradient, middle = _gradient(footprint, xy_m * 1e3)
     met = _meeting(middle, grasp.aperture_m[pressing] * 1e3, step_m * 1e3)
@@ -149,6 +141,31 @@ def measure_zero(
         fit=float(1.0 - unexplained / (spread**2).mean()),
         dead=tuple(dead),
     )
+
+
+def shows_part(grasp: Grasp, gripping: tuple[int, int]) -> bool:
+    """Return whether the newest frames of a ramp that still goes on show a part between the pads.
+
+    That is where another footprint than that of two pads stands out from the noise.
+    """
+    try:
+        _, before, rise = _risen(grasp, gripping)
+    except ValueError:
+        return False
+    alike = _alike(grasp.pads, gripping)
+    newest = _of_both([one[-_NEWEST:] for one in rise], alike=alike)
+    spread = newest.mean(axis=0, keepdims=True)
+    if spread.mean() <= 0.0:
+        return False
+    xy_m = grasp.pads.taxel_xy_m[grasp.pads.taxels_of(gripping[0])]
+    gradient, middle = _gradient(spread, xy_m * 1e3)
+    shown = np.maximum(middle + xy_m @ gradient * 1e3, 0.0)
+    # Noise of the mean, and how far its square over all taxels strays by chance.
+    n_pads = 2 if alike else 1
+    noise = float(np.concatenate([b.var(axis=0) for b in before]).mean()) / (n_pads * len(newest))
+    chance = noise * (1.0 + _SURE_SIGMAS * np.sqrt(2.0 / spread.size))
+    unexplained = float(((spread - shown) ** 2).mean() - chance)
+    return unexplained > (1.0 - _LEAST_FIT) * float((spread**2).mean())
 
 
 def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, ...], n_pads: int) -> Drift:
@@ -221,6 +238,39 @@ class _Meeting:
     log_counts_mm_sd: float
     zero_mm: float
     zero_sd_mm: float
+
+
+def _risen(
+    grasp: Grasp, gripping: tuple[int, int]
+) -> tuple[NDArray[np.int64], list[NDArray[np.float64]], list[NDArray[np.float64]]]:
+    """Return the frames of the ramp, and counts of each pad: of open fingers, and above them.
+
+    Raises ValueError where frames of rest or ramp are missing.
+    """
+    pressing = np.flatnonzero(grasp.force_n > 0.0)
+    if len(pressing) < _LEAST_FRAMES:
+        raise ValueError(f"{len(pressing)} frames of the ramp, {_LEAST_FRAMES} are needed")
+    touch_m = float(grasp.aperture_m[pressing[0]])
+    open_ = np.flatnonzero(grasp.aperture_m[: pressing[0]] > touch_m + _REST_GAP_M)
+    if len(open_) < _LEAST_FRAMES:
+        raise ValueError(f"{len(open_)} frames of open fingers, {_LEAST_FRAMES} are needed")
+    taxels = [grasp.pads.taxels_of(pad) for pad in gripping]
+    before = [grasp.counts[np.ix_(open_, t)].astype(np.float64) for t in taxels]
+    rise = [
+        grasp.counts[np.ix_(pressing, t)] - rest.mean(axis=0)
+        for t, rest in zip(taxels, before, strict=True)
+    ]
+    return pressing, before, rise
+
+
+def _alike(pads: PadArray, gripping: tuple[int, int]) -> bool:
+    """Return whether both pads have as many rows and columns."""
+    return np.array_equal(*(pads.pad_shape[pad] for pad in gripping))
+
+
+def _of_both(rise: Sequence[NDArray[np.float64]], *, alike: bool) -> NDArray[np.float64]:
+    """Return the mean footprint of both pads; of pads that differ that of the first."""
+    return 0.5 * (rise[0] + rise[1]) if alike else rise[0]
 
 
 def _gradient(

@@ -31,8 +31,9 @@ def call(*arguments: object) -> str:
 
 
 def small_config(**changes: Any) -> CellConfig:
-    """Two objects and a short zero; the rest as built in."""
+    """Two objects, a short zero, a self-zero on demand; the rest as built in."""
     small = {
+        "self_zero": "on_demand",
         "tactile.tare_frames": 25,
         "simulator.objects": [
             {"label": "ball", "shape": "sphere:diameter=9.5mm"},

@@ -102,6 +102,7 @@ class FaultRow:
 def campaign_config(changes: Mapping[str, Any] | None = None) -> CellConfig:
     """Return a config with short jobs; changes by dotted path, as ``{"tactile.layout": ...}``."""
     short_jobs = {
+        "self_zero": "on_demand",
         "gripper.aperture_open_mm": 16.0,
         "tactile.tare_frames": 10,
         "sequence.ramp": {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.3},

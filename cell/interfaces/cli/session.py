@@ -143,6 +143,8 @@ def running_cell(
     try:
         with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S), _closing(cell):
             cell.controller.start()
+            if cell.controller.zero_note:
+                print_note(cell.controller.zero_note)
             yield cell
     except (CellError, GripperError, TactileError, OSError) as error:
         if isinstance(error, CellStopped):

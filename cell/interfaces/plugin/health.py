@@ -12,7 +12,7 @@ from recognition.drift.grid import DriftGrid
 
 
 def health_values(config: CellConfig, cell: Cell, drift: DriftGrid | None) -> dict[str, Any]:
-    """Return level and figures of servos, CAN, loop, drift and recording as plain data.
+    """Return level and figures of servos, CAN, loop, drift, self-zero and recording as plain data.
 
     Levels are ``ok``, ``watch`` (the cell acts soon, or less is as it should be) and ``bad``.
     """
@@ -28,6 +28,8 @@ def health_values(config: CellConfig, cell: Cell, drift: DriftGrid | None) -> di
             "p99_ms": 1e3 * statistics.loop.lateness.p99_s,
         },
         "drift": _drift(drift),
+        "zero": _level(watch=bool(controller.zero_note), bad=False)
+        | {"text": controller.zero_note},
         "recording": _recording(cell, vital=config.recording.when_lost == "hold"),
     }
 

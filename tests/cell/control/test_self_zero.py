@@ -8,16 +8,18 @@ from typing import Any
 import pytest
 
 from cell.commissioning.engine import Verdict
+from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
-from cell.control.self_zero import SelfZeros, zero_file, zero_values
+from cell.control.self_zero import SelfZeros, kept_zeros, zero_file, zero_values
 from cell.control.states import CellState
-from cell.errors import PlanRefused, ZeroRefused
+from cell.errors import PartInGrip, PlanRefused, ZeroRefused
 from cell.interfaces.plugin import tasks
 from cell.interfaces.plugin.goals import ZeroGoal, checked_goal
 from cell.jobs.doctor import examine
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
 from recognition.grasp import SelfZero
+from tactile.errors import FrameTimeout
 from tests.cell.conftest import call
 
 PULSE_MM = 60.0 * 2.0 * math.pi / 4096.0
@@ -68,13 +70,83 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
     assert bench.controller.state is CellState.ABORTED
     assert bench.controller.holding
     assert bench.controller.self_zero is None
-    assert bench.grip_n > 0.3
+    assert 0.3 < bench.grip_n < bench.controller.carry_force_n + 0.5
     bench.controller.clear()
     bench.controller.release_held()
     bench.simulated.remove()
     bench.controller.reset()
     bench.controller.start()
     assert abs(bench.controller.measure_zero().zero.opening_m) < 2e-4
+
+
+@pytest.mark.parametrize(
+    "part", ["sphere:diameter=9.5mm", "sphere:diameter=5mm", "cylinder:diameter=3mm,length=60mm"]
+)
+def test_a_daily_start_opens_again_on_a_part_and_goes_on(
+    make_bench, make_config, tmp_path: Path, part: str
+) -> None:
+    config = make_config(self_zero="daily")
+    (tmp_path / "job").mkdir()
+    bench = make_bench(config, folder=tmp_path / "job")
+    bench.simulated.place(part)
+    pressed_n: list[float] = []
+    bench.clock.on_advance.append(lambda _now_s: pressed_n.append(bench.grip_n))
+    bench.controller.start()
+    # Less than any grasp presses it, not with the 10 N of a self-zero.
+    assert 0.3 < max(pressed_n) < bench.controller.carry_force_n
+    assert bench.grip_n == 0.0
+    assert bench.controller.state is CellState.IDLE
+    assert not bench.controller.holding
+    note = bench.controller.zero_note
+    assert "something is between them" in note
+    assert "`tactile-cell zero`; with `self_zero: on_demand`" in note
+    assert bench.controller.self_zero is None
+    assert not zero_file(tmp_path, config.name).exists()
+    bench.simulated.place("ball")
+    assert bench.controller.grip(3.0).grasp.zero is None
+    bench.controller.release()
+    bench.simulated.remove()
+    bench.controller.measure_zero()
+    assert zero_file(tmp_path, config.name).exists()
+
+
+def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(
+    make_bench, make_config
+) -> None:
+    flat = make_bench(make_config(self_zero="daily"))
+    flat.simulated.place("box:length=80mm,width=40mm,height=3mm")
+    flat.controller.start()
+    assert "something flat may be between them" in flat.controller.zero_note
+    assert flat.controller.self_zero is None
+    bent = make_bench(make_config(self_zero="daily", simulator__pads={"tilt_deg": [6.0, 0.0]}))
+    bent.controller.start()
+    assert "a finger is bent" in bent.controller.zero_note
+    assert (bent.controller.state, bent.controller.self_zero) == (CellState.IDLE, None)
+
+
+def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench, make_config) -> None:
+    bench = make_bench(make_config(self_zero="always")).ready()
+    bench.controller.grip(3.0, Pose())
+    held_n = bench.grip_n
+    bench.controller.shutdown()
+    with pytest.raises(PartInGrip, match="nothing was moved"):
+        bench.controller.start()
+    assert bench.grip_n == pytest.approx(held_n, abs=0.3)
+    assert bench.controller.holding
+
+
+def test_a_start_after_a_fault_on_the_same_day_does_not_zero_again(make_bench, make_config) -> None:
+    bench = make_bench(make_config(self_zero="daily")).ready()
+    taken = bench.controller.self_zero
+    bench.inject("unit.off")
+    with pytest.raises(FrameTimeout):
+        bench.idle(2.0)
+    bench.simulated.injector.clear("unit.off")
+    bench.controller.clear()
+    bench.controller.reset()
+    bench.controller.start()
+    assert taken is not None
+    assert bench.controller.self_zero is taken
 
 
 def test_a_start_does_not_zero_on_a_part(make_bench, make_config) -> None:
@@ -149,6 +221,9 @@ def test_fingers_that_cannot_meet_are_gauged(make_bench, make_config) -> None:
         bench.controller.measure_zero()
     with pytest.raises(Exception, match=r"gripper\.pads_meet is false"):
         make_config(gripper__pads_meet=False, self_zero="daily")
+    unset = changed_config(CellConfig(), {"gripper.pads_meet": False})
+    assert (CellConfig().self_zero, unset.self_zero) == ("daily", "never")
+    assert parse_config(config_text(unset), source="x") == unset
     with pytest.raises(PlanRefused, match="self_zero is never"):
         make_bench(make_config(self_zero="never")).ready().controller.measure_zero()
 
@@ -164,6 +239,20 @@ def test_a_damaged_file_counts_as_none(tmp_path: Path, text: str) -> None:
     assert SelfZeros("daily", path=path).newest is None
     SelfZeros("daily", path=path).keep(ZERO)
     assert SelfZeros("daily", path=path).newest == ZERO
+
+
+def test_a_file_of_another_hand_counts_as_none(make_config, tmp_path: Path) -> None:
+    config = make_config()
+    kept_zeros(config, tmp_path).keep(ZERO)
+    assert kept_zeros(config, tmp_path).newest == ZERO
+    for other in (
+        {"simulator__pads": {"stiffness": [0.8, 1.0]}},
+        {"gripper__linkage__link_mm": 61.0},
+        {"seed": 3},
+        {"simulator__faults": ["servo1.horn=12"]},
+    ):
+        assert kept_zeros(make_config(**other), tmp_path).newest is None
+    assert kept_zeros(make_config(gripper__force_max_n=12.0), tmp_path).newest == ZERO
 
 
 def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:

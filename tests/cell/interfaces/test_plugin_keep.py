@@ -77,6 +77,7 @@ def test_fingers_that_open_little_beyond_the_part_show_no_drift_of_the_zero(
     config = changed_config(
         CellConfig(),
         {
+            "self_zero": "on_demand",
             "gripper.aperture_open_mm": aperture_open_mm,
             "tactile.tare_frames": 15,
             "sequence.rotation_deg": [0.0, 0.0],

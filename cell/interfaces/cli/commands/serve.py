@@ -131,6 +131,8 @@ def serve(
         plugin, poses = open_plugin(
             checked, model=model, training_set=training_set, save=save, folder=folder, tap=tap
         )
+        if zero_note := plugin.health()["zero"]["text"]:
+            print_note(zero_note)
         service = Service(
             plugin, checked, poses=poses, photos_beside=save or model, note=print_note
         )

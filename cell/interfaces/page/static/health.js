@@ -8,7 +8,7 @@ const LEVELS = ["bad", "watch", "ok"];
 const most = (values) => (values?.length ? Math.max(...values.filter((one) => one !== null)) : null);
 
 function sentences(health) {
-  const { servos, can, loop, drift, recording } = health;
+  const { servos, can, loop, drift, zero, recording } = health;
   const found = [];
   const add = (level, key, values) => found.push([LEVELS.includes(level) ? level : "watch", t(key, values)]);
   if (servos && (servos.level !== "ok" || servos.temperature_c?.length)) {
@@ -19,6 +19,7 @@ function sentences(health) {
   if (can) add(can.level, can.level === "ok" ? "health.can_well" : "health.can", { lost: can.lost ?? 0, frames: number(can.frames ?? 0), age: number(1000 * (can.age_s ?? 0), 0) });
   if (loop) add(loop.level, loop.level === "ok" ? "health.loop_well" : "health.loop", { late: loop.late ?? 0, p99: number(loop.p99_ms, 1) });
   if (drift) add(drift.level, "health.drift", { gain: number(100 * ((drift.gain ?? 1) - 1), 1), opening: number(drift.opening_mm, 2) });
+  if (zero?.text) add(zero.level, "health.zero", {});
   if (recording) add(recording.level, recording.path ? "health.recording" : "health.no_recording", {});
   if (recording?.text && recording.level !== "ok") found.at(-1)[1] += `: ${recording.text}`;
   return found.sort((a, b) => LEVELS.indexOf(a[0]) - LEVELS.indexOf(b[0]));
