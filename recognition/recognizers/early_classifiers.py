@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -165,42 +164,6 @@ class EarlyDecider:
         return False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EarlyRecognizer:
-    """Early classifiers and a recogniser of whole ramps."""
-
-    early: EarlyClassifiers
-    """The early classifiers."""
-    whole: Recognizer
-    """The recogniser of whole ramps."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The taught objects."""
-        return self.whole.labels
-
-    def look_frames(self, grasp: Grasp) -> tuple[int, ...]:
-        """Return after how many frames each load is reached; see `EarlyClassifiers.look_frames`."""
-        return self.early.look_frames(grasp)
-
-    def answer(self, grasp: Grasp, rule: StopRule) -> EarlyAnswer:
-        """Look at each load in turn until the rule is satisfied, at last at the whole grasp."""
-        looks = EarlyDecider(self.early, (), rule)
-        for number, counts in enumerate(grasp.counts, start=1):
-            if (
-                looks.add_frame(counts, partial(grasp.first_frames, number))
-                and looks.answer is not None
-            ):
-                return looks.answer
-        posterior = self.whole.posterior(grasp)
-        return EarlyAnswer(
-            posterior=posterior,
-            looks=looks.looks + 1,
-            n_frames=grasp.n_frames,
-            decided=rule.suffices(fuse([posterior])),
-        )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlyTrainer:
     """Teaches whole ramps and ramps cut short."""
@@ -215,11 +178,6 @@ class EarlyTrainer:
             raise ValueError(f"shares {self.shares} must be different and ascending")
         if not 0.0 < self.shares[0] <= self.shares[-1] < 1.0:
             raise ValueError(f"shares {self.shares} must lie between 0 and 1")
-
-    def fit(self, grasps: Sequence[Grasp]) -> EarlyRecognizer:
-        """Teach with labelled grasps. Raises ValueError where whole ramps do not suffice."""
-        whole = self.base.fit(grasps)
-        return EarlyRecognizer(early=self.fit_classifiers(grasps, whole), whole=whole)
 
     def fit_classifiers(self, grasps: Sequence[Grasp], whole: Recognizer) -> EarlyClassifiers:
         """Teach with the grasps that taught ``whole``; ramps that end below a load serve whole.
