@@ -31,18 +31,9 @@ class Contender:
     """Trials that it took for an untaught object."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Match:
-    """One recogniser, and the grasps that it is tried on."""
-
-    name: str
-    uses_aperture: bool
-    effort: Effort
-
-
-def try_one(match: Match) -> Contender:
-    """Teach and test one recogniser, once for each lesson."""
-    effort = match.effort
+def try_one(match: tuple[str, bool, Effort]) -> Contender:
+    """Teach and test one recogniser (name, with the opening or not), once for each lesson."""
+    name, uses_aperture, effort = match
     counts = np.zeros((len(LABELS), len(LABELS)), dtype=np.int64)
     rejected = 0
     for lesson in range(effort.other_lessons):
@@ -55,23 +46,17 @@ def try_one(match: Match) -> Contender:
             ]
             for n in (effort.n_taught, effort.other_tested)
         )
-        recognizer = make_trainer(match.name, use_aperture=match.uses_aperture).fit(taught)
+        recognizer = make_trainer(name, use_aperture=uses_aperture).fit(taught)
         answers = [recognizer.posterior(grasp) for grasp in tested]
         counts += confusion_matrix(
             [grasp.label for grasp in tested], [answer.best for answer in answers], LABELS
         )
         rejected += sum(answer.name == UNKNOWN for answer in answers)
-    return Contender(
-        name=match.name,
-        uses_aperture=match.uses_aperture,
-        counts=counts,
-        rejected=rejected,
-    )
+    return Contender(name=name, uses_aperture=uses_aperture, counts=counts, rejected=rejected)
 
 
 def contenders(effort: Effort, spread: Spread) -> tuple[Contender, ...]:
     """Try all recognisers that there are, by touch alone and, where they can, with the opening."""
-    names = (*TRAINERS, *COMPARATORS)
-    matches = [Match(name=name, uses_aperture=False, effort=effort) for name in names]
-    matches += [Match(name=name, uses_aperture=True, effort=effort) for name in _APERTURE_TOO]
+    matches = [(name, False, effort) for name in (*TRAINERS, *COMPARATORS)]
+    matches += [(name, True, effort) for name in _APERTURE_TOO]
     return tuple(spread(try_one, matches))

@@ -8,6 +8,20 @@ Spread = Callable[[Callable[[Any], Any], list[Any]], list[Any]]
 """Does a piece of work for each task of a list, in order, in one process or in several."""
 
 
+_LEAST = {
+    "n_taught": 4,
+    "table_lessons": 1,
+    "table_tested": 4,
+    "curve_lessons": 1,
+    "curve_tested": 3,
+    "repeats": 10,
+    "other_lessons": 1,
+    "other_tested": 4,
+    "iterations": 4,
+}
+"""Least numbers, at any effort."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effort:
     """How many trials."""
@@ -37,19 +51,7 @@ class Effort:
         if effort >= 1.0:
             return self
 
-        def some(full: int, least: int) -> int:
-            return max(least, round(full * effort))
-
-        return replace(
-            self,
-            n_taught=some(self.n_taught, 4),
-            table_lessons=some(self.table_lessons, 1),
-            table_tested=some(self.table_tested, 4),
-            curve_lessons=some(self.curve_lessons, 1),
-            curve_tested=some(self.curve_tested, 3),
-            repeats=some(self.repeats, 10),
-            other_lessons=some(self.other_lessons, 1),
-            other_tested=some(self.other_tested, 4),
-            iterations=some(self.iterations, 4),
-            every=4,
-        )
+        few = {
+            name: max(least, round(getattr(self, name) * effort)) for name, least in _LEAST.items()
+        }
+        return replace(self, every=4, **few)

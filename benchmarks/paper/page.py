@@ -2,6 +2,7 @@
 
 import json
 import time
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -215,10 +216,7 @@ def as_json(found: PaperStudy, seconds: float) -> dict[str, Any]:
     """Return the figures that the page and the docs quote."""
     return {
         "seconds": round(seconds, 1),
-        "claims": [
-            {"where": c.where, "claim": c.claim, "found": c.found, "verdict": c.verdict}
-            for c in claims(found)
-        ],
+        "claims": [asdict(claim) for claim in claims(found)],
         "invariance": [
             {
                 "varied": part.name,

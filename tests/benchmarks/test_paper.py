@@ -177,12 +177,12 @@ def test_the_page_stands_alone_and_has_every_part(made):
         assert f"<code>{contender.name}</code>" in text
 
 
-def test_the_command_prints_every_part(made, capsys, monkeypatch):
+def test_the_command_prints_every_claim_and_the_page(made, capsys, monkeypatch):
     monkeypatch.setattr(command, "reproduce_paper", lambda folder, *, effort, workers: made)
     command.main(EFFORT)
     printed = capsys.readouterr().out
     assert printed.startswith("compared")
-    assert "  ratio" in printed
+    assert str(made[1]) in printed
     assert "nan" not in printed
     for claim in claims(made[0]):
         assert claim.claim in printed
