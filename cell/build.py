@@ -47,7 +47,7 @@ from motion.axes import Axes
 from simulator.cell import SimulatedCell
 from simulator.clock import Pace
 from tactile.can.bus import CanBus, close_bus, open_bus
-from tactile.sensor.sensor import FrameSource
+from tactile.sensor.sensor import SensorLink
 
 _IDLE_STEP_S = 0.02
 """Virtual time in s from one look at a paced cell with empty fingers to the next: one frame."""
@@ -115,7 +115,7 @@ class Cell:
         return None if fault is None else str(fault)
 
     @property
-    def link(self) -> FrameSource:
+    def link(self) -> SensorLink:
         """The link to the control unit, of a cell whose loop runs in this process, for tests."""
         return self.controller.local_hand.link
 

@@ -19,7 +19,7 @@ from gripper.state import (
 from tactile.errors import BusOff, ReceiveLoopDead, ZeroDrifted
 from tactile.layout import TaxelLayout
 from tactile.sensor.grip_force import GripForce
-from tactile.sensor.sensor import FrameSource, TactileReading, TactileSensor
+from tactile.sensor.sensor import SensorLink, TactileReading, TactileSensor
 from tactile.sensor.tare import TareResult
 from tactile.unit.settings import NodeIdentity
 
@@ -55,7 +55,7 @@ class LocalHand:
         return self.gripper.bus
 
     @property
-    def link(self) -> FrameSource:
+    def link(self) -> SensorLink:
         """The link to the control unit, likewise."""
         return self.sensor.link
 

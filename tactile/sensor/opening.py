@@ -74,7 +74,6 @@ def open_sensor(
             calibration,
             clock=clock,
             settings=settings,
-            forces=tactile_link,
             close_bus=(lambda: close_bus(bus)) if owned else None,
         )
     except BaseException:

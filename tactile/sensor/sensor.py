@@ -131,8 +131,8 @@ class TactileReading:
         return self.frame.t_s
 
 
-class FrameSource(Protocol):
-    """Source of frames; `TactileLink` is one."""
+class SensorLink(Protocol):
+    """Source of frames and force messages; `TactileLink` is one."""
 
     @property
     def statistics(self) -> LinkStatistics:
@@ -142,6 +142,11 @@ class FrameSource(Protocol):
     @property
     def fault(self) -> LinkFault | None:
         """The latched fault, None while there is none."""
+        ...
+
+    @property
+    def sends_forces(self) -> bool:
+        """Whether there are force messages."""
         ...
 
     def use(self, bus: "CanBus") -> None:
@@ -156,25 +161,16 @@ class FrameSource(Protocol):
         """Return the whole frames since the last call, oldest first; does not wait."""
         ...
 
-    def close(self) -> None:
-        """End."""
-        ...
-
-
-class ForceSource(Protocol):
-    """Source of force messages; `TactileLink` is one."""
-
-    @property
-    def sends_forces(self) -> bool:
-        """Whether there are any."""
-        ...
-
     def take_forces(self) -> tuple[ForceMessage, ...]:
-        """Return the messages since the last call, oldest first."""
+        """Return the force messages that the polls since the last call took in, oldest first."""
         ...
 
     def write_zero(self, zero: bytes) -> None:
         """Give the unit the zero by which it sums; see `tactile.frames.force_message`."""
+        ...
+
+    def close(self) -> None:
+        """End."""
         ...
 
 
@@ -185,21 +181,18 @@ class TactileSensor:
     ----------
     calibration
         Counts to forces; must be for the layout's full scale.
-    forces
-        Source of force messages, polled with the link; None without one.
     close_bus
         Closes the bus of the link at the end of a ``with``; None where that is another's.
     """
 
     def __init__(
         self,
-        link: FrameSource,
+        link: SensorLink,
         layout: TaxelLayout,
         calibration: Calibration,
         *,
         clock: Clock,
         settings: SensorSettings | None = None,
-        forces: ForceSource | None = None,
         close_bus: Callable[[], None] | None = None,
     ) -> None:
         if calibration.adc_max != layout.adc_max:
@@ -208,7 +201,6 @@ class TactileSensor:
                 f"{layout.name} has {layout.adc_max}"
             )
         self._link = link
-        self._forces = forces
         self._close_bus = close_bus
         self._running = False
         self._identity: NodeIdentity | None = None
@@ -275,8 +267,8 @@ class TactileSensor:
         return self._tare
 
     @property
-    def link(self) -> FrameSource:
-        """Where the frames come from."""
+    def link(self) -> SensorLink:
+        """Where frames and force messages come from."""
         return self._link
 
     @property
@@ -325,10 +317,9 @@ class TactileSensor:
         if self._failed is not None:
             raise self._failed
         frames = self._link.poll()
-        if self._forces is not None:
-            for message in self._forces.take_forces():
-                self._new_forces.append(message)
-                self._force_check.add(message)
+        for message in self._link.take_forces():
+            self._new_forces.append(message)
+            self._force_check.add(message)
         readings = tuple(self._reading(frame) for frame in frames)
         if readings:
             self._latest = readings[-1]
@@ -410,7 +401,7 @@ class TactileSensor:
     def _write_zero(self, tare: TareResult) -> None:
         """Give the unit the zero, and the taxels that fail now, for its force messages."""
         self._force_bad = None
-        if self._forces is None or not self._forces.sends_forces:
+        if not self._link.sends_forces:
             return
         first_n, second_n = (
             float(np.median(self._per_count_n[one] * tare.noise_counts[one])) for one in self._grips
@@ -420,10 +411,10 @@ class TactileSensor:
         bad, adc_max = self._quality.bad, self._layout.adc_max
         noise_counts = float(np.median(tare.noise_counts[grip]))
         touch_counts = max(_TOUCH_SIGMAS * noise_counts * _UNIT_GAIN, _TOUCH_SHARE * adc_max)
-        self._forces.write_zero(
+        self._link.write_zero(
             encode_zero(touch_counts, tare.offset_counts[grip], bad[grip], adc_max)
         )
-        self._forces.take_forces()
+        self._link.take_forces()
         self._new_forces.clear()
         self._force_check.reset(max(self._taxel_noise_n))
         self._force_bad = bad

@@ -1,5 +1,6 @@
 """Commissioning of the control unit: checks of its identity and taxels, and its set-up."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from tactile.errors import IdentityMismatch
@@ -70,40 +71,45 @@ def refuse_swapped_boards(identity: NodeIdentity, expected: ExpectedIdentity, na
         )
 
 
+_Row = tuple[str, int, int, int]
+"""What an unsigned object is, its index and sub-index, and the value that is expected."""
+
+
+def _read_rows(objects: ObjectAccess, rows: Iterable[_Row]) -> list[Check]:
+    """Read unsigned objects beside what is expected of them."""
+    return [
+        Check(what=what, expected=expected, found=objects.read_unsigned(index, sub))
+        for what, index, sub, expected in rows
+    ]
+
+
+def _cob_id_check(objects: ObjectAccess, name: str, parameter: int, cob_id: int) -> Check:
+    found = objects.read_unsigned(parameter, od.PDO_COB_ID) & _COB_ID_MASK
+    return Check(what=f"{name} COB-ID", expected=cob_id, found=found)
+
+
+def _mapping(name: str, index: int, entries: Sequence[int]) -> list[_Row]:
+    return [(f"{name} entry {sub}", index, sub, one) for sub, one in enumerate(entries, start=1)]
+
+
 def layout_checks(objects: ObjectAccess, layout: TaxelLayout, node_id: int) -> list[Check]:
     """Return the comparison of taxels, frame format and mapping of the frame messages."""
-    frame_format = FrameFormat.of(layout)
-    unsigned = (
+    form = FrameFormat.of(layout)
+    rows = (
         ("taxels", od.LAYOUT, od.LAYOUT_TAXELS, layout.n_taxels),
         ("full scale", od.LAYOUT, od.LAYOUT_ADC_MAX, layout.adc_max),
         ("sample bytes", od.FORMAT, od.FORMAT_SAMPLE_BYTES, layout.sample_bytes),
-        ("messages per frame", od.FORMAT, od.FORMAT_MESSAGES, frame_format.n_messages),
-        ("header bytes", od.FORMAT, od.FORMAT_HEADER_BYTES, frame_format.header_bytes),
+        ("messages per frame", od.FORMAT, od.FORMAT_MESSAGES, form.n_messages),
+        ("header bytes", od.FORMAT, od.FORMAT_HEADER_BYTES, form.header_bytes),
         ("TPDO1 entries", od.TPDO1_MAPPING, 0, len(od.TPDO1_ENTRIES)),
-        *(
-            (f"TPDO1 entry {sub}", od.TPDO1_MAPPING, sub, entry)
-            for sub, entry in enumerate(od.TPDO1_ENTRIES, start=1)
-        ),
+        *_mapping("TPDO1", od.TPDO1_MAPPING, od.TPDO1_ENTRIES),
     )
-    checks = [
-        Check(
-            what="layout hash",
-            expected=layout.layout_hash,
-            found=objects.read_text(od.LAYOUT, od.LAYOUT_HASH),
-        )
+    found = objects.read_text(od.LAYOUT, od.LAYOUT_HASH)
+    return [
+        Check(what="layout hash", expected=layout.layout_hash, found=found),
+        *_read_rows(objects, rows),
+        _cob_id_check(objects, "TPDO1", od.TPDO1_PARAMETER, od.COB_TPDO1 + node_id),
     ]
-    checks += [
-        Check(what=what, expected=expected, found=objects.read_unsigned(index, sub))
-        for what, index, sub, expected in unsigned
-    ]
-    checks.append(
-        Check(
-            what="TPDO1 COB-ID",
-            expected=od.COB_TPDO1 + node_id,
-            found=objects.read_unsigned(od.TPDO1_PARAMETER, 1) & _COB_ID_MASK,
-        )
-    )
-    return checks
 
 
 def _shown(value: int | str | None) -> str:
@@ -140,7 +146,7 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
     checks = []
     for what, index, value, n_bytes in writes:
         objects.write_unsigned(index, 0, value, n_bytes)
-        checks.append(Check(what=what, expected=value, found=objects.read_unsigned(index)))
+        checks += _read_rows(objects, [(what, index, 0, value)])
     refuse_mismatch(checks, "the control unit did not keep its set-up and so")
     if objects.read_unsigned(od.TARE, od.TARE_RESULT) == od.TareResult.DONE:
         objects.write_unsigned(od.TARE, od.TARE_COMMAND, od.TARE_CLEAR_SIGNATURE, 4)
@@ -167,35 +173,13 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
     period_ms = round(1e3 * settings.force_period_s)
     objects.write_unsigned(forces, timer, period_ms, 2)
     found = objects.read(od.FORCE_TABLE)
+    shown = found[-2:].hex() if found == table else f"{len(found)} bytes of another table"
+    rows = [("TPDO2 event timer in ms", forces, timer, period_ms)]
     checks = [
-        Check(
-            what="table of counts to force",
-            expected=table[-2:].hex(),
-            found=found[-2:].hex() if found == table else f"{len(found)} bytes of another table",
-        ),
-        Check(
-            what="TPDO1 COB-ID",
-            expected=frame_id,
-            found=objects.read_unsigned(frames, cob_id) & _COB_ID_MASK,
-        ),
-        Check(
-            what="TPDO2 COB-ID",
-            expected=od.COB_TPDO2 + node_id,
-            found=objects.read_unsigned(forces, cob_id) & _COB_ID_MASK,
-        ),
-        Check(
-            what="TPDO2 event timer in ms",
-            expected=period_ms,
-            found=objects.read_unsigned(forces, timer),
-        ),
-        *(
-            Check(
-                what=f"TPDO2 entry {sub}",
-                expected=entry,
-                found=objects.read_unsigned(od.TPDO2_MAPPING, sub),
-            )
-            for sub, entry in enumerate(od.TPDO2_ENTRIES, start=1)
-        ),
+        Check(what="table of counts to force", expected=table[-2:].hex(), found=shown),
+        _cob_id_check(objects, "TPDO1", frames, frame_id),
+        _cob_id_check(objects, "TPDO2", forces, od.COB_TPDO2 + node_id),
+        *_read_rows(objects, rows + _mapping("TPDO2", od.TPDO2_MAPPING, od.TPDO2_ENTRIES)),
     ]
     refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages and so")
     return frame_id

@@ -21,7 +21,7 @@ from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary as od
 from tactile.unit.sdo import ObjectAccess
 from tactile.unit.settings import LinkSettings, LinkStatistics
-from tactile.unit.supervision import NodeSupervisor, SupervisionLimits, TrafficLimit
+from tactile.unit.supervision import NodeSupervisor, TrafficLimit
 
 _FUNCTION_BITS, _NODE_BITS = 0x780, 0x07F
 """Bits of a COB-ID that are its function and its node-ID (CiA 301, 7.3.5)."""
@@ -77,12 +77,12 @@ class LinkSession:
         )
         self._client.network = self._network
         self.objects = ObjectAccess(self._client, name=self.name)
-        limits = SupervisionLimits(
+        self.supervisor = NodeSupervisor(
+            self.name,
             heartbeat_s=settings.heartbeat_s,
             heartbeat_factor=settings.heartbeat_factor,
             passive_s=settings.error_passive_s,
         )
-        self.supervisor = NodeSupervisor(self.name, limits)
         frame_format = FrameFormat.of(layout)
         self._assembler = FrameAssembler(frame_format)
         self._flow = _flow(self.name, settings, frame_format)

@@ -149,24 +149,29 @@ class TrafficLimit:
             )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SupervisionLimits:
-    """Deadlines of a supervisor."""
-
-    heartbeat_s: float
-    """Period of the unit's heartbeat in s."""
-    heartbeat_factor: float = 2.5
-    """The heartbeat is lost after this many periods without one."""
-    passive_s: float = 0.5
-    """The controller may be error-passive for this long."""
-
-
 class NodeSupervisor:
-    """Supervisor of one node: its state, its heartbeat, its emergencies, the host's controller."""
+    """Supervisor of one node: its state, its heartbeat, its emergencies, the host's controller.
 
-    def __init__(self, name: str, limits: SupervisionLimits) -> None:
+    Parameters
+    ----------
+    heartbeat_s, heartbeat_factor
+        Period of the unit's heartbeat in s; it is lost after so many periods without one.
+    passive_s
+        Time in s for which the host's controller may be error-passive.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        heartbeat_s: float,
+        heartbeat_factor: float = 2.5,
+        passive_s: float = 0.5,
+    ) -> None:
         self._name = name
-        self._limits = limits
+        self._heartbeat_s = heartbeat_s
+        self._silence_s = heartbeat_factor * heartbeat_s
+        self._passive_s = passive_s
         self._in_operation = False
         self._heartbeat_at_s: float | None = None
         self._beats: deque[float] = deque(maxlen=_DOUBLED_BEATS)
@@ -215,11 +220,11 @@ class NodeSupervisor:
 
     def _count_beat(self, t_s: float) -> None:
         self._beats.append(t_s)
-        limit_s = _DOUBLED_PERIODS * self._limits.heartbeat_s
+        limit_s = _DOUBLED_PERIODS * self._heartbeat_s
         if len(self._beats) == _DOUBLED_BEATS and t_s - self._beats[0] < limit_s:
             raise DuplicateNode(
                 f"{_DOUBLED_BEATS} heartbeats came from {self._name} within "
-                f"{t_s - self._beats[0]:.2f} s, its period is {self._limits.heartbeat_s:g} s: a "
+                f"{t_s - self._beats[0]:.2f} s, its period is {self._heartbeat_s:g} s: a "
                 "second unit has the same node-ID; leave one on the bus, then start the link again"
             )
 
@@ -248,18 +253,18 @@ class NodeSupervisor:
     def check(self, now_s: float) -> None:
         """Raise the fault of a deadline that is over."""
         passive_since_s = self._passive_since_s
-        if passive_since_s is not None and now_s - passive_since_s >= self._limits.passive_s:
+        if passive_since_s is not None and now_s - passive_since_s >= self._passive_s:
             raise BusErrorPassive(
                 f"the CAN controller of the host has been error-passive for "
-                f"{now_s - passive_since_s:.2f} s, allowed are {self._limits.passive_s:g} s: check "
+                f"{now_s - passive_since_s:.2f} s, allowed are {self._passive_s:g} s: check "
                 "wiring, termination and bit rate, then start the link again"
             )
         if not self._in_operation or self._heartbeat_at_s is None:
             return
-        limit_s = self._limits.heartbeat_factor * self._limits.heartbeat_s
         silent_s = now_s - self._heartbeat_at_s
-        if silent_s > limit_s:
+        if silent_s > self._silence_s:
             raise HeartbeatLost(
-                f"no heartbeat from {self._name} for {silent_s:.3f} s, allowed are {limit_s:g} s: "
-                "check its supply and its CAN cable, then start the link again"
+                f"no heartbeat from {self._name} for {silent_s:.3f} s, allowed are "
+                f"{self._silence_s:g} s: check its supply and its CAN cable, then start the link "
+                "again"
             )

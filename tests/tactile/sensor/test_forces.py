@@ -27,12 +27,13 @@ def message(t_s: float, *force_n: float) -> ForceMessage:
     return ForceMessage(t_s=t_s, counter=0, status=ForceStatus.ZEROED, force_n=(first_n, second_n))
 
 
-class Forces:
-    """A source of messages that shows one force, each 3 ms."""
+class Forces(Frames):
+    """A link that shows one force, each 3 ms, beside its frames."""
 
-    def __init__(self, frames: Frames) -> None:
-        self.frames = frames
-        self.sends_forces = True
+    sends_forces = True
+
+    def __init__(self) -> None:
+        super().__init__()
         self.force_n = (0.0, 0.0)
         self.zeros: list[bytes] = []
         self.due_s = 0.0
@@ -42,28 +43,27 @@ class Forces:
 
     def centre_taxels(self) -> tuple[float, float] | None:
         pad = LAYOUT.pads[LAYOUT.gripping_pads[0]]
-        centre_m = ForceCentres(LAYOUT).of(CALIBRATION.force_n(self.frames.base))
+        centre_m = ForceCentres(LAYOUT).of(CALIBRATION.force_n(self.base))
         if centre_m is None:
             return None
         return centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m
 
     def take_forces(self) -> tuple[ForceMessage, ...]:
         found = []
-        while self.due_s <= self.frames.now_s:
+        while self.due_s <= self.now_s:
             shown = message(self.due_s, *self.force_n)
             found.append(replace(shown, centre_taxels=self.centre_taxels()))
             self.due_s += 0.003
         return tuple(found)
 
 
-def tared() -> tuple[TactileSensor, Frames, Forces]:
-    frames = Frames()
-    forces = Forces(frames)
-    sensor = TactileSensor(frames, LAYOUT, CALIBRATION, clock=frames, forces=forces)
+def tared() -> tuple[TactileSensor, Forces]:
+    link = Forces()
+    sensor = TactileSensor(link, LAYOUT, CALIBRATION, clock=link)
     sensor.start()
     assert not sensor.has_forces
     sensor.tare()
-    return sensor, frames, forces
+    return sensor, link
 
 
 def test_the_table_is_that_of_the_calibration() -> None:
@@ -76,11 +76,11 @@ def test_the_table_is_that_of_the_calibration() -> None:
 
 
 def test_a_tare_gives_the_unit_its_zero_and_a_threshold_above_the_noise() -> None:
-    sensor, _, forces = tared()
+    sensor, link = tared()
     assert len(repr(sensor.tare_result)) < 200
     assert sensor.has_forces
     assert sensor.tare_result is not None
-    touch_counts, zero_counts, bad = decode_zero(forces.zeros[-1], 128, 255)
+    touch_counts, zero_counts, bad = decode_zero(link.zeros[-1], 128, 255)
     first, second = LAYOUT.gripping_pads
     expected = np.concatenate(
         [sensor.tare_result.offset_counts[LAYOUT.taxels_of(pad)] for pad in (first, second)]
@@ -92,42 +92,42 @@ def test_a_tare_gives_the_unit_its_zero_and_a_threshold_above_the_noise() -> Non
 
 
 def test_a_taxel_that_fails_in_a_grip_sends_the_force_back_to_the_frames_until_it_is_free() -> None:
-    sensor, frames, forces = tared()
+    sensor, link = tared()
     broken = LAYOUT.taxels_of(LAYOUT.gripping_pads[1]).start + 7
-    frames.stuck = {broken: 33}
-    readings(sensor, frames, 40)
+    link.stuck = {broken: 33}
+    readings(sensor, link, 40)
     assert not sensor.has_forces
-    assert len(forces.zeros) == 1
+    assert len(link.zeros) == 1
     sensor.check_zero()
     assert sensor.has_forces
-    bad = decode_zero(forces.zeros[-1], 128, 255)[2]
+    bad = decode_zero(link.zeros[-1], 128, 255)[2]
     assert np.flatnonzero(bad).tolist() == [64 + 7]
 
 
 def test_the_noise_of_a_message_follows_what_is_touched() -> None:
-    sensor, frames, forces = tared()
-    readings(sensor, frames, 5)
+    sensor, link = tared()
+    readings(sensor, link, 5)
     light_n = sensor.scan_noise_n
-    frames.press(4.0, "blob")
-    forces.force_n = (4.0, 0.0)
-    readings(sensor, frames, 10)
+    link.press(4.0, "blob")
+    link.force_n = (4.0, 0.0)
+    readings(sensor, link, 10)
     assert 0.05 < light_n <= sensor.scan_noise_n < 0.4
 
 
 def test_messages_that_differ_from_the_frames_are_a_fault_with_both_numbers() -> None:
-    sensor, frames, forces = tared()
-    forces.force_n = (4.0, 4.0)
-    frames.press(4.0, finger=0)
-    both = frames.base.copy()
-    frames.press(4.0, finger=1)
-    frames.base += both
-    readings(sensor, frames, 40)
-    forces.force_n = (4.0, 6.5)
+    sensor, link = tared()
+    link.force_n = (4.0, 4.0)
+    link.press(4.0, finger=0)
+    both = link.base.copy()
+    link.press(4.0, finger=1)
+    link.base += both
+    readings(sensor, link, 40)
+    link.force_n = (4.0, 6.5)
     with pytest.raises(
         ForceContradicted,
         match=r"show 6\.\d+ N on finger 1, .* same time [34]\.\d+ N",
     ):
-        readings(sensor, frames, 20)
+        readings(sensor, link, 20)
     with pytest.raises(ForceContradicted):
         sensor.poll()
 

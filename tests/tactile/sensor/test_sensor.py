@@ -12,6 +12,7 @@ from tactile.errors import (
     ZeroDrifted,
 )
 from tactile.frames.codec import FrameStatus, TactileFrame
+from tactile.frames.force_message import ForceMessage
 from tactile.layout import paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 from tactile.sensor.filters import Neighbourhood
@@ -35,6 +36,8 @@ FOOTPRINTS = {
 
 class Frames:
     """A link that gives a frame every 20 ms, and the clock that goes with it."""
+
+    sends_forces = False
 
     def __init__(self, n_taxels: int = 408, adc_max: int = 255, seed: int = 1) -> None:
         self.now_s = 0.0
@@ -82,6 +85,9 @@ class Frames:
             self.counter += 1
             self.next_s += 0.02
         return tuple(frames)
+
+    def take_forces(self) -> tuple[ForceMessage, ...]:
+        return ()
 
     def press(self, force_n: float, shape: str = "plus", finger: int = 0) -> None:
         forces = np.zeros(len(self.base))

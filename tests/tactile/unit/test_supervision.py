@@ -6,7 +6,6 @@ from tactile.errors import BusErrorPassive
 from tactile.unit.supervision import (
     Emergency,
     NodeSupervisor,
-    SupervisionLimits,
 )
 
 
@@ -29,7 +28,7 @@ def test_texts(code: int, text: str) -> None:
 
 
 def make() -> NodeSupervisor:
-    return NodeSupervisor("the unit", SupervisionLimits(heartbeat_s=0.1))
+    return NodeSupervisor("the unit", heartbeat_s=0.1)
 
 
 def test_restart_of_the_controller_ends_error_passive() -> None:
