@@ -15,6 +15,7 @@ from typing import IO, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import to_json
 
 from cell.errors import CellError
 
@@ -90,6 +91,15 @@ def write_atomically(
 def write_text(path: Path, text: str, *, error: type[CellError], what: str) -> None:
     """Write a UTF-8 text file; see `write_atomically`."""
     write_atomically(path, lambda file: file.write(text.encode()) and None, error=error, what=what)
+
+
+def json_bytes(value: Any) -> bytes:
+    """Return data as JSON: dataclasses, paths and arrays too, null for what is no number."""
+
+    def plain(other: Any) -> Any:
+        return dict(other) if isinstance(other, Mapping) else other.tolist()
+
+    return to_json(value, indent=2, inf_nan_mode="null", fallback=plain)
 
 
 def _advice(cause: OSError, place: Path) -> str:

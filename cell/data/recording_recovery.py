@@ -21,8 +21,8 @@ RECOVERED = "recovered"
 class Recovered:
     """What was recovered."""
 
-    path: Path
-    """The new recording."""
+    recording: Path
+    """The new one."""
     n_frames: int
     n_cycles: int
     n_grasps: int
@@ -58,7 +58,7 @@ def recover_recording(path: Path | str, target: Path | str) -> Recovered:
         what="recording",
     )
     return Recovered(
-        path=target,
+        recording=target,
         n_frames=len(recording.frames),
         n_cycles=len(recording.cycles),
         n_grasps=len(recording.grasps),

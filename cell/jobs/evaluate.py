@@ -1,9 +1,8 @@
 """Evaluation: accuracy of recognisers on recorded grasps, without buses."""
 
-import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -21,6 +20,10 @@ from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 
 SERIES = "series"
 """Split that leaves out each series of the objects that have several in turn."""
+
+
+_NOT_WRITTEN = ("trainer", "uses_aperture", "n", "n_untaught")
+"""Figures of a recogniser that are not in ``--json``: they are those of the split."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +58,7 @@ class EvaluationResult:
             "split": self.split,
             "n_train": self.n_train,
             "n_test": self.n_test,
-            "labels": list(self.labels),
+            "labels": self.labels,
             "seconds": round(self.seconds, 2),
             "default": self.default,
             "drift": drift_values(self.drift),
@@ -66,7 +69,7 @@ class EvaluationResult:
                 "n_grasps": self.n_gauged,
                 **drift_values(self.gauged.drift),
             },
-            "left_out": dict(self.left_out),
+            "left_out": self.left_out,
             "recognizers": {
                 name: _figures(figures.full)
                 | {
@@ -215,25 +218,5 @@ def _gauge(
 
 
 def _figures(evaluation: Evaluation) -> dict[str, Any]:
-    return {
-        "single_accuracy": evaluation.single_accuracy,
-        "interval": list(evaluation.interval),
-        "fused_accuracy": {str(k): _known(v) for k, v in evaluation.fused_accuracy.items()},
-        "random_fused_accuracy": {
-            str(k): _known(v) for k, v in evaluation.random_fused_accuracy.items()
-        },
-        "unknown_auroc": _known(evaluation.unknown_auroc),
-        "unknown_rejected": _known(evaluation.unknown_rejected),
-        "known_rejected": evaluation.known_rejected,
-        "named_right": evaluation.named_right,
-        "named_wrong": evaluation.named_wrong,
-        "calibration_error": evaluation.calibration_error,
-        "labels": list(evaluation.labels),
-        "confusion": [list(map(int, row)) for row in evaluation.confusion],
-        "shift": None if evaluation.shift is None else asdict(evaluation.shift),
-    }
-
-
-def _known(value: float) -> float | None:
-    """Return None for a figure that was not measured: JSON has no NaN."""
-    return None if math.isnan(value) else value
+    names = [one.name for one in fields(evaluation) if one.name not in _NOT_WRITTEN]
+    return {name: getattr(evaluation, name) for name in names}

@@ -1,8 +1,8 @@
 """The main job: teaches the objects, then identifies each of them several times."""
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -131,16 +131,10 @@ class MainResult:
             "seconds": round(self.seconds, 2),
             "n_taught": self.n_taught,
             "n_trials": len(self.trials),
-            "labels": list(self.labels),
+            "labels": self.labels,
             "default": self.default,
             "recognizers": {
-                name: {
-                    "accuracy": score.accuracy,
-                    "interval": list(score.interval),
-                    "n": score.n,
-                    "confusion": [list(row) for row in score.confusion],
-                    "confusion_columns": [*self.labels, UNKNOWN],
-                }
+                name: asdict(score) | {"confusion_columns": (*self.labels, UNKNOWN)}
                 for name, score in self.scores.items()
             },
             "identifications": [
@@ -159,11 +153,11 @@ class MainResult:
             "grasp_seconds": self.grasp_s,
             "ramps_ended_early": self.n_ended_early,
             "drift": None if self.drift is None else self.drift.values,
-            "remarks": list(self.remarks),
-            "report": None if self.report is None else str(self.report),
-            "recording": None if self.recording is None else str(self.recording),
-            "dataset": None if self.dataset is None else str(self.dataset),
-            "model": None if self.model is None else str(self.model),
+            "remarks": self.remarks,
+            "report": self.report,
+            "recording": self.recording,
+            "dataset": self.dataset,
+            "model": self.model,
             **self.extra,
         }
 
@@ -212,26 +206,37 @@ def teach_and_identify(
     taught: list[Collection] = []
     files: dict[str, Path] = {}
     recognizers: dict[str, Recognizer] = {}
-    job = _MainJob(
-        cell=cell,
-        config=config,
-        model=TaughtModel(config) if model is None else model,
-        labels=tuple(labels),
-        progress=progress,
-    )
     if model is None:
+        model = TaughtModel(config)
         files = {"dataset": folder / "taught.npz", "model": folder / "model.npz"}
-        taught = teach_objects(cell, config, job.model, job.labels, n_teach, progress=progress)
-        job.model.save_training_set(files["dataset"])
-        recognizers = job.train(taught, files["model"])
-    default = job.model.trainer_name
-    recognizers = {default: job.model.recognizer} | recognizers
-    trials = job.identify(recognizers, n_trials)
+        taught = teach_objects(cell, config, model, labels, n_teach, progress=progress)
+        model.save_training_set(files["dataset"])
+        progress("train", 0, 2)
+        model.train()
+        model.save(files["model"])
+        progress("train", 1, 2)
+        recognizers = baseline(model, taught)
+        progress("train", 2, 2)
+    default = model.trainer_name
+    recognizers = {default: model.recognizer} | recognizers
+    trials = []
+    for number, label in enumerate(labels):
+        for repeat in range(n_trials):
+            seed = _seed(config, 1 + repeat, number)
+            found = model.identify(cell.controller, held=label, seed=seed)
+            others = {
+                name: recognizer.posterior(found.records[0].grasp)
+                for name, recognizer in recognizers.items()
+                if name != default
+            }
+            first = {default: found.posteriors[0]} | others
+            trials.append(Trial(truth=label, found=found, first=first))
+            progress(f"identify {label}", repeat + 1, n_trials)
     examples = {
         one.label: max(one.records, key=lambda record: record.step.force_n) for one in taught
     }
     return MainResult(
-        labels=job.labels,
+        labels=tuple(labels),
         default=default,
         n_taught=sum(len(one.records) for one in taught),
         seconds=time.monotonic() - started_s,
@@ -242,12 +247,20 @@ def teach_and_identify(
         dataset=files.get("dataset"),
         model=files.get("model"),
         recording=cell.recording_path,
-        drift=job.model.drift,
+        drift=model.drift,
         remarks=(
             *(str(one) for one in taught if one.n_missed),
             *(trial.found.remark for trial in trials if trial.found.remark),
         ),
     )
+
+
+def baseline(model: TaughtModel, taught: Sequence[Collection]) -> dict[str, Recognizer]:
+    """Return the paper's classifier, by its name, taught the same; none where the model is one."""
+    if model.trainer_name == BASELINE:
+        return {}
+    grasps = [grasp for one in taught for grasp in one.grasps]
+    return {BASELINE: train(grasps, BASELINE).recognizer}
 
 
 def teach_objects(
@@ -271,47 +284,6 @@ def teach_objects(
         seed = _seed(config, 0, number)
         model.collect(cell.controller, one, seed=seed, on_grasp=progress_of(progress))
     return taught
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _MainJob:
-    """The steps of the main job."""
-
-    cell: Cell
-    config: CellConfig
-    model: TaughtModel
-    labels: tuple[str, ...]
-    progress: Progress
-
-    def train(self, taught: Sequence[Collection], path: Path) -> dict[str, Recognizer]:
-        """Train and write the model; train the paper's classifier to compare with."""
-        self.progress("train", 0, 2)
-        self.model.train()
-        self.model.save(path)
-        self.progress("train", 1, 2)
-        recognizers = {self.model.trainer_name: self.model.recognizer}
-        if BASELINE not in recognizers:
-            grasps = [grasp for one in taught for grasp in one.grasps]
-            recognizers[BASELINE] = train(grasps, BASELINE).recognizer
-        self.progress("train", 2, 2)
-        return recognizers
-
-    def identify(self, recognizers: Mapping[str, Recognizer], n_trials: int) -> list[Trial]:
-        """Identify each object ``n_trials`` times, one object after the other."""
-        trials = []
-        for number, label in enumerate(self.labels):
-            for repeat in range(n_trials):
-                seed = _seed(self.config, 1 + repeat, number)
-                found = self.model.identify(self.cell.controller, held=label, seed=seed)
-                first = {
-                    name: recognizer.posterior(found.records[0].grasp)
-                    for name, recognizer in recognizers.items()
-                    if name != self.model.trainer_name
-                }
-                own = {self.model.trainer_name: found.posteriors[0]}
-                trials.append(Trial(truth=label, found=found, first=own | first))
-                self.progress(f"identify {label}", repeat + 1, n_trials)
-        return trials
 
 
 def _seed(config: CellConfig, use: int, number: int) -> int:

@@ -15,7 +15,16 @@ from cell.control.records import pad_array
 from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGrip, PositionerFault
 from cell.fault_catalogue import fault_number
 from cell.interfaces.cli.signals import END_WITHIN_S, stopping
-from cell.interfaces.cli.terminal import ask, print_cell, print_line, print_note, write_json
+from cell.interfaces.cli.terminal import (
+    ProgressBar,
+    ask,
+    print_cell,
+    print_line,
+    print_note,
+    progress_bar,
+    write_json,
+)
+from cell.jobs.common import job_folder
 from gripper.errors import (
     FeedbackImplausible,
     GripperError,
@@ -111,13 +120,14 @@ def cell_of_earlier_run(config: CellConfig) -> Iterator[Cell]:
 @contextmanager
 def running_cell(
     config: CellConfig,
-    folder: Path,
-    capture: Path | None = None,
+    job: str,
+    out_folder: Path | None,
     *,
-    json_file: Path | None = None,
-    config_file: Path | None = None,
-) -> Iterator[Cell]:
-    """Start a cell, stop it on signals, close it at the end.
+    config_file: Path | None,
+    json_file: Path | None,
+    capture: Path | None = None,
+) -> Iterator[tuple[Cell, ProgressBar]]:
+    """Start a cell, stop it on signals, close it at the end; with bars for the job's progress.
 
     Prints how punctual the force loop was. A run that ends early raises CellError with what became
     of the grip, where the recording lies and, on real ports, the command that lets go; it writes
@@ -125,18 +135,22 @@ def running_cell(
 
     Parameters
     ----------
-    config, folder, capture
+    config, capture
         As `build_cell`.
-    json_file
-        Where the reason of an early end goes as JSON.
+    job, out_folder
+        Name of the job's new folder for recording and reports, and where that is made: None is
+        the config's folder.
     config_file
         The file that ``config`` was read from.
+    json_file
+        Where the reason of an early end goes as JSON.
 
     Raises
     ------
     CellError
-        What ended the run early.
+        What ended the run early, or that the folder cannot be made.
     """
+    folder = job_folder(out_folder or Path(config.recording.directory), job)
     cell = build_cell(config, folder=folder, ask=ask, capture=capture)
     for note in cell.notes:
         print_note(note)
@@ -145,7 +159,8 @@ def running_cell(
             cell.controller.start()
             if cell.controller.zero_note:
                 print_note(cell.controller.zero_note)
-            yield cell
+            with progress_bar() as progress:
+                yield cell, progress
     except (CellError, GripperError, TactileError, OSError) as error:
         if isinstance(error, CellStopped):
             text = f"{error}. Recording so far: {cell.recording_path}"
@@ -167,7 +182,7 @@ def running_cell(
             {
                 "ended_early": text,
                 "fault_number": fault_number(error),
-                "recording": None if cell.recording_path is None else str(cell.recording_path),
+                "recording": cell.recording_path,
                 "health": cell.health(),
             },
         )

@@ -1,6 +1,5 @@
 """The terminal: results on standard output, progress, notes and errors on standard error."""
 
-import json
 import os
 import sys
 from collections.abc import Iterator
@@ -15,7 +14,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from cell.errors import CellError
+from cell.data.files import json_bytes, write_text
+from cell.errors import CellError, ConfigError
 
 
 class _LossyStream:
@@ -161,15 +161,27 @@ class ProgressBar:
         self._bars.update(self._tasks[task], completed=done, total=total)
 
 
-def write_json(path: Path | None, data: dict[str, Any]) -> None:
-    """Write a result as JSON; without a path nothing. Raises CellError where it cannot."""
+def write_json(path: Path | None, data: Any) -> None:
+    """Write a result as JSON, null for what is no number; without a path nothing.
+
+    Raises CellError where it cannot.
+    """
     if path is None:
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        path.write_bytes(json_bytes(data) + b"\n")
     except OSError as error:
         raise CellError(f"{path}: cannot be written: {error}") from error
+
+
+def print_or_write(text: str, path: Path | None, what: str) -> None:
+    """Print a whole text as it is, or write it to a file. Raises ConfigError where it cannot."""
+    if path is None:
+        typer.echo(text, nl=False)
+    else:
+        write_text(path, text, error=ConfigError, what=what)
+        print_line(f"wrote {path}")
 
 
 def percent(share: float, interval: tuple[float, float] | None = None) -> str:

@@ -57,7 +57,7 @@ def test_what_is_whole_is_kept_and_what_is_lost_is_said(recording: Path, kind: s
     assert not damaged.complete
     assert len(damaged.grasps) < 40
     found = recover_recording(recording, recording.with_name("new.mcap"))
-    after = read_recording(found.path)
+    after = read_recording(found.recording)
     assert after.complete
     assert after.n_broken_grasps == 0
     assert found.lost_reason == damaged.lost_reason
@@ -90,7 +90,7 @@ def test_the_command_says_what_is_lost_and_never_overwrites(
 def test_a_whole_recording_stays_what_it_is(recording: Path, tmp_path: Path) -> None:
     found = recover_recording(recording, tmp_path / "copy.mcap")
     assert (found.lost_reason, found.n_broken_grasps, found.n_grasps) == ("", 0, 40)
-    assert RECOVERED not in read_recording(found.path).metadata
+    assert RECOVERED not in read_recording(found.recording).metadata
 
 
 def test_what_is_no_recording_gives_no_file(tmp_path: Path) -> None:

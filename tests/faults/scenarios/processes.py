@@ -128,7 +128,11 @@ def signal_in_the_ramp(row: FaultRow) -> Observed:
     with tempfile.TemporaryDirectory() as name, _hangup_not_ignored():
         sent_s: list[float] = []
         try:
-            with running_cell(campaign_config(row.changes), Path(name)) as cell:
+            config = campaign_config(row.changes)
+            with running_cell(config, "run", Path(name), config_file=None, json_file=None) as (
+                cell,
+                _,
+            ):
                 simulated = cell.simulated
                 assert simulated is not None
                 sent_s = once(
@@ -140,7 +144,7 @@ def signal_in_the_ramp(row: FaultRow) -> Observed:
                 cell.controller.grasp(_STEP)
         except CellError as error:
             message = str(error).partition(" Recording so far")[0]
-            recording = read_recording(Path(name) / "recording.mcap")
+            recording = read_recording(next(Path(name).glob("*/recording.mcap")))
             held = [event for event in recording.events if event["kind"] == "held"]
             grip_n = min(simulated.world.contact_force_n())
             whole = recording.complete and held and grip_n > _KEPT_N

@@ -46,9 +46,8 @@ def calibrate(
     from cell.data.dataset import read_grasps
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
+    from cell.interfaces.cli.terminal import print_line, write_json
     from cell.jobs.calibrate import calibrate_model, check_gauge, follow_shift
-    from cell.jobs.common import job_folder
     from cell.jobs.teach import teach as teach_object
     from cell.learning.model import load_model, save_model
     from recognition.drift.drift import drift_text
@@ -72,11 +71,9 @@ def calibrate(
         loaded = load_model(model, pads_of(checked))
         for label in gauge:
             check_gauge(loaded, label)
-        folder = job_folder(out_folder or Path(checked.recording.directory), "calibrate")
-        with (
-            running_cell(checked, folder, json_file=json_file, config_file=config) as cell,
-            progress_bar() as progress,
-        ):
+        with running_cell(
+            checked, "calibrate", out_folder, config_file=config, json_file=json_file
+        ) as (cell, progress):
             for label in gauge:
                 records = teach_object(
                     cell, checked, label, grasps, seed=checked.seed, progress=progress
@@ -91,7 +88,7 @@ def calibrate(
         pads=loaded.pads,
         sections=loaded.sections,
     )
-    values = {"model": str(output), "gauge": gauge, **corrected.grid.values, "n_grasps": n_grasps}
+    values = {"model": output, "gauge": gauge, **corrected.grid.values, "n_grasps": n_grasps}
     write_json(json_file, values)
     print_line(
         f"{n_grasps} grasps of {' and '.join(gauge) if gauge else 'a shift'}: "

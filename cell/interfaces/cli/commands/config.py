@@ -78,12 +78,6 @@ def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
 def schema(output: TextOutOption = None) -> None:
     """Print the JSON schema of the config file."""
     from cell.config.file import schema_text
-    from cell.data.files import write_text
-    from cell.errors import ConfigError
-    from cell.interfaces.cli.terminal import print_line
+    from cell.interfaces.cli.terminal import print_or_write
 
-    if output is None:
-        typer.echo(schema_text(), nl=False)
-    else:
-        write_text(output, schema_text(), error=ConfigError, what="schema")
-        print_line(f"wrote {output}")
+    print_or_write(schema_text(), output, "schema")

@@ -1,7 +1,5 @@
 """`dbc`: writes the cell's CAN traffic as a DBC file."""
 
-import typer
-
 from cell.interfaces.cli.options import ConfigOption, TextOutOption
 
 
@@ -11,11 +9,10 @@ def dbc(config: ConfigOption = None, output: TextOutOption = None) -> None:
     For cantools, SavvyCAN, CANalyzer and others. Needs the extra `dbc`.
     """
     from cell.config.tactile import layout_from_config
-    from cell.data.files import write_text
     from cell.errors import ConfigError
     from cell.installation import missing_packages, remedy
     from cell.interfaces.cli.session import cell_config
-    from cell.interfaces.cli.terminal import print_line
+    from cell.interfaces.cli.terminal import print_or_write
 
     if missing_packages("dbc"):
         raise ConfigError(f"a DBC file is written by cantools: {remedy('dbc')}")
@@ -29,8 +26,4 @@ def dbc(config: ConfigOption = None, output: TextOutOption = None) -> None:
         heartbeat_ms=round(tactile.heartbeat_ms),
         force_period_ms=tactile.force_period_ms,
     )
-    if output is None:
-        typer.echo(text, nl=False)
-    else:
-        write_text(output, text, error=ConfigError, what="DBC file")
-        print_line(f"wrote {output}")
+    print_or_write(text, output, "DBC file")

@@ -49,15 +49,7 @@ def doctor(
         advice = f"  -> {finding.advice}" if finding.advice else ""
         out.print(f"[{colours[finding.verdict]}]{finding.verdict.value:<5}[/]", end="")
         print_line(f" {finding.what}: {finding.found}{advice}")
-    write_json(
-        json_file,
-        {
-            "findings": [
-                {"what": f.what, "verdict": f.verdict.value, "found": f.found, "advice": f.advice}
-                for f in findings
-            ]
-        },
-    )
+    write_json(json_file, {"findings": findings})
     failed = sum(f.verdict is Verdict.FAIL for f in findings)
     if failed:
         raise CellError(f"{failed} of {len(findings)} checks failed")

@@ -22,8 +22,6 @@ from cell.interfaces.cli.options import (
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
     from cell.control.identification import ReadShape
-    from cell.control.keeping import Keep
-    from cell.learning.pad_knowledge import PadKnowledge
     from recognition.shape.answer import ShapeAnswer
 
 
@@ -57,9 +55,15 @@ def identify(
     """
     from cell.control.keeping import Keep
     from cell.errors import ConfigError
-    from cell.interfaces.cli.session import cell_config
+    from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
+    from cell.interfaces.cli.terminal import percent, print_line, write_json
+    from cell.jobs.identify import identify_on_cell
+    from cell.learning.model import load_model
     from cell.learning.pad_knowledge import pad_knowledge
-    from cell.learning.shapes import shape_reader
+    from cell.learning.shapes import NO_SHAPE, beside, shape_reader
+    from cell.learning.taught_model import TaughtModel
+    from recognition.recognizer import UNKNOWN
+    from recognition.statistics.fusion import fuse
 
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
@@ -77,16 +81,50 @@ def identify(
         return
     if follow:
         raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
-    folder = out_folder or Path(checked.recording.directory)
-    _identify_held(
-        checked,
-        model,
-        held,
-        Keep(keep.replace("-", "_")),
-        folder,
-        known,
-        json_file=json_file,
-        config_file=config,
+    taught = TaughtModel(checked, load_model(model, pads_of(checked)), known=known)
+    keeps = Keep(keep.replace("-", "_"))
+    with running_cell(checked, "identify", out_folder, config_file=config, json_file=json_file) as (
+        cell,
+        progress,
+    ):
+        found, truth = identify_on_cell(
+            cell, checked, taught, held=held, keep=keeps, progress=progress
+        )
+        recording, health = cell.recording_path, cell.health()
+    for number, (record, posterior, shape) in enumerate(
+        zip_longest(found.records, found.posteriors, found.shapes), start=1
+    ):
+        alone = fuse([posterior])
+        print_line(
+            f"grasp {number}: {alone.name} {percent(alone.name_probability)}"
+            + (f" (nearest: {alone.best})" if alone.name == UNKNOWN else "")
+            + (f"; {shape or NO_SHAPE}" if found.shapes else "")
+            + (f"; {record.ended}" if record.ended else "")
+        )
+    was = f" (it was {truth})" if truth else ""
+    felt = beside(found.label, found.shape)
+    print_line(f"answer: {found.label} {percent(found.fused.name_probability)}{felt}{was}")
+    if found.kept and config is not None and not checked.simulated:
+        print_line(f"the part is kept; to let go of it: {release_command(config)}")
+    elif found.kept:
+        print_line("the part was kept until the simulated cell ended with this command")
+    write_json(
+        json_file,
+        {
+            "label": found.label,
+            "probability": found.probability,
+            "probabilities": found.probabilities,
+            "unknown": found.fused.unknown,
+            "n_grasps": len(found.posteriors),
+            "kept": found.kept,
+            "shape": _plain(found.shape),
+            "shapes": [_plain(shape) for shape in found.shapes],
+            "ramps": [record.ramp_as_json() for record in found.records],
+            "drift": None if found.drift is None else found.drift.values,
+            "held": truth,
+            "recording": recording,
+            "health": health,
+        },
     )
 
 
@@ -121,74 +159,6 @@ def _identify_recorded(
     if last is not None and last.likely:
         print_line(f"the sensors have drifted since teaching: {drift_text(last.drift)}")
     write_json(json_file, {"answers": [answer.as_json() for answer in answers]})
-
-
-def _identify_held(
-    config: "CellConfig",
-    model: Path,
-    held: str | None,
-    keep: "Keep",
-    folder: Path,
-    known: "PadKnowledge",
-    *,
-    json_file: Path | None,
-    config_file: Path | None,
-) -> None:
-    from cell.interfaces.cli.session import pads_of, release_command, running_cell
-    from cell.interfaces.cli.terminal import percent, print_line, progress_bar, write_json
-    from cell.jobs.common import job_folder
-    from cell.jobs.identify import identify_on_cell
-    from cell.learning.model import load_model
-    from cell.learning.shapes import NO_SHAPE, beside
-    from cell.learning.taught_model import TaughtModel
-    from recognition.recognizer import UNKNOWN
-    from recognition.statistics.fusion import fuse
-
-    taught = TaughtModel(config, load_model(model, pads_of(config)), known=known)
-    folder = job_folder(folder, "identify")
-    with (
-        running_cell(config, folder, json_file=json_file, config_file=config_file) as cell,
-        progress_bar() as progress,
-    ):
-        found, truth = identify_on_cell(
-            cell, config, taught, held=held, keep=keep, progress=progress
-        )
-        recording, health = cell.recording_path, cell.health()
-    for number, (record, posterior, shape) in enumerate(
-        zip_longest(found.records, found.posteriors, found.shapes), start=1
-    ):
-        alone = fuse([posterior])
-        print_line(
-            f"grasp {number}: {alone.name} {percent(alone.name_probability)}"
-            + (f" (nearest: {alone.best})" if alone.name == UNKNOWN else "")
-            + (f"; {shape or NO_SHAPE}" if found.shapes else "")
-            + (f"; {record.ended}" if record.ended else "")
-        )
-    was = f" (it was {truth})" if truth else ""
-    felt = beside(found.label, found.shape)
-    print_line(f"answer: {found.label} {percent(found.fused.name_probability)}{felt}{was}")
-    if found.kept and config_file is not None and not config.simulated:
-        print_line(f"the part is kept; to let go of it: {release_command(config_file)}")
-    elif found.kept:
-        print_line("the part was kept until the simulated cell ended with this command")
-    write_json(
-        json_file,
-        {
-            "label": found.label,
-            "probability": found.probability,
-            "probabilities": found.probabilities,
-            "unknown": found.fused.unknown,
-            "n_grasps": len(found.posteriors),
-            "kept": found.kept,
-            "shape": _plain(found.shape),
-            "shapes": [_plain(shape) for shape in found.shapes],
-            "ramps": [record.ramp_as_json() for record in found.records],
-            "drift": None if found.drift is None else found.drift.values,
-            "held": truth,
-            "recording": str(recording),
-            "health": health,
-        },
-    )
 
 
 def _plain(shape: "ShapeAnswer | None") -> dict[str, Any] | None:

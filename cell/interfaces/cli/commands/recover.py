@@ -21,17 +21,7 @@ def recover(
     found = recover_recording(recording, target)
     print_line(f"{recording}: {found.lost_reason or 'complete, nothing is lost'}")
     print_line(
-        f"{found.path}: {found.n_frames} frames, {found.n_cycles} periods of the loop, "
+        f"{found.recording}: {found.n_frames} frames, {found.n_cycles} periods of the loop, "
         f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken ones are left out"
     )
-    write_json(
-        json_file,
-        {
-            "recording": str(found.path),
-            "n_frames": found.n_frames,
-            "n_cycles": found.n_cycles,
-            "n_grasps": found.n_grasps,
-            "n_broken_grasps": found.n_broken_grasps,
-            "lost_reason": found.lost_reason,
-        },
-    )
+    write_json(json_file, found)

@@ -49,8 +49,7 @@ def run(
     from cell.errors import ReportError
     from cell.installation import missing_packages, remedy
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_note, progress_bar, write_json
-    from cell.jobs.common import job_folder
+    from cell.interfaces.cli.terminal import print_note, write_json
     from cell.jobs.run import teach_and_identify
     from cell.jobs.run_report import main_report
     from cell.learning.model import load_model
@@ -63,12 +62,12 @@ def run(
     no_report = f"no report page: {' and '.join(missing)} missing; {remedy('report')}"
     if missing:
         print_note(no_report)
-    folder = job_folder(out_folder or Path(checked.recording.directory), "run")
     failed: ReportError | None = None
-    with (
-        running_cell(checked, folder, capture, json_file=json_file, config_file=config) as cell,
-        progress_bar() as progress,
-    ):
+    with running_cell(
+        *(checked, "run", out_folder), config_file=config, json_file=json_file, capture=capture
+    ) as (cell, progress):
+        assert cell.recording_path is not None
+        folder = cell.recording_path.parent
         result = teach_and_identify(
             cell,
             checked,

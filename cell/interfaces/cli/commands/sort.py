@@ -1,6 +1,5 @@
 """`sort`: names parts, keeps each, and lets it go at its place."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -39,8 +38,7 @@ def sort(
     """Name parts and let each go at its place."""
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
-    from cell.interfaces.cli.terminal import progress_bar, write_json
-    from cell.jobs.common import job_folder
+    from cell.interfaces.cli.terminal import write_json
     from cell.jobs.run import teach_objects
     from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
     from cell.learning.model import load_model
@@ -54,11 +52,10 @@ def sort(
     objects = [entry.label for entry in checked.simulator.objects]
     tally = Tally(places=Places(checked, objects if model is None else taught.labels))
     feed = simulated_feed(checked, parts) if simulated else None
-    folder = job_folder(out_folder or Path(checked.recording.directory), "sort")
     try:
-        with (
-            running_cell(checked, folder, json_file=json_file, config_file=config) as cell,
-            progress_bar() as progress,
+        with running_cell(checked, "sort", out_folder, config_file=config, json_file=json_file) as (
+            cell,
+            progress,
         ):
             if model is None:
                 teach_objects(cell, checked, taught, objects, teach_grasps, progress=progress)
@@ -75,7 +72,7 @@ def sort(
             recording, health = cell.recording_path, cell.health()
     finally:
         print_tally(tally)
-    write_json(json_file, tally.as_json() | {"recording": str(recording), "health": health})
+    write_json(json_file, tally.as_json() | {"recording": recording, "health": health})
 
 
 def print_tally(tally: "Tally") -> None:

@@ -92,9 +92,8 @@ def teach(
     if shape is None and mesh is None:
         if gauge is not None or gauge_shape is not None:
             raise ConfigError("a gauge serves drawings: add --shape or --mesh")
-        folder = out_folder or Path(checked.recording.directory)
         collection = Collection(label=label, n_planned=grasps or _GRASPS, present=present)
-        _teach_grasps(checked, config, collection, dataset, folder, json_file)
+        _teach_grasps(checked, config, collection, dataset, out_folder, json_file)
         return
     if shape is not None and mesh is not None:
         raise ConfigError("--shape and --mesh are two drawings; give one of them")
@@ -117,21 +116,17 @@ def _teach_grasps(
     config_file: Path | None,
     collection: "Collection",
     dataset: Path,
-    folder: Path,
+    out_folder: Path | None,
     json_file: Path | None,
 ) -> None:
     from cell.interfaces.cli.session import pads_of, running_cell
-    from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
-    from cell.jobs.common import job_folder
+    from cell.interfaces.cli.terminal import print_line, write_json
     from cell.jobs.teach import dataset_to_extend, teach_to_dataset
 
     before = dataset_to_extend(dataset, pads_of(config))
-    with (
-        running_cell(
-            config, job_folder(folder, "teach"), json_file=json_file, config_file=config_file
-        ) as cell,
-        progress_bar() as progress,
-    ):
+    with running_cell(
+        config, "teach", out_folder, config_file=config_file, json_file=json_file
+    ) as (cell, progress):
         recording = cell.recording_path
         teach_to_dataset(
             cell, config, collection, dataset, before, progress=progress, note=print_line
@@ -144,8 +139,8 @@ def _teach_grasps(
             "label": collection.label,
             "n_grasps": len(collection.records),
             "n_missed": collection.n_missed,
-            "dataset": str(dataset),
-            "recording": str(recording),
+            "dataset": dataset,
+            "recording": recording,
             "health": health,
         },
     )
@@ -159,7 +154,7 @@ def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | No
     print_line(f"{added} grasps of {source} added to {dataset} as {label} ({before} were there)")
     write_json(
         json_file,
-        {"label": label, "n_grasps": added, "dataset": str(dataset), "source": str(source)},
+        {"label": label, "n_grasps": added, "dataset": dataset, "source": source},
     )
 
 
@@ -212,7 +207,7 @@ def _teach_drawing(
         {
             "label": label,
             "n_grasps": len(grasps),
-            "dataset": str(dataset),
+            "dataset": dataset,
             "source": "drawing",
             "drawing": drawing,
             "pads": known.as_dict(),

@@ -10,16 +10,15 @@ def zero(
 
     Later commands on this cell use it. Take everything out of the grip first.
     """
-    from pathlib import Path
-
     from cell.control.self_zero import zero_text, zero_values
     from cell.interfaces.cli.session import cell_config, running_cell
     from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.jobs.common import job_folder
 
     checked = cell_config(config)
-    folder = job_folder(out_folder or Path(checked.recording.directory), "zero")
-    with running_cell(checked, folder, json_file=json_file, config_file=config) as cell:
+    with running_cell(checked, "zero", out_folder, config_file=config, json_file=json_file) as (
+        cell,
+        _,
+    ):
         before = cell.controller.self_zero
         found = cell.controller.measure_zero()
         moved_mm = None if before is None else 1e3 * (found.zero.opening_m - before.opening_m)
