@@ -70,6 +70,7 @@ def teach_drawing(
         foam=known.foam,
         course=course_of(config, known),
         noise=_noise(config, pads, known.rest),
+        zero=known.zero,
     )
     rng = np.random.default_rng([seed, 1])
     grasps = []

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,9 @@ from cell.data.dataset import read_grasps
 from cell.errors import CellError, ConfigError
 from cell.learning.blas import one_blas_thread
 from cell.simulation import drawn_shape, sensor_law
+from recognition.drift.self_zero import common_zero, drawn_zero
 from recognition.errors import ContactError
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import Grasp, PadArray, SelfZero
 from recognition.ramp.ramp import find_ramp, learn_rest
 from recognition.shape.foam import FoamModel
 from recognition.shape.foam_fit import FoamFit, fit_foam
@@ -62,6 +63,8 @@ class PadKnowledge:
     more than its deviations."""
     aperture_sd_m: float = 0.2e-3
     """Standard deviation in m of the measured opening."""
+    zero: SelfZero = field(default_factory=drawn_zero)
+    """Self-zero of the hand whose openings these are: of the gauge's grasps, else nominal."""
     rest: NDArray[np.uint16] | None = None
     """(n, n_taxels) uint16 or None: frames of the untouched pads; None without a gauge."""
     fit: FoamFit | None = None
@@ -166,6 +169,7 @@ def calibrate_on_gauge(
     except ContactError as error:
         raise CellError(f"the gauge cannot be used: {error}") from error
     modulus_sd, gain_sd, spread_sd, aperture_sd_mm, stiffening_sd = (float(sd) for sd in fit.sd)
+    aperture_sd_m = math.hypot(max(0.2e-3, 1e-3 * aperture_sd_mm, fit.opening_sd_m), _DEPTH_SD_M)
     return PadKnowledge(
         foam=fit.foam,
         modulus_sd=max(modulus_sd, _LEAST_SD),
@@ -174,7 +178,8 @@ def calibrate_on_gauge(
         densification_sd=max(stiffening_sd, 2.0 * _LEAST_SD),
         thickness_sd=_LEAST_SD,
         other_foams=_OTHER_THAN_ONE_SHAPE,
-        aperture_sd_m=math.hypot(max(0.2e-3, 1e-3 * aperture_sd_mm, fit.opening_sd_m), _DEPTH_SD_M),
+        aperture_sd_m=aperture_sd_m,
+        zero=common_zero(grasps) or drawn_zero(fit.foam.aperture_offset_m, aperture_sd_m),
         rest=_rest_frames(grasps),
         fit=fit,
     )

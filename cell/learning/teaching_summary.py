@@ -35,6 +35,8 @@ class TeachingSummary:
     """Objects that were taught in several series, with a pause of an hour or more between them."""
     longest_series_s: float
     """Duration of the longest series in s."""
+    n_without_zero: int
+    """Grasps without a self-zero where others have one: the model takes none of them then."""
     opening_sd_mm: float | None
     """Standard deviation in mm of the smallest opening over the grasps of an object, the median of
     all objects; None where no opening is known."""
@@ -42,7 +44,9 @@ class TeachingSummary:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a user has to expect of such a teaching, and what it needs."""
-        return tuple(note for note in (self._amount_note, self._series_note) if note)
+        return tuple(
+            note for note in (self._amount_note, self._series_note, self._zero_note) if note
+        )
 
     @property
     def _amount_note(self) -> str:
@@ -81,12 +85,23 @@ class TeachingSummary:
             )
         return ""
 
+    @property
+    def _zero_note(self) -> str:
+        if not self.n_without_zero:
+            return ""
+        return (
+            f"{self.n_without_zero} of {self.n_grasps} grasps have no self-zero, so that the model "
+            "uses none and answers allow for any drift on another day: teach their objects again "
+            "after a self-zero (config `self_zero`, `tactile-cell zero`)"
+        )
+
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
         return {
             "few_grasps": dict(self.few),
             "only_drawn": list(self.drawn),
             "taught_again": list(self.again),
+            "without_self_zero": self.n_without_zero,
             "longest_series_s": round(self.longest_series_s, 1),
             "opening_sd_mm": self.opening_sd_mm,
             "notes": list(self.notes),
@@ -152,6 +167,7 @@ def summarise_teaching(grasps: Sequence[Grasp]) -> TeachingSummary:
         for group in members.values()
         if len(smallest_m := [m for g in group if np.isfinite(m := _smallest_m(g))]) > 1
     ]
+    without = sum(grasp.zero is None for grasp in grasps)
     return TeachingSummary(
         n_objects=len(members),
         n_grasps=len(grasps),
@@ -167,6 +183,7 @@ def summarise_teaching(grasps: Sequence[Grasp]) -> TeachingSummary:
             for found in series.values()
             for one in found
         ),
+        n_without_zero=without % len(grasps),
         opening_sd_mm=float(np.median(spreads_mm)) if spreads_mm else None,
     )
 

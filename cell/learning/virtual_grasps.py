@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 
 from cell.control.plan import GraspStep, Pose
 from gripper.force.ramp import ForceRamp
-from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
+from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
 from recognition.shape.foam import FoamModel, PadBed, closed_columns_m, neighbours
 from recognition.shape.models import Drawing, posed, resting_roll_rad
 
@@ -198,6 +198,8 @@ class VirtualPads:
         How the cell moves.
     noise
         Noise that is added to the counts.
+    zero
+        Self-zero of the hand that they are of.
     """
 
     def __init__(
@@ -208,8 +210,10 @@ class VirtualPads:
         foam: FoamModel,
         course: Course,
         noise: Noise,
+        zero: SelfZero,
     ) -> None:
         self._pads = pads
+        self._zero = zero
         self._foam = foam
         self._course = course
         self._noise = noise
@@ -281,6 +285,7 @@ class VirtualPads:
             start_ms=start_ms,
             thickness_m=sum(float(reach_m.max()) for reach_m in upright),
             command=step.command,
+            zero=self._zero,
         )
 
     def _drawn_foam(self, rng: np.random.Generator) -> FoamModel:

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 
 from recognition.drift.drift import Drift, shifted_levels
 from recognition.drift.grid import DriftPrior
-from recognition.grasp import Grasp, PadArray, SelfZero
+from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
 from recognition.ramp.levels import Levels, stack_levels
 
 _REST_GAP_M = 1e-3
@@ -54,6 +54,11 @@ _TORQUE_SD = 0.05
 copies of one model; assumed."""
 _FOAM_SD = 0.2
 """The same of the stiffness of foam, between days, copies and temperatures; assumed."""
+_DRAWN_SD_M, _DRAWN_RATIO_SD = 5e-5, 0.05
+"""The same of the opening in m, and of what the gains of the pads differ by, in virtual grasps of a
+drawing: each of them has errors of its own beside."""
+_UNKNOWN_SD = 100.0
+"""The same of a logarithm of which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,6 +146,33 @@ def measure_zero(
         fit=float(1.0 - unexplained / (spread**2).mean()),
         dead=tuple(dead),
     )
+
+
+def drawn_zero(opening_m: float = 0.0, opening_sd_m: float = _DRAWN_SD_M) -> SelfZero:
+    """Return the self-zero of a hand as grasps of a drawing have it, both in m.
+
+    The pads feel alike; their counts for current and way, so their common gain, are unknown.
+    """
+    return SelfZero(
+        opening_m=opening_m,
+        opening_sd_m=opening_sd_m,
+        log_gain_ratio=0.0,
+        log_gain_ratio_sd=_DRAWN_RATIO_SD,
+        log_scale=0.0,
+        log_scale_sd=_UNKNOWN_SD,
+        log_stiffness=0.0,
+        log_stiffness_sd=_UNKNOWN_SD,
+    )
+
+
+def common_zero(grasps: Sequence[Grasp]) -> SelfZero | None:
+    """Return the self-zero that taught grasps are brought to: the newest that was measured.
+
+    None where one of them has none: then the zero that they share is unknown.
+    """
+    if any(grasp.zero is None for grasp in grasps):
+        return None
+    return max(grasps, key=lambda grasp: (grasp.source != DRAWING_SOURCE, grasp.start_ms)).zero
 
 
 def shows_part(grasp: Grasp, gripping: tuple[int, int]) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from recognition.drift.grid import DriftGrid, DriftPrior
-from recognition.drift.self_zero import at_zero, prior_since
+from recognition.drift.self_zero import at_zero, common_zero, prior_since
 from recognition.features.aperture import sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
 from recognition.features.groups import FEATURE_VERSION, check_version
@@ -122,7 +122,7 @@ class ForceRamp:
             probability=probability,
             unknown=self.caution / (self.caution + odds_of_taught),
             dependence=evidence.view.dependence,
-            drawn_m=tuple((drawn_m + 1e-3 * mean_mm).tolist()),
+            drawn_m=tuple((drawn_m + 1e-3 * mean_mm + self._moved_m(grasp)).tolist()),
         )
 
     def evidence(self, grasp: Grasp) -> Evidence | None:
@@ -189,6 +189,12 @@ class ForceRamp:
         if grasp.zero == self.grid.zero:
             return self.grid
         return DriftGrid(prior=prior_since(self.zero, grasp.zero), zero=grasp.zero)
+
+    def _moved_m(self, grasp: Grasp) -> float:
+        """Return how much more the opening reads than at teaching by both self-zeros, in m."""
+        if self.zero is None or grasp.zero is None:
+            return 0.0
+        return grasp.zero.opening_m - self.zero.opening_m
 
     def with_grid(self, grid: DriftGrid) -> Self:
         """Return a copy with another estimate of the drift."""
@@ -279,7 +285,7 @@ class ForceRampTrainer:
         members = by_label(grasps)
         ordered = [g for group in members.values() for g in group]
         rest = learn_rest(ordered)
-        zero = max(ordered, key=lambda g: (g.zero is not None, g.start_ms)).zero
+        zero = common_zero(ordered)
         levels = at_zero(load_levels(ordered, rest), ordered, zero, rest.gripping)
         touched = levels.touched
         names = np.array([g.label for g in ordered])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cell.learning.teaching_summary import summarise_teaching
+from recognition.drift.self_zero import drawn_zero
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 
@@ -54,6 +55,15 @@ def test_further_series_of_some_objects_alone_are_warned_of() -> None:
     (note,) = summarise_teaching([*first, *again[:10]]).notes
     assert note.startswith("taught in several series: ball; in one: the 3 others")
     assert summarise_teaching([*first, *again]).notes == ()
+
+
+def test_grasps_without_a_self_zero_among_others_are_named() -> None:
+    bare = [grasp(label, i) for label in ("a", "b", "c", "d") for i in range(10)]
+    zeroed = [replace(g, zero=drawn_zero()) for g in bare]
+    assert "self-zero" not in summarise_teaching(bare).notes[-1]
+    assert "self-zero" not in summarise_teaching(zeroed).notes[-1]
+    mixed = summarise_teaching([*bare[:4], *zeroed[4:]])
+    assert mixed.notes[-1].startswith("4 of 40 grasps have no self-zero")
 
 
 def test_an_unknown_opening_is_left_out_and_a_grasp_without_label_refused() -> None:

@@ -9,9 +9,15 @@ import numpy as np
 import pytest
 
 from recognition.drift.drift import Drift
-from recognition.drift.self_zero import ZeroMeasurement, measure_zero, prior_since, since
+from recognition.drift.self_zero import (
+    ZeroMeasurement,
+    drawn_zero,
+    measure_zero,
+    prior_since,
+    since,
+)
 from recognition.evaluation.splits import a_day_later
-from recognition.grasp import ZERO_COLUMNS, Grasp, PadArray, SelfZero
+from recognition.grasp import DRAWING_SOURCE, ZERO_COLUMNS, Grasp, PadArray, SelfZero
 from recognition.recognizers import make_trainer
 
 PADS = PadArray.grid(12, 5, 3.4e-3)
@@ -179,3 +185,33 @@ def test_grasps_of_several_sessions_teach_as_of_one(train, fresh) -> None:
     taught = make_trainer("force_ramp").fit(half)
     told = [replace(g, zero=zero_of(none)) for g in fresh]
     assert np.mean([taught.posterior(g).name == g.label for g in told]) > 0.8
+
+
+def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fresh) -> None:
+    drawn = [replace(g, zero=drawn_zero(), thickness_m=8e-3) for g in train]
+    taught = make_trainer("force_ramp").fit(drawn)
+    drift = Drift(gains=(1.0, 1.0), aperture_offset_m=-3e-3)
+    later = [drift.apply(a_day_later(g)) for g in fresh]
+    told = [replace(g, zero=zero_of(drift)) for g in later]
+
+    def right(grasps: Sequence[Grasp]) -> float:
+        return float(np.mean([taught.posterior(g).name == g.label for g in grasps]))
+
+    assert right(told) > right(later) + 0.1
+    grid = taught.grid_at(told[0])
+    assert grid.offset_sd_m < 0.2e-3
+    # Nothing is known of the gain that both pads have in common.
+    assert grid.prior.log_gain_sd == pytest.approx(0.25, abs=0.01)
+    assert grid.prior.log_gain == 0.0
+    # A drawn thickness is compared as the opening reads today.
+    assert taught.posterior(told[0]).drawn_m == pytest.approx((5e-3,), abs=2e-4)
+
+
+def test_what_was_taught_without_a_self_zero_leaves_all_without(train, fresh) -> None:
+    zeroed = [replace(g, zero=zero_of(Drift(gains=(1.0, 1.0)))) for g in train]
+    measured = zeroed[0].zero
+    newer = [replace(g, zero=drawn_zero(), source=DRAWING_SOURCE, start_ms=2**40) for g in train]
+    assert make_trainer("force_ramp").fit([*zeroed, *newer]).zero == measured
+    some = make_trainer("force_ramp").fit([*train[:1], *zeroed[1:]])
+    assert some.zero is None
+    assert some.grid_at(replace(fresh[0], zero=measured)) is some.grid
