@@ -188,7 +188,8 @@ def test_grasps_of_several_sessions_teach_as_of_one(train, fresh) -> None:
 
 
 def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fresh) -> None:
-    drawn = [replace(g, zero=drawn_zero(), thickness_m=8e-3) for g in train]
+    nominal_m = zero_of(Drift(gains=(1.0, 1.0))).opening_m
+    drawn = [replace(g, zero=drawn_zero(nominal_m), thickness_m=8e-3) for g in train]
     taught = make_trainer("force_ramp").fit(drawn)
     drift = Drift(gains=(1.0, 1.0), aperture_offset_m=-3e-3)
     later = [drift.apply(a_day_later(g)) for g in fresh]
