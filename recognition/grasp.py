@@ -2,8 +2,8 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -190,6 +190,16 @@ class PadArray:
             taxel_xy_m=np.tile(xy_m, (n_pads, 1)),
             adc_max=adc_max,
         )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays."""
+        return {one.name: np.asarray(getattr(self, one.name)) for one in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing, ValueError out of range."""
+        found: dict[str, Any] = {one.name: arrays[one.name] for one in fields(cls)}
+        return cls(**found | {"adc_max": int(found["adc_max"])})
 
     @property
     def n_pads(self) -> int:

@@ -75,7 +75,7 @@ def levels_of(grasp: Grasp) -> NDArray[np.float64]:
         except (ContactError, QuadricError):
             continue  # documented: no level
         for offset, reading in enumerate(READINGS):
-            each = [float(smallest_eigenvalue(q.Q, reading).value) for q in surfaces]
+            each = [float(smallest_eigenvalue(one, reading).value) for one in surfaces]
             # Over both pads as the level check does: magnitudes in ratio, signed values plainly.
             values[number + offset] = (
                 np.exp(np.mean(np.log(each)))

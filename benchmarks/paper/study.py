@@ -108,7 +108,7 @@ def _study(effort: Effort, spread: Spread) -> PaperStudy:
     touches = [one_touch(label) for label in LABELS]
     quiet = np.random.default_rng(effort.seed)
     surfaces = np.array(
-        [grip_surfaces(record(touch, quiet, 0.0), DEFAULT_LEVEL)[0].Q for touch in touches]
+        [grip_surfaces(record(touch, quiet, 0.0), DEFAULT_LEVEL)[0] for touch in touches]
     )
     by_size = np.argsort(-np.abs(eigenvalues(surfaces)), axis=1)
     shares = TRAIL_SHARES[:: effort.every]

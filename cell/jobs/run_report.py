@@ -160,7 +160,7 @@ def _trajectories(result: MainResult) -> Trajectories | None:
         if record is None:
             continue
         try:
-            swept = sweep(grip_surfaces(record.grasp)[0].Q[np.newaxis]).value
+            swept = sweep(grip_surfaces(record.grasp)[0][np.newaxis]).value
         except (ContactError, QuadricError):
             swept = np.array([])
         force_n = float(np.nanmax(record.grasp.force_n))

@@ -31,41 +31,6 @@ _NEIGHBOURS = np.ones((3, 3), dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ContactPatch:
-    """Connected loaded taxels of one pad."""
-
-    pad: int
-    """int: pad in the `PadArray`."""
-    taxels: NDArray[np.int64]
-    """(n,) int64: indices among all taxels of the grasp, ascending."""
-    xy_m: NDArray[np.float64]
-    """(n, 2) float64: positions in the pad's plane in m."""
-    height: NDArray[np.float64]
-    """(n,) float64: baseline-corrected counts."""
-    weight: NDArray[np.float64]
-    """(n,) float64: weight of each taxel in a fit."""
-
-    def __post_init__(self) -> None:
-        n = len(self.taxels)
-        if n < 1:
-            raise ContactError(f"pad {self.pad}: a contact patch needs at least one taxel")
-        for name, shape in (("xy_m", (n, 2)), ("height", (n,)), ("weight", (n,))):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != shape or not np.all(np.isfinite(array)):
-                raise ContactError(f"pad {self.pad}: {name} is not finite of shape {shape}")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        taxels = np.array(self.taxels, dtype=np.int64)
-        taxels.setflags(write=False)
-        object.__setattr__(self, "taxels", taxels)
-
-    @property
-    def load(self) -> float:
-        """Sum of the heights in counts."""
-        return float(self.height.sum())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Baseline:
     """Readings of the untouched pads in one grasp, and their noise."""
 
@@ -159,108 +124,43 @@ def noise_threshold(
     sigmas
         Standard deviations of the mean.
     """
-    if n_averaged < 1 or noise_counts < 0:
-        raise ContactError(f"noise {noise_counts} counts over {n_averaged} frames makes no sense")
     return max(sigmas * noise_counts / float(np.sqrt(n_averaged)), _LEAST_HEIGHT * adc_max)
 
 
-def contact_patches(
-    height: ArrayLike,
-    pads: PadArray,
-    pad: int,
-    threshold: float,
-    *,
-    rim: int = 0,
-    min_taxels: int = 1,
-) -> tuple[ContactPatch, ...]:
-    """Find the contact patches of one pad, the most loaded first; none gives an empty tuple.
+def main_patch(
+    height: NDArray[np.float64], pads: PadArray, pad: int, threshold: float, *, rim: int = 0
+) -> NDArray[np.int64]:
+    """Return the taxels of the most loaded patch of a pad, indices among all, ascending.
 
     Parameters
     ----------
-    height : (rows, columns) or (n_taxels of the pad,) or (n_taxels of all pads,)
-        Baseline-corrected counts.
-    pads
-        Where the taxels are.
-    pad
-        Which pad.
+    height : (n_taxels,) float64
+        Baseline-corrected counts of all taxels.
+    pads, pad
+        Where the taxels are, and which pad.
     threshold
         Taxels above it are loaded; those that touch, also over a corner, make one patch.
     rim
         Rings of taxels around each patch that are taken along with the height that they have: they
         show where the contact ends; without them small contacts have no surface.
-    min_taxels
-        Loaded taxels below which a patch is a speck and left out.
-
-    Raises
-    ------
-    ContactError
-        Where the heights do not fit the pad or are not finite.
-    """
-    rows, columns = (int(size) for size in pads.pad_shape[pad])
-    taxels = pads.taxels_of(pad)
-    grid = _as_grid(np.asarray(height, dtype=np.float64), pads, pad).reshape(rows, columns)
-    loaded = grid > threshold
-    label, n_patches = ndimage.label(loaded, structure=_NEIGHBOURS)
-    patches = []
-    for index in range(1, n_patches + 1):
-        core = label == index
-        if int(core.sum()) < min_taxels:
-            continue
-        wide = ndimage.binary_dilation(core, _NEIGHBOURS, iterations=rim) if rim else core
-        chosen = np.flatnonzero((core | (wide & ~loaded)).ravel())
-        patches.append(
-            ContactPatch(
-                pad=pad,
-                taxels=taxels[chosen],
-                xy_m=pads.taxel_xy_m[taxels[chosen]],
-                height=grid.ravel()[chosen],
-                weight=np.ones(len(chosen)),
-            )
-        )
-    return tuple(sorted(patches, key=lambda patch: -patch.load))
-
-
-def main_patch(
-    height: ArrayLike,
-    pads: PadArray,
-    pad: int,
-    threshold: float,
-    *,
-    rim: int = 0,
-    min_taxels: int = 1,
-) -> ContactPatch:
-    """Return the most loaded patch of a pad, see `contact_patches`.
 
     Raises
     ------
     ContactError
         Where no taxel exceeds the threshold; the message names the largest height.
     """
-    patches = contact_patches(height, pads, pad, threshold, rim=rim, min_taxels=min_taxels)
-    if not patches:
-        largest = float(_as_grid(np.asarray(height, dtype=np.float64), pads, pad).max())
-        raise ContactError(
-            f"pad {pad} is not touched: largest height {largest:.3g} counts, threshold "
-            f"{threshold:.3g}, at least {min_taxels} taxels; grip harder or tare again"
-        )
-    return patches[0]
-
-
-def _as_grid(height: NDArray[np.float64], pads: PadArray, pad: int) -> NDArray[np.float64]:
-    """Return the pad's heights, flat and row-major."""
     taxels = pads.taxels_of(pad)
-    if height.shape == (pads.n_taxels,):
-        flat = height[taxels]
-    elif height.size == len(taxels) and height.shape in (
-        (len(taxels),),
-        tuple(pads.pad_shape[pad].tolist()),
-    ):
-        flat = height.ravel()
-    else:
+    grid = height[taxels].reshape(pads.pad_shape[pad])
+    loaded = grid > threshold
+    label, n_patches = ndimage.label(loaded, structure=_NEIGHBOURS)
+    if not n_patches:
         raise ContactError(
-            f"heights of shape {height.shape} fit neither pad {pad} with {len(taxels)} taxels nor "
-            f"all {pads.n_taxels}"
+            f"pad {pad} is not touched: largest height {float(grid.max()):.3g} counts, threshold "
+            f"{threshold:.3g}; grip harder or tare again"
         )
-    if not np.all(np.isfinite(flat)):
-        raise ContactError(f"pad {pad} has heights that are not finite")
-    return flat
+    patches = []
+    for index in range(1, n_patches + 1):
+        core = label == index
+        wide = ndimage.binary_dilation(core, _NEIGHBOURS, iterations=rim) if rim else core
+        patches.append(taxels[np.flatnonzero((core | (wide & ~loaded)).ravel())])
+    return max(patches, key=lambda patch: float(height[patch].sum()))

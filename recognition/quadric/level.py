@@ -5,7 +5,7 @@ it is comparable only at equal force: near the end of the ramp, at one force, or
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -15,7 +15,7 @@ from recognition.errors import ContactError, QuadricError
 from recognition.grasp import Grasp, PadArray
 from recognition.quadric.contact import Baseline, estimate_baseline, main_patch, noise_threshold
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
-from recognition.quadric.quadric import Quadric, fit_height_field
+from recognition.quadric.quadric import fit_height_field
 from recognition.quadric.thresholds import Levels
 
 
@@ -41,27 +41,18 @@ class LevelSettings:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays."""
-        return {
-            "force_n": np.array(np.nan if self.force_n is None else self.force_n),
-            "tolerance": np.array(self.tolerance),
-            "sigmas": np.array(self.sigmas),
-            "peak_share": np.array(self.peak_share),
-            "rim": np.array(self.rim),
-            "reading": np.array(str(self.reading)),
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        values |= {"force_n": np.nan if self.force_n is None else self.force_n}
+        return {name: np.array(value) for name, value in values.items()} | {
+            "reading": np.array(str(self.reading))
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        force_n = float(arrays["force_n"])
-        return cls(
-            force_n=None if np.isnan(force_n) else force_n,
-            tolerance=float(arrays["tolerance"]),
-            sigmas=float(arrays["sigmas"]),
-            peak_share=float(arrays["peak_share"]),
-            rim=int(arrays["rim"]),
-            reading=Reading(str(arrays["reading"])),
-        )
+        values = {one.name: arrays[one.name].item() for one in fields(cls)}
+        force_n = None if np.isnan(values["force_n"]) else values["force_n"]
+        return cls(**values | {"force_n": force_n, "reading": Reading(values["reading"])})
 
 
 DEFAULT_LEVEL = LevelSettings()
@@ -143,7 +134,7 @@ def _surfaces_at(
     frames: NDArray[np.int64],
     settings: LevelSettings,
     disturbance: ArrayLike = 0.0,
-) -> list[Quadric]:
+) -> list[NDArray[np.float64]]:
     pads = grasp.pads
     height = grasp.counts[frames].mean(axis=0) - baseline.counts + np.asarray(disturbance)
     threshold = [
@@ -158,14 +149,14 @@ def _surfaces_at(
         least = settings.peak_share * float(height[pads.taxels_of(pad)].max())
         patch = main_patch(height, pads, pad, max(threshold[pad], least), rim=settings.rim)
         try:
-            quadric = fit_height_field(patch.xy_m, to_8_bit * patch.height, patch.weight)
+            surface = fit_height_field(pads.taxel_xy_m[patch], to_8_bit * height[patch])
         except QuadricError as error:
             refused.append(f"pad {pad}: {error}")
             continue
-        if smallest_eigenvalue(quadric.Q, settings.reading).degenerate:
+        if smallest_eigenvalue(surface, settings.reading).degenerate:
             refused.append(f"pad {pad}: the matrix is singular to rounding")
         else:
-            found.append(quadric)
+            found.append(surface)
     if not found:
         raise QuadricError("no pad carries a surface: " + "; ".join(refused))
     return found
@@ -179,16 +170,20 @@ def _level_at(
     disturbance: ArrayLike = 0.0,
 ) -> float:
     smallest = [
-        float(smallest_eigenvalue(quadric.Q, settings.reading).value)
-        for quadric in _surfaces_at(grasp, baseline, frames, settings, disturbance)
+        float(smallest_eigenvalue(surface, settings.reading).value)
+        for surface in _surfaces_at(grasp, baseline, frames, settings, disturbance)
     ]
     if settings.reading is Reading.ALGEBRAIC_MINIMUM:
         return float(np.mean(smallest))
     return float(np.exp(np.mean(np.log(smallest))))
 
 
-def grip_surfaces(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> tuple[Quadric, ...]:
+def grip_surfaces(
+    grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL
+) -> tuple[NDArray[np.float64], ...]:
     """Return the surface of each gripping pad that carries one, the most loaded pad first.
+
+    Surfaces are property matrices (4, 4), see `recognition.quadric.quadric`.
 
     Raises
     ------

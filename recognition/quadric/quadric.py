@@ -14,8 +14,6 @@ dimensions are broadcast, the last two hold one 4x4 matrix. Angles are in rad; l
 unit of the quadric's coordinates.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -38,8 +36,6 @@ def _identities(shape: tuple[int, ...]) -> NDArray[np.float64]:
 def translation(offset: ArrayLike) -> NDArray[np.float64]:
     """Return translations; ``offset`` has shape (..., 3), the result (..., 4, 4)."""
     offset = np.asarray(offset, dtype=np.float64)
-    if offset.ndim < 1 or offset.shape[-1] != 3:
-        raise TransformError(f"offset has shape {offset.shape}, expected (..., 3)")
     out = _identities(offset.shape[:-1])
     out[..., :3, 3] = offset
     return out
@@ -56,8 +52,7 @@ def scaling(factor: ArrayLike) -> NDArray[np.float64]:
     return out
 
 
-def _rotation(angle_rad: ArrayLike, first: int, second: int) -> NDArray[np.float64]:
-    angle = np.asarray(angle_rad, dtype=np.float64)
+def _rotation(angle: NDArray[np.float64], first: int, second: int) -> NDArray[np.float64]:
     out = _identities(angle.shape)
     cosine, sine = np.cos(angle), np.sin(angle)
     out[..., first, first] = cosine
@@ -67,27 +62,10 @@ def _rotation(angle_rad: ArrayLike, first: int, second: int) -> NDArray[np.float
     return out
 
 
-def rotation_x(angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return right-handed rotations about x; ``angle_rad`` has shape (...)."""
-    return _rotation(angle_rad, 1, 2)
-
-
-def rotation_y(angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return right-handed rotations about y; ``angle_rad`` has shape (...)."""
-    return _rotation(angle_rad, 2, 0)
-
-
-def rotation_z(angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return right-handed rotations about z; ``angle_rad`` has shape (...)."""
-    return _rotation(angle_rad, 0, 1)
-
-
 def rotation_xyz(angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return Rz Ry Rx (about x first); ``angle_rad`` has shape (..., 3): x, y, z."""
-    angle = np.asarray(angle_rad, dtype=np.float64)
-    if angle.ndim < 1 or angle.shape[-1] != 3:
-        raise TransformError(f"angle_rad has shape {angle.shape}, expected (..., 3)")
-    return rotation_z(angle[..., 2]) @ rotation_y(angle[..., 1]) @ rotation_x(angle[..., 0])
+    """Return Rz Ry Rx (about x first), right-handed; ``angle_rad`` has shape (..., 3): x, y, z."""
+    x, y, z = np.moveaxis(np.asarray(angle_rad, dtype=np.float64), -1, 0)
+    return _rotation(z, 0, 1) @ _rotation(y, 2, 0) @ _rotation(x, 1, 2)
 
 
 def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -110,38 +88,6 @@ def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np
     return 0.5 * (out + np.swapaxes(out, -1, -2))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Quadric:
-    """A fitted height field."""
-
-    Q: NDArray[np.float64]
-    """(4, 4) float64: form (7), read-only. x and y are (position - centre_m) / scale_m, z is the
-    height."""
-    residual: float
-    """Weighted root mean square of the height error, in the unit of the heights."""
-    condition: float
-    """Condition number of the weighted design matrix."""
-    n_points: int
-    """Points of positive weight."""
-    centre_m: NDArray[np.float64]
-    """(2,) float64: weighted centroid of the points in the pad's plane, read-only."""
-    scale_m: float
-    """Weighted root-mean-square distance of the points from the centre."""
-
-    def __post_init__(self) -> None:
-        for name, shape in (("Q", (4, 4)), ("centre_m", (2,))):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != shape or not np.all(np.isfinite(array)):
-                raise QuadricError(f"{name} is not a finite array of shape {shape}: {array}")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-
-    @property
-    def height(self) -> float:
-        """Fitted height at the centre: k."""
-        return float(self.Q[3, 3])
-
-
 def height_field_matrix(
     *, a: float, b: float, d: float = 0.0, g: float = 0.0, h: float = 0.0, k: float
 ) -> NDArray[np.float64]:
@@ -151,12 +97,8 @@ def height_field_matrix(
     )
 
 
-def fit_height_field(
-    xy_m: ArrayLike,
-    height: ArrayLike,
-    weight: ArrayLike | None = None,
-) -> Quadric:
-    """Fit the height field by weighted linear least squares.
+def fit_height_field(xy_m: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fit the height field by linear least squares.
 
     Parameters
     ----------
@@ -164,27 +106,29 @@ def fit_height_field(
         Positions in m.
     height : (n,)
         Heights in any one unit; counts by default in this package.
-    weight : (n,), optional
-        Weight of each squared residual, >= 0; 1 where not given.
+
+    Returns
+    -------
+    (4, 4) float64
+        Form (7). x and y count from the centroid of the points, in their root mean square distance
+        from it; z is the height.
 
     Raises
     ------
     QuadricError
-        For shapes that do not fit, values that are not finite, negative weights, fewer than 7
-        points of positive weight, or points that do not span the six unknowns: all on one line,
-        on two parallel rows, or on any other conic.
+        For fewer than 7 points, or points that do not span the six unknowns: all on one line, on
+        two parallel rows, or on any other conic.
     """
-    xy, z, w = _checked(xy_m, height, weight)
-    n = int(np.count_nonzero(w))
+    n = len(xy_m)
     if n < MIN_POINTS:
         raise QuadricError(f"{n} points, a height field needs at least {MIN_POINTS}")
-    w = w / w.sum()
-    centre = w @ xy
-    scale = float(np.sqrt(w @ np.sum((xy - centre) ** 2, axis=1)))
+    share = np.full(n, 1.0 / n)
+    centre = share @ xy_m
+    scale = float(np.sqrt(share @ np.sum((xy_m - centre) ** 2, axis=1)))
     if not scale > 0:
         raise QuadricError(f"all {n} points are at one place")
-    x, y = ((xy - centre) / scale).T
-    root = np.sqrt(w)
+    x, y = ((xy_m - centre) / scale).T
+    root = np.sqrt(share)
     design = np.stack([x * x, y * y, 2 * x * y, 2 * x, 2 * y, np.ones_like(x)], axis=1)
     u, singular, vt = np.linalg.svd(design * root[:, None], full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
@@ -193,28 +137,5 @@ def fit_height_field(
             f"{n} points do not determine a height field: condition {condition:.3g}, limit "
             f"{_MAX_CONDITION:.3g}; they lie on a line, on two rows or on another conic"
         )
-    a, b, d, g, h, k = vt.T @ ((u.T @ (z * root)) / singular)
-    residual = float(np.sqrt(w @ (design @ (a, b, d, g, h, k) - z) ** 2))
-    return Quadric(
-        Q=height_field_matrix(a=a, b=b, d=d, g=g, h=h, k=k),
-        residual=residual,
-        condition=condition,
-        n_points=n,
-        centre_m=centre,
-        scale_m=scale,
-    )
-
-
-def _checked(
-    xy_m: ArrayLike, height: ArrayLike, weight: ArrayLike | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    xy = np.asarray(xy_m, dtype=np.float64)
-    z = np.asarray(height, dtype=np.float64)
-    w = np.ones(z.shape) if weight is None else np.asarray(weight, dtype=np.float64)
-    if xy.ndim != 2 or xy.shape[1] != 2 or z.shape != (len(xy),) or w.shape != z.shape:
-        raise QuadricError(f"points {xy.shape}, heights {z.shape}, weights {w.shape} do not fit")
-    if not all(np.all(np.isfinite(array)) for array in (xy, z, w)):
-        raise QuadricError("points, heights or weights have values that are not finite")
-    if np.any(w < 0):
-        raise QuadricError(f"a weight is negative: {float(w.min()):.3g}")
-    return xy, z, w
+    a, b, d, g, h, k = vt.T @ ((u.T @ (height * root)) / singular)
+    return height_field_matrix(a=a, b=b, d=d, g=g, h=h, k=k)

@@ -91,6 +91,13 @@ def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE)
             f"none of {len(values)} objects has a level: no grasp pressed enough taxels around "
             "each other for a surface, which takes pads of at least 3 x 3"
         )
+    return _levels(low, high, order, margin)
+
+
+def _levels(
+    low: NDArray[np.float64], high: NDArray[np.float64], order: NDArray[np.int64], margin: float
+) -> Levels:
+    """Return what lies between bands."""
     below, above = order[:-1], order[1:]
     return Levels(
         low=low,
@@ -127,15 +134,7 @@ def with_noise(levels: Levels, noise_share: float) -> Levels:
         raise TrajectoryError(f"noise_share is {noise_share}, must be from 0 below 1")
     low = levels.low - noise_share * np.abs(levels.low)
     high = levels.high + noise_share * np.abs(levels.high)
-    below, above = levels.order[:-1], levels.order[1:]
-    return Levels(
-        low=low,
-        high=high,
-        order=levels.order,
-        threshold=0.5 * (high[below] + low[above]),
-        window=low[above] - high[below],
-        margin=max(levels.margin, noise_share),
-    )
+    return _levels(low, high, levels.order, max(levels.margin, noise_share))
 
 
 def check_level(levels: Levels, value: float) -> int | None:

@@ -8,15 +8,10 @@ names a level by the values that are found.
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from recognition.errors import TrajectoryError
-from recognition.quadric.eigen import (
-    Reading,
-    ascending,
-    check_symmetric,
-    smallest_of,
-)
+from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import by_inverse, rotation_xyz, scaling, translation
 
 
@@ -65,14 +60,11 @@ class Trajectory:
     value: NDArray[np.float64]
     """(n_objects, n_evaluations) float64: in the order of the printed loops: scale outermost,
     rotation innermost. Read-only."""
-    degenerate: NDArray[np.bool_]
-    """(n_objects, n_evaluations) bool: true where a value is rounding noise. Read-only."""
     settings: SweepSettings
     """The grid."""
 
     def __post_init__(self) -> None:
         self.value.setflags(write=False)
-        self.degenerate.setflags(write=False)
 
     @property
     def spread(self) -> NDArray[np.float64]:
@@ -80,24 +72,21 @@ class Trajectory:
         return np.stack([self.value.min(axis=1), self.value.max(axis=1)], axis=1)
 
 
-def sweep(D: ArrayLike, settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
+def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
     """Return the smallest eigenvalues over the training loops of Algorithm 1.
 
     Parameters
     ----------
     D : (n_objects, 4, 4)
-        Property matrices of the taught objects.
+        Property matrices of the taught objects, symmetric.
     settings
         Grid and readings.
 
     Raises
     ------
-    QuadricError
-        Where a matrix is not symmetric or not finite.
     TrajectoryError
         Where ``D`` is not a list of 4x4 matrices.
     """
-    D = check_symmetric(D)
     if D.ndim != 3 or D.shape[1:] != (4, 4):
         raise TrajectoryError(f"taught quadrics have shape {D.shape}, expected (n_objects, 4, 4)")
     # M = T R S: a point is scaled first, then rotated, then translated; one loop variable of the
@@ -106,12 +95,10 @@ def sweep(D: ArrayLike, settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
     back = translation(np.hstack([-shift, -shift, np.zeros_like(shift)]))[:, None]
     turned = np.swapaxes(rotation_xyz(np.repeat(turn, 3, axis=1)), -1, -2)
     value = np.empty((len(D), settings.n_evaluations))
-    degenerate = np.empty(value.shape, dtype=np.bool_)
     begin = 0
     for factor in settings.scale:
         M_inv = (scaling(1.0 / factor) @ turned @ back).reshape(-1, 4, 4)
-        part = np.s_[:, begin : begin + len(M_inv)]
-        found = smallest_of(ascending(by_inverse(D[:, None], M_inv)), settings.reading)
-        value[part], degenerate[part] = found.value, found.degenerate
+        found = smallest_eigenvalue(by_inverse(D[:, None], M_inv), settings.reading)
+        value[:, begin : begin + len(M_inv)] = found.value
         begin += len(M_inv)
-    return Trajectory(value=value, degenerate=degenerate, settings=settings)
+    return Trajectory(value=value, settings=settings)

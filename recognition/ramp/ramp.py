@@ -65,10 +65,7 @@ class Rest:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays."""
         return {
-            "pad_shape": self.pads.pad_shape,
-            "taxel_pad": self.pads.taxel_pad,
-            "taxel_xy_m": self.pads.taxel_xy_m,
-            "adc_max": np.array(self.pads.adc_max, dtype=np.int64),
+            **self.pads.to_arrays(),
             "gripping": np.array(self.gripping, dtype=np.int64),
             "rest_counts": self.counts,
             "noise_counts": self.noise_counts,
@@ -78,12 +75,7 @@ class Rest:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing, ValueError out of range."""
         rest = cls(
-            pads=PadArray(
-                pad_shape=arrays["pad_shape"],
-                taxel_pad=arrays["taxel_pad"],
-                taxel_xy_m=arrays["taxel_xy_m"],
-                adc_max=int(arrays["adc_max"]),
-            ),
+            pads=PadArray.from_arrays(arrays),
             gripping=tuple(int(p) for p in arrays["gripping"]),
             counts=np.asarray(arrays["rest_counts"], dtype=np.float64),
             noise_counts=np.asarray(arrays["noise_counts"], dtype=np.float64),

@@ -29,6 +29,9 @@ from recognition.recognizer import UNKNOWN, Posterior
 NAME = "level_check"
 _VERSION = 2
 """Of the arrays of a model; others are refused."""
+_OF_LABELS = ("mean", "spread", "low", "high")
+_NUMBERS = ("margin", "noise_counts", "noise_per_count")
+"""Fields of the recogniser: an array with a value for each label, and single numbers."""
 _BAND_SIGMAS = 2.0
 """Standard deviations of the noise beyond the taught one by which bands are widened."""
 _FLATTEN = 0.01
@@ -60,7 +63,7 @@ class LevelCheckRecognizer:
     """Part of a level by which noise moves it, for each count."""
 
     def __post_init__(self) -> None:
-        for name in ("mean", "spread", "low", "high"):
+        for name in _OF_LABELS:
             array = np.array(getattr(self, name), dtype=np.float64)
             if array.shape != (len(self.labels),):
                 raise ValueError(f"{name} has shape {array.shape}, labels are {len(self.labels)}")
@@ -139,53 +142,28 @@ class LevelCheckRecognizer:
         return {
             "level_check_version": np.array(_VERSION),
             "labels": np.array(self.labels, dtype=np.str_),
-            "pad_shape": self.pads.pad_shape,
-            "taxel_pad": self.pads.taxel_pad,
-            "taxel_xy_m": self.pads.taxel_xy_m,
-            "adc_max": np.array(self.pads.adc_max),
+            **self.pads.to_arrays(),
             **self.settings.to_arrays(),
-            "mean": self.mean,
-            "spread": self.spread,
-            "low": self.low,
-            "high": self.high,
-            "margin": np.array(self.margin),
-            "noise_counts": np.array(self.noise_counts),
-            "noise_per_count": np.array(self.noise_per_count),
+            **{name: np.asarray(getattr(self, name)) for name in (*_OF_LABELS, *_NUMBERS)},
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
-
-        def get(name: str) -> NDArray[Any]:
-            if name not in arrays:
-                raise ValueError(f"{NAME}: array {name!r} is missing")
-            return arrays[name]
-
-        version = int(get("level_check_version"))
-        if version != _VERSION:
-            raise ValueError(f"{NAME}: version {version}, this program reads {_VERSION}")
         try:
-            settings = LevelSettings.from_arrays(arrays)
+            version = int(arrays["level_check_version"])
+            if version != _VERSION:
+                raise ValueError(f"{NAME}: version {version}, this program reads {_VERSION}")
+            values: dict[str, Any] = {name: arrays[name] for name in _OF_LABELS}
+            values |= {name: float(arrays[name]) for name in _NUMBERS}
+            learnt = cls(
+                labels=tuple(str(label) for label in arrays["labels"]),
+                pads=PadArray.from_arrays(arrays),
+                settings=LevelSettings.from_arrays(arrays),
+                **values,
+            )
         except KeyError as missing:
             raise ValueError(f"{NAME}: array {missing} is missing") from missing
-        learnt = cls(
-            labels=tuple(str(label) for label in get("labels")),
-            pads=PadArray(
-                pad_shape=get("pad_shape"),
-                taxel_pad=get("taxel_pad"),
-                taxel_xy_m=get("taxel_xy_m"),
-                adc_max=int(get("adc_max")),
-            ),
-            settings=settings,
-            mean=get("mean"),
-            spread=get("spread"),
-            low=get("low"),
-            high=get("high"),
-            margin=float(get("margin")),
-            noise_counts=float(get("noise_counts")),
-            noise_per_count=float(get("noise_per_count")),
-        )
         usable = np.isfinite(learnt.low)
         numbers = np.stack([learnt.mean, learnt.spread, learnt.high])[:, usable]
         sound = (

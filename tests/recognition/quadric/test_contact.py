@@ -4,8 +4,6 @@ import pytest
 from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.quadric.contact import (
-    ContactPatch,
-    contact_patches,
     estimate_baseline,
     main_patch,
     noise_threshold,
@@ -84,64 +82,33 @@ def test_threshold_falls_with_averaging_down_to_one_count_of_255():
     assert noise_threshold(5.0, 1, 255) == pytest.approx(20.0)
     assert noise_threshold(5.0, 4, 255) == pytest.approx(10.0)
     assert noise_threshold(0.3, 100, 255) == pytest.approx(1.02)
-    with pytest.raises(ContactError, match="over 0 frames"):
-        noise_threshold(1.0, 0, 255)
 
 
-def test_patches_join_over_corners_and_come_by_load():
-    grid = np.zeros((16, 4))
-    grid[2, 1], grid[3, 2] = 50.0, 60.0  # touch over a corner
-    grid[10:12, 0] = 20.0
-    grid[15, 3] = 5.0
-    first, second, third = contact_patches(grid, PADS, 1, 2.0)
-    assert first.taxels.tolist() == [64 + 9, 64 + 14]
-    assert first.load == 110.0
-    assert second.load == 40.0
-    assert third.height.tolist() == [5.0]
-    assert first.xy_m == pytest.approx(PADS.taxel_xy_m[first.taxels])
-    assert len(contact_patches(grid, PADS, 1, 2.0, min_taxels=2)) == 2
-    assert contact_patches(grid, PADS, 1, 200.0) == ()
+def heights(*loaded):
+    """Heights of all taxels: counts by pad, row and column, 0 elsewhere."""
+    grid = np.zeros((2, 16, 4))
+    for pad, row, column, counts in loaded:
+        grid[pad, row, column] = counts
+    return grid.ravel()
+
+
+def test_the_most_loaded_patch_joins_over_corners():
+    touching_over_a_corner = ((1, 2, 1, 50.0), (1, 3, 2, 60.0))
+    height = heights(*touching_over_a_corner, (1, 10, 0, 20.0), (1, 11, 0, 20.0), (0, 5, 1, 255.0))
+    assert main_patch(height, PADS, 1, 2.0).tolist() == [64 + 9, 64 + 14]
+    assert main_patch(height, PADS, 0, 2.0).tolist() == [5 * 4 + 1]
 
 
 def test_the_rim_takes_unloaded_neighbours_along_and_leaves_other_patches():
-    grid = np.zeros((16, 4))
-    grid[5, 1] = 80.0
-    grid[7, 1] = 30.0  # two rows away: another patch
-    patch = main_patch(grid, PADS, 0, 2.0, rim=1)
-    assert len(patch.taxels) == 9
-    assert sorted(patch.height)[-2:] == [0.0, 80.0]
-    assert 7 * 4 + 1 not in main_patch(grid, PADS, 0, 2.0, rim=2).taxels
-    corner = np.zeros((16, 4))
-    corner[0, 0] = 9.0
-    assert len(main_patch(corner, PADS, 0, 2.0, rim=1).taxels) == 4
+    height = heights((0, 5, 1, 80.0), (0, 7, 1, 30.0))  # two rows apart: two patches
+    patch = main_patch(height, PADS, 0, 2.0, rim=1)
+    assert len(patch) == 9
+    assert sorted(height[patch])[-2:] == [0.0, 80.0]
+    assert 7 * 4 + 1 not in main_patch(height, PADS, 0, 2.0, rim=2)
+    assert len(main_patch(heights((0, 0, 0, 9.0)), PADS, 0, 2.0, rim=1)) == 4
 
 
-def test_the_three_shapes_of_heights_mean_the_same():
-    pads = make_pads(shapes=((2, 3), (4, 2)), adc_max=255, pitch_m=4e-3)
-    everything = np.arange(14.0)
-    for height in (everything, everything[6:], everything[6:].reshape(4, 2)):
-        patch = main_patch(height, pads, 1, 8.5)
-        assert patch.taxels.tolist() == list(range(9, 14))
-
-
-@pytest.mark.parametrize(
-    ("height", "message"),
-    [
-        (np.zeros(128), "pad 0 is not touched: largest height 0 counts, threshold 2"),
-        (np.zeros((4, 16)), r"shape \(4, 16\) fit neither pad 0 with 64"),
-        (np.full(64, np.nan), "not finite"),
-    ],
-)
-def test_refusals_name_the_cause(height, message):
+def test_an_untouched_pad_is_refused_with_its_largest_height():
+    message = "pad 0 is not touched: largest height 1 counts, threshold 2"
     with pytest.raises(ContactError, match=message):
-        main_patch(height, PADS, 0, 2.0)
-
-
-def test_a_patch_is_never_empty_and_frozen():
-    with pytest.raises(ContactError, match="at least one taxel"):
-        ContactPatch(pad=0, taxels=[], xy_m=np.zeros((0, 2)), height=[], weight=[])
-    with pytest.raises(ContactError, match="height is not finite"):
-        ContactPatch(pad=0, taxels=[1], xy_m=np.zeros((1, 2)), height=[np.inf], weight=[1])
-    patch = ContactPatch(pad=0, taxels=[1], xy_m=np.zeros((1, 2)), height=[3.0], weight=[1])
-    with pytest.raises(ValueError, match="read-only"):
-        patch.height[0] = 1.0
+        main_patch(heights((0, 3, 3, 1.0), (1, 3, 3, 9.0)), PADS, 0, 2.0)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from recognition.errors import QuadricError, TrajectoryError
+from recognition.errors import TrajectoryError
 from recognition.quadric import quadric
 from recognition.quadric.eigen import Reading
 from recognition.quadric.quadric import height_field_matrix
@@ -34,9 +34,9 @@ def _plain_loops(Q, grid, reading):
             for angle in grid.angle_rad:
                 M = (
                     quadric.translation([shift, shift, 0.0])
-                    @ quadric.rotation_z(angle)
-                    @ quadric.rotation_y(angle)
-                    @ quadric.rotation_x(angle)
+                    @ quadric.rotation_xyz([0.0, 0.0, angle])
+                    @ quadric.rotation_xyz([0.0, angle, 0.0])
+                    @ quadric.rotation_xyz([angle, 0.0, 0.0])
                     @ quadric.scaling(scale)
                 )
                 inverse = np.linalg.inv(M)
@@ -67,7 +67,6 @@ def test_the_sweep_is_the_printed_loops(reading):
     found = sweep(PAPER_OBJECTS[[0, 2, 4]], grid)
     for index, Q in enumerate(PAPER_OBJECTS[[0, 2, 4]]):
         assert found.value[index] == pytest.approx(_plain_loops(Q, grid, reading), rel=1e-9)
-    assert not found.degenerate.any()
 
 
 def test_full_quadrics_are_not_invariant_over_the_printed_grid():
@@ -76,8 +75,6 @@ def test_full_quadrics_are_not_invariant_over_the_printed_grid():
     for index, band in enumerate(expected):
         if band is not None:
             assert magnitude.spread[index] == pytest.approx(band, rel=0.05)
-    # an exact cylinder is singular everywhere: its level is rounding, and said to be
-    assert magnitude.degenerate.mean(axis=1) == pytest.approx([0, 1, 0, 0, 0])
     lowest = sweep(PAPER_OBJECTS, SweepSettings(reading=Reading.ALGEBRAIC_MINIMUM))
     expected_lowest = [-0.776, -0.333, -0.698, -0.668, -0.697]
     assert lowest.spread[:, 1] == pytest.approx(expected_lowest, abs=2e-3)
@@ -110,7 +107,6 @@ def test_caps_in_counts_hardly_feel_translation_and_rotation():
     [
         (lambda: sweep(np.eye(4)), TrajectoryError, r"shape \(4, 4\)"),
         (lambda: sweep(np.zeros((2, 5, 5))), TrajectoryError, "expected"),
-        (lambda: sweep(np.full((1, 4, 4), np.nan)), QuadricError, "not finite"),
         (lambda: SweepSettings(scale=np.array([])), TrajectoryError, "scale must be"),
         (lambda: SweepSettings(angle_rad=np.array([np.inf])), TrajectoryError, "angle_rad"),
     ],

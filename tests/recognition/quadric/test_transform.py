@@ -15,9 +15,9 @@ def _point(x, y, z):
 
 def test_each_rotation_turns_right_handed():
     quarter = np.pi / 2
-    assert quadric.rotation_x(quarter) @ _point(0, 1, 0) == pytest.approx(_point(0, 0, 1))
-    assert quadric.rotation_y(quarter) @ _point(0, 0, 1) == pytest.approx(_point(1, 0, 0))
-    assert quadric.rotation_z(quarter) @ _point(1, 0, 0) == pytest.approx(_point(0, 1, 0))
+    assert quadric.rotation_xyz([quarter, 0, 0]) @ _point(0, 1, 0) == pytest.approx(_point(0, 0, 1))
+    assert quadric.rotation_xyz([0, quarter, 0]) @ _point(0, 0, 1) == pytest.approx(_point(1, 0, 0))
+    assert quadric.rotation_xyz([0, 0, quarter]) @ _point(1, 0, 0) == pytest.approx(_point(0, 1, 0))
 
 
 def test_rotation_xyz_turns_about_x_first():
@@ -44,14 +44,6 @@ def test_congruence_keeps_the_value_at_the_moved_point(values, offset, angle, sc
     assert quadric.by_inverse(moved, M) == pytest.approx(Q, abs=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: quadric.translation([1.0, 2.0]), r"shape \(2,\)"),
-        (lambda: quadric.rotation_xyz(0.5), "angle_rad has shape"),
-        (lambda: quadric.scaling([1.0, 0.0]), "scale factor is 0"),
-    ],
-)
-def test_refusals_name_the_cause(call, message):
-    with pytest.raises(TransformError, match=message):
-        call()
+def test_a_scale_of_nothing_is_refused():
+    with pytest.raises(TransformError, match="scale factor is 0"):
+        quadric.scaling([1.0, 0.0])
