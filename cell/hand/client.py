@@ -30,7 +30,6 @@ from cell.hand.messages import (
     Progress,
     Ready,
     Request,
-    received_error,
 )
 from gripper.errors import GripperError, copy_fingers
 from gripper.force.ramp import ForceRamp, check_ramp
@@ -101,7 +100,7 @@ class LoopProcess:
             self.send(Boot(config=config, partial=partial))
             event = self.next(_BOOT_S)
             if isinstance(event, Fault):
-                raise received_error(event.error)
+                raise event.error
             if not isinstance(event, Ready):
                 self.lose(f"sent {type(event).__name__} instead of being ready")
         except BaseException:
@@ -391,10 +390,10 @@ class HandProcess:
         if failure is not None:
             if event.error is not None:
                 # Only the process that moves the fingers has measured where they stand.
-                copy_fingers(received_error(event.error), failure)
+                copy_fingers(event.error, failure)
             raise failure
         if event.error is not None:
-            raise received_error(event.error)
+            raise event.error
         value: T = event.value
         return value
 
@@ -417,7 +416,6 @@ class HandProcess:
     def _raise(self, fault: Fault) -> NoReturn:
         """Raise a fault that came by itself; a HandLost among them is the loss of the process."""
         self._phase = fault.phase
-        error = received_error(fault.error)
-        if isinstance(error, HandLost):
-            self._loop.abandon(error)
-        raise error
+        if isinstance(fault.error, HandLost):
+            self._loop.abandon(fault.error)
+        raise fault.error

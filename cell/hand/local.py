@@ -13,8 +13,6 @@ from gripper.state import (
     GraspOutcome,
     GripperPhase,
     ReleaseReport,
-    ServoCondition,
-    VerificationReport,
 )
 from tactile.errors import BusOff, ReceiveLoopDead, ZeroDrifted
 from tactile.layout import TaxelLayout
@@ -48,6 +46,14 @@ class LocalHand:
         self.measured = Measured()
         self._force = force
         self._lines = lines
+        self.start = gripper.start
+        self.conditions = gripper.conditions
+        self.inspect = gripper.inspect
+        self.check_ramp = gripper.check_ramp
+        self.end_ramp = gripper.end_ramp
+        self.keep_grip = gripper.keep_grip
+        self.request_stop = gripper.request_stop
+        self.close_sensor = sensor.close
 
     @property
     def bus(self) -> ServoBus:
@@ -75,11 +81,6 @@ class LocalHand:
         return self.gripper.state
 
     @property
-    def sensing(self) -> bool:
-        """Whether the tactile link was started."""
-        return self.sensor.running
-
-    @property
     def statistics(self) -> HandStatistics:
         """Counters of loop and links."""
         return HandStatistics(
@@ -89,19 +90,11 @@ class LocalHand:
             sensor=self.sensor.statistics,
         )
 
-    def start(self) -> VerificationReport:
-        """Verify the servos; see `Hand`."""
-        return self.gripper.start()
-
     def start_sensor(self) -> NodeIdentity:
         """Start the tactile link, on a bus that is opened anew where it was lost; see `Hand`."""
         if self._lines.can_is_missing or isinstance(self.link.fault, BusOff | ReceiveLoopDead):
             self.link.use(self._lines.reopen_can())
         return self.sensor.start()
-
-    def close_sensor(self) -> None:
-        """End the tactile link."""
-        self.sensor.close()
 
     def open(self, watch: Watch) -> None:
         """Open the empty fingers; see `Hand`."""
@@ -113,10 +106,6 @@ class LocalHand:
         # No force is measured before the mean holds frames alone that count from this zero.
         self.sensor.refresh()
         return zero
-
-    def check_ramp(self, ramp: ForceRamp) -> None:
-        """Refuse a ramp beyond the limits; see `Hand`."""
-        self.gripper.check_ramp(ramp)
 
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
@@ -140,10 +129,6 @@ class LocalHand:
         self._force.take()
         return self.gripper.squeeze(ramp, self._observer(watch))
 
-    def end_ramp(self) -> None:
-        """Let the running ramp end where it is; see `Hand`."""
-        self.gripper.end_ramp()
-
     def release(self, watch: Watch | None = None) -> ReleaseReport:
         """Let go; see `Hand`."""
         report = self.gripper.release(observer=None if watch is None else self._observer(watch))
@@ -154,14 +139,6 @@ class LocalHand:
             self.sensor.refresh()
             self._check_zero()
         return report
-
-    def conditions(self) -> tuple[ServoCondition, ...]:
-        """Read torque and errors of each servo; see `Hand`."""
-        return self.gripper.conditions()
-
-    def inspect(self) -> VerificationReport:
-        """Compare the servos with the settings; reads only."""
-        return self.gripper.inspect()
 
     def read_sensor(self, timeout_s: float) -> TactileReading:
         """Wait for a new reading of the taxels."""
@@ -175,19 +152,11 @@ class LocalHand:
         force = self._force.latest_force()
         self.measured = self.measured.then(cycle, force, self._force.take())
 
-    def keep_grip(self) -> None:
-        """Freeze in any state; see `Gripper.keep_grip`."""
-        self.gripper.keep_grip()
-
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault of the servos, on a port that is opened anew where it was lost."""
         if self._lines.servos_are_missing or self.bus.lost:
             self.bus.use(self._lines.reopen_servos())
         self.gripper.clear_fault(reboot=reboot)
-
-    def request_stop(self) -> None:
-        """Let the running command end with GraspStopped."""
-        self.gripper.request_stop()
 
     def shutdown(self) -> str:
         """Leave servos and sensor in a defined state; see `Hand`."""

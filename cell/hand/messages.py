@@ -4,18 +4,16 @@ Both ends are this program, on a socket pair that no other can reach; values are
 cross as what they are: class, arguments and attributes.
 """
 
-import builtins
+import io
+import pickle
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cell import errors as cell_errors
 from cell.config.model import CellConfig
 from cell.hand.interface import Hand, HandStatistics, Measured, Watch
-from gripper import errors as gripper_errors
 from gripper.state import Cycle, GripperPhase
-from tactile import errors as tactile_errors
 from tactile.frames.codec import TactileFrame
 
 # -- to the process ------------------------------------------------------------------------------
@@ -92,20 +90,6 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SentError:
-    """An error on its way to the other process."""
-
-    tree: str
-    name: str
-    """Module and class."""
-    args: tuple[Any, ...]
-    attributes: dict[str, Any]
-    """What makes it up."""
-    trace: str = ""
-    """Where it came from, for a class that cannot be sent."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
     """How a command ended, and how the hand stands then."""
 
@@ -113,7 +97,7 @@ class Answer:
     """Of the request."""
     value: Any
     """What the command returned."""
-    error: SentError | None
+    error: BaseException | None
     """What it raised, None where it returned."""
     phase: GripperPhase
     statistics: HandStatistics
@@ -124,7 +108,7 @@ class Answer:
 class Fault:
     """A fault between two commands."""
 
-    error: SentError
+    error: BaseException
     phase: GripperPhase
 
 
@@ -138,50 +122,32 @@ class Alive:
 Event = Ready | Progress | Answer | Fault | Alive
 
 
-# -- errors --------------------------------------------------------------------------------------
+# -- how an event is sent --------------------------------------------------------------------------
+
+_KNOWN = ("gripper.errors", "tactile.errors", "cell.errors", "builtins")
+"""Modules whose errors the other end knows."""
 
 
-def _tree(module: Any) -> Iterator[type[BaseException]]:
-    for value in vars(module).values():
-        if isinstance(value, type) and issubclass(value, BaseException):
-            yield value
+class _Pickler(pickle.Pickler):
+    def reducer_override(self, value: Any) -> Any:
+        """Send an error as what makes it up; one of a foreign class is named in a RuntimeError."""
+        if not isinstance(value, BaseException):
+            return NotImplemented
+        kind = type(value)
+        if kind.__module__ not in _KNOWN:
+            trace = "".join(traceback.format_exception(value))
+            value = RuntimeError(f"{kind.__module__}.{kind.__name__}: {value}")
+            value.add_note(trace)
+        args = value.args
+        if isinstance(value, OSError) and value.filename is not None:
+            # The file is no argument any more, but its place is known.
+            args = (*args[:2], value.filename)
+        # The class's own __init__ makes a text of other arguments than those that the error holds.
+        return type(value).__new__, (type(value), *args), vars(value)
 
 
-_CLASSES: dict[tuple[str, str], type[BaseException]] = {
-    (kind.__module__, kind.__name__): kind
-    for module in (gripper_errors, tactile_errors, cell_errors, builtins)
-    for kind in _tree(module)
-}
-
-
-def send_error(error: BaseException) -> SentError:
-    """Return an error as a message."""
-    kind = type(error)
-    known = (kind.__module__, kind.__name__) in _CLASSES
-    args = tuple(error.args)
-    if isinstance(error, OSError) and error.filename is not None:
-        # The file is no argument any more, but its place is known.
-        args = (*args[:2], error.filename)
-    return SentError(
-        tree=kind.__module__,
-        name=kind.__name__,
-        args=args if known else (str(error),),
-        attributes=dict(vars(error)) if known else {},
-        trace="" if known else "".join(traceback.format_exception(error)),
-    )
-
-
-def received_error(sent: SentError) -> BaseException:
-    """Return the error of a message; a RuntimeError that names the class where that is foreign."""
-    kind = _CLASSES.get((sent.tree, sent.name))
-    if kind is None:
-        unknown = RuntimeError(f"{sent.tree}.{sent.name}: {' '.join(map(str, sent.args))}")
-        unknown.add_note(sent.trace)
-        return unknown
-    # The class's own __init__ makes a text of other arguments than those that the error holds.
-    error = kind.__new__(kind, *sent.args)
-    if not (isinstance(error, OSError) and error.filename is not None):
-        error.args = sent.args
-    for name, value in sent.attributes.items():
-        setattr(error, name, value)
-    return error
+def packed(event: Event) -> bytes:
+    """Return an event as it crosses."""
+    data = io.BytesIO()
+    _Pickler(data, pickle.HIGHEST_PROTOCOL).dump(event)
+    return data.getvalue()

@@ -87,12 +87,7 @@ def raised_priority(priority: int) -> Iterator[None]:
 
 
 def stop_collecting() -> None:
-    """Let no garbage collection interrupt from now on; `collect_now` does it instead."""
+    """Let no garbage collection interrupt from now on: it is called where nothing waits."""
     gc.collect()
     gc.freeze()
     gc.disable()
-
-
-def collect_now() -> None:
-    """Collect garbage, at a moment at which nothing waits."""
-    gc.collect()

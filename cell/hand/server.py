@@ -5,8 +5,8 @@ program does. SIGINT is the program's business; SIGTERM, and the end of the prog
 grip, and the process ends as `gripper.gripper.Gripper.close` does: a held part stays held.
 """
 
+import gc
 import os
-import pickle
 import select
 import signal
 import threading
@@ -33,9 +33,9 @@ from cell.hand.messages import (
     Progress,
     Ready,
     Request,
-    send_error,
+    packed,
 )
-from cell.hand.real_time import collect_now, enter_real_time, stop_collecting
+from cell.hand.real_time import enter_real_time, stop_collecting
 from gripper.errors import GraspStopped, GripperError, copy_fingers
 from gripper.state import Cycle, GripperPhase
 from tactile.frames.codec import TactileFrame
@@ -84,7 +84,7 @@ class Outbox:
         if isinstance(event, Progress) and self.full:
             self.dropped += 1
             return
-        self._waiting.append(pickle.dumps(event, protocol=pickle.HIGHEST_PROTOCOL))
+        self._waiting.append(packed(event))
         self.flush()
 
     def flush(self) -> None:
@@ -132,7 +132,7 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
     except EOFError:
         return
     except Exception as error:
-        outbox.post(Fault(error=send_error(error), phase=GripperPhase.OFF))
+        outbox.post(Fault(error=error, phase=GripperPhase.OFF))
         outbox.drain(_LAST_WORDS_S)
         return
     server = HandServer(hand, connection, outbox, parent=parent)
@@ -201,7 +201,7 @@ class HandServer:
             lost = HandLost(
                 f"the process of the force loop has ended: {self._ending}; a held part stays held"
             )
-            self._outbox.post(Fault(error=send_error(lost), phase=self._hand.phase))
+            self._outbox.post(Fault(error=lost, phase=self._hand.phase))
             self._outbox.drain(_LAST_WORDS_S)
 
     def _end_because(self, reason: str) -> None:
@@ -245,12 +245,13 @@ class HandServer:
             Answer(
                 number=request.number,
                 value=value,
-                error=None if failure is None else send_error(failure),
+                error=failure,
                 phase=self._hand.phase,
                 statistics=self._statistics(),
             )
         )
-        collect_now()
+        # Nothing waits now.
+        gc.collect()
 
     def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         dropped = self._outbox.dropped
@@ -270,7 +271,7 @@ class HandServer:
                 self._hand.tick()
             except Exception as error:
                 self._stand_by()
-                self._outbox.post(Fault(error=send_error(error), phase=self._hand.phase))
+                self._outbox.post(Fault(error=error, phase=self._hand.phase))
         now_s = time.monotonic()
         if now_s >= self._alive_due_s and self._outbox.empty:
             self._alive_due_s = now_s + (_SHOW_EVERY_S if self._supervised else _ALIVE_EVERY_S)

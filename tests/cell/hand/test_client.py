@@ -22,7 +22,6 @@ from cell.hand.messages import (
     Fault,
     Progress,
     Ready,
-    send_error,
 )
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
@@ -41,7 +40,7 @@ STATISTICS = HandStatistics(
 )
 
 
-SILENT = Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE)
+SILENT = Fault(error=HeartbeatLost("silent"), phase=GripperPhase.IDLE)
 
 
 def period(phase: GripperPhase = GripperPhase.RAMPING) -> Progress:
@@ -110,7 +109,7 @@ def answer(number: int, error: BaseException | None = None, value: Any = "value"
     return Answer(
         number=number,
         value=None if error else value,
-        error=None if error is None else send_error(error),
+        error=error,
         phase=GripperPhase.HOLDING,
         statistics=STATISTICS,
     )
@@ -259,7 +258,7 @@ def test_a_lost_process_is_told_until_it_is_cleared(hand: HandProcess) -> None:
 
 
 def test_a_process_that_says_that_it_ends_is_lost(hand: HandProcess) -> None:
-    fault = Fault(error=send_error(HandLost("told to end")), phase=GripperPhase.IDLE)
+    fault = Fault(error=HandLost("told to end"), phase=GripperPhase.IDLE)
     loop_of(hand).coming.append(fault)
     with pytest.raises(HandLost, match="told to end"):
         hand.tick()
