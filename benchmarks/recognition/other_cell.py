@@ -74,6 +74,10 @@ def main(effort: float = 1.0) -> None:
     taught = ForceRampTrainer().fit(train)
     line("compared", f"{len(taught_objects)} objects, {n} grasps each; {len(new)} grasps of others")
     line("  same cell", figures(asked(taught, same)))
+    later = [a_day_later(grasp) for grasp in same]
+    line("  same cell, a day later", figures(asked(taught, later)))
+    bare = [replace(grasp, zero=None) for grasp in later]
+    line("  same cell, a day later, untold", figures(asked(taught, bare)))
     line("  other cell, untold", figures(asked(taught, untold)))
     line("  other cell, zeroed by itself", figures(asked(taught, zeroed)))
     answers, day = followed(taught, test, 0)

@@ -208,6 +208,17 @@ def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fr
     assert taught.posterior(told[0]).drawn_m == pytest.approx((5e-3,), abs=2e-4)
 
 
+def test_within_the_hour_nothing_has_changed_since_one_self_zero(train, fresh) -> None:
+    zero = zero_of(Drift(gains=(1.0, 1.0)))
+    soon = [replace(g, start_ms=train[0].start_ms) for g in fresh]
+    plain = make_trainer("force_ramp").fit(train)
+    taught = make_trainer("force_ramp").fit([replace(g, zero=zero) for g in train])
+    for grasp in soon[::4]:
+        found, expected = taught.posterior(replace(grasp, zero=zero)), plain.posterior(grasp)
+        assert found.probability == pytest.approx(expected.probability, abs=0.02)
+        assert found.unknown == pytest.approx(expected.unknown, abs=0.05)
+
+
 def test_what_was_taught_without_a_self_zero_leaves_all_without(train, fresh) -> None:
     zeroed = [replace(g, zero=zero_of(Drift(gains=(1.0, 1.0)))) for g in train]
     measured = zeroed[0].zero
