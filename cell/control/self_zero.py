@@ -51,14 +51,14 @@ def kept_zeros(config: CellConfig, directory: Path | None) -> "SelfZeros":
 
 def _hand_digest(config: CellConfig) -> str:
     """Return a digest of what a self-zero rests on: servos, linkage, pads, the simulated hand."""
-    gripper, tactile, simulator = config.gripper, config.tactile, config.simulator
+    gripper, tactile = config.gripper, config.tactile
     parts = [
         [servo.model_dump(mode="json") for servo in gripper.servos],
         gripper.linkage.model_dump(mode="json"),
         tactile.model_dump(
             mode="json", include={"layout", "mounting", "calibration", "board_serial_numbers"}
         ),
-        simulator.model_dump(mode="json", include={"pads", "faults"}),
+        config.simulator.pads.model_dump(mode="json"),
         config.seed if config.simulated else None,
     ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]

@@ -80,8 +80,9 @@ def serve_simulated_cell(
             "take a config that opens further: `tactile-cell config init --example pinch-13x6`"
         )
     if grasps:
-        # Played grasps have their poses already.
-        config = changed_config(config, {"positioner": {"kind": "simulated"}})
+        # Played grasps have their poses already, and no pads that meet.
+        played = {"positioner": {"kind": "simulated"}, "self_zero": "never"}
+        config = changed_config(config, played)
     settings = simulator_settings(config, layout=layout, grasps=grasps)
     with ExitStack() as undo:
         temporary = undo.enter_context(tempfile.TemporaryDirectory(prefix="tactile-cell-"))

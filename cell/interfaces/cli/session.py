@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from cell.build import Cell, build_cell
 from cell.config.file import load_config
@@ -77,7 +78,10 @@ def cell_config(
 def with_faults(
     config: CellConfig, faults: Sequence[str] | None, *, simulate: bool = False
 ) -> CellConfig:
-    """Return a config with further faults of its simulated cell, as `cell_config`."""
+    """Return a config with further faults of its simulated cell, as `cell_config`.
+
+    They are for what the command does: no daily self-zero at its start meets them before.
+    """
     if not faults:
         return config
     if not (config.simulated or simulate):
@@ -86,7 +90,10 @@ def with_faults(
             "ports: give it to `tactile-cell simulate`, or leave it out"
         )
     added = {"faults": (*config.simulator.faults, *faults)}
-    return config.model_copy(update={"simulator": config.simulator.model_copy(update=added)})
+    changes: dict[str, Any] = {"simulator": config.simulator.model_copy(update=added)}
+    if config.self_zero == "daily" and not simulate:
+        changes["self_zero"] = "on_demand"
+    return config.model_copy(update=changes)
 
 
 def pads_of(config: CellConfig) -> PadArray:

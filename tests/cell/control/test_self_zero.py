@@ -13,7 +13,9 @@ from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.control.self_zero import SelfZeros, kept_zeros, zero_file, zero_values
 from cell.control.states import CellState
+from cell.data.dataset import read_grasps
 from cell.errors import PartInGrip, PlanRefused, ZeroRefused
+from cell.interfaces.cli.session import cell_config
 from cell.interfaces.plugin import tasks
 from cell.interfaces.plugin.goals import ZeroGoal, checked_goal
 from cell.jobs.doctor import examine
@@ -215,6 +217,21 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert bench.controller.self_zero == found
 
 
+def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call("teach", "ball", "-n", 2, "-o", "taught.npz")
+    zeros = {grasp.zero for grasp in read_grasps(Path("taught.npz"))}
+    kept = kept_zeros(CellConfig(), tmp_path / "out")
+    assert zeros == {kept.newest}
+    assert kept.newest is not None
+    assert not kept.due
+    # Faults are for the grasps of a command, not for a self-zero before them.
+    faulty = cell_config(None, faults=["servo1.off@contact"])
+    assert (CellConfig().self_zero, faulty.self_zero) == ("daily", "on_demand")
+
+
 def test_fingers_that_cannot_meet_are_gauged(make_bench, make_config) -> None:
     bench = make_bench(make_config(gripper__pads_meet=False)).ready()
     with pytest.raises(PlanRefused, match="calibrate --gauge"):
@@ -249,7 +266,6 @@ def test_a_file_of_another_hand_counts_as_none(make_config, tmp_path: Path) -> N
         {"simulator__pads": {"stiffness": [0.8, 1.0]}},
         {"gripper__linkage__link_mm": 61.0},
         {"seed": 3},
-        {"simulator__faults": ["servo1.horn=12"]},
     ):
         assert kept_zeros(make_config(**other), tmp_path).newest is None
     assert kept_zeros(make_config(gripper__force_max_n=12.0), tmp_path).newest == ZERO
