@@ -299,7 +299,7 @@ class Grasper:
             step=step,
             reached=reached,
             outcome=outcome,
-            cycles=collector.cycles,
+            cycles=tuple(collector.cycles),
             early=looks.answer if looks is not None and outcome.ended_early else None,
         )
         missing = NOTHING_HELD.get(outcome.result)
@@ -350,7 +350,7 @@ class Grasper:
             step=step,
             reached=first.reached,
             outcome=outcome,
-            cycles=collector.cycles,
+            cycles=tuple(collector.cycles),
             same_grip=True,
         )
 

@@ -79,23 +79,18 @@ class GraspCollector:
     """Collects the frames of one grasp, each with opening and set-point of its control period."""
 
     def __init__(self) -> None:
-        self._frames: list[TactileFrame] = []
-        self._apertures_m: list[float] = []
-        self._forces_n: list[float] = []
-        self._currents_a: list[float] = []
+        self.cycles: list[Cycle] = []
+        """All periods so far, in order."""
+        self._frames: list[tuple[TactileFrame, Cycle, float]] = []
         self._since_frame_a: list[float] = []
-        self._cycles: list[Cycle] = []
 
     def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         """Take one period of the force loop and the frames that arrived in it."""
-        self._cycles.append(cycle)
+        self.cycles.append(cycle)
         self._since_frame_a.append(cycle.state.current_a)
-        for frame in frames:
-            self._frames.append(frame)
-            self._apertures_m.append(cycle.state.aperture_m)
-            self._forces_n.append(cycle.setpoint_n)
-            self._currents_a.append(sum(self._since_frame_a) / len(self._since_frame_a))
         if frames:
+            mean_a = sum(self._since_frame_a) / len(self._since_frame_a)
+            self._frames += [(frame, cycle, mean_a) for frame in frames]
             self._since_frame_a.clear()
 
     @property
@@ -108,24 +103,18 @@ class GraspCollector:
         """Counts of all frames, (n_frames, n_taxels). Raises ValueError if no frame came."""
         if not self._frames:
             raise ValueError("no tactile frame came")
-        return np.stack([frame.counts for frame in self._frames])
+        return np.stack([frame.counts for frame, _, _ in self._frames])
 
     @property
     def current_a(self) -> NDArray[np.float64]:
         """Mean current of the motors in A from one frame to the next, (n_frames,)."""
-        return np.array(self._currents_a)
-
-    @property
-    def cycles(self) -> tuple[Cycle, ...]:
-        """All periods so far, in order."""
-        return tuple(self._cycles)
+        return np.array([mean_a for _, _, mean_a in self._frames])
 
     def grasp(
         self,
         pads: PadArray,
         *,
         label: str = "",
-        shape: str = "",
         source: str = "",
         start_ms: int,
         command: GraspCommand | None = None,
@@ -133,15 +122,14 @@ class GraspCollector:
     ) -> Grasp:
         """Return the collected grasp. Raises ValueError if no frame came."""
         counts = self.counts
-        t_s = np.array([frame.t_s for frame in self._frames])
+        t_s = np.array([frame.t_s for frame, _, _ in self._frames])
         return Grasp(
             pads=pads,
             counts=counts,
             t_s=t_s - t_s[0],
-            aperture_m=np.array(self._apertures_m),
-            force_n=np.array(self._forces_n),
+            aperture_m=np.array([cycle.state.aperture_m for _, cycle, _ in self._frames]),
+            force_n=np.array([cycle.setpoint_n for _, cycle, _ in self._frames]),
             label=label,
-            shape=shape,
             source=source,
             start_ms=start_ms,
             command=command,

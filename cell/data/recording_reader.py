@@ -253,6 +253,8 @@ class Recording:
     """Messages as plain objects, fields as in `recording_schema`."""
     grasps: tuple[Grasp, ...] = ()
     """The grasps of which every frame is there."""
+    whole_grasps: tuple[dict[str, Any], ...] = ()
+    """Their messages."""
     grasp_t_s: tuple[float, ...] = ()
     """Monotonic time in s of the first frame of each of them."""
     n_broken_grasps: int = 0
@@ -322,7 +324,7 @@ class _Builder:
             self.by_topic.setdefault(topic, []).append(content)
         pads = PadArray(**json.loads(metadata["pads"]))
         frames = self._frames(pads)
-        grasps, grasp_t_s, n_broken = self._grasps(pads, frames)
+        grasps = self._grasps(pads, frames)
         return Recording(
             path=self.path,
             metadata=dict(metadata),
@@ -336,9 +338,10 @@ class _Builder:
             results=tuple(self.by_topic.get(schema.RESULT, ())),
             states=tuple(self.by_topic.get(schema.STATE, ())),
             statistics=tuple(self.by_topic.get(schema.LOOP, ())),
-            grasps=grasps,
-            grasp_t_s=grasp_t_s,
-            n_broken_grasps=n_broken,
+            grasps=tuple(grasp for grasp, _, _ in grasps),
+            whole_grasps=tuple(row for _, row, _ in grasps),
+            grasp_t_s=tuple(begin_s for _, _, begin_s in grasps),
+            n_broken_grasps=len(self.by_topic.get(schema.GRASP, ())) - len(grasps),
             complete=not self.raw.lost_reason,
             lost_reason=self.raw.lost_reason,
         )
@@ -371,12 +374,10 @@ class _Builder:
 
     def _grasps(
         self, pads: PadArray, frames: RecordedFrames
-    ) -> tuple[tuple[Grasp, ...], tuple[float, ...], int]:
-        rows = self.by_topic.get(schema.GRASP, [])
-        grasps: list[Grasp] = []
-        grasp_t_s: list[float] = []
+    ) -> list[tuple[Grasp, dict[str, Any], float]]:
+        grasps: list[tuple[Grasp, dict[str, Any], float]] = []
         place_of = {int(number): place for place, number in enumerate(frames.number)}
-        for row in rows:
+        for row in self.by_topic.get(schema.GRASP, ()):
             first, n_frames = int(row["first_frame"]), int(row["n_frames"])
             if n_frames > len(frames):
                 continue
@@ -391,23 +392,21 @@ class _Builder:
                 if wrong := text_refused(name, str(row[name])):
                     raise ValueError(f"the {name} of a grasp {wrong}")
             unknown = [np.nan] * n_frames
-            grasp_t_s.append(float(frames.t_s[places[0]]))
-            grasps.append(
-                Grasp(
-                    pads=pads,
-                    counts=counts,
-                    t_s=np.array(row["frame_t_s"]),
-                    aperture_m=np.array(row.get("aperture_m", unknown)),
-                    force_n=np.array(row.get("force_n", unknown)),
-                    label=str(row["label"]),
-                    shape=str(row["shape"]),
-                    source=str(row["source"]),
-                    start_ms=int(row["start_ms"]),
-                    command=GraspCommand.from_values(row["asked"]) if "asked" in row else None,
-                    zero=SelfZero.from_values(row["self_zero"]) if "self_zero" in row else None,
-                )
+            grasp = Grasp(
+                pads=pads,
+                counts=counts,
+                t_s=np.array(row["frame_t_s"]),
+                aperture_m=np.array(row.get("aperture_m", unknown)),
+                force_n=np.array(row.get("force_n", unknown)),
+                label=str(row["label"]),
+                shape=str(row["shape"]),
+                source=str(row["source"]),
+                start_ms=int(row["start_ms"]),
+                command=GraspCommand.from_values(row["asked"]) if "asked" in row else None,
+                zero=SelfZero.from_values(row["self_zero"]) if "self_zero" in row else None,
             )
-        return tuple(grasps), tuple(grasp_t_s), len(rows) - len(grasps)
+            grasps.append((grasp, row, float(frames.t_s[places[0]])))
+        return grasps
 
 
 def _column(rows: list[dict[str, Any]], name: str) -> NDArray[np.float64]:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from cell.data import recording_schema as schema
@@ -49,7 +48,7 @@ def recover_recording(path: Path | str, target: Path | str) -> Recovered:
     messages = [
         (topic, content)
         for topic, content in read_raw(path).messages
-        if topic in schema.SCHEMAS and (topic != schema.GRASP or _is_whole(content, recording))
+        if topic in schema.SCHEMAS and (topic != schema.GRASP or content in recording.whole_grasps)
     ]
     write_atomically(
         target,
@@ -65,17 +64,6 @@ def recover_recording(path: Path | str, target: Path | str) -> Recovered:
         n_broken_grasps=recording.n_broken_grasps,
         lost_reason=recording.lost_reason,
     )
-
-
-def _is_whole(grasp: dict[str, Any], recording: Recording) -> bool:
-    """Say whether each frame of a grasp is there, unchanged."""
-    numbers = recording.frames.number
-    first, n_frames = int(grasp["first_frame"]), int(grasp["n_frames"])
-    places = np.flatnonzero((numbers >= first) & (numbers < first + n_frames))
-    if numbers[places].tolist() != list(range(first, first + n_frames)):
-        return False
-    found = schema.counts_crc32(recording.frames.counts[places])
-    return bool(found == grasp["counts_crc32"])
 
 
 def _write(
