@@ -1,6 +1,7 @@
 """The fixtures. Everything heavy is imported inside them, when a test asks for one."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -22,8 +23,13 @@ if TYPE_CHECKING:
     from tactile.can.bus import CanBus
 
 
-class MakeSimulatedCell(Protocol):
-    """Makes a simulated cell in virtual time."""
+class MakeSimulatedCell:
+    """Makes simulated cells in virtual time; what is on ``closing`` closes them."""
+
+    def __init__(self, config: "CellConfig", faults: FaultRegistry, closing: ExitStack) -> None:
+        self._config = config
+        self._faults = faults
+        self._closing = closing
 
     def __call__(
         self,
@@ -60,11 +66,40 @@ class MakeSimulatedCell(Protocol):
         cell.errors.ConfigError
             If the config that results is not valid.
         """
-        ...
+        from cell.build import build_cell
+        from cell.pytest_plugin.configs import given_config, simulated_config
+        from cell.pytest_plugin.virtual import VirtualCell
+
+        checked = simulated_config(
+            given_config(config, self._config),
+            objects=objects,
+            seed=seed,
+            changes=changes,
+            callback=mover is not None,
+        )
+        cell = build_cell(checked, mover=mover, places=places, folder=folder)
+        self._closing.callback(cell.close)
+        if cell.simulated is None:
+            raise AssertionError("a config with simulated ports gave a cell with real ones")
+        made = VirtualCell(config=checked, cell=cell, simulated=cell.simulated)
+        self._faults.add(made)
+        return made
 
 
-class MakeCellProcess(Protocol):
-    """Starts a simulated cell in a process of its own."""
+class MakeCellProcess:
+    """Starts simulated cells in processes of their own; what is on ``closing`` ends them."""
+
+    def __init__(
+        self,
+        config: "CellConfig",
+        faults: FaultRegistry,
+        closing: ExitStack,
+        report: Callable[[str, str, str], None],
+    ) -> None:
+        self._config = config
+        self._faults = faults
+        self._closing = closing
+        self._report = report
 
     def __call__(
         self,
@@ -81,7 +116,17 @@ class MakeCellProcess(Protocol):
         cell.errors.CellError
             If the config is not valid, or the process does not start; its log is in the message.
         """
-        ...
+        from cell.pytest_plugin.configs import given_config, simulated_config
+        from cell.pytest_plugin.process import CellProcess
+
+        found = given_config(config, self._config)
+        cell = CellProcess(simulated_config(found, objects=objects, seed=seed, changes=changes))
+        self._closing.callback(cell.end)
+        self._closing.callback(
+            lambda: self._report("teardown", f"tactile-cell simulate {cell.pid}", cell.log)
+        )
+        self._faults.add(cell)
+        return cell
 
 
 class InjectFault(Protocol):
@@ -149,40 +194,8 @@ def simulated_cell(
             record = cell.start("pin").grasp(force_n=3.0)
             assert record.outcome.final_force_n == pytest.approx(3.0, abs=0.5)
     """
-    from contextlib import ExitStack
-
-    from cell.build import build_cell
-    from cell.pytest_plugin.configs import given_config, simulated_config
-    from cell.pytest_plugin.virtual import VirtualCell
-
     with ExitStack() as closing:
-
-        def make(
-            config: "CellConfig | Path | str | None" = None,
-            *,
-            objects: Mapping[str, str] | None = None,
-            seed: int | None = None,
-            mover: "Mover | None" = None,
-            places: "Places | None" = None,
-            changes: Mapping[str, Any] | None = None,
-            folder: Path | None = None,
-        ) -> VirtualCell:
-            checked = simulated_config(
-                given_config(config, cell_config),
-                objects=objects,
-                seed=seed,
-                changes=changes,
-                callback=mover is not None,
-            )
-            cell = build_cell(checked, mover=mover, places=places, folder=folder)
-            closing.callback(cell.close)
-            if cell.simulated is None:
-                raise AssertionError("a config with simulated ports gave a cell with real ones")
-            made = VirtualCell(config=checked, cell=cell, simulated=cell.simulated)
-            cell_faults.add(made)
-            return made
-
-        yield make
+        yield MakeSimulatedCell(cell_config, cell_faults, closing)
         cell_faults.clear()
 
 
@@ -235,32 +248,9 @@ def cell_process(
     What was started is ended with the test, and nothing else; a process that died by itself
     fails the test with its log.
     """
-    from contextlib import ExitStack
-
-    from cell.pytest_plugin.configs import given_config, simulated_config
-    from cell.pytest_plugin.process import CellProcess
-
     with ExitStack() as closing:
-
-        def make(
-            config: "CellConfig | Path | str | None" = None,
-            *,
-            objects: Mapping[str, str] | None = None,
-            seed: int | None = None,
-            changes: Mapping[str, Any] | None = None,
-        ) -> CellProcess:
-            found = given_config(config, cell_config)
-            cell = CellProcess(simulated_config(found, objects=objects, seed=seed, changes=changes))
-            closing.callback(cell.end)
-            closing.callback(
-                lambda: request.node.add_report_section(
-                    "teardown", f"tactile-cell simulate {cell.pid}", cell.log
-                )
-            )
-            cell_faults.add(cell)
-            return cell
-
-        yield make
+        report = request.node.add_report_section
+        yield MakeCellProcess(cell_config, cell_faults, closing, report)
         cell_faults.clear()
 
 

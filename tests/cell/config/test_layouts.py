@@ -29,15 +29,6 @@ def spelled(*pads: PadConfig, adc_max: int = 1023) -> TactileConfig:
     return TactileConfig(layout=PadsConfig(name="own", pads=pads, adc_max=adc_max))
 
 
-def test_named_layouts_are_those_of_the_sensor_package() -> None:
-    assert (
-        layout_from_config(TactileConfig(layout="paper")).layout_hash == paper_layout().layout_hash
-    )
-    assert (
-        layout_from_config(TactileConfig(layout="pinch")).layout_hash == pinch_layout().layout_hash
-    )
-
-
 def test_own_pads_become_a_layout() -> None:
     layout = layout_from_config(spelled(pad(0), pad(0, "tip", 2, 2), pad(1, rows=5)))
     assert layout.name == "own"

@@ -16,6 +16,7 @@ REAL = {
     "tactile.interface": "socketcan",
     "tactile.channel": "can0",
 }
+TURN = WRIST | {"port": "/dev/ttyUSB1"}
 
 
 def positioner(*axes: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -83,15 +84,9 @@ def test_a_cell_on_real_ports_has_its_axes_there_too() -> None:
             ),
             "'/dev/ttyUSB0', the port of the fingers",
         ),
+        (REAL | positioner(TURN, TURN | {"moves": "x", "high": 90.0}), "give each servo its own"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(changes: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         changed_config(CellConfig(), CHANGES | changes)
-
-
-def test_servos_with_one_port_are_refused() -> None:
-    one = WRIST | {"port": "/dev/ttyUSB1"}
-    axes = positioner(one, one | {"moves": "x", "high": 90.0})
-    with pytest.raises(ConfigError, match="give each servo its own"):
-        changed_config(CellConfig(), CHANGES | REAL | axes)

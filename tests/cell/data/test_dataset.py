@@ -94,12 +94,6 @@ def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path: Path) -> 
     assert np.all(np.isnan(read_dataset(tmp_path / "d.npz")[0].force_n))
 
 
-def test_same_grasps_give_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        write_dataset(tmp_path / name, [make_grasp()])
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 @pytest.mark.shared_data
 def test_recorded_grasps_load_and_round_trip(tmp_path: Path) -> None:
     folder = os.environ.get("TACTILE_CELL_DATA")
@@ -203,12 +197,6 @@ def test_damage_is_refused_naming_file_and_array(name: str, good: Path, tmp_path
     assert "bad.npz" in str(caught.value)
 
 
-def test_a_recording_is_no_data_set_and_called_what_it_is(tmp_path: Path) -> None:
-    (tmp_path / "r.npz").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
-    with pytest.raises(DatasetError, match=r"is a recording, no grasp data set; .* in \.mcap"):
-        read_dataset(tmp_path / "r.npz")
-
-
 class Bomb:
     exploded = False
 
@@ -224,54 +212,57 @@ def test_pickle_in_disguise_is_refused_and_not_run(good: Path, tmp_path: Path) -
     assert not Bomb.exploded
 
 
-def test_array_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
-    header = b"{'descr': '<u2', 'fortran_order': False, 'shape': (99999999999, 99), }\n"
-    body = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64)
-    with zipfile.ZipFile(tmp_path / "lie.npz", "w") as archive:
-        archive.writestr("counts.npy", body)
-    with pytest.raises(DatasetError, match="do not fill shape"):
-        read_dataset(tmp_path / "lie.npz")
+def npy(header: bytes, version: int = 1, length: int | None = None) -> bytes:
+    stated = (len(header) if length is None else length).to_bytes(2 * version, "little")
+    return b"\x93NUMPY" + bytes([version, 0]) + stated + header
 
 
-def test_zip_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        for i in range(4):
-            archive.writestr(f"a{i}.npy", bytes(5_000_000))
-    assert (tmp_path / "bomb.npz").stat().st_size < 50_000
-    with pytest.raises(DatasetError, match="unpacks to 20000000 bytes, the limit is 10000000"):
-        read_dataset(tmp_path / "bomb.npz", limit_bytes=10_000_000)
+LIE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (99999999999, 99), }") + bytes(64)
 
 
 @pytest.mark.parametrize(
     ("members", "says"),
     [
-        ([("a.txt", b"x")], "no array"),
-        ([("a.npy", b"x")], "no .npy header"),
-        ([("a.npy", b"\x93NUMPY\x02\x00" + b"\xff\xff\xff\x00" + bytes(9))], "header of"),
-        ([("a.npy", b"\x93NUMPY\x01\x00\x04\x00{1}\n")], "header cannot be read"),
-        ([("a.npy", b"\x93NUMPY\x01\x00\xc0\x0f" + b"(" * 4032)], "header cannot be read"),
-        ([(f"{i}.npy", b"") for i in range(600)], "at most 512"),
+        ({"a.txt": b"x"}, "no array"),
+        ({"a.npy": b"x"}, "no .npy header"),
+        ({"a.npy": npy(bytes(9), 2, 0xFFFFFF)}, "header of"),
+        ({"a.npy": npy(b"{1}\n")}, "header cannot be read"),
+        ({"a.npy": npy(b"(" * 4032)}, "header cannot be read"),
+        ({"counts.npy": LIE}, "do not fill shape"),
+        ({f"{i}.npy": b"" for i in range(600)}, "at most 512"),
+        (
+            {f"a{i}.npy": bytes(5_000_000) for i in range(4)},
+            "unpacks to 20000000 bytes, the limit is 10000000",
+        ),
     ],
 )
-def test_archives_of_something_else_are_refused(
-    members: list[tuple[str, bytes]], says: str, tmp_path: Path
+def test_archives_of_something_else_or_beyond_a_limit_are_refused(
+    members: dict[str, bytes], says: str, tmp_path: Path
 ) -> None:
-    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
-        for name, data in members:
+    with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
             archive.writestr(name, data)
     with pytest.raises(DatasetError, match=says):
-        read_dataset(tmp_path / "x.npz")
+        read_dataset(tmp_path / "x.npz", limit_bytes=10_000_000)
 
 
-@pytest.mark.parametrize("what", ["missing", "folder", "text", "empty"])
-def test_what_is_no_archive_is_refused_with_advice(what: str, tmp_path: Path) -> None:
-    path = tmp_path / what
-    if what == "folder":
-        path.mkdir()
-    elif what != "missing":
-        path.write_text("label: ball\n" if what == "text" else "")
-    with pytest.raises(DatasetError, match=r"check the path|take another copy"):
-        read_dataset(path)
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (None, "check the path"),
+        (b"label: ball\n", "take another copy"),
+        (b"", "take another copy"),
+        (b"\x89MCAP0\r\n" + bytes(100), r"is a recording, no grasp data set; .* in \.mcap"),
+    ],
+)
+def test_what_is_no_archive_is_refused_with_advice(
+    content: bytes | None, says: str, tmp_path: Path
+) -> None:
+    if content is not None:
+        (tmp_path / "x.npz").write_bytes(content)
+    for path in (tmp_path / "x.npz", *([] if content else [tmp_path])):
+        with pytest.raises(DatasetError, match=says if path.suffix else "check the path"):
+            read_dataset(path)
 
 
 def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:

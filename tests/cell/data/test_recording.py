@@ -142,6 +142,7 @@ def test_grasps_come_back_from_the_recording(whole: tuple[Path, list[Grasp]]) ->
 
 
 def test_recording_holds_all_that_happened(whole: tuple[Path, list[Grasp]]) -> None:
+    assert whole[0].stat().st_size < 60_000
     recording = read_recording(whole[0])
     assert recording.complete
     assert recording.lost_reason == ""
@@ -298,7 +299,7 @@ def test_killed_program_leaves_a_readable_recording(tmp_path: Path) -> None:
 
 def foreign(path: Path, *, metadata: dict[str, str] | None, content: bytes = b"{}") -> Path:
     with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.NONE)
+        writer = Writer(file, chunk_size=1 << 30, compression=CompressionType.ZSTD)
         writer.start()
         if metadata is not None:
             metadata = metadata | {"crc32": recording_schema.metadata_crc32(metadata)}
@@ -346,15 +347,7 @@ def test_message_that_is_no_object_is_reported(content: bytes, tmp_path: Path) -
 
 
 def test_chunk_that_unpacks_without_end_is_not_unpacked(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 30, compression=CompressionType.ZSTD)
-        writer.start()
-        crc32 = recording_schema.metadata_crc32(GOOD)
-        writer.add_metadata(recording_schema.METADATA, GOOD | {"crc32": crc32})
-        channel = writer.register_channel(recording_schema.FRAME, "json", 0)
-        writer.add_message(channel, 1, bytes(20 << 20), 1)
-        writer.finish()
+    path = foreign(tmp_path / "bomb.mcap", metadata=GOOD, content=bytes(20 << 20))
     assert path.stat().st_size < 10_000
     recording = read_recording(path)
     assert "limit 16777216" in recording.lost_reason
@@ -514,27 +507,3 @@ def test_slow_disk_is_an_error_not_a_delay(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(OSError, match=r"within 0\.0 s"):
         file.close()
     go_on.set()
-
-
-def test_long_sequence_is_written_in_little_space(tmp_path: Path) -> None:
-    pads = plain_pads((51, 8), adc_max=255)
-    rng = np.random.default_rng(0)
-    counts = np.clip(np.abs(rng.normal(0, 10, (8, 80, 408))), 1, 20).astype(np.uint16)
-    clock = Clock(100.0)
-    n_grasps = 15
-    with Recorder(tmp_path / "r.mcap", clock, pads=pads) as recorder:
-        for i in range(n_grasps):
-            t_s = clock.now_s + i * 2.0 + np.arange(80) * 0.02
-            for k in range(300):
-                recorder.cycle(make_cycle(float(t_s[0]) + k * 0.005))
-            for k in range(80):
-                recorder.frame(
-                    TactileFrame(t_s=float(t_s[k]), counter=k, status=0, counts=counts[i % 8, k])
-                )
-            unknown = np.full(80, np.nan)
-            recorder.grasp(
-                Grasp(pads=pads, counts=counts[i % 8], t_s=t_s - t_s[0], aperture_m=unknown,
-                      force_n=unknown)
-            )  # fmt: skip
-    assert (tmp_path / "r.mcap").stat().st_size < 400_000 * n_grasps
-    assert len(recording_grasps(tmp_path / "r.mcap")) == n_grasps

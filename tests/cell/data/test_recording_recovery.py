@@ -85,16 +85,3 @@ def test_the_command_says_what_is_lost_and_never_overwrites(
     assert read_recording(said["recording"]).complete
     with pytest.raises(RecordingError, match="never overwritten"):
         recover_recording(recording, said["recording"])
-
-
-def test_a_whole_recording_stays_what_it_is(recording: Path, tmp_path: Path) -> None:
-    found = recover_recording(recording, tmp_path / "copy.mcap")
-    assert (found.lost_reason, found.n_broken_grasps, found.n_grasps) == ("", 0, 40)
-    assert RECOVERED not in read_recording(found.recording).metadata
-
-
-def test_what_is_no_recording_gives_no_file(tmp_path: Path) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"something else")
-    with pytest.raises(RecordingError, match="no recording"):
-        recover_recording(tmp_path / "x.mcap", tmp_path / "y.mcap")
-    assert not (tmp_path / "y.mcap").exists()

@@ -180,32 +180,23 @@ def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand: HandP
         hand.check_ramp(ForceRamp.linear(14.9, 5.0))
 
 
-def test_where_the_fingers_stopped_comes_with_what_stopped_them(hand: HandProcess) -> None:
+def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_fingers_are(
+    hand: HandProcess,
+) -> None:
+    told: list[int] = []
+
     def fail(_cycle: Any, _frames: Any) -> None:
+        told.append(1)
         raise OSError("the disk is full")
 
     stopped = GraspStopped("stopped on request")
     note_fingers(stopped, "stopped while letting go")
-    loop_of(hand).script.append([period(), answer(1, stopped)])
+    loop = loop_of(hand)
+    loop.script.append([period(), period(), answer(1, stopped)])
     with pytest.raises(OSError, match="disk is full") as caught:
         hand.release(fail)
     assert fingers_left(caught.value) == "the fingers stopped while letting go"
-
-
-def test_what_the_watch_raises_stops_the_command_and_comes_at_its_end(hand: HandProcess) -> None:
-    loop = loop_of(hand)
-    stopped = lambda number: answer(number, GraspStopped("stopped on request"))  # noqa: E731
-    loop.script.append([period(), period(), period(), stopped])
-    told: list[int] = []
-
-    def watch(_cycle: Any, _frames: Any) -> None:
-        told.append(1)
-        raise KeyError("of the watch")
-
-    with pytest.raises(KeyError, match="of the watch"):
-        hand.grasp(RAMP, watch)
     assert (len(told), loop.stops, loop.lost) == (1, 1, None)
-    assert not loop.coming
 
 
 def test_an_error_of_the_process_is_raised_as_what_it_is(hand: HandProcess) -> None:
@@ -223,14 +214,6 @@ def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand: Hand
             call()
     assert loop.sent == []
     assert hand.phase is GripperPhase.IDLE
-
-
-def test_a_fault_that_is_on_its_way_while_a_command_begins_stops_it(hand: HandProcess) -> None:
-    loop = loop_of(hand)
-    loop.script.append([SILENT, period(), None])
-    with pytest.raises(HeartbeatLost):
-        hand.open(nothing)
-    assert loop.stops == 1
 
 
 def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand: HandProcess) -> None:
