@@ -21,6 +21,7 @@ from gripper.dynamixel.control_table import (
     REGISTERS,
     SERVO_ID,
     TORQUE_ENABLE,
+    VOLTAGE_UNIT_V,
 )
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel
@@ -392,8 +393,8 @@ def wanted_changes(
 
 def check_supply(servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Notes) -> None:
     """Note what is wrong with the supply of a servo."""
-    supply_v = table[PRESENT_INPUT_VOLTAGE.name] * PRESENT_INPUT_VOLTAGE.lsb
-    least_v, most_v = model.min_voltage_raw * 0.1, model.max_voltage_raw * 0.1
+    supply_v = table[PRESENT_INPUT_VOLTAGE.name] * VOLTAGE_UNIT_V
+    least_v, most_v = model.min_voltage_raw * VOLTAGE_UNIT_V, model.max_voltage_raw * VOLTAGE_UNIT_V
     text = (
         f"servo {servo_id} has {supply_v:.1f} V, a {model.name} takes {least_v:.1f} to "
         f"{most_v:.1f} V"

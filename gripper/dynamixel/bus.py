@@ -6,15 +6,12 @@ has sent.
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from gripper.dynamixel.control_table import PRESENT_BLOCK, Register, RegisterBlock
 from gripper.dynamixel.protocol2 import Instruction, StatusPacket
-from gripper.dynamixel.serial_port import ByteStream, SdkPort
 from gripper.dynamixel.transactions import (
     HIGHEST_ID,
-    BusStatistics,
     Request,
     Transactions,
     check_id,
@@ -22,7 +19,6 @@ from gripper.dynamixel.transactions import (
     ping_request,
 )
 from gripper.errors import BusCorrupt, BusTimeout, LimitExceeded
-from gripper.state import Clock
 
 _COLLISION_READS = 3
 """Readings of a servo's present state that show whether another one answers with it."""
@@ -37,12 +33,11 @@ class ServoIdentity:
     firmware: int
 
 
-class ServoBus:
+class ServoBus(Transactions):
     """Transactions with servos on one line; safe to use from several threads.
 
     A lost answer is asked for again behind a ping: once in `in_loop`, up to three times and
-    patiently outside of it. A late answer is never taken for a new one, see
-    `gripper.dynamixel.transactions.Transactions`.
+    patiently outside of it. A late answer is never taken for a new one, see `Transactions`.
 
     Parameters
     ----------
@@ -66,89 +61,17 @@ class ServoBus:
         Name of the line in error messages.
     """
 
-    def __init__(
-        self,
-        stream: ByteStream,
-        *,
-        baudrate: int,
-        clock: Clock,
-        period_s: float = 0.005,
-        return_delay_s: float = 0.0005,
-        allowance_s: float = 0.0015,
-        late_guard_s: float = 0.05,
-        lock_timeout_s: float = 1.0,
-        name: str = "the servo line",
-    ) -> None:
-        self.baudrate = baudrate
-        self._least_allowance_s = allowance_s
-        self._port = SdkPort(
-            stream,
-            clock,
-            baudrate=baudrate,
-            return_delay_s=return_delay_s,
-            allowance_s=allowance_s,
-        )
-        self._transactions = Transactions(
-            self._port,
-            clock,
-            name=name,
-            period_s=period_s,
-            late_guard_s=late_guard_s,
-            lock_timeout_s=lock_timeout_s,
-        )
-
-    def in_loop(self) -> AbstractContextManager[None]:
-        """Within the block no transaction waits longer than a period of the loop may take.
-
-        Outside of it a retry waits for ``late_guard_s``: at a start or between commands a servo,
-        or the machine that simulates it, may be slow once without being at fault. Within it a
-        `sync_read` does not wait until the line is quiet: its caller reads Realtime Tick (register
-        120) along, which shows an old answer.
-        """
-        return self._transactions.in_loop()
-
-    @property
-    def lost(self) -> bool:
-        """Whether the line has failed since it was opened: then only `use` helps."""
-        return self._port.lost
-
-    def use(self, stream: ByteStream) -> None:
-        """Go on with a line that was opened anew."""
-        self._port.use(stream)
-
-    @property
-    def statistics(self) -> BusStatistics:
-        """Counts since the bus was opened."""
-        return self._transactions.statistics
-
-    @property
-    def return_delay_s(self) -> float:
-        """Longest Return Delay Time of the servos in s; enters every time-out."""
-        return float(self._port.return_delay_s)
-
-    @return_delay_s.setter
-    def return_delay_s(self, delay_s: float) -> None:
-        self._port.return_delay_s = delay_s
-
     def alert(self, servo_id: int) -> bool:
         """Return whether the last answer of a servo had the Alert bit: register 70 is not zero."""
-        return servo_id in self._transactions.alerts
-
-    def misses(self, servo_id: int) -> int:
-        """Return how many answers of a servo were lost in a row."""
-        return self._transactions.misses(servo_id)
-
-    def expect_late_answer(self) -> None:
-        """Let the next transaction wait until the line is quiet: an answer came out of turn."""
-        self._transactions.expect_late_answer()
+        return servo_id in self.alerts
 
     def ping(self, servo_id: int) -> ServoIdentity:
         """Ask a servo for its identity; BusTimeout when none has that ID."""
-        return _identity(self._transactions.ask(ping_request(servo_id)))
+        return _identity(self.ask(ping_request(servo_id)))
 
     def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
         """Ping each ID once, without patience, and return who answers; for finding a mistake."""
-        return tuple(_identity(status) for status in self._transactions.scan(ids).values())
+        return tuple(_identity(status) for status in self.ping_each(ids))
 
     def scan_at_once(self) -> tuple[tuple[ServoIdentity, ...], bool]:
         """Ping all IDs with one broadcast; return who answers, and whether damaged bytes came.
@@ -156,7 +79,7 @@ class ServoBus:
         Takes about a second. Damaged bytes are of servos that share an ID, or of another device;
         equal servos that share an ID may pass for one, see `shares_id`.
         """
-        found, damaged = self._transactions.ping_all()
+        found, damaged = self.ping_all()
         return tuple(_identity(status) for status in found), damaged
 
     def shares_id(self, servo_id: int) -> bool:
@@ -171,7 +94,7 @@ class ServoBus:
         lost = 0
         for _ in range(_COLLISION_READS):
             try:
-                checked(self._transactions.ask_once(request)[0], action)
+                checked(self.ask_once(request)[0], action)
             except BusCorrupt:
                 return True
             except BusTimeout:
@@ -180,18 +103,14 @@ class ServoBus:
 
     def round_trip_s(self, servo_id: int) -> float:
         """Return the time in s that a ping takes, however late its answer comes."""
-        return self._transactions.ask_once(ping_request(servo_id), patient=True)[1]
-
-    def fit_allowance(self, wanted_s: float, most_s: float) -> None:
-        """Set the time for adapter and operating system in a time-out; never below the usual."""
-        self._port.allowance_s = max(self._least_allowance_s, min(wanted_s, most_s))
+        return self.ask_once(ping_request(servo_id), patient=True)[1]
 
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""
         action = f"reading {register.name} of servo {servo_id}"
         params = _words(register.address, register.size)
         request = Request(servo_id, Instruction.READ, register.size, action, params)
-        return register.decode(self._transactions.ask(request).data)
+        return register.decode(self.ask(request).data)
 
     def write(self, servo_id: int, register: Register, raw: int) -> None:
         """Write the raw value of an item and wait for the servo's confirmation.
@@ -207,7 +126,7 @@ class ServoBus:
             raise LimitExceeded(f"{register.name} is read-only")
         action = f"writing {register.name} = {raw} to servo {servo_id}"
         params = _words(register.address) + register.encode(raw)
-        self._transactions.ask(Request(servo_id, Instruction.WRITE, 0, action, params))
+        self.ask(Request(servo_id, Instruction.WRITE, 0, action, params))
 
     def sync_read(self, ids: Sequence[int], block: RegisterBlock) -> dict[int, dict[str, int]]:
         """Return the items of one block of several servos as raw values by name.
@@ -221,7 +140,7 @@ class ServoBus:
         """
         action = f"reading {block} of servos {ids}"
         params = _words(block.address, block.size)
-        found = self._transactions.ask_all(ids, params, block.size, action)
+        found = self.ask_all(ids, params, block.size, action)
         return {servo_id: block.decode(status.data) for servo_id, status in found.items()}
 
     def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
@@ -244,7 +163,7 @@ class ServoBus:
         for servo_id, raws in values.items():
             check_id(servo_id)
             params += bytes((servo_id,)) + block.encode(raws)
-        self._transactions.broadcast(Instruction.SYNC_WRITE, params)
+        self.broadcast(Instruction.SYNC_WRITE, params)
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo: torque off, RAM at its defaults; a part that it holds is let go.
@@ -252,13 +171,9 @@ class ServoBus:
         Sent once only, because a repetition would restart it again.
         """
         request = Request(servo_id, Instruction.REBOOT, 0, f"reboot of servo {servo_id}")
-        status, _ = self._transactions.ask_once(request)
-        self._transactions.alerts.discard(servo_id)
+        status, _ = self.ask_once(request)
+        self.alerts.discard(servo_id)
         checked(status, request.action)
-
-    def close(self) -> None:
-        """Close the line; the servos go on with their last goals."""
-        self._transactions.close()
 
 
 def _words(*values: int) -> bytes:

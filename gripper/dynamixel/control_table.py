@@ -1,4 +1,4 @@
-"""Control table of the DYNAMIXEL X series as data: address, size, sign, unit, range.
+"""Control table of the DYNAMIXEL X series as data: address, size and sign; units of the counts.
 
 Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-M288, section
 "Control Table". The addresses are the same on all four.
@@ -20,6 +20,8 @@ RAD_S_PER_VELOCITY_UNIT = 0.229 * tau / 60.0
 """Speed in rad/s of one count of the velocity items: 0.229 rev/min."""
 RAD_S2_PER_ACCELERATION_UNIT = 214.577 * tau / 3600.0
 """Acceleration in rad/s² of one count of Profile Acceleration: 214.577 rev/min²."""
+VOLTAGE_UNIT_V = 0.1
+"""Voltage in V of one count of the voltage items."""
 WATCHDOG_UNIT_S = 0.02
 """Time in s of one count of Bus Watchdog (register 98)."""
 RETURN_DELAY_UNIT_S = 2e-6
@@ -49,10 +51,6 @@ class Register:
     writable: bool = True
     eeprom: bool = False
     """EEPROM items can be written with torque off only."""
-    unit: str = ""
-    lsb: float = 1.0
-    """SI unit of the item and its value for one count; current items take the unit of the model
-    (`ServoModel.current_unit_a`) and have an lsb of 0 here."""
 
     @property
     def end(self) -> int:
@@ -88,32 +86,26 @@ def _read_only(name: str, address: int, size: int, **rest: object) -> Register:
     return Register(name=name, address=address, size=size, writable=False, **rest)  # type: ignore[arg-type]
 
 
-_VELOCITY = {"unit": "rad/s", "lsb": RAD_S_PER_VELOCITY_UNIT}
-_POSITION = {"unit": "rad", "lsb": RAD_PER_PULSE}
-_CURRENT = {"unit": "A", "lsb": 0.0}
-_VOLTAGE = {"unit": "V", "lsb": 0.1}
-_PWM = {"unit": "%", "lsb": 100.0 / 885.0}
-
 MODEL_NUMBER = _read_only("model_number", 0, 2)
 MODEL_INFORMATION = _read_only("model_information", 2, 4)
 FIRMWARE_VERSION = _read_only("firmware_version", 6, 1)
 SERVO_ID = _eeprom("id", 7, 1)
 BAUD_RATE = _eeprom("baud_rate", 8, 1)
-RETURN_DELAY_TIME = _eeprom("return_delay_time", 9, 1, unit="s", lsb=RETURN_DELAY_UNIT_S)
+RETURN_DELAY_TIME = _eeprom("return_delay_time", 9, 1)
 DRIVE_MODE = _eeprom("drive_mode", 10, 1)
 OPERATING_MODE = _eeprom("operating_mode", 11, 1)
 SECONDARY_ID = _eeprom("secondary_id", 12, 1)
 PROTOCOL_TYPE = _eeprom("protocol_type", 13, 1)
-HOMING_OFFSET = _eeprom("homing_offset", 20, 4, signed=True, **_POSITION)
-MOVING_THRESHOLD = _eeprom("moving_threshold", 24, 4, **_VELOCITY)
-TEMPERATURE_LIMIT = _eeprom("temperature_limit", 31, 1, unit="degC")
-MAX_VOLTAGE_LIMIT = _eeprom("max_voltage_limit", 32, 2, **_VOLTAGE)
-MIN_VOLTAGE_LIMIT = _eeprom("min_voltage_limit", 34, 2, **_VOLTAGE)
-PWM_LIMIT = _eeprom("pwm_limit", 36, 2, **_PWM)
-CURRENT_LIMIT = _eeprom("current_limit", 38, 2, **_CURRENT)
-VELOCITY_LIMIT = _eeprom("velocity_limit", 44, 4, **_VELOCITY)
-MAX_POSITION_LIMIT = _eeprom("max_position_limit", 48, 4, **_POSITION)
-MIN_POSITION_LIMIT = _eeprom("min_position_limit", 52, 4, **_POSITION)
+HOMING_OFFSET = _eeprom("homing_offset", 20, 4, signed=True)
+MOVING_THRESHOLD = _eeprom("moving_threshold", 24, 4)
+TEMPERATURE_LIMIT = _eeprom("temperature_limit", 31, 1)
+MAX_VOLTAGE_LIMIT = _eeprom("max_voltage_limit", 32, 2)
+MIN_VOLTAGE_LIMIT = _eeprom("min_voltage_limit", 34, 2)
+PWM_LIMIT = _eeprom("pwm_limit", 36, 2)
+CURRENT_LIMIT = _eeprom("current_limit", 38, 2)
+VELOCITY_LIMIT = _eeprom("velocity_limit", 44, 4)
+MAX_POSITION_LIMIT = _eeprom("max_position_limit", 48, 4)
+MIN_POSITION_LIMIT = _eeprom("min_position_limit", 52, 4)
 STARTUP_CONFIGURATION = _eeprom("startup_configuration", 60, 1)
 SHUTDOWN = _eeprom("shutdown", 63, 1)
 TORQUE_ENABLE = _ram("torque_enable", 64, 1)
@@ -128,26 +120,24 @@ POSITION_I_GAIN = _ram("position_i_gain", 82, 2)
 POSITION_P_GAIN = _ram("position_p_gain", 84, 2)
 FEEDFORWARD_2ND_GAIN = _ram("feedforward_2nd_gain", 88, 2)
 FEEDFORWARD_1ST_GAIN = _ram("feedforward_1st_gain", 90, 2)
-BUS_WATCHDOG = _ram("bus_watchdog", 98, 1, signed=True, unit="s", lsb=WATCHDOG_UNIT_S)
-GOAL_PWM = _ram("goal_pwm", 100, 2, signed=True, **_PWM)
-GOAL_CURRENT = _ram("goal_current", 102, 2, signed=True, **_CURRENT)
-GOAL_VELOCITY = _ram("goal_velocity", 104, 4, signed=True, **_VELOCITY)
-PROFILE_ACCELERATION = _ram(
-    "profile_acceleration", 108, 4, unit="rad/s^2", lsb=RAD_S2_PER_ACCELERATION_UNIT
-)
-PROFILE_VELOCITY = _ram("profile_velocity", 112, 4, **_VELOCITY)
-GOAL_POSITION = _ram("goal_position", 116, 4, signed=True, **_POSITION)
-REALTIME_TICK = _read_only("realtime_tick", 120, 2, unit="s", lsb=0.001)
+BUS_WATCHDOG = _ram("bus_watchdog", 98, 1, signed=True)
+GOAL_PWM = _ram("goal_pwm", 100, 2, signed=True)
+GOAL_CURRENT = _ram("goal_current", 102, 2, signed=True)
+GOAL_VELOCITY = _ram("goal_velocity", 104, 4, signed=True)
+PROFILE_ACCELERATION = _ram("profile_acceleration", 108, 4)
+PROFILE_VELOCITY = _ram("profile_velocity", 112, 4)
+GOAL_POSITION = _ram("goal_position", 116, 4, signed=True)
+REALTIME_TICK = _read_only("realtime_tick", 120, 2)
 MOVING = _read_only("moving", 122, 1)
 MOVING_STATUS = _read_only("moving_status", 123, 1)
-PRESENT_PWM = _read_only("present_pwm", 124, 2, signed=True, **_PWM)
-PRESENT_CURRENT = _read_only("present_current", 126, 2, signed=True, **_CURRENT)
-PRESENT_VELOCITY = _read_only("present_velocity", 128, 4, signed=True, **_VELOCITY)
-PRESENT_POSITION = _read_only("present_position", 132, 4, signed=True, **_POSITION)
-VELOCITY_TRAJECTORY = _read_only("velocity_trajectory", 136, 4, signed=True, **_VELOCITY)
-POSITION_TRAJECTORY = _read_only("position_trajectory", 140, 4, signed=True, **_POSITION)
-PRESENT_INPUT_VOLTAGE = _read_only("present_input_voltage", 144, 2, **_VOLTAGE)
-PRESENT_TEMPERATURE = _read_only("present_temperature", 146, 1, unit="degC")
+PRESENT_PWM = _read_only("present_pwm", 124, 2, signed=True)
+PRESENT_CURRENT = _read_only("present_current", 126, 2, signed=True)
+PRESENT_VELOCITY = _read_only("present_velocity", 128, 4, signed=True)
+PRESENT_POSITION = _read_only("present_position", 132, 4, signed=True)
+VELOCITY_TRAJECTORY = _read_only("velocity_trajectory", 136, 4, signed=True)
+POSITION_TRAJECTORY = _read_only("position_trajectory", 140, 4, signed=True)
+PRESENT_INPUT_VOLTAGE = _read_only("present_input_voltage", 144, 2)
+PRESENT_TEMPERATURE = _read_only("present_temperature", 146, 1)
 BACKUP_READY = _read_only("backup_ready", 147, 1)
 
 

@@ -18,7 +18,7 @@ from gripper.dynamixel.protocol2 import (
     Instruction,
     StatusPacket,
 )
-from gripper.dynamixel.serial_port import SdkPort
+from gripper.dynamixel.serial_port import ByteStream, SdkPort
 from gripper.errors import BusBusy, BusCorrupt, BusTimeout, LimitExceeded, PortLost, ServoRejected
 from gripper.state import Clock
 
@@ -194,12 +194,8 @@ class Transactions:
 
     Parameters
     ----------
-    port
-        The line.
-    name
-        Name of the line in error messages.
-    clock, period_s, late_guard_s, lock_timeout_s
-        As in `gripper.dynamixel.bus.ServoBus`.
+    stream, baudrate, clock, period_s, return_delay_s, allowance_s, late_guard_s, lock_timeout_s
+        As in `gripper.dynamixel.bus.ServoBus`, as is ``name``.
 
     Attributes
     ----------
@@ -209,16 +205,27 @@ class Transactions:
 
     def __init__(
         self,
-        port: SdkPort,
-        clock: Clock,
+        stream: ByteStream,
         *,
-        name: str,
-        period_s: float,
-        late_guard_s: float,
-        lock_timeout_s: float,
+        baudrate: int,
+        clock: Clock,
+        period_s: float = 0.005,
+        return_delay_s: float = 0.0005,
+        allowance_s: float = 0.0015,
+        late_guard_s: float = 0.05,
+        lock_timeout_s: float = 1.0,
+        name: str = "the servo line",
     ) -> None:
         self.alerts: set[int] = set()
-        self._port = port
+        self.baudrate = baudrate
+        self._least_allowance_s = allowance_s
+        self._port = SdkPort(
+            stream,
+            clock,
+            baudrate=baudrate,
+            return_delay_s=return_delay_s,
+            allowance_s=allowance_s,
+        )
         self._name = name
         self._clock = clock
         self._period_s = period_s
@@ -238,6 +245,28 @@ class Transactions:
         self._closed = False
 
     @property
+    def lost(self) -> bool:
+        """Whether the line has failed since it was opened: then only `use` helps."""
+        return self._port.lost
+
+    def use(self, stream: ByteStream) -> None:
+        """Go on with a line that was opened anew."""
+        self._port.use(stream)
+
+    @property
+    def return_delay_s(self) -> float:
+        """Longest Return Delay Time of the servos in s; enters every time-out."""
+        return float(self._port.return_delay_s)
+
+    @return_delay_s.setter
+    def return_delay_s(self, delay_s: float) -> None:
+        self._port.return_delay_s = delay_s
+
+    def fit_allowance(self, wanted_s: float, most_s: float) -> None:
+        """Set the time for adapter and operating system in a time-out; never below the usual."""
+        self._port.allowance_s = max(self._least_allowance_s, min(wanted_s, most_s))
+
+    @property
     def statistics(self) -> BusStatistics:
         """Counts since the bus was opened."""
         return BusStatistics(**self._counts)
@@ -248,7 +277,13 @@ class Transactions:
 
     @contextmanager
     def in_loop(self) -> Iterator[None]:
-        """Within the block the policy is `IN_LOOP`."""
+        """Within the block no transaction waits longer than a period of the loop may take.
+
+        Outside of it a retry waits for ``late_guard_s``: at a start or between commands a servo,
+        or the machine that simulates it, may be slow once without being at fault. Within it a
+        sync read does not wait until the line is quiet: its caller reads Realtime Tick (register
+        120) along, which shows an old answer.
+        """
         before, self._policy = self._policy, IN_LOOP
         try:
             yield
@@ -317,15 +352,15 @@ class Transactions:
                 raise self._given_up(failure, request) from None
             return status, self._clock.monotonic() - sent_s
 
-    def scan(self, ids: Sequence[int]) -> dict[int, StatusPacket]:
-        """Ping each ID once, without repetition, and return the answers by ID."""
-        found = {}
+    def ping_each(self, ids: Sequence[int]) -> list[StatusPacket]:
+        """Ping each ID once, without repetition, and return the answers."""
+        found = []
         with self.exclusive():
             for servo_id in ids:
                 with suppress(NoAnswerError):
                     status = self._exchange(ping_request(servo_id))
                     if status.error == 0:  # a servo that refuses does not say which it is
-                        found[servo_id] = status
+                        found.append(status)
             self._mark_suspect()
         return found
 
@@ -355,12 +390,12 @@ class Transactions:
             self._send(BROADCAST_ID, instruction, params)
 
     def expect_late_answer(self) -> None:
-        """Make the line suspect: an answer came out of turn, so that another one is on its way."""
+        """Let the next transaction wait until the line is quiet: an answer came out of turn."""
         self._mark_suspect()
         self._outstanding += 1
 
     def close(self) -> None:
-        """Close the line; every later transaction raises PortLost."""
+        """Close the line, the servos go on with their last goals; transactions raise PortLost."""
         with self._lock:
             self._closed = True
             self._port.closePort()

@@ -15,6 +15,7 @@ from gripper.dynamixel.control_table import (
     RAD_S_PER_VELOCITY_UNIT,
     REALTIME_TICK,
     TICK_MODULO,
+    VOLTAGE_UNIT_V,
 )
 from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
@@ -168,7 +169,7 @@ class Feedback:
             current_a=servo.servo_model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction,
             position_raw=position_raw,
             temperature_c=float(raw[PRESENT_TEMPERATURE.name]),
-            voltage_v=raw[PRESENT_INPUT_VOLTAGE.name] * PRESENT_INPUT_VOLTAGE.lsb,
+            voltage_v=raw[PRESENT_INPUT_VOLTAGE.name] * VOLTAGE_UNIT_V,
             tick_ms=raw[REALTIME_TICK.name],
             alert=self._bus.alert(servo.servo_id),
         )

@@ -335,7 +335,7 @@ def test_another_threads_transaction_is_waited_for_only_so_long(script, clock) -
     entered, leave = threading.Event(), threading.Event()
 
     def occupy() -> None:
-        with bus._transactions.exclusive():
+        with bus.exclusive():
             entered.set()
             leave.wait(5.0)
 
@@ -382,7 +382,7 @@ def test_an_answer_that_came_while_the_program_stood_still_is_taken(
     script, bus, clock, monkeypatch
 ) -> None:
     """The machine gives the program no time between request and answer."""
-    port = bus._transactions._port
+    port = bus._port
     start = port.setPacketTimeoutMillis
 
     def stall(msec: float) -> None:

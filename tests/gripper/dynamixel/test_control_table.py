@@ -21,6 +21,7 @@ from gripper.dynamixel.control_table import (
     REGISTERS,
     SHUTDOWN,
     TORQUE_ENABLE,
+    WATCHDOG_UNIT_S,
     RegisterBlock,
 )
 from gripper.dynamixel.models import MODELS, XM430_W350, require_current_control
@@ -31,8 +32,7 @@ from gripper.state import hardware_error_names
 def test_addresses_sizes_and_signs_are_those_of_the_manual() -> None:
     assert (GOAL_CURRENT.address, GOAL_CURRENT.size, GOAL_CURRENT.signed) == (102, 2, True)
     assert (GOAL_POSITION.address, GOAL_POSITION.size, GOAL_POSITION.signed) == (116, 4, True)
-    assert (BUS_WATCHDOG.address, BUS_WATCHDOG.signed, BUS_WATCHDOG.lsb) == (98, True, 0.02)
-    assert REALTIME_TICK.lsb == 0.001
+    assert (BUS_WATCHDOG.address, BUS_WATCHDOG.signed, WATCHDOG_UNIT_S) == (98, True, 0.02)
     assert pytest.approx(0.0239691, rel=1e-3) == RAD_S_PER_VELOCITY_UNIT
     assert pytest.approx(0.00153398, rel=1e-5) == RAD_PER_PULSE
     signed = {r.address for r in REGISTERS.values() if r.signed}
