@@ -6,7 +6,7 @@ from typing import Any
 
 from cell.commissioning.backup import read_table
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step
+from cell.commissioning.engine import Dialog, Finding, Step
 from cell.commissioning.ports import by_id
 from cell.commissioning.servos import Scan, check_supply, model_name, scan
 from cell.commissioning.unit import network_interfaces
@@ -33,7 +33,7 @@ class AxesStep(Step):
     )
     needs = ("ports", "unit")
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Look for both kinds of axes."""
         axes: list[dict[str, Any]] = []
         for port in _further_ports(bench):
@@ -81,7 +81,7 @@ def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:
     return answer == "yes"
 
 
-def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Notes) -> list[dict[str, Any]]:
+def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Finding) -> list[dict[str, Any]]:
     """Scan a port; return its axis as the config names it, none where it cannot be driven."""
     found = scan(bench, port, dialog)
     if complaint := _complaint(port, found):

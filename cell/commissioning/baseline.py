@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Question, Step, StepFailed, Write
+from cell.commissioning.engine import Dialog, Finding, Question, Step, StepFailed, Write
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.first_force import bench_hand, look_after, start_free, told_if_held
 from cell.commissioning.motion import WatchedMotion
@@ -258,7 +258,7 @@ class BaselineStep(Step):
     needs_pads = True
     undo = "nothing is written; the torque goes off at the end"
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Grasp the gauge object, and keep how it felt."""
         gauge, force_on_taxels_n = measure_gauge(bench, bench.config, dialog)
         layout = layout_from_config(bench.config.tactile)

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
@@ -25,29 +25,8 @@ _PATIENCE_S = 0.02
 right only later, answers within it."""
 
 
-class Lines(Protocol):
-    """What opens the lines of a cell; real ports, or the simulator's in virtual time."""
-
-    @property
-    def clock(self) -> Clock:
-        """Time of the lines."""
-        ...
-
-    def serial_ports(self) -> tuple[str, ...]:
-        """Return the paths of the serial ports that are plugged in."""
-        ...
-
-    def open_servos(self, port: str, baud_rate: int) -> ByteStream:
-        """Open a serial port. Raises gripper.errors.PortLost."""
-        ...
-
-    def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
-        """Open a CAN bus. Raises tactile.errors.BusNotOpened."""
-        ...
-
-
-class RealLines:
-    """Implements `Lines` with the ports of this machine."""
+class Lines:
+    """Opens the lines of a cell: here the ports of this machine."""
 
     clock: Clock = time
 
@@ -59,11 +38,11 @@ class RealLines:
         return tuple(p for p in serial_candidates() if not Path(p).name.startswith("ttyS"))
 
     def open_servos(self, port: str, baud_rate: int) -> ByteStream:
-        """Open a serial port."""
+        """Open a serial port. Raises gripper.errors.PortLost."""
         return SerialStream(port, baud_rate)
 
     def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
-        """Open a CAN bus."""
+        """Open a CAN bus. Raises tactile.errors.BusNotOpened."""
         return open_bus(interface, channel, bitrate=bitrate)
 
 
@@ -108,7 +87,7 @@ class Bench:
         if base is None and (folder / CONFIG_NAME).exists():
             base = load_config(folder / CONFIG_NAME)
         self._base = _new_cell(folder) if base is None else base
-        self.lines: Lines = lines or RealLines()
+        self.lines = lines or Lines()
         self.given: Mapping[str, Any] = given or {}
         self.settings: Mapping[str, Any] = {}
         self.found: Mapping[str, Mapping[str, Any]] = {}

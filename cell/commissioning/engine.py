@@ -5,7 +5,7 @@ cell's folder, and the next run begins with the first step that is not done.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -90,37 +90,23 @@ class Write:
     """How it is taken back."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Finding:
-    """What a step found."""
+    """What a step has found so far; the engine keeps it, also where an error ends the step."""
 
-    status: Verdict
-    """PASS, WARN (usable, with a word to the operator) or FAIL (the step has to run again)."""
-    lines: tuple[str, ...]
+    status: Verdict = Verdict.PASS
+    """The worst of its lines: WARN is usable, after FAIL the step has to run again."""
+    lines: list[str] = field(default_factory=list)
     """What a person reads: one fact a line, a failed one with what to do next."""
-    values: Mapping[str, Any] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)
     """Measured values for later steps, the record and `doctor`: anything that JSON can hold."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
     """Values of the config by dotted key, as ``{"gripper.baud_rate": 1000000}``."""
-    figures: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    figures: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     """Pictures by name, as numbers: see `cell.commissioning.figures`."""
     began: str = ""
     ended: str = ""
     """Wall-clock times of the step (ISO 8601, UTC), which the engine sets."""
-
-
-class Notes:
-    """What a step has found so far: lines, the worst verdict, values, settings and figures.
-
-    The engine makes the finding of it, also where an error ends the step.
-    """
-
-    def __init__(self) -> None:
-        self.status = Verdict.PASS
-        self.lines: list[str] = []
-        self.values: dict[str, Any] = {}
-        self.settings: dict[str, Any] = {}
-        self.figures: dict[str, Mapping[str, Any]] = {}
 
     def fact(self, line: str) -> None:
         """Add a line that is as it should be."""
@@ -141,16 +127,6 @@ class Notes:
     def failed(self) -> bool:
         """Whether a line failed."""
         return self.status is Verdict.FAIL
-
-    def finding(self) -> Finding:
-        """Return what was found."""
-        return Finding(
-            status=self.status,
-            lines=tuple(self.lines),
-            values=self.values,
-            settings={} if self.failed else self.settings,
-            figures=self.figures,
-        )
 
 
 class Dialog(Protocol):
@@ -219,7 +195,7 @@ class Step:
     undo: str = "nothing to undo"
     """How a person takes back what it writes."""
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Carry it out, from the beginning even where it was left half done.
 
         Nothing is written or moved that `Dialog.approve` did not show. However it ends, no servo
@@ -243,10 +219,10 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Finding:
     Left
         When the person leaves or refuses.
     """
-    notes = Notes()
+    notes = Finding()
     if step.needs_pads and bench.gripper_alone:
         notes.warn("This gripper has no pads yet: `--redo unit` once its control unit is there.")
-        return notes.finding()
+        return notes
     try:
         step.run(bench, dialog, notes)
     except Left:
@@ -256,7 +232,9 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Finding:
     except (CellError, GripperError, TactileError) as error:
         # A cable that was pulled, a disk that is full: mended, the step runs again.
         notes.fail(error_text(error))
-    return notes.finding()
+    if notes.failed:
+        notes.settings.clear()
+    return notes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -396,9 +374,10 @@ class Engine:
 
         began = _now()
         finding = carry_out(step, self.bench, _Logged(dialog, log))
-        self.findings[step.key] = replace(finding, began=began, ended=_now())
+        finding.began, finding.ended = began, _now()
+        self.findings[step.key] = finding
         self._store()
-        dialog.found(step, self.findings[step.key])
+        dialog.found(step, finding)
 
     def _again(self, step: Step, dialog: Dialog) -> None:
         answer = dialog.choose(

@@ -18,7 +18,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     LOOK_S,
     Dialog,
-    Notes,
+    Finding,
     Number,
     Question,
     Step,
@@ -246,7 +246,7 @@ class FingersStep(Step):
     needs = ("servos",)
     undo = "nothing is written; run `tactile-cell commission --redo fingers`"
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Measure by hand, fit, move."""
         gripper = bench.gripper()
         ids = [servo.id for servo in gripper.servos]
@@ -260,7 +260,7 @@ class _Hands:
     """One run of the step."""
 
     def __init__(
-        self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig, notes: Notes
+        self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig, notes: Finding
     ) -> None:
         self._bench = bench
         self._dialog = dialog

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     Dialog,
+    Finding,
     Left,
-    Notes,
     Number,
     Question,
     Step,
@@ -238,7 +238,7 @@ class FirstForceStep(Step):
     needs = ("fingers", "unit", "pads_law", "link_quality")
     undo = "nothing is written; the torque goes off at the end"
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Open, prove, grasp, release; with pads the empty fingers meet at last."""
         config = changed_config(bench.config, {"gripper.watchdog_self_test": True})
         alone = bench.gripper_alone
@@ -323,7 +323,7 @@ class _Trial:
     config: CellConfig
     dialog: Dialog
     clock: Clock
-    notes: Notes
+    notes: Finding
     motion: WatchedMotion
     most_n: float
     cap_n: float

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Number, Question, Step, StepFailed
+from cell.commissioning.engine import Dialog, Finding, Number, Question, Step, StepFailed
 from cell.commissioning.figures import curves
 from cell.commissioning.pads import sequence_forces_n
 from cell.commissioning.unit import unit_sensor
@@ -88,7 +88,7 @@ class LawStep(Step):
     needs_pads = True
     undo = "nothing to undo: it is a setting of the config (tactile.calibration)"
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Ask for the loads, and judge them."""
         answer = dialog.choose(
             "pads_law.with",
@@ -157,7 +157,7 @@ def _shown_n(sensor: TactileSensor, pad: int, n_frames: int) -> float:
     return float(sensor.calibration.force_n(counts)[sensor.layout.taxels_of(pad)].sum())
 
 
-def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Notes) -> None:
+def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Finding) -> None:
     """Note what the loads on both inner pads say of the law, and set it right.
 
     Parameters

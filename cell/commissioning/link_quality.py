@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step
+from cell.commissioning.engine import Dialog, Finding, Step
 from cell.commissioning.figures import curves
 from cell.commissioning.unit import unit_sensor
 from gripper.dynamixel.bus import ServoBus
@@ -126,7 +126,7 @@ class LinkQualityStep(Step):
     duration_s: float = DURATION_S
     """How long the lines are watched, in s."""
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Watch both lines, and judge what was counted."""
         gripper = bench.gripper()
         ids = [servo.id for servo in gripper.servos]
@@ -183,7 +183,7 @@ class LinkQualityStep(Step):
 
 
 def _judge_servos(
-    quality: Quality, before: BusStatistics, after: BusStatistics, period_s: float, notes: Notes
+    quality: Quality, before: BusStatistics, after: BusStatistics, period_s: float, notes: Finding
 ) -> list[str]:
     """Note what was counted on the line of the servos; returns what to mend."""
     asked, answers = len(quality.answer_s), _known(quality.answer_s)
@@ -216,7 +216,7 @@ def _judge_servos(
 
 
 def _judge_pads(
-    quality: Quality, link: LinkStatistics, force_period_s: float, notes: Notes
+    quality: Quality, link: LinkStatistics, force_period_s: float, notes: Finding
 ) -> list[str]:
     """Note what was counted on the CAN bus; returns what to mend."""
     frames, forces = link.frames, link.forces

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step
+from cell.commissioning.engine import Dialog, Finding, Step
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.unit import unit_sensor
 from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
@@ -120,7 +120,7 @@ def judge_rest(
     layout: TaxelLayout,
     frames: Counts,
     rest: Rest,
-    notes: Notes,
+    notes: Finding,
     *,
     limits: TareLimits,
     contact_force_n: float,
@@ -197,7 +197,7 @@ class PadsAtRestStep(Step):
     needs = ("unit",)
     needs_pads = True
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Read frames, and judge them."""
         dialog.say("Keep your hands and everything else off the pads for two seconds.")
         with unit_sensor(bench) as sensor:
@@ -353,7 +353,7 @@ class PadsPressedStep(Step):
     needs_pads = True
     undo = "nothing to undo: it is a setting of the config (tactile.mounting)"
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Have the pads pressed, and judge where they sit."""
         dialog.say(
             "Finger 0 is the one that the first servo drives. Nothing may touch the pads at first."

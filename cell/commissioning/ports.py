@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step
+from cell.commissioning.engine import Dialog, Finding, Step
 from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms
 from gripper.errors import PortLost
 
@@ -31,7 +31,7 @@ class PortsStep(Step):
         "no other program has it, and how fast it hands on answers. Writes and moves nothing."
     )
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find the port and check it."""
         named = bench.given.get("gripper.port")
         port = str(named) if named else _found(bench, dialog)

@@ -63,7 +63,7 @@ def render_record(engine: Engine) -> str:
 def _step_view(engine: Engine, step: Step) -> dict[str, Any]:
     """Return what the template shows of a step."""
     done = step.key in engine.findings
-    finding = engine.findings[step.key] if done else Finding(status=Verdict.FAIL, lines=())
+    finding = engine.findings[step.key] if done else Finding(status=Verdict.FAIL)
     writes = [one for one in engine.approved if one.step == step.key]
     return {
         "key": step.key,

@@ -8,7 +8,7 @@ from cell.commissioning.backup import Backup, keep, read_table, register_writes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     Dialog,
-    Notes,
+    Finding,
     Step,
     StepFailed,
     leave,
@@ -124,7 +124,7 @@ class ServosStep(Step):
     needs = ("ports",)
     undo = "`tactile-cell commission --restore` writes the backups back"
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find, number, check and set the servos."""
         port, rate = bench.gripper().port, bench.gripper().baud_rate
         placed = _numbered(bench, dialog, port, rate)
@@ -321,7 +321,7 @@ def _of_fingers(
 
 
 def _set_up(
-    bench: Bench, bus: ServoBus, dialog: Dialog, fingers: Sequence[ServoIdentity], notes: Notes
+    bench: Bench, bus: ServoBus, dialog: Dialog, fingers: Sequence[ServoIdentity], notes: Finding
 ) -> None:
     """Compare the registers of the servos and set what differs.
 
@@ -391,7 +391,9 @@ def wanted_changes(
     return changes
 
 
-def check_supply(servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Notes) -> None:
+def check_supply(
+    servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Finding
+) -> None:
     """Note what is wrong with the supply of a servo."""
     supply_v = table[PRESENT_INPUT_VOLTAGE.name] * VOLTAGE_UNIT_V
     least_v, most_v = model.min_voltage_raw * VOLTAGE_UNIT_V, model.max_voltage_raw * VOLTAGE_UNIT_V

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Notes, Step, StepFailed, Write
+from cell.commissioning.engine import Dialog, Finding, Step, StepFailed, Write
 from cell.config.section import SIMULATED
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.errors import ConfigError
@@ -99,7 +99,7 @@ class UnitStep(Step):
     needs = ("ports",)
     undo = "Switch the control unit off and on: nothing is stored in it."
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find the unit, judge it, start its link."""
         place = _interface(bench, dialog)
         if place is None:
@@ -262,7 +262,7 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
     )
 
 
-def _node(bus: CanBus, heard: Heard, dialog: Dialog, notes: Notes) -> int:
+def _node(bus: CanBus, heard: Heard, dialog: Dialog, notes: Finding) -> int:
     """Return the node-ID of the control unit among those who are there."""
     expected = ExpectedIdentity()
     units, others = [], []
@@ -298,7 +298,7 @@ def _node(bus: CanBus, heard: Heard, dialog: Dialog, notes: Notes) -> int:
     return int(answer)
 
 
-def _judge(unit: FoundUnit, bench: Bench, notes: Notes) -> TaxelLayout:
+def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
     """Judge a unit by identity and taxels; returns its layout."""
     identity = unit.identity
     notes.fact(
@@ -349,7 +349,7 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     )
 
 
-def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Notes) -> None:
+def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding) -> None:
     """Set a period of SYNC in which a frame fits, where that of the config is too short."""
     messages = FrameFormat.of(layout).n_messages
     burst_ms = 1e3 * messages * _MESSAGE_BITS / bitrate

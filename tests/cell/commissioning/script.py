@@ -3,11 +3,11 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from cell.commissioning.bench import Lines
 from cell.commissioning.engine import Dialog, Finding, Left, Question, Step, Write
 from cell.simulation import open_can_bus, open_servo_port
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
-from gripper.state import Clock
 from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus
 
@@ -85,20 +85,17 @@ class Script(Dialog):
         return "\n".join([*self.said, *(line for f in self.findings.values() for line in f.lines)])
 
 
-class SimulatedLines:
-    """Implements `cell.commissioning.bench.Lines` with a simulated cell in virtual time.
+class SimulatedLines(Lines):
+    """The lines of a simulated cell in virtual time.
 
     Its serial port has a name, as an adapter that is plugged in; any CAN interface is its bus.
     """
 
     def __init__(self, cell: SimulatedCell, ports: tuple[str, ...] = ("/dev/ttyUSB0",)) -> None:
         self.cell = cell
+        self.clock = cell.clock
         self.ports = ports
         self.opened: list[tuple[str, int]] = []
-
-    @property
-    def clock(self) -> Clock:
-        return self.cell.clock
 
     def serial_ports(self) -> tuple[str, ...]:
         return self.ports

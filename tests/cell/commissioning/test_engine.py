@@ -13,8 +13,8 @@ from cell.commissioning.engine import (
     STORE_NAME,
     Dialog,
     Engine,
+    Finding,
     Left,
-    Notes,
     Question,
     Step,
     Verdict,
@@ -45,7 +45,7 @@ class Asking(Step):
     undo: str = "nothing to undo"
     seen: list[dict[str, Any]] = field(default_factory=list)
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         self.seen.append(dict(bench.settings))
         answer = dialog.ask(Question(key=f"{self.key}.q", text="?", default="yes"))
         notes.status = self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
@@ -106,7 +106,7 @@ def test_a_failed_step_runs_again_or_is_left(tmp_path: Path) -> None:
 
 def test_a_line_that_is_lost_fails_the_step_which_keeps_what_it_has_found(tmp_path: Path) -> None:
     class Lost(Asking):
-        def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
             notes.fact("the port opens")
             notes.figures["force"] = {"x": [1.0]}
             notes.settings |= REAL
@@ -115,7 +115,7 @@ def test_a_line_that_is_lost_fails_the_step_which_keeps_what_it_has_found(tmp_pa
     with pytest.raises(Left):
         Engine([Lost("ports")], Bench(tmp_path)).run(script := Script({"ports.again": "leave"}))
     finding = script.findings["ports"]
-    assert finding.lines == ("the port opens", "PortLost: the cable is out")
+    assert finding.lines == ["the port opens", "PortLost: the cable is out"]
     assert (finding.figures, finding.settings) == ({"force": {"x": [1.0]}}, {})
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from cell.commissioning.engine import Notes, StepFailed, Verdict
+from cell.commissioning.engine import Finding, StepFailed, Verdict
 from cell.commissioning.law import LawStep, fit_factor, judge_law
 from cell.config.tactile import TactileConfig
 from simulator.world.taxels import SensorLaw
@@ -69,13 +69,13 @@ def test_without_a_scale_the_forces_are_unchecked(stand: Callable[..., Stand]) -
 )
 def test_loads_that_are_no_law_fail(loads: Any, named: str) -> None:
     with pytest.raises(StepFailed, match=named):
-        judge_law(TactileConfig(), loads, notes := Notes())
+        judge_law(TactileConfig(), loads, notes := Finding())
     assert not notes.settings
 
 
 def test_pads_that_differ_are_a_word_to_the_operator() -> None:
     one, other = [[(n, factor * n) for n in LOADS_N] for factor in (1.1, 0.92)]
-    judge_law(TactileConfig(), [one, other], finding := Notes())
+    judge_law(TactileConfig(), [one, other], finding := Finding())
     assert finding.status is Verdict.WARN
     assert "The pads differ: factor 0.91 on finger 0, 1.09 on finger 1" in finding.lines[1]
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.commissioning.engine import Left, Notes, Verdict
+from cell.commissioning.engine import Finding, Left, Verdict
 from cell.commissioning.pads import (
     PadsAtRestStep,
     PadsPressedStep,
@@ -145,10 +145,10 @@ def test_a_full_scale_below_the_forces_of_the_sequence_is_a_word_to_the_operator
     frames = np.random.default_rng(0).normal(100.0, 20.0, (30, 156)).astype(np.uint16)
     rest = rest_of(layout, LinearCalibration(0.0001, layout.adc_max), frames)
     limits: dict[str, Any] = {"limits": TareLimits(), "contact_force_n": 0.3}
-    judge_rest(layout, frames, rest, notes := Notes(), most_force_n=8.0, **limits)
+    judge_rest(layout, frames, rest, notes := Finding(), most_force_n=8.0, **limits)
     assert notes.status is Verdict.WARN
     assert notes.lines[0].startswith("A small part saturates finger0.inner at 3.2 N")
-    judge_rest(layout, frames, rest, notes := Notes(), most_force_n=3.0, **limits)
+    judge_rest(layout, frames, rest, notes := Finding(), most_force_n=3.0, **limits)
     assert notes.lines == []
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Engine, Left, Notes, Write
+from cell.commissioning.engine import Dialog, Engine, Finding, Left, Write
 from cell.commissioning.figures import curves, pads, svg
 from cell.commissioning.record import RECORD_NAME, write_record
 from tactile.layout import pinch_layout
@@ -32,7 +32,7 @@ NOISE = pads("Noise of each taxel", LAYOUT, np.arange(LAYOUT.n_taxels) / 100, un
 class Writing(Asking):
     """A step that shows a write, then asks."""
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         dialog.approve([WRITE])
         super().run(bench, dialog, notes)
 
@@ -66,7 +66,7 @@ def test_the_record_of_a_commissioning_that_is_not_done_says_so(tmp_path: Path) 
 
 def test_values_that_name_hardware_stand_at_the_top(tmp_path: Path) -> None:
     class Servos(Asking):
-        def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+        def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
             servo = {"model": "XM430-W350", "firmware": 52}
             notes.values |= {"servos": [servo, servo], "zeros": list(range(50))}
             notes.settings |= REAL

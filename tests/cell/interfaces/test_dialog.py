@@ -81,7 +81,7 @@ def test_findings_are_printed_with_their_lines(typed, capsys) -> None:
     step = PortsStep()
     dialog.begin(step, 1, 3)
     dialog.live("scan", "57600 bit/s")
-    dialog.found(step, Finding(status=Verdict.WARN, lines=("16 ms [slow]",)))
+    dialog.found(step, Finding(status=Verdict.WARN, lines=["16 ms [slow]"]))
     shown = capsys.readouterr().out
     assert "1/3 Ports" in shown
     assert "warn Ports" in shown

@@ -18,7 +18,7 @@ from cell.commissioning.engine import (
     Choice,
     Dialog,
     Engine,
-    Notes,
+    Finding,
     Number,
     Question,
     StepFailed,
@@ -58,7 +58,7 @@ class Ports(Asking):
     mistakes: int = 0
     wrong: int = 0
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         if self.wrong:
             self.wrong -= 1
             raise StepFailed("No adapter is plugged in.")
@@ -85,7 +85,7 @@ class Moving(Asking):
     limp: bool = False
     go: threading.Event = field(default_factory=threading.Event)
 
-    def run(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
+    def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         dialog.approve(WRITES)
         dialog.say("Both servos answer at 1,000,000 bit/s.")
         angles = iter(range(10_000))
