@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax
 
 from recognition.errors import MissingExtraError
-from recognition.statistics.lda import LinearDiscriminant, fit_lda
+from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
 
 _HIDDEN = 32
 """Hidden units of the network."""
@@ -136,10 +136,7 @@ class NearestNeighbour(_Arrays):
 
     def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C): minus the squared distance to the nearest row of each class."""
-        squared = (
-            (rows**2).sum(axis=1)[:, None] + (self.rows**2).sum(axis=1) - 2.0 * rows @ self.rows.T
-        )
-        squared = np.maximum(squared, 0.0)
+        squared = squared_distances(rows, self.rows)
         n_classes = int(self.row_classes.max()) + 1
         nearest = [squared[:, self.row_classes == c].min(axis=1) for c in range(n_classes)]
         return -np.stack(nearest, axis=1)

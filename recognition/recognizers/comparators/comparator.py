@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from recognition.features.footprint import PadGrid, pad_grid, pressed
-from recognition.features.groups import FEATURE_VERSION, check_version
+from recognition.features.groups import (
+    FEATURE_VERSION,
+    FeatureView,
+    check_version,
+    features_of,
+)
 from recognition.grasp import Grasp, by_label
 from recognition.ramp.levels import Levels, load_levels
 from recognition.ramp.ramp import Rest, learn_rest
@@ -27,14 +32,17 @@ from recognition.statistics.calibration import (
     out_of_sample,
     to_probability,
 )
+from recognition.statistics.lda import squared_distances
 
-Describe = Callable[[Levels, Sequence[PadGrid], bool], NDArray[np.float64]]
-"""From levels of n grasps, pads, and whether the opening may be used, to features (n, F)."""
+PadFeatures = Callable[[NDArray[np.float64], PadGrid], NDArray[np.float64]]
+"""From one pad's patch (n_taxels,) at full load, noise set to 0, and its grid to features (F,)."""
 
 _FOLDS = 3
 """Blocks in time, each held out in turn to fit the temperature."""
 _SHARPNESS = 4.0
 """Log odds of an untaught object for each unit of the logarithm of the squared distance."""
+_PLAIN = ("labels", "uses_aperture", "fill", "mean", "scale", "temperature", "samples", "limit")
+"""Fields that a model keeps as arrays of their names."""
 _PREFIX = "classifier_"
 """Of the names of the classifier's arrays in a model."""
 
@@ -45,14 +53,24 @@ class Method:
 
     name: str
     """Name in tables, models and on the command line."""
-    describe: Describe
-    """Its features; NaN where unknown."""
+    features: PadFeatures | FeatureView
+    """Its features, NaN where unknown: of each gripping pad alone, or a view of both along the
+    ramp, which has a place for the opening."""
     classifier: type[Classifier]
     """Its decision."""
-    can_use_aperture: bool = False
-    """Whether the method has a place for the opening."""
     standardise: bool = True
     """Whether each feature is centred and scaled to unit deviation first."""
+
+    def describe(self, levels: Levels, rest: Rest, use_aperture: bool) -> NDArray[np.float64]:
+        """Return the features (n, F) of the levels of n grasps."""
+        grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
+        if isinstance(self.features, FeatureView):
+            return features_of(levels, grids, self.features, opening=use_aperture)
+        described = []
+        for pad, (maps, grid) in enumerate(zip(levels.maps, grids, strict=True)):
+            patches = pressed(maps[:, -1], levels.noise[:, -1, pad])
+            described.append(np.stack([self.features(patch, grid) for patch in patches]))
+        return np.concatenate(described, axis=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,12 +110,14 @@ class Comparator:
         probabilities and is surely unknown.
         """
         levels = load_levels([grasp], self.rest)
-        features = _describe(self.method, levels, self.rest, self.uses_aperture)
+        features = self.method.describe(levels, self.rest, self.uses_aperture)
         features = np.where(np.isnan(features), self.fill, features)
         if not levels.touched[0] or not np.all(np.isfinite(features)):
             return Posterior.uninformed(self.labels)
         rows = (features - self.mean) / self.scale
-        distance = max(float(_nearest(self.classifier.space(rows), self.samples)[0]), 1e-12)
+        distance = max(
+            squared_distances(self.classifier.space(rows), self.samples).min().item(), 1e-12
+        )
         return Posterior(
             labels=self.labels,
             probability=to_probability(self.classifier.scores(rows), self.temperature)[0],
@@ -108,14 +128,7 @@ class Comparator:
         """Return all that was learnt as plain arrays."""
         return {
             "feature_version": np.array(FEATURE_VERSION),
-            "labels": np.array(self.labels),
-            "uses_aperture": np.array(self.uses_aperture),
-            "fill": self.fill,
-            "mean": self.mean,
-            "scale": self.scale,
-            "temperature": np.array(self.temperature),
-            "samples": self.samples,
-            "limit": np.array(self.limit),
+            **{name: np.array(getattr(self, name)) for name in _PLAIN},
             **self.rest.to_arrays(),
             **{_PREFIX + name: array for name, array in self.classifier.to_arrays().items()},
         }
@@ -147,7 +160,7 @@ class Comparator:
         try:
             row = np.zeros((1, len(taught.mean)))
             scores = taught.classifier.scores(row)
-            _nearest(taught.classifier.space(row), taught.samples)
+            squared_distances(taught.classifier.space(row), taught.samples)
         except (IndexError, ValueError, TypeError) as cause:
             raise ValueError(f"the arrays of the model do not fit each other: {cause}") from cause
         if scores.shape != (1, len(taught.labels)) or not np.all(np.isfinite(scores)):
@@ -174,7 +187,7 @@ class ComparatorTrainer:
     @property
     def uses_aperture(self) -> bool:
         """Whether the opening between the fingers is used."""
-        return self.use_aperture and self.kind.method.can_use_aperture
+        return self.use_aperture and isinstance(self.kind.method.features, FeatureView)
 
     def fit(self, grasps: Sequence[Grasp]) -> Comparator:
         """Teach with labelled grasps; those that never touched both pads are left out.
@@ -185,7 +198,7 @@ class ComparatorTrainer:
         ordered = [grasp for group in by_label(grasps).values() for grasp in group]
         rest = learn_rest(ordered)
         levels = load_levels(ordered, rest)
-        features = _describe(method, levels, rest, self.uses_aperture)
+        features = method.describe(levels, rest, self.uses_aperture)
         kept = levels.touched
         labels, classes = np.unique(
             np.array([grasp.label for grasp in ordered])[kept], return_inverse=True
@@ -209,7 +222,8 @@ class ComparatorTrainer:
 
         def score(fit: NDArray[np.bool_], test: NDArray[np.bool_]) -> NDArray[np.float64]:
             taught = method.classifier.fit(rows[fit], classes[fit], len(labels))
-            distances[test] = _nearest(taught.space(rows[test]), taught.space(rows[fit]))
+            apart = squared_distances(taught.space(rows[test]), taught.space(rows[fit]))
+            distances[test] = apart.min(axis=1)
             return taught.scores(rows[test])
 
         classifier = method.classifier.fit(rows, classes, len(labels))
@@ -229,29 +243,3 @@ class ComparatorTrainer:
             samples=classifier.space(rows),
             limit=max(float(np.quantile(distances[scored], KNOWN_KEPT)), 1e-9),
         )
-
-
-def full_load_features(
-    levels: Levels,
-    grids: Sequence[PadGrid],
-    describe: Callable[[NDArray[np.float64], PadGrid], NDArray[np.float64]],
-) -> NDArray[np.float64]:
-    """Return features (n, F) of each gripping pad's patch at full load, noise set to 0."""
-    described = [
-        np.stack([describe(one, grid) for one in pressed(maps[:, -1], levels.noise[:, -1, pad])])
-        for pad, (maps, grid) in enumerate(zip(levels.maps, grids, strict=True))
-    ]
-    return np.concatenate(described, axis=1)
-
-
-def _describe(
-    method: Method, levels: Levels, rest: Rest, use_aperture: bool
-) -> NDArray[np.float64]:
-    return method.describe(levels, [pad_grid(rest.pads, p) for p in rest.gripping], use_aperture)
-
-
-def _nearest(rows: NDArray[np.float64], samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n,) squared distance of each row to the nearest sample."""
-    squared = (rows**2).sum(axis=1)[:, None] + (samples**2).sum(axis=1) - 2.0 * rows @ samples.T
-    nearest: NDArray[np.float64] = np.maximum(squared, 0.0).min(axis=1)
-    return nearest

@@ -4,26 +4,18 @@ Each is a `Comparator` subclass with its `Method`, and one entry in `recognition
 `ShrinkageLda` and `ExtraTrees` alone have a place for the opening.
 """
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from recognition.features.footprint import PadGrid
-from recognition.features.groups import FeatureView, features_of
-from recognition.ramp.levels import Levels
+from recognition.features.groups import FeatureView
 from recognition.recognizers.comparators.classifiers import (
     Forest,
     Linear,
     NearestNeighbour,
     Network,
 )
-from recognition.recognizers.comparators.comparator import (
-    Comparator,
-    Describe,
-    Method,
-    full_load_features,
-)
+from recognition.recognizers.comparators.comparator import Comparator, Method
 from recognition.recognizers.comparators.invariants import section_features
 from recognition.recognizers.comparators.outline import (
     angles_and_lengths,
@@ -38,21 +30,6 @@ _ANGLES = 32
 """Directions in which the outline is taken, also as the length of a radius vector."""
 _VERTICES = 8
 """Vertices of the outline's polygon."""
-
-PadFeatures = Callable[[NDArray[np.float64], PadGrid], NDArray[np.float64]]
-"""From one pad's patch (n_taxels,) at full load and its grid to features (F,)."""
-
-
-def _at_full_load(describe: PadFeatures) -> Describe:
-    """Return the features of both pads' patches at full load; the opening is not used."""
-
-    def features(
-        levels: Levels, grids: Sequence[PadGrid], use_aperture: bool
-    ) -> NDArray[np.float64]:
-        del use_aperture
-        return full_load_features(levels, grids, describe)
-
-    return features
 
 
 def polygon_features(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
@@ -69,20 +46,7 @@ class ContourNetwork(Comparator):
     """
 
     __slots__ = ()
-    method = Method(
-        name="contour_network", describe=_at_full_load(polygon_features), classifier=Network
-    )
-
-
-def _of_view(view: FeatureView) -> Describe:
-    """Return the features of a view, with the opening where it is to be used."""
-
-    def features(
-        levels: Levels, grids: Sequence[PadGrid], use_aperture: bool
-    ) -> NDArray[np.float64]:
-        return features_of(levels, grids, view, opening=use_aperture)
-
-    return features
+    method = Method(name="contour_network", features=polygon_features, classifier=Network)
 
 
 class ShrinkageLda(Comparator):
@@ -91,9 +55,8 @@ class ShrinkageLda(Comparator):
     __slots__ = ()
     method = Method(
         name="shrinkage_lda",
-        describe=_of_view(FeatureView.SHRINKAGE_LDA),
+        features=FeatureView.SHRINKAGE_LDA,
         classifier=Linear,
-        can_use_aperture=True,
     )
 
 
@@ -107,9 +70,8 @@ class ExtraTrees(Comparator):
     __slots__ = ()
     method = Method(
         name="extra_trees",
-        describe=_of_view(FeatureView.EXTRA_TREES),
+        features=FeatureView.EXTRA_TREES,
         classifier=Forest,
-        can_use_aperture=True,
     )
 
 
@@ -128,9 +90,7 @@ class RadiusVector(Comparator):
     """
 
     __slots__ = ()
-    method = Method(
-        name="radius_vector", describe=_at_full_load(radius_vector_features), classifier=Network
-    )
+    method = Method(name="radius_vector", features=radius_vector_features, classifier=Network)
 
 
 def centred_pressures(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
@@ -145,7 +105,7 @@ class RawNeighbours(Comparator):
     __slots__ = ()
     method = Method(
         name="raw_neighbours",
-        describe=_at_full_load(centred_pressures),
+        features=centred_pressures,
         classifier=NearestNeighbour,
         standardise=False,
     )
@@ -160,6 +120,4 @@ class ContactInvariants(Comparator):
     """
 
     __slots__ = ()
-    method = Method(
-        name="contact_invariants", describe=_at_full_load(section_features), classifier=Linear
-    )
+    method = Method(name="contact_invariants", features=section_features, classifier=Linear)
