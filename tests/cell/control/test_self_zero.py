@@ -18,6 +18,7 @@ from cell.errors import PartInGrip, PlanRefused, ZeroRefused
 from cell.interfaces.cli.session import cell_config
 from cell.interfaces.plugin import tasks
 from cell.interfaces.plugin.goals import ZeroGoal, checked_goal
+from cell.interfaces.plugin.health import health_values
 from cell.jobs.doctor import examine
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
 from recognition.grasp import SelfZero
@@ -103,6 +104,7 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(
     assert "something is between them" in note
     assert "`tactile-cell zero`; with `self_zero: on_demand`" in note
     assert bench.controller.self_zero is None
+    assert health_values(config, bench.cell, None)["zero"] == {"level": "watch", "text": note}
     assert not zero_file(tmp_path, config.name).exists()
     bench.simulated.place("ball")
     assert bench.controller.grip(3.0).grasp.zero is None
@@ -200,6 +202,7 @@ def test_it_is_measured_at_a_start_where_it_is_due(
 def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
     said = call("zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
     assert said.startswith("pads meet at ")
+    assert "since the last one" not in said
     assert abs(json.loads((tmp_path / "zero.json").read_text())["opening_m"]) < 2e-4
     config = CellConfig()
     here = config.model_copy(

@@ -15,6 +15,9 @@ def zero(
     from cell.interfaces.cli.terminal import print_line, write_json
 
     checked = cell_config(config)
+    if checked.self_zero in ("always", "daily"):
+        # It is measured once: here, not at the start too.
+        checked = checked.model_copy(update={"self_zero": "on_demand"})
     with running_cell(checked, "zero", out_folder, config_file=config, json_file=json_file) as (
         cell,
         _,
