@@ -46,6 +46,7 @@ def kept_zeros(config: CellConfig, directory: Path | None) -> "SelfZeros":
         pads_meet=config.gripper.pads_meet,
         path=None if directory is None else zero_file(directory, config.name),
         hand=_hand_digest(config),
+        new_hand=config.simulated,
     )
 
 
@@ -81,6 +82,9 @@ class SelfZeros:
         be read, or is of another hand, counts as none.
     hand
         Digest of the hand that it is of.
+    new_hand
+        Whether each program has a new hand, a simulated one: its first start is the first of a day,
+        and what a program does is the same at each time of the day.
     now_s
         Returns the unix time in s.
 
@@ -97,12 +101,13 @@ class SelfZeros:
         pads_meet: bool = True,
         path: Path | None = None,
         hand: str = "",
+        new_hand: bool = False,
         now_s: Callable[[], float] = time.time,
     ) -> None:
         self._when = when
         self._pads_meet = pads_meet
         self._path = path
-        self._hand = hand
+        self._hand, self._new_hand = hand, new_hand
         self._now_s = now_s
         self._last: SelfZero | None = None
         self.measured_s = 0.0
@@ -120,7 +125,7 @@ class SelfZeros:
         """Whether a start measures it now."""
         if self._when == "daily":
             last, now = map(date.fromtimestamp, (self.measured_s, self._now_s()))
-            return self._last is None or last != now
+            return self._last is None or last != now or self._new_hand
         return self._when == "always"
 
     @property
@@ -151,6 +156,7 @@ class SelfZeros:
     def keep(self, zero: SelfZero) -> None:
         """Keep a self-zero that was measured now; raises CellError where it cannot be written."""
         self._last, self.measured_s = zero, self._now_s()
+        self._new_hand = False
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             kept = {"measured_s": self.measured_s, "hand": self._hand} | zero_values(zero)

@@ -97,7 +97,7 @@ class TaughtModel:
         self._early: EarlyClassifiers | None = None
         self._memory: PoseMemory | None = None
         self._recognizer: Recognizer | None = None
-        self._remarked = False
+        self._remarked = self._remarked_zero = False
         self.revision = 0
         self._pads = pad_array(layout_from_config(config.tactile))
         if model is not None:
@@ -439,7 +439,7 @@ class TaughtModel:
             on_grasp=on_grasp,
             keep=keep,
         )
-        remark = self._follow(found.records)
+        remark = self._follow(found.records) or self._without_zero(found.records)
         if remark:
             controller.remark("drift", remark)
         return replace(found, remark=remark)
@@ -470,6 +470,19 @@ class TaughtModel:
         if self._remarked:
             return f"the sensors have drifted since teaching: {drift_text(recognizer.grid.drift)}"
         return "the sensors are as they were taught again"
+
+    def _without_zero(self, records: Sequence[GraspRecord]) -> str:
+        """Return once that the self-zero of today is of no use, as none was taken at teaching."""
+        recognizer = self.recognizer
+        if self._remarked_zero or not isinstance(recognizer, ForceRamp):
+            return ""
+        if recognizer.zero is not None or all(one.grasp.zero is None for one in records):
+            return ""
+        self._remarked_zero = True
+        return (
+            "the model was taught without a self-zero, so that today's changes nothing and answers "
+            "allow for any drift: teach again after a self-zero, or gauge"
+        )
 
     # -- files ---------------------------------------------------------------------------------
 

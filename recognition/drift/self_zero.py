@@ -243,9 +243,7 @@ def at_zero(
 def prior_since(taught: SelfZero, today: SelfZero) -> DriftPrior:
     """Return what is left unknown of the drift once `since` is undone."""
     offset_sd_m = float(np.hypot(taught.opening_sd_m, today.opening_sd_m))
-    return DriftPrior(
-        log_gain_sd=_common(taught, today)[1], offset_sd_mm=offset_sd_m * 1e3, unchanged=0.0
-    )
+    return DriftPrior(log_gain_sd=_common(taught, today)[1], offset_sd_mm=offset_sd_m * 1e3)
 
 
 def _common(taught: SelfZero, today: SelfZero) -> tuple[float, float]:

@@ -203,15 +203,13 @@ class ForceRamp:
     def _unchanged(self, grasp: Grasp) -> float | None:
         """Return the prior probability of no drift; None for that of the grid."""
         grid = self.grid_at(grasp)
-        untied = grid.prior == DriftPrior()
-        same_zero = grid.zero is not None and grid.zero == self.zero
-        if grid.n_gauged or not (untied or same_zero):
+        if grid.zero is None and (grid.prior != DriftPrior() or grid.n_gauged):
             return None
+        same_zero = grid.zero is None or grid.zero == self.zero
         elsewhere = self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on
         apart_ms = int(np.abs(self.taught_ms - grasp.start_ms).min())
-        if apart_ms <= _SOON_MS and not elsewhere:
-            return _SOON_UNCHANGED
-        return 0.0 if untied else None
+        soon = apart_ms <= _SOON_MS and not elsewhere and same_zero and not grid.n_gauged
+        return _SOON_UNCHANGED if soon else 0.0
 
     def _slack_mm(self, grasp: Grasp) -> NDArray[np.float64]:
         """Return (O,): how far the size of an object may lie off under each offset, in mm.

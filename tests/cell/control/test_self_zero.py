@@ -179,7 +179,7 @@ def test_what_is_out_of_bounds_is_named(make_bench, make_config, changes, says) 
         bench.controller.measure_zero()
 
 
-@pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 1), ("on_demand", 0)])
+@pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 2), ("on_demand", 0)])
 def test_it_is_measured_at_a_start_where_it_is_due(
     make_bench, make_config, tmp_path: Path, when: str, times: int
 ) -> None:
@@ -229,7 +229,14 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(
     kept = kept_zeros(CellConfig(), tmp_path / "out")
     assert zeros == {kept.newest}
     assert kept.newest is not None
-    assert not kept.due
+    # A simulated hand is new in each program, a real one is not.
+    assert kept.due
+    real = {"gripper.port": "/dev/ttyUSB0", "tactile.interface": "socketcan"}
+    real |= {"tactile.channel": "can0", "positioner.kind": "operator", "self_zero": "daily"}
+    there = changed_config(CellConfig(), real)
+    assert kept_zeros(there, tmp_path).due
+    kept_zeros(there, tmp_path).keep(ZERO)
+    assert not kept_zeros(there, tmp_path).due
     # Faults are for the grasps of a command, not for a self-zero before them.
     faulty = cell_config(None, faults=["servo1.off@contact"])
     assert (CellConfig().self_zero, faulty.self_zero) == ("daily", "on_demand")

@@ -272,3 +272,13 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught: Any) -> No
     assert before.aperture_offset_m < -0.3e-3
     gauged.train()
     assert gauged.drift.drift == before
+
+
+def test_a_model_that_was_taught_without_a_self_zero_is_named_once(
+    taught: Any, make_bench: Any, make_config: Any
+) -> None:
+    bench = make_bench(make_config(self_zero="always")).ready()
+    model = TaughtModel.load(bench.config, taught.result.model)
+    first, second = (model.identify(bench.controller, held="ball", seed=s) for s in (1, 2))
+    assert "was taught without a self-zero" in first.remark
+    assert "without a self-zero" not in second.remark

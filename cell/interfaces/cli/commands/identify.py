@@ -102,6 +102,8 @@ def identify(
             + (f"; {record.ended}" if record.ended else "")
         )
     was = f" (it was {truth})" if truth else ""
+    if found.remark:
+        print_line(found.remark)
     felt = beside(found.label, found.shape)
     print_line(f"answer: {found.label} {percent(found.fused.name_probability)}{felt}{was}")
     if found.kept and config is not None and not checked.simulated:
