@@ -9,7 +9,7 @@ from typing import Any, assert_never
 
 from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
-from cell.control.axes import AxesBuilder, AxesPositioner
+from cell.control.axes import AxesPositioner, drive_axes, servo_axis
 from cell.control.controller import CellController
 from cell.control.journal import Journal, loop_values
 from cell.control.plan import Pose
@@ -44,6 +44,7 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.state import Clock, GripperPhase
 from motion.axes import Axes
+from motion.bus import Watch
 from simulator.cell import SimulatedCell
 from simulator.clock import Pace
 from tactile.can.bus import CanBus, close_bus, open_bus
@@ -334,7 +335,7 @@ def _axes(
     """Return the positioner with axes; simulator, person or host bring the objects."""
     wanted, period_s = config.positioner, 1.0 / config.gripper.loop_rate_hz
     clock: Clock = time if simulated is None else simulated.clock
-    builder = AxesBuilder(clock, period_s)
+    watch, axes = Watch(clock, period_s), []
     if wanted.drives:
         bus: CanBus
         if simulated is not None and simulated.axes_can_bus is not None:
@@ -342,7 +343,8 @@ def _axes(
         else:
             bus = drive_bus(config)
             undo.callback(close_bus, bus)
-        builder.add_drives(wanted.drives, bus, loss_s=1e-3 * wanted.can.heartbeat_loss_ms)
+        loss_s = 1e-3 * wanted.can.heartbeat_loss_ms
+        axes += drive_axes(wanted.drives, bus, watch, loss_s=loss_s)
     for axis in wanted.axes:
         if isinstance(axis, ServoAxisConfig):
             stream: ByteStream
@@ -351,7 +353,7 @@ def _axes(
             else:
                 stream = SerialStream(axis.port, axis.baud_rate)
                 undo.callback(stream.close)
-            builder.add_servo(axis, stream)
+            axes.append(servo_axis(axis, stream, watch))
     patient = PatientCaller(clock, period_s)
 
     def bring(label: str | None, supervise: Supervise) -> None:
@@ -363,7 +365,7 @@ def _axes(
             patient.call(lambda: operator.present(label), supervise)
 
     moved = [axis.moves for axis in wanted.axes]
-    return AxesPositioner(builder.axes(), moved, bring=bring, phase=phase)
+    return AxesPositioner(Axes(axes, watch), moved, bring=bring, phase=phase)
 
 
 def drive_bus(config: CellConfig) -> CanBus:

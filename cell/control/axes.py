@@ -16,7 +16,7 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
-from gripper.state import Clock, GripperPhase
+from gripper.state import GripperPhase
 from motion.axes import Axes, Axis, AxisDevice
 from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive, DriveSettings
@@ -47,46 +47,30 @@ def si_per_unit(moves: str) -> float:
     return 1e-3 if moves in ("x", "y") else radians(1.0)
 
 
-class AxesBuilder:
-    """Makes the axes of a config on open buses; nothing moves.
+def drive_axes(
+    configs: Sequence[DriveAxisConfig], bus: CanBus, watch: Watch, *, loss_s: float
+) -> list[Axis]:
+    """Return the axes with drives on one CAN bus; one is lost after ``loss_s`` s of silence.
 
-    Parameters
-    ----------
-    clock
-        Source of time.
-    period_s
-        While an axis moves, the cell is supervised once in so many s.
+    Nothing moves. ``watch`` supervises the cell while an axis moves.
     """
+    drives = DriveBus(bus, watch, loss_s)
+    return [
+        _axis(one, Cia402Drive(drives, one.node_id, f"axis {one.moves}", _drive_settings(one)))
+        for one in configs
+    ]
 
-    def __init__(self, clock: Clock, period_s: float) -> None:
-        self._watch = Watch(clock, period_s)
-        self._axes: list[Axis] = []
 
-    def add_drives(self, configs: Sequence[DriveAxisConfig], bus: CanBus, *, loss_s: float) -> None:
-        """Add the axes with drives on one CAN bus; one is lost after ``loss_s`` s of silence."""
-        drives = DriveBus(bus, self._watch, loss_s)
-        for config in configs:
-            device = Cia402Drive(
-                drives, config.node_id, f"axis {config.moves}", _drive_settings(config)
-            )
-            self._axes.append(_axis(config, device))
-
-    def add_servo(self, config: ServoAxisConfig, stream: ByteStream) -> None:
-        """Add an axis with a servo alone on its line."""
-        bus = ServoBus(
-            stream,
-            baudrate=config.baud_rate,
-            clock=self._watch.clock,
-            name=f"the line of axis {config.moves} ({config.port})",
-        )
-        device = ServoAxis(
-            bus, config.id, f"axis {config.moves}", _servo_settings(config), self._watch
-        )
-        self._axes.append(_axis(config, device))
-
-    def axes(self) -> Axes:
-        """Return all of them."""
-        return Axes(self._axes, self._watch)
+def servo_axis(config: ServoAxisConfig, stream: ByteStream, watch: Watch) -> Axis:
+    """Return an axis with a servo alone on its line; nothing moves."""
+    bus = ServoBus(
+        stream,
+        baudrate=config.baud_rate,
+        clock=watch.clock,
+        name=f"the line of axis {config.moves} ({config.port})",
+    )
+    settings = _servo_settings(config)
+    return _axis(config, ServoAxis(bus, config.id, f"axis {config.moves}", settings, watch))
 
 
 def _axis(config: DriveAxisConfig | ServoAxisConfig, device: AxisDevice) -> Axis:

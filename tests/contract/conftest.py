@@ -22,7 +22,7 @@ from cell.build import drive_bus
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
-from cell.control.axes import AxesBuilder, si_per_unit
+from cell.control.axes import drive_axes, si_per_unit
 from cell.pytest_plugin.bench import LinkBench
 from cell.pytest_plugin.faults import FaultRegistry
 from cell.pytest_plugin.options import HardwareOptions, config_path
@@ -33,7 +33,7 @@ from gripper.dynamixel.serial_port import ByteStream
 from gripper.state import Clock
 from motion import object_dictionary as od
 from motion.axes import Axes
-from motion.bus import DriveBus
+from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive
 from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
@@ -273,9 +273,8 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
             bus = drive_bus(config)
             closing.callback(close_bus, bus)
         axis = config.positioner.drives[0]
-        builder = AxesBuilder(clock, 0.005)
-        builder.add_drives([axis], bus, loss_s=1e-3 * config.positioner.can.heartbeat_loss_ms)
-        axes = builder.axes()
+        watch, loss_s = Watch(clock, 0.005), 1e-3 * config.positioner.can.heartbeat_loss_ms
+        axes = Axes(drive_axes([axis], bus, watch, loss_s=loss_s), watch)
         device = axes._axes[axis.moves].device
         assert isinstance(device, Cia402Drive)
         si = si_per_unit(axis.moves)
