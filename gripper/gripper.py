@@ -51,7 +51,7 @@ from gripper.state import (
     VerificationRow,
 )
 
-CARRY_RATE_N_S = 10.0
+CARRY_RATE_N_S = 20.0
 """Rate in N/s at which a held force goes to that of the carry: twice that of `Gripper.back_off`,
 because a host waits for the answer."""
 

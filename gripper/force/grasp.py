@@ -24,10 +24,14 @@ from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact: at its rising edge, with a reserve."""
-_BEGINS_M = 0.0015
-"""How much wider in m than all parts so far the next one may begin."""
+_BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
+"""How much wider in m than all parts so far the next one may begin: the first, and the second over
+the number of these parts, because each is the widest of all as likely as any other."""
 _REST_S = 0.08
 """Time in s that the fingers rest at the contact, so that the ramp begins at the force there."""
+_TOUCH_S = 0.065
+"""Time in s from the brake at a first touch before which no ramp begins on what was met with more
+than the force of a contact: the force of the touch decays first."""
 _EQUAL_S = 1e-9
 """Difference of times in s that counts as none: sums of periods are rounded."""
 
@@ -55,7 +59,7 @@ class GraspRun:
         self._end = RampEnd()
         self._ramp_step: RampStep | None = None
         self._closed_is_proven = False
-        self._widest_m: float | None = None
+        self._widest_m, self._touched = 0.0, 0
         self._friction_share = 1.0
 
     @property
@@ -70,7 +74,7 @@ class GraspRun:
     def begin(self) -> None:
         """Prove anew where the fingers are closed, and learn anew: their torque comes on."""
         self._closed_is_proven = False
-        self._widest_m, self._friction_share = None, 1.0
+        self._widest_m, self._touched, self._friction_share = 0.0, 0, 1.0
 
     def end_ramp(self) -> None:
         """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
@@ -102,7 +106,8 @@ class GraspRun:
                 set_phase(GripperPhase.APPROACHING)
                 self._prove_closed(contact, observer)
                 return _without_contact(contact)
-            self._widest_m = max(self._widest_m or 0.0, reached.touch_m)
+            self._widest_m = max(self._widest_m, reached.touch_m)
+            self._touched += 1
             step, final = self._press(ramp, reached, observer, set_phase)
         if step.lost:
             self._confirm_lost(step, final, reached, observer, set_phase)
@@ -143,6 +148,7 @@ class GraspRun:
             self._linkage,
             ramp,
             reached.state,
+            braked_s=reached.braked_s,
             touch_m=reached.touch_m,
             stiffness=reached.stiffness,
             friction_share=reached.friction_share,
@@ -230,12 +236,12 @@ class GraspRun:
     def _approach(self, settings: GripperSettings, observer: Observer | None) -> "_Reached":
         """Close until the contact, or the end of the way, and feed the estimates."""
         # Fingers that are to meet find no part on their way.
-        known = settings is self._settings and self._widest_m is not None
+        known = settings is self._settings and self._touched > 0
         approach = Approach(
             settings,
             self._linkage,
             self._servos.read_patiently(),
-            widest_m=(self._widest_m or 0.0) + _BEGINS_M if known else None,
+            widest_m=self._begins_m if known else None,
         )
         stiffness = StiffnessEstimate(self._settings)
         friction = FrictionEstimate(self._settings, self._linkage)
@@ -252,10 +258,16 @@ class GraspRun:
             settings=settings,
             event=approach.event,
             state=state,
+            braked_s=approach.braked_s,
             touch_m=approach.touch_m,
             stiffness=stiffness,
             friction_share=self._friction_share,
         )
+
+    @property
+    def _begins_m(self) -> float:
+        """Opening in m at which the next part may begin, by those touched so far."""
+        return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
     def _closed(self, observer: Observer | None) -> "_Reached":
         """Close until the pads meet; MechanicsContradicted where nothing stops the fingers."""
@@ -273,7 +285,7 @@ class GraspRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Reached:
-    """How an approach ended: event, feedback, opening of the first touch, estimates on the way.
+    """How an approach ended: event, feedback, first touch, its opening, estimates on the way.
 
     ``settings`` are those of the gripper, or those with which empty fingers meet.
     """
@@ -281,6 +293,7 @@ class _Reached:
     settings: GripperSettings
     event: ApproachEvent
     state: GripperState
+    braked_s: float
     touch_m: float
     stiffness: StiffnessEstimate
     friction_share: float
@@ -359,6 +372,8 @@ class RampStep:
         Set-point of the grip force; it begins at the force that is measured at the contact.
     contact
         Feedback at the contact.
+    braked_s
+        Monotonic time in s at which a finger was braked at its first touch.
     touch_m
         Opening in m at which both pads were first loaded.
     stiffness, friction_share
@@ -381,6 +396,7 @@ class RampStep:
         ramp: ForceRamp,
         contact: GripperState,
         *,
+        braked_s: float,
         touch_m: float,
         stiffness: StiffnessEstimate,
         friction_share: float,
@@ -396,7 +412,11 @@ class RampStep:
         self._stiffness = stiffness
         self._friction_share = friction_share
         self._end = end
-        self._rest = ContactRest(contact.t_s + _REST_S)
+        self._rest = ContactRest(
+            contact.t_s + _REST_S,
+            hard_n=settings.contact_force_n,
+            hard_until_s=braked_s + _TOUCH_S,
+        )
         self._slip = LevelSlip(settings)
         self._peak_n = 0.0
         self._ended = False

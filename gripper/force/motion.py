@@ -292,6 +292,9 @@ class Approach:
     ----------
     event
         Result of the last step.
+    braked_s
+        Monotonic time in s of the newest first touch that braked a finger; that of the start
+        before one.
     """
 
     def __init__(
@@ -303,6 +306,7 @@ class Approach:
         widest_m: float | None = None,
     ) -> None:
         self.event = ApproachEvent.CLOSING
+        self.braked_s = state.t_s
         self._settings = settings
         self._linkage = linkage
         paths = transmissions(settings, linkage, state.angles_rad)
@@ -324,7 +328,7 @@ class Approach:
         self._boost = 1.0
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
         self._aperture_m = state.aperture_m
-        self._begins = True
+        self._begins, self._slows = True, False
         self._started_s: float | None = None
         self._apertures = History()
         self._was_touched = False
@@ -367,7 +371,8 @@ class Approach:
         travelled = self._travels
         self._travels = travelled and state.aperture_m > self._slow_at_m and not self._was_touched
         self._speed_m_s = self._new_speed_m_s(state)
-        if self._starts(moment) or (travelled and not self._travels):
+        self._slows |= travelled and not self._travels
+        if self._starts(moment) or self._slows_down(state):
             self._aperture_m = state.aperture_m - self._lead_m(state)
         self._apertures.add(moment.now_s, state.aperture_m)
         if sample is not None and sample.valid:
@@ -392,7 +397,8 @@ class Approach:
         self.event = self._found(moment.now_s, state, touched)
         if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
             angles_rad = state.angles_rad
-        goals = [ServoGoal(angle_rad=angle, current_a=self.current_a) for angle in angles_rad]
+        current_a = self._current_max_a if self._begins and self._travels else self.current_a
+        goals = [ServoGoal(angle_rad=angle, current_a=current_a) for angle in angles_rad]
         if self.event is ApproachEvent.CLOSING:
             for finger, brake in enumerate(self._brakes):
                 if brake is not None and not (touched[finger] and len(goals) > 1):
@@ -413,6 +419,12 @@ class Approach:
             -servo.velocity_rad_s < _RUNNING_SHARE * nominal_rad_s for servo in moment.state.servos
         )
         return self._begins
+
+    def _slows_down(self, state: GripperState) -> bool:
+        """Return whether the fingers that travelled are still to get to their new speed."""
+        most_rad_s = self._nominal_rad_s(state) / _RUNNING_SHARE
+        self._slows &= any(-servo.velocity_rad_s > most_rad_s for servo in state.servos)
+        return self._slows
 
     def _lead_m(self, state: GripperState) -> float:
         """Return how far in m the goal is ahead of fingers that run at the nominal speed."""
@@ -459,6 +471,7 @@ class Approach:
                 if shows[finger] and young and not self._soft[finger]:
                     lead_m = state.aperture_m - self._aperture_m
                     self._brakes[finger] = _Brake(moment.now_s, servo.angle_rad, lead_m)
+                    self.braked_s = moment.now_s
                 continue
             soft = (brake.angle_rad - servo.angle_rad) * path.radius_m > _SOFT_M
             empty = moment.now_s - brake.since_s > _DOUBT_S and not lasts[finger]
@@ -672,11 +685,15 @@ class ContactRest:
     ----------
     until_s
         Monotonic time in s at which the rest ends, or before where the force is known.
+    hard_n, hard_until_s
+        Force in N from which on a part was met hard, and when the rest ends then at the earliest.
     """
 
-    def __init__(self, until_s: float) -> None:
+    def __init__(self, until_s: float, *, hard_n: float, hard_until_s: float) -> None:
         self._until_s = until_s
+        self._hard_n, self._hard_until_s = hard_n, hard_until_s
         self._begun_s: float | None = None
+        self._settled = False
         self._samples = RecentForce(_REST_QUIET_N, least=_REST_SAMPLES, longest_s=_REST_LONGEST_S)
 
     @property
@@ -690,11 +707,13 @@ class ContactRest:
             self._begun_s = moment.now_s
         sample = moment.sample
         if sample is not None and sample.valid:
+            if not self._settled:
+                self._samples.clear()
+                self._settled = sample.measured_s >= self._begun_s + _REST_SETTLING_S
             self._samples.push(sample)
         young = sample is not None and moment.now_s - sample.measured_s <= _YOUNG_S
-        known = (
-            bool(self._samples)
-            and self._samples.noise_n <= (_REST_QUIET_YOUNG_N if young else _REST_QUIET_N)
-            and self._samples.oldest.measured_s >= self._begun_s + _REST_SETTLING_S
+        known = self._settled and (
+            self._samples.noise_n <= (_REST_QUIET_YOUNG_N if young else _REST_QUIET_N)
         )
-        return moment.now_s < self._until_s and not known
+        hard = self.force_n >= self._hard_n and moment.now_s < self._hard_until_s
+        return moment.now_s < self._until_s and (hard or not known)

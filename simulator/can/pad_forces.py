@@ -30,6 +30,8 @@ _KERNEL = (2.0, 1.0)
 """Weights of a taxel and of each neighbour in each direction of the 3 x 3 mean (binomial)."""
 _KERNEL_SUM = 16.0
 """Sum of all nine; at a border too, or the few taxels there would be touched by their noise."""
+_FACING_SHARE = 0.7
+"""Share of the threshold."""
 
 _NODES = np.arange(TABLE_NODES)
 
@@ -125,7 +127,9 @@ class PadForces:
             tared[self._bad] = good @ tared / np.maximum(good.sum(axis=1), 1.0)
         self._mean += (tared - self._mean) / _MEAN_SCANS
         smooth = self._smoothing @ self._mean / _KERNEL_SUM
-        self._active = (smooth > self._touch_counts) | (self._active & (smooth > 0.0))
+        facing = np.minimum(smooth[: self._n_first], smooth[self._n_first :])
+        both = np.tile(facing > _FACING_SHARE * self._touch_counts, 2)
+        self._active = (smooth > self._touch_counts) | both | (self._active & (smooth > 0.0))
         force_n = np.zeros(len(tared))
         if not np.count_nonzero(self._active):
             return force_n
