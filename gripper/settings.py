@@ -172,7 +172,7 @@ class GripperSettings:
     fingers are to meet; the config allows none of these."""
     approach_speed_m_s: float = setting(0.016, low=0.004, high=0.2)
     travel_speed_m_s: float = setting(0.06, low=0.004, high=0.2)
-    open_speed_m_s: float = setting(0.1, low=0.002, high=0.2)
+    open_speed_m_s: float = setting(0.06, low=0.002, high=0.2)
     """Rate of the aperture in m/s while closing where a part may begin, while closing where none
     has begun so far, and while opening."""
     approach_force_n: float = setting(1.0, above=0.0, high=10.0)

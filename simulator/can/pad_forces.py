@@ -3,8 +3,9 @@
 A scan's counts are taken above the zero that the host has written; a taxel that is touched counts
 with the force of the host's table, the others with nothing, or their noise would drown the force of
 a light touch. Touched is where the mean over the last scans, smoothed over the 3 x 3 neighbours, is
-above the threshold, and until it is back at the zero; so no single scan decides, and what the taxel
-has of noise enters the force once, unclipped.
+above the threshold, or above a share of it here and on the taxel that faces this one, and until it
+is back at the zero; so no single scan decides, and what the taxel has of noise enters the force
+once, unclipped.
 """
 
 from collections.abc import Callable
@@ -31,7 +32,8 @@ _KERNEL = (2.0, 1.0)
 _KERNEL_SUM = 16.0
 """Sum of all nine; at a border too, or the few taxels there would be touched by their noise."""
 _FACING_SHARE = 0.7
-"""Share of the threshold."""
+"""Share of the threshold from which on a taxel and the one that faces it are touched together: noise
+does not lift both as often as it lifts one above the whole of it."""
 
 _NODES = np.arange(TABLE_NODES)
 
@@ -127,9 +129,10 @@ class PadForces:
             tared[self._bad] = good @ tared / np.maximum(good.sum(axis=1), 1.0)
         self._mean += (tared - self._mean) / _MEAN_SCANS
         smooth = self._smoothing @ self._mean / _KERNEL_SUM
-        facing = np.minimum(smooth[: self._n_first], smooth[self._n_first :])
-        both = np.tile(facing > _FACING_SHARE * self._touch_counts, 2)
-        self._active = (smooth > self._touch_counts) | both | (self._active & (smooth > 0.0))
+        self._active = (smooth > self._touch_counts) | (self._active & (smooth > 0.0))
+        if len(smooth) == 2 * self._n_first:
+            facing = smooth.reshape(2, -1).min(axis=0) > _FACING_SHARE * self._touch_counts
+            self._active |= np.tile(facing, 2)
         force_n = np.zeros(len(tared))
         if not np.count_nonzero(self._active):
             return force_n

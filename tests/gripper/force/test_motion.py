@@ -9,7 +9,7 @@ from gripper.force.motion import Approach, ApproachEvent, ContactDetector, Conta
 from gripper.force.ramp import ForceRamp
 from gripper.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import Cycle, ForceSample, GripperState
+from gripper.state import Cycle, ForceSample, GripperPhase, GripperState
 from tests.values import make_servo, make_state
 
 LINKAGE = ParallelLinkage(link_m=0.06)
@@ -207,7 +207,7 @@ def test_fingers_that_touch_before_they_have_run_press_on_all_the_same(make_cell
     ("period_s", "noise_n", "rests_s"), [(0.02, 0.3, 0.08), (0.005, 0.15, 0.03)]
 )
 def test_the_rest_at_the_contact_ends_where_its_force_is_known(period_s, noise_n, rests_s) -> None:
-    rest, i = ContactRest(0.08), 0
+    rest, i = ContactRest(0.08, hard_n=1.0, hard_until_s=0.07), 0
     while rest.goes_on(
         Moment(
             now_s=DT_S * i,
@@ -219,3 +219,41 @@ def test_the_rest_at_the_contact_ends_where_its_force_is_known(period_s, noise_n
         i += 1
     assert DT_S * i == pytest.approx(rests_s, abs=0.011)
     assert rest.force_n == pytest.approx(0.7)
+
+
+def test_no_ramp_begins_while_the_force_of_a_hard_touch_is_fresh() -> None:
+    rests_s = []
+    for met_n in (0.5, 1.1):
+        rest, i = ContactRest(0.08, hard_n=0.6, hard_until_s=0.06), 0
+        while rest.goes_on(
+            Moment(
+                now_s=DT_S * i,
+                dt_s=DT_S,
+                state=state(DT_S * i, 0.01, 0.0),
+                sample=scan(DT_S * i, met_n, 0.05),
+            )
+        ):
+            i += 1
+        rests_s.append(DT_S * i)
+    assert rests_s[0] < 0.03
+    assert rests_s[1] == pytest.approx(0.06)
+
+
+@pytest.mark.parametrize("near_m_s", [0.012, 0.016])
+def test_fingers_that_travel_start_hard_and_slow_down_to_their_speed(make_cell, near_m_s) -> None:
+    """No finger gets so slow that it waits for the pads as one that a part slows down."""
+    cell = make_cell(rate_hz=200.0, noise_n=0.01, approach_speed_m_s=near_m_s, force_max_n=15.0)
+    cell.gripper.start()
+    cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=20.0))
+    cell.gripper.release()
+    seen: list[tuple[float, float]] = []
+
+    def watch(cycle: Cycle) -> None:
+        if cycle.phase is GripperPhase.APPROACHING and not cell.force_n:
+            seen.append((cycle.t_s, -cycle.state.aperture_velocity_m_s))
+
+    cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=20.0), watch)
+    fast_s = next(t_s for t_s, speed in seen if speed > 0.04)
+    assert fast_s - seen[0][0] < 0.035
+    assert seen[-1][1] == pytest.approx(near_m_s, rel=0.25)
+    assert min(speed for t_s, speed in seen if t_s > fast_s) > 0.6 * near_m_s

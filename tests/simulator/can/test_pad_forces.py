@@ -76,6 +76,18 @@ def test_a_touch_counts_within_a_few_scans_and_ends_with_the_load() -> None:
     assert unit.press({}, scans=1).centre_taxels is None
 
 
+def test_a_touch_on_both_pads_counts_sooner_than_one_on_a_single_pad() -> None:
+    one = dict.fromkeys((20, 21, 24, 25, 28, 29), 0.05)
+    n_first = Unit(*LAYOUTS[0]).n // 2
+    both = one | {n_first + taxel: force_n for taxel, force_n in one.items()}
+
+    def counts_after(touch: dict[int, float]) -> int:
+        unit = Unit(*LAYOUTS[0])
+        return next(n for n in range(1, 40) if unit.press(touch, scans=1).force_n[0] > 0.0)
+
+    assert 1 < counts_after(both) < counts_after(one)
+
+
 def test_noise_of_untouched_pads_is_no_force() -> None:
     unit = Unit(*LAYOUTS[0])
     rng = np.random.default_rng(3)
