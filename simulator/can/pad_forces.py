@@ -32,8 +32,8 @@ _KERNEL = (2.0, 1.0)
 _KERNEL_SUM = 16.0
 """Sum of all nine; at a border too, or the few taxels there would be touched by their noise."""
 _FACING_SHARE = 0.7
-"""Share of the threshold from which on a taxel and the one that faces it are touched together: noise
-does not lift both as often as it lifts one above the whole of it."""
+"""Share of the threshold from which on a taxel and the one that faces it are touched together:
+noise does not lift both as often as it lifts one above the whole of it."""
 
 _NODES = np.arange(TABLE_NODES)
 
