@@ -19,7 +19,7 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.impact import ImpactLimit, closing_current_max_a, impact_limit
-from gripper.kinematics import Linkage, Transmission, transmissions
+from gripper.kinematics import Linkage, Transmission
 from gripper.recent import RecentForce
 from gripper.settings import GripperSettings, OverForce, ServoSettings
 from gripper.state import Clock, ForceSample, GripperState, ServoState
@@ -107,18 +107,22 @@ class GoalGuard:
         self._forces.push(sample)
 
     def bounded(self, goals: Sequence[ServoGoal], state: GripperState) -> tuple[ServoGoal, ...]:
-        """Return the goals with no more current than the force that is asked for needs.
+        """Return the goals with which no finger that closes presses or runs beyond its limits.
 
-        No sample of the pads enters: whatever these show, fingers that close press with no more
+        No sample of the pads enters the current: whatever these show, a finger presses with no more
         than the set-point, friction at rest, the share that a drive may lack and what the moving
-        mass needs. Without a set-point they press below the cap, as an approach does.
+        mass needs. Without a set-point it presses below the cap, as an approach does. A finger that
+        closes faster than the force left below the cap allows, see `gripper.impact`, is braked.
+        While nothing presses on its pad no goal lies farther ahead than that speed needs: between
+        two writes the position controller of the servo keeps to it.
         """
-        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        impact = impact_limit(self._settings, self._linkage, state.angles_rad)
+        newest = self.newest_force
+        first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
+        forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
         return tuple(
-            replace(goal, current_a=min(goal.current_a, self._most_a(goal, path)))
-            if goal.angle_rad < servo.angle_rad
-            else goal
-            for goal, path, servo in zip(goals, paths, state.servos, strict=True)
+            self._closing(impact, *one) if one[1].angle_rad < one[2].angle_rad else one[1]
+            for one in zip(self._settings.servos, goals, state.servos, forces_n, strict=True)
         )
 
     def _most_a(self, goal: ServoGoal, path: Transmission) -> float:
@@ -128,23 +132,7 @@ class GoalGuard:
         asked_a = (_loading_n(goal.setpoint_n) * path.radius_m + friction_nm) / path.kt_nm_a
         return min(asked_a, path.loading_current_a(self._settings.force_max_n) - _EQUAL)
 
-    def slowed(self, goals: Sequence[ServoGoal], state: GripperState) -> tuple[ServoGoal, ...]:
-        """Return the goals with which the momentum of no finger passes the cap of the force.
-
-        A finger that closes faster than the force left below the cap allows, see `gripper.impact`,
-        is braked. While nothing presses on its pad no goal lies farther ahead than
-        that speed needs: between two writes the position controller of the servo keeps to it.
-        """
-        newest = self.newest_force
-        impact = impact_limit(self._settings, self._linkage, state.angles_rad)
-        first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
-        forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
-        return tuple(
-            self._slowed(impact, *one)
-            for one in zip(self._settings.servos, goals, state.servos, forces_n, strict=True)
-        )
-
-    def _slowed(
+    def _closing(
         self,
         impact: ImpactLimit,
         settings: ServoSettings,
@@ -152,10 +140,10 @@ class GoalGuard:
         servo: ServoState,
         force_n: float,
     ) -> ServoGoal:
-        if goal.angle_rad >= servo.angle_rad:
-            return goal
+        """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = settings.servo_model
         path = Transmission.at(model, self._linkage, servo.angle_rad)
+        most_a = min(goal.current_a, self._most_a(goal, path))
         empty = force_n < self._settings.contact_force_n
         reach_m = self._pads * self._linkage.opening_per_rad_m(servo.angle_rad)
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
@@ -168,13 +156,12 @@ class GoalGuard:
         if over_rad_s > _SPEED_GRAIN_RAD_S:
             # No more momentum is taken than it has too much, or the finger would swing.
             drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
-            current_a = min(abs(drive_n) * path.radius_m / path.kt_nm_a, goal.current_a)
+            current_a = min(abs(drive_n) * path.radius_m / path.kt_nm_a, most_a)
             angle_rad = goal.angle_rad if drive_n > 0.0 else servo.angle_rad
             return replace(goal, angle_rad=angle_rad, current_a=current_a)
-        if not empty:
-            return goal
-        ahead_rad = lead_rad(model, goal.current_a, fastest_rad_s)
-        return replace(goal, angle_rad=max(goal.angle_rad, servo.angle_rad - ahead_rad))
+        ahead_rad = lead_rad(model, most_a, fastest_rad_s) if empty else inf
+        angle_rad = max(goal.angle_rad, servo.angle_rad - ahead_rad)
+        return replace(goal, angle_rad=angle_rad, current_a=most_a)
 
     @property
     def newest_force(self) -> ForceSample | None:
@@ -386,7 +373,7 @@ class GoalWriter:
         profile_velocity_raw
             Profile Velocity (register 112) in raw units; 0 is no limit.
         """
-        goals = self._guard.slowed(self._guard.bounded(goals, state), state)
+        goals = self._guard.bounded(goals, state)
         self._guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}
         for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):

@@ -111,7 +111,7 @@ def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None
     as_asked = mock.patch.object(
         motion, "approach_speed_m_s", lambda settings, *_where, **_how: settings.approach_speed_m_s
     )
-    unguarded = mock.patch.object(GoalGuard, "slowed", lambda _self, goals, _state: tuple(goals))
+    unguarded = mock.patch.object(GoalGuard, "bounded", lambda _self, goals, _state: tuple(goals))
     with as_asked:
         kept = force_cap.trial(9008, HARMED)
         with unguarded:
@@ -166,7 +166,7 @@ def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad() -> None:
     guard.note_force(ForceSample(t_s=0.0, force_n=(0.6, 0.6)))
     state = standing(velocity_rad_s=-0.025 / 0.06)
     asked = [ServoGoal(angle_rad=0.05, current_a=0.2, setpoint_n=6.0)] * 2
-    braked = guard.slowed(asked, state)
+    braked = guard.bounded(asked, state)
     assert all(goal.angle_rad >= 0.1 for goal in braked)
     slow = standing(velocity_rad_s=-0.012 / 0.06)
-    assert guard.slowed(asked, slow) == tuple(asked)
+    assert guard.bounded(asked, slow) == tuple(asked)
