@@ -40,7 +40,6 @@ from gripper.state import (
     GraspOutcome,
     GraspResult,
     GripperPhase,
-    ReleaseReport,
 )
 
 FIRST_FORCE_N = 1.0
@@ -75,6 +74,8 @@ class _GripperAlone:
         self._gripper = gripper
         self.start, self.tick = gripper.start, gripper.tick
         self.clear_fault, self.request_stop = gripper.clear_fault, gripper.request_stop
+        self.grasp, self.squeeze = gripper.grasp, gripper.squeeze
+        self.carry, self.release = gripper.carry, gripper.release
 
     @property
     def phase(self) -> GripperPhase:
@@ -82,18 +83,6 @@ class _GripperAlone:
 
     def open(self, watch: WatchedMotion) -> None:
         self._gripper.open(observer=watch)
-
-    def grasp(self, ramp: ForceRamp, watch: WatchedMotion) -> GraspOutcome:
-        return self._gripper.grasp(ramp, watch)
-
-    def carry(self, force_n: float, duration_s: float, watch: WatchedMotion) -> None:
-        self._gripper.carry(force_n, duration_s, watch)
-
-    def squeeze(self, ramp: ForceRamp, watch: WatchedMotion) -> GraspOutcome:
-        return self._gripper.squeeze(ramp, watch)
-
-    def release(self) -> ReleaseReport:
-        return self._gripper.release()
 
 
 Fingers = Hand | _GripperAlone

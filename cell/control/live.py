@@ -1,12 +1,14 @@
 """Live values of a cell: what is measured at the moment, for hosts that show or supervise it."""
 
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.hand.interface import Measured
+from gripper.state import Cycle, ForceSample
+from tactile.frames.codec import TactileFrame
 
 FRESH_S = 0.5
 """Age in s beyond which a value counts as not measured: frames come each 0.02 s, periods of the
@@ -40,18 +42,13 @@ class LiveValues:
     """Age of the newest frame in s, also where it is too old to be shown."""
 
 
-class _Stamped(Protocol):
-    @property
-    def t_s(self) -> float: ...
-
-
-_Value = TypeVar("_Value", bound=_Stamped)
+_Value = TypeVar("_Value", Cycle, ForceSample, TactileFrame)
 
 
 def live_values(measured: Measured, now_s: float) -> LiveValues:
     """Return the values of a hand at a monotonic time in s."""
 
-    def age_s(one: _Stamped | None) -> float | None:
+    def age_s(one: ForceSample | TactileFrame | None) -> float | None:
         return None if one is None else max(0.0, now_s - one.t_s)
 
     def fresh(one: _Value | None) -> _Value | None:

@@ -332,21 +332,9 @@ class HostPlaces:
     """
 
     def __init__(self, positioner: Positioner, places: Places) -> None:
-        self._positioner = positioner
+        self.blocks = positioner.blocks
+        self.present, self.move_to = positioner.present, positioner.move_to
         self._places = places
-
-    @property
-    def blocks(self) -> bool:
-        """As of the other positioner."""
-        return self._positioner.blocks
-
-    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
-        """Have the other positioner bring an object."""
-        self._positioner.present(label, supervise)
-
-    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
-        """Have the other positioner go to a pose."""
-        return self._positioner.move_to(pose, supervise)
 
     def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Call the host; see `Positioner`."""

@@ -3,18 +3,13 @@
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol
 
 from cell.errors import CellError
 from cell.learning.collection import Collection
 
-
-class Progress(Protocol):
-    """Function that a job calls after each of its steps; the command line draws a bar from it."""
-
-    def __call__(self, task: str, done: int, total: int) -> None:
-        """Show that ``done`` of ``total`` steps of ``task`` are over."""
-        ...
+Progress = Callable[[str, int, int], None]
+"""Called by a job after each step with a task, its steps that are over, and all of them; the
+command line draws a bar from it."""
 
 
 def silent(task: str, done: int, total: int) -> None:

@@ -1,8 +1,10 @@
 """Options of the plugin: which config, and which real ports if any."""
 
 from argparse import ArgumentTypeError
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -55,33 +57,40 @@ def config_path(config: pytest.Config) -> Path | None:
     return (config.inipath or config.rootpath / "-").parent / ini
 
 
+def _servo_ids(text: str) -> tuple[int, ...]:
+    try:
+        ids = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        ids = ()
+    if not ids or not all(0 <= servo_id <= _HIGHEST_SERVO_ID for servo_id in ids):
+        raise ArgumentTypeError(
+            f"{text!r} is no list of servo IDs from 0 to {_HIGHEST_SERVO_ID}, as 1,2"
+        )
+    return ids
+
+
+_VALUES: tuple[tuple[str, str, Callable[[str], Any], str], ...] = (
+    ("--cell-config", "FILE", str,
+     "config of the cell under test (also ini option cell_config); its ports are not used"),
+    ("--servo-port", "PATH", str, "real servos on this serial port, as /dev/ttyUSB0"),
+    ("--servo-baud-rate", "RATE", int, "baud rate of the servo bus in bit/s"),
+    ("--servo-ids", "IDS", _servo_ids, "IDs of the servos, as 1,2"),
+    ("--can-interface", "NAME", str,
+     "real control unit on this python-can interface, as socketcan or slcan"),
+    ("--can-channel", "NAME", str, "channel of the interface, as can0"),
+    ("--can-bitrate", "RATE", int, "bit rate of the CAN bus in bit/s"),
+    ("--node-id", "ID", int, "CANopen node id, 1 to 127"),
+)  # fmt: skip
+"""Options with a value: name, what stands for the value, its type, and its help."""
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of the group ``tactile-cell``."""
     group = parser.getgroup(
         "tactile-cell", "tactile-cell: what is under test; without a port, the simulated cell is"
     )
-    group.addoption(
-        "--cell-config",
-        metavar="FILE",
-        help="config of the cell under test (also ini option cell_config); its ports are not used",
-    )
-    group.addoption(
-        "--servo-port", metavar="PATH", help="real servos on this serial port, as /dev/ttyUSB0"
-    )
-    group.addoption(
-        "--servo-baud-rate", metavar="RATE", type=int, help="baud rate of the servo bus in bit/s"
-    )
-    group.addoption("--servo-ids", metavar="IDS", type=_servo_ids, help="IDs of the servos, as 1,2")
-    group.addoption(
-        "--can-interface",
-        metavar="NAME",
-        help="real control unit on this python-can interface, as socketcan or slcan",
-    )
-    group.addoption("--can-channel", metavar="NAME", help="channel of the interface, as can0")
-    group.addoption(
-        "--can-bitrate", metavar="RATE", type=int, help="bit rate of the CAN bus in bit/s"
-    )
-    group.addoption("--node-id", metavar="ID", type=int, help="CANopen node id, 1 to 127")
+    for option, metavar, kind, text in _VALUES:
+        group.addoption(option, metavar=metavar, type=kind, help=text)
     group.addoption(
         "--allow-motion",
         action="store_true",
@@ -109,15 +118,3 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
         return []
     motion = "may move" if options.allow_motion else "must not move (no --allow-motion)"
     return [f"tactile-cell: REAL HARDWARE: {', '.join(found)}; servos {motion}"]
-
-
-def _servo_ids(text: str) -> tuple[int, ...]:
-    try:
-        ids = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        ids = ()
-    if not ids or not all(0 <= servo_id <= _HIGHEST_SERVO_ID for servo_id in ids):
-        raise ArgumentTypeError(
-            f"{text!r} is no list of servo IDs from 0 to {_HIGHEST_SERVO_ID}, as 1,2"
-        )
-    return ids

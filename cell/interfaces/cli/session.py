@@ -17,7 +17,6 @@ from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGri
 from cell.fault_catalogue import fault_number
 from cell.interfaces.cli.signals import END_WITHIN_S, stopping
 from cell.interfaces.cli.terminal import (
-    ProgressBar,
     ask,
     print_cell,
     print_line,
@@ -25,7 +24,7 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
     write_json,
 )
-from cell.jobs.common import job_folder
+from cell.jobs.common import Progress, job_folder
 from gripper.errors import (
     FeedbackImplausible,
     GripperError,
@@ -133,7 +132,7 @@ def running_cell(
     config_file: Path | None,
     json_file: Path | None,
     capture: Path | None = None,
-) -> Iterator[tuple[Cell, ProgressBar]]:
+) -> Iterator[tuple[Cell, Progress]]:
     """Start a cell, stop it on signals, close it at the end; with bars for the job's progress.
 
     Prints how punctual the force loop was. A run that ends early raises CellError with what became

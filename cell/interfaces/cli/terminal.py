@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, cast
@@ -10,7 +10,14 @@ from typing import IO, Any, cast
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -135,30 +142,23 @@ def ask(text: str) -> str:
 
 
 @contextmanager
-def progress_bar() -> Iterator["ProgressBar"]:
-    """Draw a bar on standard error for each task that a job names."""
+def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """Draw a bar on standard error for each task that a job names; see `cell.jobs.common`."""
     columns = (
         TextColumn("{task.description:<22}"),
         BarColumn(bar_width=32),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
+    tasks: dict[str, TaskID] = {}
     with Progress(*columns, console=err) as bars:
-        yield ProgressBar(bars)
 
+        def show(task: str, done: int, total: int) -> None:
+            if task not in tasks:
+                tasks[task] = bars.add_task(plain(task), total=total)
+            bars.update(tasks[task], completed=done, total=total)
 
-class ProgressBar:
-    """Implements `cell.jobs.common.Progress` with bars."""
-
-    def __init__(self, bars: Progress) -> None:
-        self._bars = bars
-        self._tasks: dict[str, Any] = {}
-
-    def __call__(self, task: str, done: int, total: int) -> None:
-        """Draw the bar of one task."""
-        if task not in self._tasks:
-            self._tasks[task] = self._bars.add_task(plain(task), total=total)
-        self._bars.update(self._tasks[task], completed=done, total=total)
+        yield show
 
 
 def write_json(path: Path | None, data: Any) -> None:

@@ -31,14 +31,11 @@ def refuse(*_args: Any) -> None:
     raise PermissionError(errno.EPERM, "Operation not permitted")
 
 
-def test_all_is_asked_for_as_configured(asked: list[Any]) -> None:
-    assert real_time.enter_real_time(LoopConfig(cpu=0, priority=42)) == ()
-    assert asked == [{0}, "lock", (os.SCHED_FIFO, os.sched_param(42))]
-
-
-def test_nothing_is_asked_for_that_is_not_wanted(asked: list[Any]) -> None:
+def test_what_is_configured_is_asked_for_and_nothing_else(asked: list[Any]) -> None:
     assert real_time.enter_real_time(LoopConfig(priority=0, lock_memory=False)) == ()
     assert asked == []
+    assert real_time.enter_real_time(LoopConfig(cpu=0, priority=42)) == ()
+    assert asked == [{0}, "lock", (os.SCHED_FIFO, os.sched_param(42))]
 
 
 @pytest.mark.usefixtures("asked")
