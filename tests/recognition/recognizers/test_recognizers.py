@@ -1,6 +1,7 @@
-"""The taught recognisers: right answers, strange grasps, odd input, and coming back from arrays."""
+"""All recognisers that are taught: right answers, strange grasps, odd input, back from arrays."""
 
 import dataclasses
+import functools
 import importlib
 import inspect
 import pkgutil
@@ -31,14 +32,40 @@ from recognition.recognizers.force_ramp.view import describe
 OURS = ("force_ramp", "shrinkage_lda")
 
 
+LEAST = {
+    **dict.fromkeys(OURS, 0.96),
+    "radius_vector": 0.6,
+    "contour_network": 0.4,
+    "contact_invariants": 0.8,
+    "extra_trees": 0.95,
+    "raw_neighbours": 0.8,
+}
+"""Share of fresh grasps that each kind names at least."""
+
+
+@pytest.fixture(scope="module")
+def teach(train):
+    return functools.cache(lambda name: make_trainer(name).fit(train))
+
+
 @pytest.fixture(scope="module", params=OURS)
 def name(request):
     return request.param
 
 
 @pytest.fixture(scope="module")
-def taught(name, train):
-    return make_trainer(name).fit(train)
+def taught(name, teach):
+    return teach(name)
+
+
+@pytest.fixture(scope="module", params=LEAST)
+def kind(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def any_taught(kind, teach):
+    return teach(kind)
 
 
 def accuracy(recognizer, grasps):
@@ -87,18 +114,17 @@ def test_every_trainer_and_comparator_of_the_chapter_has_an_entry():
 
 def test_registry_makes_each_trainer_both_ways():
     assert DEFAULT_TRAINER in TRAINERS
-    for name in OURS:
-        assert make_trainer(name).name == name
-        assert make_trainer(name).uses_aperture
+    for name in trainer_names():
+        assert make_trainer(name).uses_aperture == (name in {*OURS, "extra_trees"})
         assert not make_trainer(name, use_aperture=False).uses_aperture
-    assert make_trainer("level_check").name == "level_check"
     with pytest.raises(ValueError, match="force_ramp"):
         make_trainer("oracle")
 
 
-def test_fresh_grasps_are_named(taught, fresh):
-    assert taught.labels == ("bar", "block", "disc", "egg", "pin")
-    assert accuracy(taught, fresh) >= 0.96
+def test_fresh_grasps_are_named_and_known(kind, any_taught, fresh):
+    assert any_taught.labels == ("bar", "block", "disc", "egg", "pin")
+    assert accuracy(any_taught, fresh) >= LEAST[kind]
+    assert np.mean([any_taught.posterior(g).unknown > 0.5 for g in fresh]) <= 0.3
 
 
 def test_touch_alone_names_most(name, train, fresh):
@@ -138,32 +164,39 @@ def test_gain_of_a_pad_may_drift(name, taught, fresh):
     assert accuracy(taught, [louder(g) for g in fresh]) >= 0.9
 
 
-def test_a_grasp_without_contact_is_unknown(taught, fresh):
+def test_a_grasp_without_contact_is_unknown(any_taught, fresh):
     empty = dataclasses.replace(fresh[0], counts=np.zeros_like(fresh[0].counts))
-    assert taught.posterior(empty).unknown == 1.0
+    assert any_taught.posterior(empty).unknown == 1.0
+    assert np.ptp(any_taught.posterior(empty).probability) == 0.0
 
 
 @pytest.mark.parametrize(
     "frames", [slice(0, 1), slice(-1, None), slice(-2, None), slice(0, 3), slice(0, 12)]
 )
-def test_short_grasps_get_an_answer(taught, fresh, frames):
+def test_short_grasps_get_an_answer(any_taught, fresh, frames):
     for grasp in fresh[::5]:
-        found = taught.posterior(part(grasp, frames))
+        found = any_taught.posterior(part(grasp, frames))
         assert found.probability.sum() == pytest.approx(1.0)
 
 
-def test_odd_frames_get_an_answer(taught, fresh):
+def test_odd_frames_get_an_answer(any_taught, fresh):
     grasp = fresh[0]
     full = np.full_like(grasp.counts, grasp.pads.adc_max)
     dead = grasp.counts.copy()
     dead[:, 25:32] = 0
     one_pad = grasp.counts.copy()
     one_pad[:, 60:] = 0
-    for counts in (full, dead, one_pad):
-        found = taught.posterior(dataclasses.replace(grasp, counts=counts))
-        assert np.all(np.isfinite(found.probability))
+    one_taxel = np.zeros_like(grasp.counts)
+    one_taxel[5:, [0, 60]] = grasp.pads.adc_max
+    blind = dataclasses.replace(grasp, aperture_m=np.full_like(grasp.aperture_m, np.nan))
     still = dataclasses.replace(grasp, t_s=np.zeros_like(grasp.t_s))
-    assert np.all(np.isfinite(taught.posterior(still).probability))
+    falling = grasp.counts[::-1].copy()
+    odd = [
+        dataclasses.replace(grasp, counts=counts)
+        for counts in (full, dead, one_pad, one_taxel, falling)
+    ]
+    for one in (blind, still, *odd):
+        assert any_taught.posterior(one).probability.sum() == pytest.approx(1.0)
 
 
 def test_without_an_opening_touch_alone_answers(train, fresh):
@@ -177,18 +210,21 @@ def test_taught_without_an_opening_it_answers_with_and_without(name, train, fres
     assert accuracy(make_trainer(name).fit(blind), fresh) >= 0.8
 
 
-def test_other_pads_are_refused(taught, factory):
+def test_other_pads_are_refused(any_taught, factory):
     other = factory.many(1, seed=0, pads=factory.pads(adc_max=255))
     with pytest.raises(ValueError, match="teach on these pads"):
-        taught.posterior(other[0])
+        any_taught.posterior(other[0])
 
 
-def test_too_little_to_learn_from_is_refused(train):
-    plain = make_trainer("shrinkage_lda")
-    with pytest.raises(ValueError, match="two"):
-        plain.fit([g for g in train if g.label == "pin"])
+@pytest.mark.parametrize("kind", [kind for kind in LEAST if kind != "force_ramp"])
+def test_one_object_alone_is_too_little_for_plain_kinds(kind, train):
+    with pytest.raises(ValueError, match="two objects"):
+        make_trainer(kind).fit([g for g in train if g.label == "pin"])
+
+
+def test_too_few_grasps_of_an_object_are_refused(train):
     with pytest.raises(ValueError, match="three times"):
-        plain.fit(train[::8])
+        make_trainer("shrinkage_lda").fit(train[::8])
     with pytest.raises(ValueError, match="at least 3"):
         make_trainer("force_ramp").fit(train[::8])
 
@@ -224,27 +260,33 @@ def test_grasps_that_missed_teach_nothing(train, fresh):
     missed = dataclasses.replace(train[0], counts=np.zeros_like(train[0].counts))
     recognizer = make_trainer("force_ramp").fit([missed, *train])
     assert accuracy(recognizer, fresh) >= 0.95
+
+
+def test_an_object_whose_grasps_all_missed_is_named(kind, train):
     lost = [dataclasses.replace(g, counts=np.zeros_like(g.counts)) for g in train[:2]]
     lost = [dataclasses.replace(g, label="ghost") for g in lost]
     with pytest.raises(ValueError, match="ghost"):
-        make_trainer("force_ramp").fit([*train, *lost])
+        make_trainer(kind).fit([*train, *lost])
 
 
 @pytest.mark.parametrize("use_aperture", [True, False])
-def test_recogniser_comes_back_from_its_arrays(name, train, fresh, use_aperture):
-    taught = make_trainer(name, use_aperture=use_aperture).fit(train)
+def test_recogniser_comes_back_from_its_arrays(kind, train, fresh, use_aperture):
+    taught = make_trainer(kind, use_aperture=use_aperture).fit(train)
     arrays = taught.to_arrays()
-    assert all(a.dtype != object for a in arrays.values())
+    assert all(np.asarray(a).dtype.kind in "biufU" for a in arrays.values())
     again = type(taught).from_arrays(arrays)
     for grasp in fresh[::4]:
         a, b = taught.posterior(grasp), again.posterior(grasp)
         assert np.array_equal(a.probability, b.probability)
         assert a.unknown == b.unknown
-    del arrays["gripping"]
-    with pytest.raises(ValueError, match="gripping"):
-        type(taught).from_arrays(arrays)
-    with pytest.raises(ValueError, match="train again"):
-        type(taught).from_arrays({**taught.to_arrays(), "feature_version": np.array(0)})
+    # `force_ramp` has arrays that a model may lack.
+    for missing in ("gripping",) if kind == "force_ramp" else arrays:
+        with pytest.raises(ValueError, match=missing.removeprefix("classifier_")):
+            type(taught).from_arrays({k: a for k, a in arrays.items() if k != missing})
+    with pytest.raises(ValueError, match=r"labels|cannot reshape"):
+        type(taught).from_arrays(arrays | {"labels": arrays["labels"][:-1]})
+    with pytest.raises(ValueError, match=r"version 0.*train again"):
+        type(taught).from_arrays(arrays | {"feature_version": np.array(0)})
 
 
 def test_teaching_twice_gives_the_same(name, train, fresh):
