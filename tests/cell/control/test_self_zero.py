@@ -21,6 +21,7 @@ from cell.interfaces.plugin.goals import ZeroGoal, checked_goal
 from cell.interfaces.plugin.health import health_values
 from cell.jobs.doctor import examine
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
+from gripper.state import GripperPhase
 from recognition.grasp import SelfZero
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import call
@@ -126,6 +127,17 @@ def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(
     bent.controller.start()
     assert "a finger is bent" in bent.controller.zero_note
     assert (bent.controller.state, bent.controller.self_zero) == (CellState.IDLE, None)
+
+
+def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench, make_config) -> None:
+    bench = make_bench(make_config(self_zero="daily"))
+    bench.simulated.place("ball")
+    taken_s = bench.once_in(GripperPhase.RAMPING, bench.simulated.remove)
+    bench.controller.start()
+    assert taken_s
+    assert "something is between them" in bench.controller.zero_note
+    assert (bench.controller.state, bench.controller.self_zero) == (CellState.IDLE, None)
+    assert not bench.controller.holding
 
 
 def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench, make_config) -> None:

@@ -158,6 +158,8 @@ class FakeHand:
             watch(make_cycle(float(number)), [frame()])
         return "outcome"
 
+    meet = grasp
+
     def inspect(self) -> Any:
         raise ServoFault(2, 4, "hot")
 
@@ -249,11 +251,12 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
     line.close()
 
 
-def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line: Line) -> None:
+@pytest.mark.parametrize("name", ["grasp", "meet"])
+def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line: Line, name: str) -> None:
     line.hand.cycles = 3
     line.near.send(EndRamp(number=1))
     line.near.send(Request(number=1, command=Command("tare", {"n_frames": 3})))
-    line.near.send(Request(number=2, command=Command("grasp", {"ramp": RAMP})))
+    line.near.send(Request(number=2, command=Command(name, {"ramp": RAMP})))
     line.near.send(EndRamp(number=1))
     line.near.send(EndRamp(number=2))
     # One message is taken in each period; a command that comes during a grasp waits for its end.
