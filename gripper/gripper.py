@@ -52,8 +52,8 @@ from gripper.state import (
 )
 
 CARRY_RATE_N_S = 20.0
-"""Rate in N/s at which a held force goes to that of the carry: twice that of `Gripper.back_off`,
-because a host waits for the answer."""
+"""Rate in N/s at which a held force goes to that of the carry: four times that of
+`Gripper.back_off`, because a host waits for the answer."""
 
 
 class Gripper:

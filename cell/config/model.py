@@ -83,9 +83,9 @@ class CellConfig(Section):
     """Longest silence of the host program during a job in s, 0.05 to 3600; none: any."""
     self_zero: Literal["always", "daily", "on_demand", "never"] = "daily"
     """When the empty fingers close on each other to measure zero, gains and foam: at each start, at
-    the first start of a day, when asked for (`tactile-cell zero`), or never. A part that is in
-    their way is a fault at each start, at a daily one a note. Without the key never where
-    gripper.pads_meet is false."""
+    the first start of a day, when asked for (`tactile-cell zero`), or never. A part between them is
+    a fault with `always` and a note with `daily`. Where gripper.pads_meet is false and this key is
+    not set, it is `never`."""
     gripper: GripperConfig = GripperConfig()
     """Servos, linkage and limits."""
     tactile: TactileConfig = TactileConfig()
