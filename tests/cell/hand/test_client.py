@@ -12,7 +12,7 @@ import pytest
 from cell.config.model import CellConfig
 from cell.errors import HandLost
 from cell.hand import client
-from cell.hand.client import HandProcess
+from cell.hand.client import HandProcess, LoopProcess
 from cell.hand.interface import HandStatistics, Measured
 from cell.hand.messages import (
     Alive,
@@ -47,8 +47,8 @@ def period(phase: GripperPhase = GripperPhase.RAMPING) -> Progress:
     return Progress(cycle=make_cycle(phase=phase, force=None), frames=())
 
 
-class FakeLoop:
-    """Plays `LoopProcess` from a script of what comes after each request."""
+class FakeLoop(LoopProcess):
+    """A process that plays its part from a script of what comes after each request."""
 
     made: ClassVar[list["FakeLoop"]] = []
 
@@ -56,7 +56,8 @@ class FakeLoop:
         self.partial = partial
         self.ready = Ready(notes=("a note",), statistics=STATISTICS)
         self.lost: HandLost | None = None
-        self.pid = 4711 + len(self.made)
+        self._watchdog_ms = 100.0
+        self._process: Any = SimpleNamespace(pid=4711 + len(self.made))
         self.script: deque[list[Any]] = deque()
         self.coming: deque[Any] = deque()
         self.sent: list[Any] = []
@@ -88,18 +89,6 @@ class FakeLoop:
     def waiting(self) -> bool:
         self.check()
         return bool(self.coming)
-
-    def check(self) -> None:
-        if self.lost is not None:
-            raise self.lost
-
-    def lose(self, what: str) -> None:
-        self.abandon(HandLost(what))
-        self.check()
-
-    def abandon(self, lost: HandLost) -> None:
-        self.lost = lost
-        self.close()
 
     def close(self) -> None:
         self.closed = True

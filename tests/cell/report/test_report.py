@@ -444,6 +444,8 @@ def test_shape_and_size_stand_beside_each_identification() -> None:
     page = render_report(report(sequences=(felt("pin", pin), felt("pin", pin, UNKNOWN))))
     assert "cylinder, 6.1 mm (5.8 to 6.4)" in page
     assert "a cylinder of 6.1 mm (5.8 to 6.4)" in page
+    assert 'id="shapes"' in page
+    assert 'id="shapes"' not in render_report(report(sequences=(felt("pin", None),)))
 
 
 def test_all_shapes_are_drawn_on_one_scale() -> None:
@@ -474,13 +476,6 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
     assert f"UNKNOWN: {stranger['text']}" in page
     assert "it was bar" in page
     assert "without shape 1 of 3" in page
-
-
-def test_a_page_without_shapes_has_no_place_for_them() -> None:
-    rows = (felt("pin", None),)
-    assert shapes_view(rows) is None
-    page = render_report(report(sequences=rows))
-    assert 'id="shapes"' not in page
 
 
 def test_many_shapes_are_counted_but_not_all_drawn() -> None:
