@@ -57,6 +57,18 @@ class Register:
         """Address of the first byte after the item."""
         return self.address + self.size
 
+    @property
+    def code(self) -> str:
+        """Its code in a layout of `struct`."""
+        code = {1: "b", 2: "h", 4: "i"}[self.size]
+        return code if self.signed else code.upper()
+
+    @property
+    def bounds(self) -> tuple[int, int]:
+        """Least and largest raw value that fit."""
+        span = 1 << 8 * self.size
+        return (-span // 2, span // 2 - 1) if self.signed else (0, span - 1)
+
     def encode(self, raw: int) -> bytes:
         """Return the little-endian bytes of a raw value; LimitExceeded when it does not fit."""
         try:
@@ -150,17 +162,6 @@ REGISTERS: Mapping[str, Register] = _table(tuple(globals().values()))
 """All items by name, in the order of their addresses."""
 
 
-_CODES = {
-    (1, False): "B",
-    (1, True): "b",
-    (2, False): "H",
-    (2, True): "h",
-    (4, False): "I",
-    (4, True): "i",
-}
-"""Codes of `struct` by size in bytes and sign."""
-
-
 class RegisterBlock:
     """Contiguous items, which go over the bus as one block of bytes.
 
@@ -188,7 +189,7 @@ class RegisterBlock:
         self._registers = registers
         self._names = tuple(r.name for r in registers)
         self._text = self._names[0] + (f" to {self._names[-1]}" if len(registers) > 1 else "")
-        self._layout = struct.Struct("<" + "".join(_CODES[r.size, r.signed] for r in registers))
+        self._layout = struct.Struct("<" + "".join(r.code for r in registers))
         self.address, self.size = registers[0].address, self._layout.size
         self.writable = all(r.writable for r in registers)
 

@@ -7,6 +7,7 @@ the servo.
 
 import struct
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 from gripper.dynamixel.control_table import (
@@ -86,23 +87,13 @@ _RANGES: dict[str, tuple[int, int]] = {
 Those that differ between models are added for the model."""
 
 
-class Item(NamedTuple):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Item(Register):
     """One item with its rules."""
 
-    name: str
-    address: int
-    size: int
-    signed: bool
-    writable: bool
-    eeprom: bool
-    """As in `gripper.dynamixel.control_table.Register`."""
     minimum: int
     maximum: int
     """Accepted raw values; anything else is a Data Range Error."""
-
-
-_CODES = {1: "b", 2: "h", 4: "i"}
-"""Codes of `struct` for signed items by their size."""
 
 
 class WritePlan(NamedTuple):
@@ -136,11 +127,6 @@ def is_x330(model: ServoModel) -> bool:
     return model.number in _X330_MODELS
 
 
-def _whole_range(register: Register) -> tuple[int, int]:
-    bits = 8 * register.size
-    return (-(1 << bits - 1), (1 << bits - 1) - 1) if register.signed else (0, (1 << bits) - 1)
-
-
 def _items(model: ServoModel, firmware: int) -> dict[int, Item]:
     ranges = dict(_RANGES)
     ranges["current_limit"] = (0, model.current_limit_raw)
@@ -160,18 +146,11 @@ def _items(model: ServoModel, firmware: int) -> dict[int, Item]:
             registers.append(
                 Register(name=f"indirect_data_{area.data + i}", address=area.data + i, size=1)
             )
-    return {
-        r.address: Item(
-            r.name,
-            r.address,
-            r.size,
-            r.signed,
-            r.writable,
-            r.eeprom,
-            *ranges.get(r.name, _whole_range(r)),
-        )
-        for r in registers
-    }
+    items = {}
+    for register in registers:
+        low, high = ranges.get(register.name, register.bounds)
+        items[register.address] = Item(**asdict(register), minimum=low, maximum=high)
+    return items
 
 
 class ControlTable:
@@ -267,10 +246,8 @@ class ControlTable:
             position += item.size
         if not items:
             return StatusError.DATA_LENGTH
-        codes = (_CODES[item.size] for item in items)
-        signed = (item.signed for item in items)
-        layout = "".join(c if s else c.upper() for c, s in zip(codes, signed, strict=True))
-        return WritePlan(tuple(items), struct.Struct("<" + layout))
+        layout = struct.Struct("<" + "".join(item.code for item in items))
+        return WritePlan(tuple(items), layout)
 
 
 def in_range(item: Item, value: int) -> bool:

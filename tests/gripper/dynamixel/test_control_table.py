@@ -52,8 +52,9 @@ def test_no_two_items_overlap() -> None:
 @given(st.sampled_from(sorted(REGISTERS)), st.data())
 def test_encoding_comes_back(name: str, data: st.DataObject) -> None:
     register = REGISTERS[name]
-    bits = 8 * register.size
-    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if register.signed else (0, (1 << bits) - 1)
+    low, high = register.bounds
+    assert high - low == 256**register.size - 1
+    assert (low < 0) is register.signed
     raw = data.draw(st.integers(low, high))
     assert register.decode(register.encode(raw)) == raw
     with pytest.raises(LimitExceeded, match=name):
