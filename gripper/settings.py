@@ -170,7 +170,7 @@ class GripperSettings:
     aperture_min_m: float = setting(0.0005, low=-0.02, high=0.4)
     """Opening in m below which nothing can be held: the end of an approach. Below 0 where the
     fingers are to meet; the config allows none of these."""
-    approach_speed_m_s: float = setting(0.016, low=0.004, high=0.2)
+    approach_speed_m_s: float = setting(0.015, low=0.004, high=0.2)
     travel_speed_m_s: float = setting(0.06, low=0.004, high=0.2)
     open_speed_m_s: float = setting(0.06, low=0.002, high=0.2)
     """Rate of the aperture in m/s while closing where a part may begin, while closing where none

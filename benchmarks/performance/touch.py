@@ -316,7 +316,7 @@ IMPACTS: dict[str, Callable[[float | None, int], Impact]] = {
     f"impact, {name.partition(',')[0]}, {1e3 * speed_m_s:g} mm/s": partial(
         impact, part=part, speed_m_s=speed_m_s
     )
-    for speed_m_s in (0.012, 0.016, 0.024)
+    for speed_m_s in (0.012, 0.015, 0.024)
     for name, part in PARTS.items()
 }
 

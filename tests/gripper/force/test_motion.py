@@ -239,7 +239,7 @@ def test_no_ramp_begins_while_the_force_of_a_hard_touch_is_fresh() -> None:
     assert rests_s[1] == pytest.approx(0.06)
 
 
-@pytest.mark.parametrize("near_m_s", [0.012, 0.016])
+@pytest.mark.parametrize("near_m_s", [0.012, 0.015])
 def test_fingers_that_travel_start_hard_and_slow_down_to_their_speed(make_cell, near_m_s) -> None:
     """No finger gets so slow that it waits for the pads as one that a part slows down."""
     cell = make_cell(rate_hz=200.0, noise_n=0.01, approach_speed_m_s=near_m_s, force_max_n=15.0)
