@@ -22,7 +22,9 @@ from tactile.frames.codec import TactileFrame
 def recording(tmp_path: Path, make_grasp: Any) -> Path:
     """Forty grasps of twelve frames, in several chunks."""
     rng = np.random.default_rng(0)
-    grasps = [make_grasp(f"object {i}", counts=rng.integers(0, 4096, (12, 24))) for i in range(40)]
+    grasps = [
+        make_grasp(f"object {i}", counts=rng.integers(500, 4096, (12, 24))) for i in range(40)
+    ]
     path = tmp_path / "r.mcap"
     with Recorder(path, time, pads=grasps[0].pads) as recorder:
         for number, grasp in enumerate(grasps):
@@ -52,10 +54,14 @@ def damage(path: Path, kind: str) -> None:
 @pytest.mark.parametrize("kind", ["cut", "bit"])
 def test_what_is_whole_is_kept_and_what_is_lost_is_said(recording: Path, kind: str) -> None:
     before = read_recording(recording)
+    whole = recover_recording(recording, recording.with_name("copy.mcap"))
+    assert (whole.lost_reason, whole.n_grasps) == ("", 40)
+    assert RECOVERED not in read_recording(whole.recording).metadata
     damage(recording, kind)
     damaged = read_recording(recording)
     assert not damaged.complete
     assert len(damaged.grasps) < 40
+    assert damaged.n_broken_grasps == (1 if kind == "bit" else 0)
     found = recover_recording(recording, recording.with_name("new.mcap"))
     after = read_recording(found.recording)
     assert after.complete
