@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.section import Declared
-from gripper.settings import ForceLoopSettings, OverForce
+from gripper.settings import ForceLoopSettings, GripperSettings, OverForce
 
 
 def declared(section: BaseModel, path: str) -> Iterator[tuple[str, FieldInfo, Declared]]:
@@ -49,3 +49,6 @@ def test_keys_without_a_number_reach_the_gripper() -> None:
     settings = changed_config(CellConfig(), changes).gripper_settings
     assert settings.over_force is OverForce.LIMP
     assert settings.corrected_registers == {"operating_mode"}
+    plain, own = CellConfig().gripper_settings, GripperSettings()
+    assert plain.over_force is own.over_force
+    assert plain.corrected_registers == own.corrected_registers
