@@ -69,6 +69,9 @@ ANSWER = Answer(
 
 
 def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
+    public = {name for name, _ in inspect.getmembers(Hand, inspect.isfunction) if name[0] != "_"}
+    elsewhere = {"check_ramp", "end_ramp", "tick", "request_stop", "close"}
+    assert public - elsewhere == WATCHED | UNWATCHED
     for name in WATCHED | UNWATCHED:
         parameters = inspect.signature(getattr(Hand, name)).parameters
         assert ("watch" in parameters) is (name in WATCHED)
