@@ -25,6 +25,7 @@ from tests.cell.interfaces.conftest import LIMIT_S
 pytestmark = pytest.mark.anyio
 EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "viam"
 CONFIG = """\
+self_zero: on_demand
 tactile: {tare_frames: 25}
 simulator:
   objects:
