@@ -193,7 +193,7 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
 
 @pytest.mark.parametrize(
     ("phase", "after_s", "least_n"),
-    [(RAMPING, 0.0, 0.3), (RAMPING, 0.3, 1.0), (APPROACHING, 0.0, 0.0), (APPROACHING, 0.2, 0.0)],
+    [(RAMPING, 0.0, 0.2), (RAMPING, 0.3, 1.0), (APPROACHING, 0.0, 0.0), (APPROACHING, 0.2, 0.0)],
 )
 def test_cancelling_keeps_the_grip_until_it_is_released(
     bench: Any, phase: GripperPhase, after_s: float, least_n: float
