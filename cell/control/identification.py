@@ -257,7 +257,7 @@ def grasp_and_classify(
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
     evidence = Evidence(recognizer, rule, read_shape=read_shape, on_grasp=on_grasp, begin=begin)
-    heads = None if early is None else early.with_drift_of(recognizer)
+    heads = None if early is None else early.as_wary_as(recognizer)
     steps = iter(plan)
 
     def next_step() -> GraspStep:

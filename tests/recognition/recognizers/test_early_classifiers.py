@@ -126,13 +126,16 @@ def test_heads_come_back_from_their_arrays(whole, early, fresh):
             EarlyClassifiers.from_arrays(arrays | change, type(whole))
 
 
-def test_heads_follow_the_drift_that_the_whole_ramps_show(train, whole, early):
+def test_heads_have_the_drift_and_the_caution_of_the_whole_ramps(train, whole, early):
     label = train[0].label
     few = [g for g in train if g.label == label][:3] + [g for g in train if g.label != label][:3]
     two = [replace(g, label="one" if g.label == label else "other") for g in few]
     ramps = make_trainer("force_ramp", use_aperture=False).fit(two)
-    drifted = ramps.with_grid(DriftGrid(prior=DriftPrior(log_gain=-0.2, log_gain_sd=0.1)))
+    drifted = replace(
+        ramps, grid=DriftGrid(prior=DriftPrior(log_gain=-0.2, log_gain_sd=0.1)), caution=3.0
+    )
     early_classifiers = replace(early, recognizers=(ramps, ramps))
-    for one in early_classifiers.with_drift_of(drifted).recognizers:
+    for one in early_classifiers.as_wary_as(drifted).recognizers:
         assert one.grid is drifted.grid
-    assert early.with_drift_of(whole) is early
+        assert one.caution == drifted.caution
+    assert early.as_wary_as(whole) is early
