@@ -1,9 +1,10 @@
 """Ramps of the simulated cell that end as soon as they suffice, beside whole ones.
 
-Both identify the paper's objects in the same poses and with the same forces, with the opening of
-the fingers and by touch alone. Time is that of the cell: of a grasp from the first move of the
-closing fingers to the end of its ramp, of an identification from the first pose to the last
-release. `benchmarks.recognition.sequences` has more sequences, replayed from single grasps.
+Both identify the paper's objects, and objects never taught, in the same poses and with the same
+forces, with the opening of the fingers and by touch alone. Time is that of the cell: of a grasp
+from the first move of the closing fingers to the end of its ramp, of an identification from the
+first pose to the last release. `benchmarks.recognition.sequences` has more sequences, replayed from
+single grasps.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,8 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks._measure import line, repeats, share
-from benchmarks.recognition._answers import shape_figures
+from benchmarks._measure import line, repeats
+from benchmarks.recognition._answers import Answer, figures, shape_figures
+from benchmarks.recognition.other_cell import NEVER_TAUGHT
 from cell.build import Cell, build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
@@ -33,8 +35,12 @@ SHAPES = {
     "box": ("flat", 10.0),
     "ball": ("sphere", 9.5),
     "dumbbell": ("dumbbell", 10.0),
+    "ball 7": ("sphere", 7.0),
+    "cylinder 8": ("cylinder", 8.0),
+    "oval 8": ("oval", 8.0),
+    "cube": ("flat", 12.0),
 }
-"""Kind and thickness in mm of each configured object."""
+"""Kind and thickness in mm of each object: the configured ones, and those never taught."""
 _PER_OBJECT = 6
 _TAUGHT = 10
 _FEW_OBJECTS = 2
@@ -51,7 +57,6 @@ class Tally:
     def text(self) -> str:
         """Return the figures in words."""
         records = [record for one in self.found for record in one.records]
-        right = [one.label == truth for one, truth in zip(self.found, self.truths, strict=True)]
         grasp_s = np.mean([record.duration_s for record in records])
         contacts_s = [
             (record.outcome.contact_t_s or record.cycles[0].t_s) - record.cycles[0].t_s
@@ -60,11 +65,17 @@ class Tally:
         force_n = np.mean([record.cycles[-1].setpoint_n for record in records])
         ended = np.mean([record.early is not None for record in records])
         return (
-            f"{sum(right)} of {len(right)} right, {share(sum(right), len(right))}; "
-            f"{np.mean(self.seconds):.2f} s, {len(records) / len(right):.2f} grasps; a grasp "
+            f"{np.mean(self.seconds):.2f} s, {len(records) / len(self.found):.2f} grasps; a grasp "
             f"{grasp_s:.2f} s ({np.mean(contacts_s):.2f} s to the contact) to {force_n:.1f} N, "
             f"{100 * ended:.0f} % ended early"
         )
+
+    def answers(self, labels: Sequence[str]) -> list[Answer]:
+        """Return the answers of a bench that was taught these labels."""
+        return [
+            Answer(truth, truth in labels, one.fused.best, one.label)
+            for truth, one in zip(self.truths, self.found, strict=True)
+        ]
 
     def shape_text(self) -> str:
         """Return in words how well shapes and sizes were told."""
@@ -117,10 +128,13 @@ class Bench:
 
 @contextmanager
 def bench_of(noise: float, effort: float) -> Iterator[Bench]:
-    config = changed_config(CellConfig(), {"simulator.noise_level": noise})
+    config = CellConfig()
     labels = [entry.label for entry in config.simulator.objects]
     if effort < 0.1:
         labels = labels[:_FEW_OBJECTS]
+    new = [{"label": label, "shape": text} for label, text in NEVER_TAUGHT.items()]
+    objects = [entry.model_dump() for entry in config.simulator.objects] + new
+    config = changed_config(config, {"simulator.noise_level": noise, "simulator.objects": objects})
     cell = build_cell(config)
     try:
         yield Bench(cell, config, labels, repeats(_TAUGHT, effort, least=3))
@@ -131,15 +145,21 @@ def bench_of(noise: float, effort: float) -> Iterator[Bench]:
 def compare(bench: Bench, effort: float, *, use_aperture: bool) -> None:
     """Print whole and ended ramps."""
     whole, heads = bench.train(use_aperture=use_aperture)
+    objects = {"taught": bench.labels, "never taught": list(NEVER_TAUGHT)}
     ways = {"whole ramps": None, "ended early": heads}
-    tallies = {way: Tally() for way in ways}
-    for number, label in enumerate(bench.labels):
-        for turn in range(repeats(_PER_OBJECT, effort)):
-            for way, early in ways.items():
-                bench.identify(tallies[way], label, 1000 + 100 * turn + number, whole, early)
-    for way, tally in tallies.items():
-        line(f"    {way}", tally.text())
-        line("      shapes", tally.shape_text())
+    tallies = {way: {what: Tally() for what in objects} for way in ways}
+    for what, labels in objects.items():
+        for number, label in enumerate(labels):
+            for turn in range(repeats(_PER_OBJECT, effort)):
+                for way, early in ways.items():
+                    seed = 1000 + 100 * turn + number
+                    bench.identify(tallies[way][what], label, seed, whole, early)
+    for way, found in tallies.items():
+        answers = [one for tally in found.values() for one in tally.answers(bench.labels)]
+        line(f"    {way}", figures(answers))
+        for what, tally in found.items():
+            line(f"      {what}", tally.text())
+            line("        shapes", tally.shape_text())
 
 
 def main(effort: float = 1.0) -> None:
