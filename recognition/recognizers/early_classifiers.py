@@ -117,9 +117,9 @@ class EarlyDecider:
     earlier
         Posteriors of the earlier grasps of the same object: they count with this one.
     rule
-        When the evidence suffices, see `StopRule.suffices`; an untaught object has to be less likely
-        than that asks for. A ramp is never ended for an untaught object, nor for one that would be
-        named only because it is the last grasp.
+        When the evidence suffices, see `StopRule.suffices`; an untaught object has to be less
+        likely than that asks for. A ramp is never ended for an untaught object, nor for one that
+        would be named only because it is the last grasp.
     """
 
     def __init__(
