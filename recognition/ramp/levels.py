@@ -23,8 +23,8 @@ _FINAL_FRACTION = 0.125
 """Share of the frames from the touch on, the last ones, whose mean is the full load."""
 
 _LEAST_WIDTH = 5
-"""Fewest frames whose mean is a level, also of a fast ramp: of two, noise costs touch alone six of
-100 names. Chosen on the taught part of recorded objects and on the simulated cell, among 2 to 6."""
+"""Fewest frames whose mean is a level of a commanded ramp, which may be over in a dozen: of two,
+noise costs touch alone six of 100 names. Chosen on the simulated cell, among 2 to 6."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,7 +89,7 @@ def _of_fields(
 
 def _reduce(grasp: Grasp, ramp: Ramp) -> Levels:
     n, full = grasp.n_frames, float(grasp.pads.adc_max)
-    width = max(ramp.smoothing, _LEAST_WIDTH)
+    width = max(ramp.smoothing, _LEAST_WIDTH) if grasp.commanded else ramp.smoothing
     smooth = uniform_filter1d(ramp.load.sum(axis=1), width, mode="nearest")
     last = max(width, int(np.ceil(_FINAL_FRACTION * (n - ramp.start))))
     reference = float(smooth[-last:].mean())
