@@ -21,7 +21,7 @@ from cell.learning.training import EARLY_SECTION, load_early, train
 from gripper.errors import ServoFault
 from recognition.errors import ContactError
 from recognition.ramp.ramp import learn_rest
-from recognition.recognizer import Posterior
+from recognition.recognizer import UNKNOWN, Posterior
 from recognition.recognizers.early_classifiers import EarlyClassifiers
 
 STEP = GraspStep(pose=Pose(), force_n=6.0)
@@ -147,7 +147,7 @@ def early_model(taught: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_same_objects_are_named_in_less_time(
+def test_objects_are_named_in_less_time_and_none_wrongly(
     make_bench: Callable[..., Any],
     make_config: Callable[..., Any],
     taught: Any,
@@ -170,7 +170,8 @@ def test_the_same_objects_are_named_in_less_time(
             model=TaughtModel.load(config, early_model),
         )
     whole, early = results[False], results[True]
-    assert [t.found.label for t in early.trials] == [t.found.label for t in whole.trials]
+    for trial in (*whole.trials, *early.trials):
+        assert trial.found.label in (trial.truth, UNKNOWN)
     assert whole.n_ended_early == 0 < early.n_ended_early
     assert early.grasp_s < whole.grasp_s
     data = early.as_json()
