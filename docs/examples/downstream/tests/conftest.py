@@ -12,4 +12,4 @@ def station_cell(simulated_cell):
 @pytest.fixture
 def recognizer(station_cell):
     """Teach two of the station's parts; the third stays unknown."""
-    return station_cell.teach(["dowel", "bearing"], grasps=10)
+    return station_cell.teach(["dowel", "bearing"], grasps=20)
