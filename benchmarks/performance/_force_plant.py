@@ -280,7 +280,8 @@ class Rig:
         ends_s: list[float] = []
 
         def observe(cycle: Cycle) -> None:
-            if cycle.phase is not GripperPhase.APPROACHING and cycle.setpoint_n == final_n:
+            arrived = math.isclose(cycle.setpoint_n, final_n, rel_tol=1e-6)
+            if cycle.phase is not GripperPhase.APPROACHING and arrived:
                 ends_s.append(cycle.t_s)
 
         self.gripper.start()
