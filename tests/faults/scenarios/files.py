@@ -164,7 +164,7 @@ def damaged_recording(_row: FaultRow, *, damage: Callable[[bytes], bytes]) -> Ob
         else:
             return Observed("NOTHING", None, "taken for whole")
         found = recover_recording(path, Path(folder) / "new.mcap")
-        new = read_recording(found.path)
+        new = read_recording(found.recording)
         good = {grasp.counts.tobytes() for grasp in read_recording(whole).grasps}
         honest = new.complete and {grasp.counts.tobytes() for grasp in new.grasps} <= good
         kept = f"`recover` keeps {found.n_grasps} of {len(good)} grasps, unchanged"
