@@ -36,8 +36,9 @@ _FAR_M = 1.0
 _SLOW_CONTACT_S = (0.0, 0.05)
 """Shortest and longest time in s from the first touch to the ramp: a finger brakes, and presses
 slowly until the contact is sure (simulated cell; the rounder the object the longer)."""
-_SLOW_WAY_M = 3e-3
-"""Way in m before the touch in which fingers that travelled have slowed down."""
+_SLOW_WAY_M = 2e-3
+"""Way in m before the touch of the widest part in which fingers that travelled slow down: 0.5 mm of
+margin and 1.5 mm for mass and servo."""
 _SLOW_S = 0.5
 """Time constant in s with which foam creeps."""
 

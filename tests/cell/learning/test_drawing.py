@@ -328,11 +328,11 @@ def test_a_label_that_nothing_can_carry_is_refused_before_the_first_grasp(
 
 def test_grasps_that_stand_twice_are_noted(tmp_path: Path) -> None:
     path, nearest = tmp_path / "d.npz", ("--recognizer", "force_ramp")
-    call("teach", "ball", "--shape", BALL, "-n", 3, "-o", path)
+    call("teach", "ball", "--shape", BALL, "-n", 6, "-o", path)
     said = call("train", path, path, "-o", tmp_path / "m.npz", *nearest)
-    assert "NOTE: 3 of 6 grasps stand twice" in said
+    assert "NOTE: 6 of 12 grasps stand twice" in said
     said = call("evaluate", path, "--train", path, "--fuse", "1", *nearest)
-    assert "NOTE: 3 grasps are tested that were taught" in said
+    assert "NOTE: 6 grasps are tested that were taught" in said
     assert "stand twice" not in call("train", path, "-o", tmp_path / "m.npz", *nearest)
 
 
