@@ -47,8 +47,13 @@ _CENTRE_TAXELS = 0.3
 _CENTRE_N_TAXELS = 1.0
 """Noise of that distance for one frame times the grip force, in N times pitches: up to 0.8 on a
 cylinder of 4 mm in the simulated cell with twice its usual noise."""
-_CENTRE_LEAST_N = 1.0
-"""Grip force in N from which on the centres are compared."""
+_CENTRE_BOTH = 1.5
+"""The same for a part on many taxels, where those far from the centre count most: by so much the
+noise of frame and messages together is more than that of the frame's taxels (simulated cell, pads
+on each other, 4 to 12 N, once and twice the usual noise: 1.2 to 1.5)."""
+_CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS = 1.0, 20.0
+"""Grip force in N from which on the centres are compared, or in standard deviations of one taxel if
+that is more: of less, a frame may show a few taxels of a pad by chance."""
 _SPREAD_TAXELS = 4.0
 """Distance in pitches of the centre of the force below the threshold from that of all of it: a
 spread load leaves out other taxels in the frames than in the messages."""
@@ -95,6 +100,25 @@ class ForceCentres:
             centre_m += 0.5 * (weights @ xy_m) / total_n
         return float(centre_m[0]), float(centre_m[1])
 
+    def noise_m(
+        self, force_n: NDArray[np.float64], noise_n: NDArray[np.float64]
+    ) -> tuple[float, float]:
+        """Return the standard deviation of that centre along and across the fingers in m.
+
+        Parameters
+        ----------
+        force_n : (n_taxels,) float64
+            Normal force on each taxel in N, with a centre.
+        noise_n : (n_taxels,) float64
+            Its standard deviation in N; 0 for a taxel that is left out.
+        """
+        variance_m2 = np.zeros(2)
+        for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
+            share = force_n[taxels] / float(force_n[taxels].sum())
+            lever_m = xy_m - share @ xy_m
+            variance_m2 += 0.25 * (noise_n[taxels] ** 2 @ lever_m**2) / force_n[taxels].sum() ** 2
+        return float(np.sqrt(variance_m2[0])), float(np.sqrt(variance_m2[1]))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameForces:
@@ -108,6 +132,8 @@ class FrameForces:
     """Centre of both pads along and across the fingers in pitches; None where nothing touches."""
     noise_n: float
     """Standard deviation of each force in N."""
+    centre_noise_taxels: tuple[float, float] = (0.0, 0.0)
+    """Standard deviation of the centre by the noise of the taxels, in pitches."""
     whole_n: tuple[float, float] = (0.0, 0.0)
     """Force on all taxels of finger 0 and finger 1 in N: a load that is spread over a pad leaves
     each taxel below the threshold by noise."""
@@ -171,25 +197,26 @@ class ForceCheck:
 
     def _check_centre(self) -> None:
         """Raise ForceContradicted where the last frames have another centre than the messages."""
-        along = across = below = 0.0
-        force_n = inf
+        apart = noise2 = np.zeros(2)
+        below, force_n = 0.0, inf
         for n, pair in enumerate(self._pairs, 1):
             if pair.apart_taxels is None:
                 return
-            along += pair.apart_taxels[0]
-            across += pair.apart_taxels[1]
+            apart = apart + pair.apart_taxels
+            noise2 = noise2 + np.square(pair.centre_noise_taxels)
             below += pair.below_share
             force_n = min(force_n, sum(pair.frame_n) / 2.0)
-            apart = max(abs(along), abs(across)) / n
-            allowed = _CENTRE_TAXELS + _SIGMAS * _CENTRE_N_TAXELS / force_n / sqrt(n)
+            noise = np.maximum(_CENTRE_N_TAXELS / force_n, _CENTRE_BOTH * np.sqrt(noise2 / n))
+            allowed = _CENTRE_TAXELS + _SIGMAS * noise / sqrt(n)
             allowed += _SPREAD_TAXELS * max(below, 0.0) / n
-            if n in _WINDOWS and apart > allowed:
-                where = f"is {apart:.2f} pitches of the taxels away from that in"
-                if isinf(apart):
+            worst = int(np.argmax(np.abs(apart) / n - allowed))
+            if n in _WINDOWS and abs(apart[worst]) / n > allowed[worst]:
+                where = f"is {abs(apart[worst]) / n:.2f} pitches of the taxels away from that in"
+                if isinf(apart[worst]):
                     where = "is missing, though there is one in"
                 raise ForceContradicted(
                     f"the centre of the force in the messages {where} {n} frames of the same time, "
-                    f"{allowed:.2f} pitches are allowed: {_ADVICE}"
+                    f"{allowed[worst]:.2f} pitches are allowed: {_ADVICE}"
                 )
 
 
@@ -209,6 +236,7 @@ class _Pair:
     below_n: tuple[float, float]
     noise_n: float
     apart_taxels: tuple[float, float] | None
+    centre_noise_taxels: tuple[float, float]
     below_share: float
 
     @classmethod
@@ -221,6 +249,7 @@ class _Pair:
         grip_n = 0.5 * (first_n + second_n)
         most_n = _OUTLIER_SIGMAS * frame.noise_n
         unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
+        least_n = max(_CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS * taxel_noise_n)
         apart_n, above_n, below_n = [], [], []
         for active_n, whole_n, message_n in zip(
             frame.force_n, frame.whole_n, (first_n, second_n), strict=True
@@ -240,25 +269,33 @@ class _Pair:
             above_n=(above_n[0], above_n[1]),
             below_n=(below_n[0], below_n[1]),
             noise_n=frame.noise_n,
-            apart_taxels=_centres_apart(messages, frame, grip_n),
+            apart_taxels=_centres_apart(messages, frame, grip_n, least_n),
+            centre_noise_taxels=frame.centre_noise_taxels,
             below_share=(0.5 * (sum(frame.whole_n) - sum(frame.force_n)))
             / max(grip_n, _CENTRE_LEAST_N),
         )
 
 
 def _centres_apart(
-    messages: Sequence[ForceMessage], frame: FrameForces, message_n: float
+    messages: Sequence[ForceMessage], frame: FrameForces, message_n: float, least_n: float
 ) -> tuple[float, float] | None:
     """Return how far the centres are apart in pitches; None where the force is too light."""
-    light = min(sum(frame.force_n) / 2.0, message_n) < _CENTRE_LEAST_N
+    light = min(sum(frame.force_n) / 2.0, message_n) < least_n
     if light or frame.centre_taxels is None:
         return None
-    named = [one.centre_taxels for one in messages if one.centre_taxels is not None]
-    if not named:
+    named = [
+        (max(0.0, sum(one.force_n)), one.centre_taxels)
+        for one in messages
+        if one.centre_taxels is not None
+    ]
+    total_n = sum(force_n for force_n, _ in named)
+    if not total_n > 0.0:
         # Messages that name no centre where the frame shows one are as wrong as can be.
         return inf, inf
-    along, across = frame.centre_taxels
-    return _mean(one[0] for one in named) - along, _mean(one[1] for one in named) - across
+    # A part that is let go leaves messages of next to no force, whose centre is noise.
+    along = sum(force_n * centre[0] for force_n, centre in named) / total_n
+    across = sum(force_n * centre[1] for force_n, centre in named) / total_n
+    return along - frame.centre_taxels[0], across - frame.centre_taxels[1]
 
 
 def _mean(values: Iterable[float]) -> float:

@@ -509,13 +509,18 @@ class TactileSensor:
     ) -> None:
         pad = self._layout.pads[self._layout.gripping_pads[0]]
         centre_m = self._centres.of(scan_n)
+        centre, centre_noise = None, (0.0, 0.0)
+        noise_n = self._taxel_noise(counts, active)
+        if centre_m is not None:
+            noise_m = self._centres.noise_m(scan_n, noise_n)
+            centre = (centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m)
+            centre_noise = (noise_m[0] / pad.pitch_x_m, noise_m[1] / pad.pitch_y_m)
         shown = FrameForces(
             scanned_s=frame.scanned_s,
             force_n=(float(scan_n[self._grips[0]].sum()), float(scan_n[self._grips[1]].sum())),
-            centre_taxels=None
-            if centre_m is None
-            else (centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m),
-            noise_n=self._frame_noise_n(counts, active),
+            centre_taxels=centre,
+            noise_n=self._frame_noise_n(noise_n),
+            centre_noise_taxels=centre_noise,
             whole_n=(float(all_n[self._grips[0]].sum()), float(all_n[self._grips[1]].sum())),
         )
         try:
@@ -524,16 +529,20 @@ class TactileSensor:
             self._failed = fault
             raise
 
-    def _frame_noise_n(self, counts: Values, active: NDArray[np.bool_]) -> float:
-        """Return the noise in N of one finger's force in one frame, the larger one of both."""
+    def _taxel_noise(self, counts: Values, active: NDArray[np.bool_]) -> Values:
+        """Return the noise in N of each taxel of a gripping pad in one frame; 0 if not touched."""
         # A loaded taxel makes more force of a count than an empty one.
         slope = self._calibration.force_n(counts + 1.0) - self._calibration.force_n(counts)
-        slope /= self._per_count_n
-        largest_n2 = 0.0
+        noise_n = np.zeros(len(counts))
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
-            sum2 = float((slope[taxels][active[taxels]] ** 2).sum())
-            largest_n2 = max(largest_n2, _EDGE * max(_LEAST_TOUCHED, sum2) * taxel_n**2)
-        return sqrt(largest_n2)
+            noise_n[taxels] = taxel_n * (slope * active / self._per_count_n)[taxels]
+        return noise_n
+
+    def _frame_noise_n(self, noise_n: Values) -> float:
+        """Return the noise in N of one finger's force in one frame, the larger one of both."""
+        least = (_LEAST_TOUCHED * taxel_n**2 for taxel_n in self._taxel_noise_n)
+        shown = (float(noise_n[taxels] @ noise_n[taxels]) for taxels in self._grips)
+        return sqrt(_EDGE * max(*least, *shown))
 
     def _watch_changes(self, frame: TactileFrame) -> None:
         last_s, self._last_s = self._last_s, frame.t_s

@@ -307,3 +307,14 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
     later = SelfZeros(path=path, now_s=lambda: now_s[0])
     assert later.newest is None
     assert later.measured_s == 1.8e9
+
+
+@pytest.mark.parametrize("seed", [10, 38, 45])
+def test_pads_on_each_other_contradict_no_message_at_twice_the_noise(
+    make_bench, make_config, seed: int
+) -> None:
+    """A load on all taxels has a centre that their noise moves far, at the release too."""
+    noisy = {"simulator__noise_level": 2.0, "tactile__tare_frames": 100}
+    bench = make_bench(make_config(self_zero="always", seed=seed, **noisy))
+    bench.controller.start()
+    assert bench.controller.self_zero is not None
