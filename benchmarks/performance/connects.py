@@ -12,6 +12,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from typing import Any
 from xmlrpc.client import dumps
@@ -40,6 +41,8 @@ _ANSWER = 100
 
 _KINDS = 5
 """Kinds of clients, see `connect`."""
+_AT_ONCE = 16
+"""Clients that ask at once before the measure: the pool of threads behind a door grows by them."""
 _QUIET_S = 0.2
 """Time in s in which threads and descriptors stay as they are before they are the measure."""
 Door = tuple[int, bytes]
@@ -98,6 +101,8 @@ def settle(true: Callable[[], bool], what: str) -> None:
 def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator[Sample]:
     """Connect so often to a door, and yield a sample after each block."""
     # What a door makes at its first clients and keeps, a thread or a file, is none of theirs.
+    with ThreadPoolExecutor(_AT_ONCE) as clients:
+        list(clients.map(lambda _number: answers(door), range(4 * _AT_ONCE)))
     for number in range(_KINDS):
         connect(door, number)
     settle(lambda: answers(door), f"{name} gives no answer")
