@@ -11,6 +11,7 @@ and the zero of each taxel. All numbers of both are u16 little-endian.
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 
@@ -127,6 +128,25 @@ def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage:
         if along == _NO_CENTRE
         else (along * CENTRE_TAXELS, across * CENTRE_TAXELS),
     )
+
+
+def mean_centre_taxels(messages: Sequence[ForceMessage]) -> tuple[float, float] | None:
+    """Return the centre of what messages show together, the stronger ones for more, in pitches.
+
+    Those of next to no force, as of a part that is let go, have a centre that is noise. None where
+    none with a centre has any force.
+    """
+    loaded = [
+        (max(0.0, sum(message.force_n)), message.centre_taxels)
+        for message in messages
+        if message.centre_taxels is not None
+    ]
+    total_n = sum(force_n for force_n, _ in loaded)
+    if not total_n > 0.0:
+        return None
+    along = sum(force_n * centre[0] for force_n, centre in loaded) / total_n
+    across = sum(force_n * centre[1] for force_n, centre in loaded) / total_n
+    return along, across
 
 
 def encode_table(force_n: NDArray[np.float64]) -> bytes:

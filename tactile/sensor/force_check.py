@@ -16,7 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import ForceContradicted
-from tactile.frames.force_message import TABLE_NODES, ForceMessage, encode_table
+from tactile.frames.force_message import (
+    TABLE_NODES,
+    ForceMessage,
+    encode_table,
+    mean_centre_taxels,
+)
 from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
 
@@ -114,9 +119,9 @@ class ForceCentres:
         """
         variance_m2 = np.zeros(2)
         for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
-            share = force_n[taxels] / float(force_n[taxels].sum())
-            lever_m = xy_m - share @ xy_m
-            variance_m2 += 0.25 * (noise_n[taxels] ** 2 @ lever_m**2) / force_n[taxels].sum() ** 2
+            total_n = float(force_n[taxels].sum())
+            lever_m = xy_m - force_n[taxels] @ xy_m / total_n
+            variance_m2 += 0.25 * (noise_n[taxels] ** 2 @ lever_m**2) / total_n**2
         return float(np.sqrt(variance_m2[0])), float(np.sqrt(variance_m2[1]))
 
 
@@ -283,19 +288,11 @@ def _centres_apart(
     light = min(sum(frame.force_n) / 2.0, message_n) < least_n
     if light or frame.centre_taxels is None:
         return None
-    named = [
-        (max(0.0, sum(one.force_n)), one.centre_taxels)
-        for one in messages
-        if one.centre_taxels is not None
-    ]
-    total_n = sum(force_n for force_n, _ in named)
-    if not total_n > 0.0:
+    centre = mean_centre_taxels(messages)
+    if centre is None:
         # Messages that name no centre where the frame shows one are as wrong as can be.
         return inf, inf
-    # A part that is let go leaves messages of next to no force, whose centre is noise.
-    along = sum(force_n * centre[0] for force_n, centre in named) / total_n
-    across = sum(force_n * centre[1] for force_n, centre in named) / total_n
-    return along - frame.centre_taxels[0], across - frame.centre_taxels[1]
+    return centre[0] - frame.centre_taxels[0], centre[1] - frame.centre_taxels[1]
 
 
 def _mean(values: Iterable[float]) -> float:

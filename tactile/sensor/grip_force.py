@@ -5,7 +5,7 @@ from math import inf, sqrt
 from typing import Generic, TypeVar
 
 from tactile.frames.codec import TactileFrame
-from tactile.frames.force_message import ForceMessage, ForceStatus
+from tactile.frames.force_message import ForceMessage, ForceStatus, mean_centre_taxels
 from tactile.sensor.force_check import ForceCentres
 from tactile.sensor.sensor import TactileReading, TactileSensor
 
@@ -105,19 +105,12 @@ class GripForce(Generic[Sample]):
         )
 
     def _centre_m(self, messages: Sequence[ForceMessage]) -> tuple[float, float] | None:
-        """Return the centre of what the messages show, the stronger ones for more, in m."""
-        loaded = [
-            (max(0.0, sum(message.force_n)), message.centre_taxels)
-            for message in messages
-            if message.centre_taxels is not None
-        ]
-        total_n = sum(force_n for force_n, _ in loaded)
-        if not total_n > 0.0:
+        """Return the centre of what the messages show together, in m."""
+        centre = mean_centre_taxels(messages)
+        if centre is None:
             return None
         pad = self._sensor.layout.pads[self._sensor.layout.gripping_pads[0]]
-        along = sum(force_n * centre[0] for force_n, centre in loaded) / total_n
-        across = sum(force_n * centre[1] for force_n, centre in loaded) / total_n
-        return along * pad.pitch_x_m, across * pad.pitch_y_m
+        return centre[0] * pad.pitch_x_m, centre[1] * pad.pitch_y_m
 
     def take(self) -> list[TactileFrame]:
         """Return the frames that came in since the last call, oldest first."""

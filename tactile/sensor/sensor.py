@@ -510,7 +510,7 @@ class TactileSensor:
         pad = self._layout.pads[self._layout.gripping_pads[0]]
         centre_m = self._centres.of(scan_n)
         centre, centre_noise = None, (0.0, 0.0)
-        noise_n = self._taxel_noise(counts, active)
+        noise_n = self._shown_noise_n(counts, active)
         if centre_m is not None:
             noise_m = self._centres.noise_m(scan_n, noise_n)
             centre = (centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m)
@@ -529,7 +529,7 @@ class TactileSensor:
             self._failed = fault
             raise
 
-    def _taxel_noise(self, counts: Values, active: NDArray[np.bool_]) -> Values:
+    def _shown_noise_n(self, counts: Values, active: NDArray[np.bool_]) -> Values:
         """Return the noise in N of each taxel of a gripping pad in one frame; 0 if not touched."""
         # A loaded taxel makes more force of a count than an empty one.
         slope = self._calibration.force_n(counts + 1.0) - self._calibration.force_n(counts)
