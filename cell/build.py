@@ -261,13 +261,13 @@ def build_cell(
 
 
 def _zero_folder(config: CellConfig, folder: Path | None) -> Path | None:
-    """Return where the self-zero is kept: beside the recordings, of a real cell without them too.
+    """Return where the self-zero is kept: of a real cell where its next program looks for it.
 
-    A simulated cell that records nothing leaves nothing behind.
+    A simulated cell keeps it beside its recordings; one that records nothing leaves nothing behind.
     """
-    if folder is not None:
-        return folder.parent
-    return None if config.simulated else Path(config.recording.directory)
+    if not config.simulated:
+        return Path(config.recording.directory)
+    return None if folder is None else folder.parent
 
 
 def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:

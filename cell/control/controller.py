@@ -68,8 +68,6 @@ class CellController:
     ----------
     zero
         Zero of the taxels that the last start has taken; None before.
-    zero_note
-        Why the last start has no self-zero although one was due; empty where it has.
     """
 
     def __init__(
@@ -88,7 +86,7 @@ class CellController:
         self._config = config
         self._journal = Journal(recorder)
         self.zero: TareResult | None = None
-        self.zero_note = ""
+        self._zero_refused = ""
         self._hand = hand
         self._life = CellLifecycle(
             hand, self._journal, shows_nothing=lambda: self.shows_nothing, clock=clock
@@ -240,17 +238,22 @@ class CellController:
             self._hand.open(self._grasper.watch)
             self.zero = self._hand.tare(self._config.tactile.tare_frames)
             self._life.check_cancelled()
-            self.zero_note = ""
+            self._zero_refused = ""
             if self._zeros.due and self._zeros.wanted:
                 self._grasper.measure_zero()
             elif self._zeros.due:
-                self.zero_note = self._grasper.zero_unasked()
+                self._zero_refused = self._grasper.zero_unasked()
             self._life.complete()
 
     @property
     def self_zero(self) -> SelfZero | None:
         """What the empty fingers showed in the last day; None where it was not measured."""
         return self._zeros.newest
+
+    @property
+    def zero_note(self) -> str:
+        """Why the last start has no self-zero, or other programs will not have it; else empty."""
+        return self._zero_refused or self._zeros.unkept
 
     def check_zero(self) -> None:
         """Raise PlanRefused where the config has no self-zero for these fingers."""
@@ -276,6 +279,7 @@ class CellController:
         self._check_cancelled_between()
         with self._executing(Event.EXECUTE):
             found = self._grasper.measure_zero()
+            self._zero_refused = ""
             self._life.complete()
         return found
 

@@ -256,6 +256,8 @@ class Grasper:
     def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
         self._zeros.keep(found.zero)
         self._journal.note("self_zero", zero_text(found))
+        if self._zeros.unkept:
+            self._journal.note("note", self._zeros.unkept)
         if dead := dead_taxels_text(found, self._hand.layout):
             self._journal.note("taxels", dead)
         return found

@@ -5,12 +5,13 @@ import json
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import date
 from pathlib import Path
 from typing import Literal
 
 from cell.config.model import CellConfig
-from cell.data.files import write_atomically
+from cell.data.files import write_text
 from cell.errors import CellError, PlanRefused
 from gripper.state import GraspOutcome, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement
@@ -92,6 +93,8 @@ class SelfZeros:
     ----------
     measured_s
         Unix time in s of the last one, however old; 0 where there is none.
+    unkept
+        Why the newest one is of this program alone, its file cannot be written; else empty.
     """
 
     def __init__(
@@ -111,6 +114,7 @@ class SelfZeros:
         self._now_s = now_s
         self._last: SelfZero | None = None
         self.measured_s = 0.0
+        self.unkept = ""
         if path is not None and when != "never":
             self._read(path)
 
@@ -154,19 +158,19 @@ class SelfZeros:
             raise PlanRefused("self_zero is never: write on_demand, daily or always in the config")
 
     def keep(self, zero: SelfZero) -> None:
-        """Keep a self-zero that was measured now; raises CellError where it cannot be written."""
+        """Keep a self-zero that was measured now; `unkept` has why a file cannot."""
         self._last, self.measured_s = zero, self._now_s()
         self._new_hand = False
-        if self._path is not None:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            kept = {"measured_s": self.measured_s, "hand": self._hand} | zero_values(zero)
-            text = json.dumps(kept, indent=1)
-            write_atomically(
-                self._path,
-                lambda file: file.write(text.encode()),
-                error=CellError,
-                what="self-zero",
-            )
+        self.unkept = ""
+        if self._path is None:
+            return
+        kept = {"measured_s": self.measured_s, "hand": self._hand} | zero_values(zero)
+        try:
+            with suppress(OSError):  # What it means is told by the writing.
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(self._path, json.dumps(kept, indent=1), error=CellError, what="self-zero")
+        except CellError as error:
+            self.unkept = f"today's self-zero counts in this program alone: {error}"
 
     def _read(self, path: Path) -> None:
         try:

@@ -129,6 +129,21 @@ def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(
     assert (bent.controller.state, bent.controller.self_zero) == (CellState.IDLE, None)
 
 
+@pytest.mark.parametrize("when", ["daily", "always"])
+def test_a_zero_that_cannot_be_written_counts_in_its_program(
+    make_bench, make_config, tmp_path: Path, when: str
+) -> None:
+    """Nobody has asked a daily start for one, and a full disk is no fault of the hand."""
+    config = make_config(self_zero=when)
+    (tmp_path / "job").mkdir()
+    zero_file(tmp_path, config.name).mkdir()
+    bench = make_bench(config, folder=tmp_path / "job")
+    bench.controller.start()
+    assert (bench.controller.state, bench.controller.holding) == (CellState.IDLE, False)
+    assert bench.controller.self_zero is not None
+    assert "counts in this program alone: cannot write self-zero" in bench.controller.zero_note
+
+
 def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench, make_config) -> None:
     bench = make_bench(make_config(self_zero="daily"))
     bench.simulated.place("ball")

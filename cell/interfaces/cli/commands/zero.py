@@ -12,7 +12,7 @@ def zero(
     """
     from cell.control.self_zero import zero_text, zero_values
     from cell.interfaces.cli.session import cell_config, running_cell
-    from cell.interfaces.cli.terminal import print_line, write_json
+    from cell.interfaces.cli.terminal import print_line, print_note, write_json
 
     checked = cell_config(config)
     if checked.self_zero in ("always", "daily"):
@@ -25,6 +25,8 @@ def zero(
         before = cell.controller.self_zero
         found = cell.controller.measure_zero()
         moved_mm = None if before is None else 1e3 * (found.zero.opening_m - before.opening_m)
+        if cell.controller.zero_note:
+            print_note(cell.controller.zero_note)
     print_line(zero_text(found))
     if moved_mm is not None:
         print_line(f"{moved_mm:+.2f} mm since the last one")
