@@ -16,16 +16,12 @@ from simulator.servo.device import SimulatedServo
 from simulator.servo.faults import WireFaults
 from simulator.servo.protocol2 import (
     BROADCAST_ID,
-    FAST_BLOCK_OVERHEAD,
     MAX_ID,
-    MAX_LENGTH,
     STATUS,
-    FastBlock,
     Instruction,
     Packet,
     PacketParser,
     StatusError,
-    encode_fast_status,
     encode_status,
     words,
 )
@@ -33,9 +29,8 @@ from simulator.servo.protocol2 import (
 BITS_PER_BYTE = 10
 """Bits on the line for one byte: start bit, 8 data bits, stop bit."""
 _RESET_ALL = b"\xff"
-"""Parameter of a Factory Reset of all values, the ID included."""
-_FIRMWARE_REFUSING_RESET = 42
-"""First firmware version that does not reset its ID on a broadcast (e-Manual, Factory Reset)."""
+"""Parameter of a Factory Reset of all values, the ID included, which no servo with firmware 42 or
+later carries out on a broadcast (e-Manual, Factory Reset)."""
 _READ_REQUEST_BYTES = 5
 """Bytes of one servo in a Bulk Read: ID, address, size."""
 
@@ -47,34 +42,18 @@ class ServoBusDevice:
     ----------
     baudrate
         Line rate of the host in baud; a servo with another Baud Rate (8) stays silent.
-    usb_latency_s
-        Time in s that the adapter adds to every answer.
-    crc_error_reply
-        Whether a servo answers a damaged packet that names it with a CRC Error; silence otherwise.
     """
 
-    def __init__(
-        self,
-        servos: Sequence[SimulatedServo],
-        baudrate: int,
-        *,
-        usb_latency_s: float = 0.0,
-        crc_error_reply: bool = True,
-    ) -> None:
+    def __init__(self, servos: Sequence[SimulatedServo], baudrate: int) -> None:
         ids = [servo.servo_id for servo in servos]
         if len(set(ids)) != len(ids):
             raise SimulatorSettingsError(f"the IDs of the servos differ, got {ids}")
-        if baudrate <= 0 or usb_latency_s < 0.0:
-            raise SimulatorSettingsError(
-                f"baudrate is positive and usb_latency_s not negative, got {baudrate} and "
-                f"{usb_latency_s}"
-            )
+        if baudrate <= 0:
+            raise SimulatorSettingsError(f"baudrate is positive, got {baudrate}")
         self.servos = tuple(servos)
         self.baudrate = baudrate
         """Line rate of the host in baud; an endpoint sets it to what the client chose."""
         self.faults = WireFaults()
-        self._usb_latency_s = usb_latency_s
-        self._crc_error_reply = crc_error_reply
         self._parser = PacketParser()
         self._line_free_s = float("-inf")
         self._queue: list[tuple[float, int, bytes]] = []
@@ -102,7 +81,7 @@ class ServoBusDevice:
         end_s = max(now_s, self._line_free_s) + self._wire_s(len(data))
         self._line_free_s = end_s
         if faults.echo:
-            self._send_at(end_s + self._usb_latency_s, data)
+            self._send_at(end_s, data)
         for packet in self._parser.push(faults.request(data)):
             self._dispatch(packet, end_s)
 
@@ -157,8 +136,6 @@ class ServoBusDevice:
     def _answer_damaged(
         self, packet: Packet, hearing: Iterable[SimulatedServo], now_s: float
     ) -> None:
-        if not self._crc_error_reply:
-            return
         for servo in hearing:
             if servo.servo_id == packet.packet_id and servo.answers(packet.instruction):
                 error, _ = servo.status(StatusError.CRC)
@@ -187,9 +164,9 @@ class ServoBusDevice:
                 answers = [servo.execute(instruction, b"", now_s) for servo in same_id]
                 packets = [encode_status(same_id[0].servo_id, *answer) for answer in answers]
                 self._reply(same_id[0], _at_once(packets), now_s)
-        elif instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
+        elif instruction == Instruction.SYNC_READ:
             self._chain(instruction, _sync_requests(parameters), hearing, now_s)
-        elif instruction in {Instruction.BULK_READ, Instruction.FAST_BULK_READ}:
+        elif instruction == Instruction.BULK_READ:
             self._chain(instruction, _bulk_requests(parameters), hearing, now_s)
         elif instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
             sync = instruction == Instruction.SYNC_WRITE
@@ -198,10 +175,9 @@ class ServoBusDevice:
                 for servo in hearing:
                     if servo_id in {servo.servo_id, servo.secondary_id}:
                         servo.write(address, data, now_s)
-        elif instruction not in {Instruction.READ, Instruction.BACKUP}:
+        elif (instruction, parameters) != (Instruction.FACTORY_RESET, _RESET_ALL):
             for servo in hearing:
-                if not _refuses_broadcast(servo, packet):
-                    servo.execute(instruction, parameters, now_s)
+                servo.execute(instruction, parameters, now_s)
 
     def _chain(
         self,
@@ -212,28 +188,12 @@ class ServoBusDevice:
     ) -> None:
         """Let servos answer one after the other; the first that does not ends the chain."""
         by_id = {servo.servo_id: servo for servo in hearing}
-        fast = instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
-        if fast and sum(size + FAST_BLOCK_OVERHEAD for _, _, size in requests) >= MAX_LENGTH:
-            # The joint status would not fit into a packet.
-            return
-        speakers: list[SimulatedServo] = []
-        blocks: list[FastBlock] = []
         for servo_id, address, size in requests:
             servo = by_id.get(servo_id)
             if servo is None or not servo.answers(instruction):
                 break
-            if fast and not servo.has_fast_reads:
-                break
             error, data = servo.read(address, size, now_s)
-            if fast:
-                speakers.append(servo)
-                blocks.append(FastBlock(servo_id, error, data or bytes(size)))
-            else:
-                self._reply(servo, encode_status(servo_id, error, data), now_s)
-        if fast:
-            pieces = encode_fast_status([size for _, _, size in requests], blocks)
-            for servo, piece in zip(speakers, pieces, strict=True):
-                self._reply(servo, piece, now_s, servo.return_delay_s if piece is pieces[0] else 0)
+            self._reply(servo, encode_status(servo_id, error, data), now_s)
 
     # Line
 
@@ -249,7 +209,7 @@ class ServoBusDevice:
         self._line_free_s = end_s
         packet = self._met_by_chatter(packet, start_s, end_s)
         for late_s, data in self.faults.answer(servo.servo_id, packet):
-            self._send_at(end_s + self._usb_latency_s + late_s, data)
+            self._send_at(end_s + late_s, data)
 
     def _hear_chatter(self, until_s: float) -> None:
         """Let the host hear what another device has sent by a time."""
@@ -287,14 +247,6 @@ def _at_once(packets: Sequence[bytes]) -> bytes:
     longest = max(map(len, packets))
     padded = (packet.ljust(longest, b"\xff") for packet in packets)
     return bytes(functools.reduce(operator.and_, column) for column in zip(*padded, strict=True))
-
-
-def _refuses_broadcast(servo: SimulatedServo, packet: Packet) -> bool:
-    return (
-        packet.instruction == Instruction.FACTORY_RESET
-        and packet.parameters == _RESET_ALL
-        and servo.core.firmware >= _FIRMWARE_REFUSING_RESET
-    )
 
 
 def _sync_requests(parameters: bytes) -> list[tuple[int, int, int]]:

@@ -2,7 +2,7 @@
 
 Addresses come from `gripper.dynamixel.control_table`; what else an item accepts (minimum, maximum)
 stands here after the tables of the ROBOTIS e-Manual. Bytes between the items read as 0, as on
-the servo.
+the servo. Indirect addresses are left out: nothing here uses them.
 """
 
 import struct
@@ -10,18 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
-from gripper.dynamixel.control_table import (
-    FEEDFORWARD_1ST_GAIN,
-    GOAL_POSITION,
-    GOAL_PWM,
-    LED,
-    REGISTERS,
-    SERVO_ID,
-    STATUS_RETURN_LEVEL,
-    TORQUE_ENABLE,
-    VELOCITY_I_GAIN,
-    Register,
-)
+from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from simulator.errors import SimulatorSettingsError
 from simulator.servo.protocol2 import StatusError
@@ -31,7 +20,7 @@ TABLE_SIZE = 700
 EEPROM_END = TORQUE_ENABLE.address
 """First byte after the EEPROM items."""
 RAM_END = 168
-"""First byte after the RAM items that a boot resets; indirect addresses begin there."""
+"""First byte after the RAM items, which a boot resets."""
 GAINS = (
     "velocity_i_gain",
     "velocity_p_gain",
@@ -44,16 +33,8 @@ GAINS = (
 """Items that a change of Operating Mode sets to their defaults."""
 _X330_MODELS = frozenset({1190, 1200, 1210, 1220, 1230, 1240})
 """Model numbers of XL330-M077, XL330-M288, XC330-M181, -T181, -M288 and -T288."""
-_X330_PWM_SLOPE = 140
-"""Factory value of PWM Slope (62), which the 330 size alone has."""
-_X330_FIRMWARE_WITH_LOWER_INDIRECT_DATA = 52
-"""First firmware of the 330 size whose indirect data begin at 208 instead of 224."""
-_BACKED_UP_RAM = (
-    (LED.address, STATUS_RETURN_LEVEL.end),
-    (VELOCITY_I_GAIN.address, FEEDFORWARD_1ST_GAIN.end),
-    (GOAL_PWM.address, GOAL_POSITION.address),
-)
-"""RAM items that Control Table Backup keeps: first byte, first byte after them."""
+_RECENT_FIRMWARE, _RECENT_FIRMWARE_X330 = 48, 53
+"""Firmware versions of a servo of today: X430, X330."""
 _MODES = frozenset(OperatingMode)
 _RANGES: dict[str, tuple[int, int]] = {
     "id": (0, 252),
@@ -103,51 +84,21 @@ class WritePlan(NamedTuple):
     layout: struct.Struct
 
 
-class IndirectArea(NamedTuple):
-    """One block of indirect addresses and the data that they give access to."""
-
-    address: int
-    """First indirect address (2 bytes each)."""
-    data: int
-    """First byte of indirect data."""
-    entries: int
-    """Number of entries."""
-
-
-def indirect_areas(model: ServoModel, firmware: int) -> tuple[IndirectArea, ...]:
-    """Return the indirect blocks of a model: two of 28 on X430, one of 20 on X330."""
-    if not is_x330(model):
-        return (IndirectArea(168, 224, 28), IndirectArea(578, 634, 28))
-    data = 208 if firmware >= _X330_FIRMWARE_WITH_LOWER_INDIRECT_DATA else 224
-    return (IndirectArea(168, data, 20),)
-
-
 def is_x330(model: ServoModel) -> bool:
     """Return whether the model is of the 330 size, whose table differs in a few places."""
     return model.number in _X330_MODELS
 
 
-def _items(model: ServoModel, firmware: int) -> dict[int, Item]:
+def _items(model: ServoModel) -> dict[int, Item]:
     ranges = dict(_RANGES)
     ranges["current_limit"] = (0, model.current_limit_raw)
     ranges["velocity_limit"] = (0, 2047 if is_x330(model) else 1023)
     for name in ("max_voltage_limit", "min_voltage_limit"):
         ranges[name] = (model.min_voltage_raw, model.max_voltage_raw)
-    registers = list(REGISTERS.values())
     if is_x330(model):
         ranges["baud_rate"] = (0, 6)
-        registers.append(Register(name="pwm_slope", address=62, size=1, eeprom=True))
-        ranges["pwm_slope"] = (1, 255)
-    for area in indirect_areas(model, firmware):
-        for i in range(area.entries):
-            name = f"indirect_address_{area.address + 2 * i}"
-            registers.append(Register(name=name, address=area.address + 2 * i, size=2))
-            ranges[name] = (EEPROM_END, TABLE_SIZE - 1)
-            registers.append(
-                Register(name=f"indirect_data_{area.data + i}", address=area.data + i, size=1)
-            )
     items = {}
-    for register in registers:
+    for register in REGISTERS.values():
         low, high = ranges.get(register.name, register.bounds)
         items[register.address] = Item(**asdict(register), minimum=low, maximum=high)
     return items
@@ -156,20 +107,13 @@ def _items(model: ServoModel, firmware: int) -> dict[int, Item]:
 class ControlTable:
     """Bytes of one servo with the access rules of its items."""
 
-    def __init__(self, model: ServoModel, firmware: int) -> None:
+    def __init__(self, model: ServoModel) -> None:
         self.data = bytearray(TABLE_SIZE)
-        self._items = _items(model, firmware)
+        self._items = _items(model)
         self._defined = bytearray(TABLE_SIZE)
         for item in self._items.values():
             self._defined[item.address : item.address + item.size] = b"\x01" * item.size
         self._plans: dict[tuple[int, int], WritePlan | StatusError] = {}
-        self._indirect: dict[int, int] = {}
-        for area in indirect_areas(model, firmware):
-            for i in range(area.entries):
-                self._indirect[area.data + i] = area.address + 2 * i
-                self.set(area.address + 2 * i, 2, area.data + i)
-        self._indirect_start = min(self._indirect)
-        self._indirect_end = max(self._indirect) + 1
 
     @property
     def items(self) -> tuple[Item, ...]:
@@ -193,9 +137,7 @@ class ControlTable:
         """
         if size == 0 or address + size > TABLE_SIZE or not self._defined[address]:
             return StatusError.ACCESS
-        if address + size <= self._indirect_start or address >= self._indirect_end:
-            return bytes(self.data[address : address + size])
-        return bytes(self.data[self._target(a)] for a in range(address, address + size))
+        return bytes(self.data[address : address + size])
 
     def plan(self, address: int, size: int) -> WritePlan | StatusError:
         """Return the items that a write covers whole, or why it cannot be done."""
@@ -204,31 +146,6 @@ class ControlTable:
         if plan is None:
             plan = self._plans[key] = self._make_plan(address, size)
         return plan
-
-    def redirect(self, address: int, data: bytes) -> list[tuple[int, bytes]]:
-        """Split a write into contiguous pieces behind the indirect addresses.
-
-        A write that touches no indirect data comes back as one piece as it is.
-        """
-        end = address + len(data)
-        if end <= self._indirect_start or address >= self._indirect_end:
-            return [(address, data)]
-        pieces: list[tuple[int, bytes]] = []
-        for i, byte in enumerate(data):
-            target = self._target(address + i)
-            if pieces and pieces[-1][0] + len(pieces[-1][1]) == target:
-                pieces[-1] = (pieces[-1][0], pieces[-1][1] + bytes((byte,)))
-            else:
-                pieces.append((target, bytes((byte,))))
-        return pieces
-
-    def reads_through(self, address: int, size: int) -> bool:
-        """Return whether a read touches indirect data, which may lead anywhere."""
-        return address < self._indirect_end and address + size > self._indirect_start
-
-    def _target(self, address: int) -> int:
-        pointer = self._indirect.get(address)
-        return address if pointer is None else self.get(pointer, 2)
 
     def _make_plan(self, address: int, size: int) -> WritePlan | StatusError:
         items = []
@@ -258,7 +175,7 @@ def in_range(item: Item, value: int) -> bool:
 
 
 class ServoRegisters:
-    """Control table of one servo by the names of its items, with factory values and backup.
+    """Control table of one servo by the names of its items, with factory values.
 
     Parameters
     ----------
@@ -267,16 +184,11 @@ class ServoRegisters:
         an unknown name or a value out of range.
     """
 
-    def __init__(self, model: ServoModel, firmware: int, settings: Mapping[str, int]) -> None:
+    def __init__(self, model: ServoModel, settings: Mapping[str, int]) -> None:
         self.model = model
-        self.firmware = firmware
-        self.table = ControlTable(model, firmware)
-        self._factory = {
-            **model.factory_defaults,
-            "firmware_version": firmware,
-            **({"pwm_slope": _X330_PWM_SLOPE} if is_x330(model) else {}),
-        }
-        self._backup: bytes | None = None
+        self.table = ControlTable(model)
+        firmware = _RECENT_FIRMWARE_X330 if is_x330(model) else _RECENT_FIRMWARE
+        self._factory = {**model.factory_defaults, "firmware_version": firmware}
         self.load_factory()
         for name, value in settings.items():
             self.configure(name, value)
@@ -321,7 +233,6 @@ class ServoRegisters:
         self.put("status_return_level", self._factory["status_return_level"])
         self.put("goal_pwm", self.get("pwm_limit"))
         self.put("goal_current", self.get("current_limit"))
-        self.put("backup_ready", int(self._backup is not None))
         self.load_gains()
 
     def change_mode(self) -> None:
@@ -333,25 +244,3 @@ class ServoRegisters:
             self.put("pwm_limit", self._factory["pwm_limit"])
         self.put("goal_pwm", self.get("pwm_limit"))
         self.put("goal_current", self.get("current_limit"))
-
-    @property
-    def has_backup(self) -> bool:
-        """Whether Control Table Backup has been carried out."""
-        return self._backup is not None
-
-    def store_backup(self) -> None:
-        """Keep a copy of EEPROM and RAM (Control Table Backup)."""
-        self._backup = bytes(self.table.data)
-        self.put("backup_ready", 1)
-
-    def restore_eeprom(self) -> None:
-        """Bring the EEPROM of the backup back; without one nothing changes."""
-        if self._backup is not None:
-            start = SERVO_ID.address
-            self.table.data[start:EEPROM_END] = self._backup[start:EEPROM_END]
-
-    def restore_ram(self) -> None:
-        """Bring gains, goals and profile of the backup back; without one nothing changes."""
-        if self._backup is not None:
-            for start, end in _BACKED_UP_RAM:
-                self.table.data[start:end] = self._backup[start:end]

@@ -1,7 +1,9 @@
 """A DYNAMIXEL X servo as a Protocol 2.0 device: its answer to each instruction.
 
-Written from the ROBOTIS e-Manual ("Protocol 2.0", control tables of the X series). One object is
-one servo; `simulator.servo.bus` finds the packets and decides who speaks when.
+Written from the ROBOTIS e-Manual ("Protocol 2.0", control tables of the X series). Ping, read and
+write, one by one and of groups, reboot and factory reset are carried out; the others (registered
+writes, fast reads, clear, backup) are refused as by a firmware that does not have them. One object
+is one servo; `simulator.servo.bus` finds the packets and decides who speaks when.
 """
 
 from collections.abc import Mapping
@@ -10,7 +12,6 @@ from typing import NamedTuple
 from gripper.dynamixel.control_table import (
     BAUD_RATE,
     BUS_WATCHDOG,
-    DRIVE_MODE,
     FIRMWARE_VERSION,
     GOAL_CURRENT,
     GOAL_POSITION,
@@ -20,9 +21,6 @@ from gripper.dynamixel.control_table import (
     OPERATING_MODE,
     POSITION_D_GAIN,
     POSITION_P_GAIN,
-    PROFILE_ACCELERATION,
-    PROFILE_VELOCITY,
-    REGISTERED_INSTRUCTION,
     RETURN_DELAY_TIME,
     RETURN_DELAY_UNIT_S,
     SECONDARY_ID,
@@ -31,35 +29,21 @@ from gripper.dynamixel.control_table import (
     TORQUE_ENABLE,
 )
 from gripper.dynamixel.models import OperatingMode, ServoModel
-from simulator.servo.control_table import Item, in_range, is_x330
+from simulator.servo.control_table import Item, in_range
 from simulator.servo.firmware import (
     GOAL_END,
     GOAL_START,
     PRESENT_END,
     PRESENT_START,
-    TIME_BASED_PROFILE,
     ServoCore,
-    WatchdogStop,
 )
 from simulator.servo.motor import ServoMotor
 from simulator.servo.protocol2 import ALERT, MAX_ID, Instruction, StatusError, words
 
 RESET_ALL, RESET_ALL_BUT_ID, RESET_ALL_BUT_ID_BAUD = 0xFF, 0x01, 0x02
 """Parameter of Factory Reset."""
-BACKUP_STORE, BACKUP_RESTORE = 0x01, 0x02
-"""First parameter of Control Table Backup."""
-FIRMWARE_WITH_CLEAR = 42
-"""First firmware version of the X series that has the instruction Clear."""
-RECENT_FIRMWARE, RECENT_FIRMWARE_X330 = 48, 53
-"""Firmware versions of a servo of today: X430, X330."""
 BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 """Baud rate by the content of Baud Rate (8)."""
-_FIRMWARE_WITH_BACKUP, _FIRMWARE_WITH_BACKUP_X330 = 45, 46
-"""First firmware versions with Control Table Backup and the fast reads: X430, X330."""
-_CLEAR_KEY = b"\x01\x44\x58\x4c\x22"
-"""Parameters of Clear: option 1 (turns), and the four bytes that guard it."""
-_BACKUP_KEY = b"CTRL"
-"""Parameters of Control Table Backup after the first: four bytes that guard it."""
 _KEPT = {
     RESET_ALL: (),
     RESET_ALL_BUT_ID: ("id",),
@@ -75,76 +59,10 @@ _LIMITED_BY = {
 }
 """Address of a goal and the item that limits its magnitude."""
 _GOALS = frozenset({*_LIMITED_BY, GOAL_POSITION.address})
-_PROFILE = frozenset({PROFILE_ACCELERATION.address, PROFILE_VELOCITY.address})
-_PROFILE_TIME_LIMIT_MS = 32737
-"""Largest profile value with a time-based profile in ms (e-Manual, Profile Velocity)."""
 _GAINS_IN_USE = frozenset({POSITION_D_GAIN.address, POSITION_P_GAIN.address})
 _ANSWERS_READS, _ANSWERS_ALL = 1, 2
 """Contents of Status Return Level (68)."""
-_READS = frozenset(
-    {
-        Instruction.READ,
-        Instruction.SYNC_READ,
-        Instruction.BULK_READ,
-        Instruction.FAST_SYNC_READ,
-        Instruction.FAST_BULK_READ,
-    }
-)
-
-
-def has_backup(core: ServoCore) -> bool:
-    """Return whether the firmware has Control Table Backup and the fast reads."""
-    first = _FIRMWARE_WITH_BACKUP_X330 if is_x330(core.model) else _FIRMWARE_WITH_BACKUP
-    return core.firmware >= first
-
-
-def service(core: ServoCore, instruction: int, parameters: bytes, now_s: float) -> StatusError:
-    """Carry out a rare instruction (reset, reboot, clear, backup); others are refused."""
-    if instruction == Instruction.REBOOT:
-        core.boot(now_s)
-        return StatusError.NONE
-    if instruction == Instruction.FACTORY_RESET:
-        return _factory_reset(core, parameters, now_s)
-    if instruction == Instruction.CLEAR and core.firmware >= FIRMWARE_WITH_CLEAR:
-        return _clear(core, parameters)
-    if instruction == Instruction.BACKUP and has_backup(core):
-        return _backup(core, parameters, now_s)
-    return StatusError.INSTRUCTION
-
-
-def _factory_reset(core: ServoCore, parameters: bytes, now_s: float) -> StatusError:
-    if len(parameters) != 1:
-        return StatusError.DATA_LENGTH
-    kept = _KEPT.get(parameters[0])
-    if kept is None:
-        return StatusError.DATA_RANGE
-    core.registers.load_factory(keep=kept)
-    core.boot(now_s)
-    return StatusError.NONE
-
-
-def _clear(core: ServoCore, parameters: bytes) -> StatusError:
-    if parameters != _CLEAR_KEY:
-        return StatusError.DATA_RANGE
-    if core.moving:
-        return StatusError.RESULT_FAIL
-    core.position.fold_turns()
-    core.registers.put("goal_position", core.position.present_raw())
-    core.apply_goals()
-    return StatusError.NONE
-
-
-def _backup(core: ServoCore, parameters: bytes, now_s: float) -> StatusError:
-    if parameters[1:] != _BACKUP_KEY:
-        return StatusError.DATA_RANGE
-    if core.torque_on:
-        return StatusError.RESULT_FAIL
-    if parameters[0] == BACKUP_STORE:
-        core.registers.store_backup()
-        return StatusError.NONE
-    if parameters[0] == BACKUP_RESTORE:
-        return StatusError.NONE if core.restore_backup(now_s) else StatusError.RESULT_FAIL
-    return StatusError.DATA_RANGE
+_READS = frozenset({Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ})
 
 
 class Answer(NamedTuple):
@@ -161,14 +79,9 @@ class SimulatedServo:
 
     Parameters
     ----------
-    firmware
-        Firmware version; None takes a recent one (48 on X430, 53 on X330) that has the fast
-        reads and the backup.
     settings
         Raw values of EEPROM items by register name, over the factory's; the factory leaves the
         servo at 57600 baud with a return delay of 500 us.
-    watchdog_stop
-        What a tripped bus watchdog does to the motor.
     """
 
     def __init__(
@@ -177,24 +90,12 @@ class SimulatedServo:
         model: ServoModel,
         plant: ServoMotor,
         *,
-        firmware: int | None = None,
         settings: Mapping[str, int] | None = None,
-        watchdog_stop: WatchdogStop = WatchdogStop.HOLD,
     ) -> None:
-        if firmware is None:
-            firmware = RECENT_FIRMWARE_X330 if is_x330(model) else RECENT_FIRMWARE
-        self.core = ServoCore(
-            servo_id,
-            model,
-            plant,
-            firmware=firmware,
-            settings=settings,
-            watchdog_stop=watchdog_stop,
-        )
+        self.core = ServoCore(servo_id, model, plant, settings)
         """Registers and their effects."""
         self.made_as = servo_id
         """ID that it was made with, by which faults name it whatever its ID is now."""
-        self._registered: tuple[int, bytes] | None = None
 
     @property
     def servo_id(self) -> int:
@@ -216,11 +117,6 @@ class SimulatedServo:
     def return_delay_s(self) -> float:
         """Pause in s between an instruction and the answer, after Return Delay Time (9)."""
         return self.core.table.data[RETURN_DELAY_TIME.address] * RETURN_DELAY_UNIT_S
-
-    @property
-    def has_fast_reads(self) -> bool:
-        """Whether the firmware answers Fast Sync Read and Fast Bulk Read."""
-        return has_backup(self.core)
 
     def answers(self, instruction: int) -> bool:
         """Return whether Status Return Level (68) lets the servo answer this instruction."""
@@ -251,16 +147,14 @@ class SimulatedServo:
             number = self.core.registers.get("model_number").to_bytes(2, "little")
             return self.status(StatusError.NONE, number + bytes((version,)))
         before = self.status(StatusError.NONE)
-        error = self._execute_rare(instruction, parameters, now_s)
+        error = self._restart(instruction, parameters, now_s)
         # A servo that reboots has answered before, with the Alert bit that the reboot clears.
         return self.status(error) if error else before
 
     def read(self, address: int, size: int, now_s: float) -> Answer:
         """Return ``size`` bytes from ``address``, present values brought up to date."""
         core = self.core
-        if (address < PRESENT_END and address + size > PRESENT_START) or core.table.reads_through(
-            address, size
-        ):
+        if address < PRESENT_END and address + size > PRESENT_START:
             core.refresh(now_s)
         found = core.table.read(address, size)
         if isinstance(found, StatusError):
@@ -269,16 +163,14 @@ class SimulatedServo:
 
     def write(self, address: int, data: bytes, now_s: float) -> StatusError:
         """Write one or more whole items; nothing is written when one of them is refused."""
-        values: list[tuple[Item, int]] = []
-        for start, piece in self.core.table.redirect(address, data):
-            plan = self.core.table.plan(start, len(piece))
-            if isinstance(plan, StatusError):
-                return plan
-            for item, raw in zip(plan.items, plan.layout.unpack(piece), strict=True):
-                refused = self._check(item, raw)
-                if refused is not StatusError.NONE:
-                    return refused
-                values.append((item, raw))
+        plan = self.core.table.plan(address, len(data))
+        if isinstance(plan, StatusError):
+            return plan
+        values = list(zip(plan.items, plan.layout.unpack(data), strict=True))
+        for item, raw in values:
+            refused = self._check(item, raw)
+            if refused is not StatusError.NONE:
+                return refused
         goals = profile = False
         for item, raw in values:
             if item.address == TORQUE_ENABLE.address:
@@ -318,8 +210,6 @@ class SimulatedServo:
                 refusal = StatusError.DATA_LIMIT
             else:
                 lower, upper = -_EXTENDED_LIMIT, _EXTENDED_LIMIT
-        elif item.address in _PROFILE and data[DRIVE_MODE.address] & TIME_BASED_PROFILE:
-            upper = _PROFILE_TIME_LIMIT_MS
         elif not in_range(item, raw):
             return refusal
         return StatusError.NONE if lower <= raw <= upper else refusal
@@ -333,33 +223,17 @@ class SimulatedServo:
         elif address in _GAINS_IN_USE:
             core.apply_goals()
 
-    def _execute_rare(self, instruction: int, parameters: bytes, now_s: float) -> StatusError:
-        if instruction == Instruction.REG_WRITE:
-            return self._register(parameters)
-        if instruction == Instruction.ACTION:
-            if self._registered is None:
-                return StatusError.INSTRUCTION
-            address, data = self._registered
-            self._forget_registered()
-            return self.write(address, data, now_s)
-        error = service(self.core, instruction, parameters, now_s)
-        if self.core.table.data[REGISTERED_INSTRUCTION.address] == 0:
-            self._registered = None
-        return error
-
-    def _register(self, parameters: bytes) -> StatusError:
-        if len(parameters) < 3:
-            return StatusError.DATA_LENGTH
-        (address,) = words(parameters[:2])
-        data = parameters[2:]
-        for start, piece in self.core.table.redirect(address, data):
-            plan = self.core.table.plan(start, len(piece))
-            if isinstance(plan, StatusError):
-                return plan
-        self._registered = (address, data)
-        self.core.registers.put("registered_instruction", 1)
+    def _restart(self, instruction: int, parameters: bytes, now_s: float) -> StatusError:
+        """Carry out a reboot or a factory reset; other instructions are refused."""
+        core = self.core
+        if instruction == Instruction.FACTORY_RESET:
+            if len(parameters) != 1:
+                return StatusError.DATA_LENGTH
+            kept = _KEPT.get(parameters[0])
+            if kept is None:
+                return StatusError.DATA_RANGE
+            core.registers.load_factory(keep=kept)
+        elif instruction != Instruction.REBOOT:
+            return StatusError.INSTRUCTION
+        core.boot(now_s)
         return StatusError.NONE
-
-    def _forget_registered(self) -> None:
-        self._registered = None
-        self.core.registers.put("registered_instruction", 0)

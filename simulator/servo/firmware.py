@@ -52,12 +52,13 @@ HOMING_OFFSET_MODE_3 = 1024
 """Largest Homing Offset in pulses that position mode obeys; a larger one is ignored there."""
 REBOOT_S = 0.35
 """Time in s during which a rebooting servo does not hear or answer anything; an assumption."""
-REVERSE_MODE, TIME_BASED_PROFILE, TORQUE_ON_BY_GOAL = 0x01, 0x04, 0x08
-"""Bits of Drive Mode (e-Manual, 10)."""
+REVERSE_MODE = 0x01
+"""Bit of Drive Mode (e-Manual, 10); those of a time-based profile and of torque by goals have no
+effect here."""
 _TICKS_PER_S, _ROUNDING_TICKS = 1000.0, 1e-6
 """Rate of Realtime Tick (e-Manual, 120), and the part of a tick that rounding may take away."""
-_TORQUE_AT_BOOT, _RESTORE_AT_BOOT = 0x01, 0x02
-"""Bits of Startup Configuration (e-Manual, 60)."""
+_TORQUE_AT_BOOT = 0x01
+"""Bit of Startup Configuration (e-Manual, 60)."""
 _ARRIVED, _PROFILE_ONGOING, _TRAPEZOIDAL_PROFILE = 0x01, 0x02, 0x30
 """Bits of Moving Status (e-Manual, 123)."""
 _FOLLOWS_POSITION = frozenset(
@@ -169,16 +170,8 @@ def _counts(angle_rad: float) -> int:
     return math.floor(angle_rad / RAD_PER_PULSE + 0.5)
 
 
-def goal_command(
-    registers: ServoRegisters, position: ServoPosition, reference_rad: float
-) -> DriveCommand:
-    """Return the command to the motor that follows from Operating Mode, goals, limits and gains.
-
-    Parameters
-    ----------
-    reference_rad
-        Where the profile is now, rad; a time-based profile starts there.
-    """
+def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCommand:
+    """Return the command to the motor by Operating Mode, goals, limits and gains."""
     data = registers.table.data
     mode, sign = data[_MODE], position.sign
     pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
@@ -196,19 +189,20 @@ def goal_command(
         return DriveCommand(DriveMode.VELOCITY, velocity_rad_s=speed, duty=duty)
     if mode == OperatingMode.PWM:
         return DriveCommand(DriveMode.PWM, duty=sign * pwm / PWM_COUNTS)
-    goal_rad = position.to_rad(goal)
-    speed, ramp = _profile(registers, abs(goal_rad - reference_rad), profile, acceleration)
     limited = mode == OperatingMode.CURRENT_BASED_POSITION
+    if profile == 0 or (limited and is_x330(registers.model)):
+        # No profile is asked for, or the 330 size has none in current-based position mode.
+        profile = acceleration = 0
     d_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
     return DriveCommand(
         DriveMode.CURRENT_POSITION if limited else DriveMode.POSITION,
         current_a=abs(current_a),
-        position_rad=goal_rad,
+        position_rad=position.to_rad(goal),
         duty=duty,
         p_gain=p_gain,
         d_gain=d_gain,
-        profile_velocity_rad_s=speed,
-        profile_acceleration_rad_s2=ramp,
+        profile_velocity_rad_s=profile * RAD_S_PER_VELOCITY_UNIT,
+        profile_acceleration_rad_s2=acceleration * RAD_S2_PER_ACCELERATION_UNIT,
     )
 
 
@@ -226,22 +220,6 @@ def hold_command(registers: ServoRegisters, angle_rad: float) -> DriveCommand:
 
 def _bounded(raw: int, limit: int) -> int:
     return -limit if raw < -limit else limit if raw > limit else raw
-
-
-def _profile(
-    registers: ServoRegisters, way_rad: float, profile: int, acceleration: int
-) -> tuple[float, float]:
-    """Return velocity and acceleration limits of the profile; 0 = none.
-
-    The 330 size has no profile in current-based position mode.
-    """
-    data = registers.table.data
-    limited = data[_MODE] == OperatingMode.CURRENT_BASED_POSITION
-    if profile == 0 or (limited and is_x330(registers.model)):
-        return 0.0, 0.0
-    if data[_DRIVE] & TIME_BASED_PROFILE:  # Profile Velocity is the time for the way in ms
-        return way_rad / (profile * 1e-3), 0.0
-    return profile * RAD_S_PER_VELOCITY_UNIT, acceleration * RAD_S2_PER_ACCELERATION_UNIT
 
 
 class WatchdogStop(Enum):
@@ -265,17 +243,15 @@ class ServoCore:
         servo_id: int,
         model: ServoModel,
         plant: ServoMotor,
-        *,
-        firmware: int,
         settings: Mapping[str, int] | None = None,
-        watchdog_stop: WatchdogStop = WatchdogStop.HOLD,
     ) -> None:
-        self.registers = ServoRegisters(model, firmware, {**(settings or {}), "id": servo_id})
+        self.registers = ServoRegisters(model, {**(settings or {}), "id": servo_id})
         self.table = self.registers.table
         self.position = ServoPosition(self.registers, plant)
         """The servo's registers, their control table, and counts."""
         self.plant = plant
-        self.watchdog_stop = watchdog_stop
+        self.watchdog_stop = WatchdogStop.HOLD
+        """What a tripped bus watchdog does to the motor."""
         self.injected_error = 0
         """Bits of Hardware Error Status that a fault knob forces."""
         self.silent_until_s = -math.inf
@@ -292,11 +268,6 @@ class ServoCore:
         return self.registers.model
 
     @property
-    def firmware(self) -> int:
-        """Firmware version."""
-        return self.registers.firmware
-
-    @property
     def torque_on(self) -> bool:
         """Whether Torque Enable is 1."""
         return self.table.data[_TORQUE] != 0
@@ -311,12 +282,6 @@ class ServoCore:
         """Whether a hardware error keeps the torque off until a reboot."""
         return bool(self.table.data[_HARDWARE_ERROR] & self.table.data[SHUTDOWN.address])
 
-    @property
-    def moving(self) -> bool:
-        """Whether the velocity is above Moving Threshold (register 24)."""
-        threshold = self.registers.get("moving_threshold") * RAD_S_PER_VELOCITY_UNIT
-        return abs(self.plant.sensed_velocity_rad_s) > threshold
-
     def boot(self, now_s: float, *, blackout_s: float = REBOOT_S) -> None:
         """Start the firmware anew: RAM to its defaults, one turn, torque as configured."""
         self.registers.load_ram()
@@ -328,20 +293,8 @@ class ServoCore:
         self.plant.load_excess_s = 0.0
         self.position.fold_turns()
         self.registers.put("goal_position", self.position.present_raw())
-        startup = self.registers.get("startup_configuration")
-        if startup & _RESTORE_AT_BOOT:
-            self.registers.restore_ram()
-        self.table.data[_TORQUE] = startup & _TORQUE_AT_BOOT
+        self.table.data[_TORQUE] = self.registers.get("startup_configuration") & _TORQUE_AT_BOOT
         self.apply_goals()
-
-    def restore_backup(self, now_s: float) -> bool:
-        """Bring EEPROM and RAM back and boot; False when there is no backup."""
-        if not self.registers.has_backup:
-            return False
-        self.registers.restore_eeprom()
-        self.boot(now_s)
-        self.registers.restore_ram()
-        return True
 
     def refresh(self, now_s: float) -> None:
         """Bring registers 120 to 146 up to date."""
@@ -352,20 +305,13 @@ class ServoCore:
     def goal_written(self) -> None:
         """Carry out new goals; a motor that the watchdog stopped follows goals again."""
         self._stopped = False
-        by_goal = self.table.data[_DRIVE] & TORQUE_ON_BY_GOAL
-        if by_goal and not self.torque_on and not self.latched:
-            self.set_torque(on=True)
-            return
         self.apply_goals()
 
     def apply_goals(self) -> None:
         """Turn mode, goals, limits and gains into a command for the motor."""
         if self._stopped:
             return
-        if self.torque_on:
-            command = goal_command(self.registers, self.position, self.plant.reference_rad)
-        else:
-            command = DriveCommand()
+        command = goal_command(self.registers, self.position) if self.torque_on else DriveCommand()
         self.plant.drive(command)
 
     def change_mode(self) -> None:

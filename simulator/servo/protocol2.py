@@ -3,12 +3,10 @@
 Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". An instruction packet is
 ``FF FF FD 00 | ID | LEN | INST | parameters | CRC``, a status packet has 55 as its instruction and
 the error byte as its first parameter. From INST to the last parameter an FD is inserted after every
-``FF FF FD``; LEN and CRC count the inserted bytes. Only the status packets of the fast reads are
-not stuffed.
+``FF FF FD``; LEN and CRC count the inserted bytes.
 """
 
 import struct
-from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -29,8 +27,6 @@ _STUFFED = HEADER + b"\xfd"
 _OVERHEAD = 7
 """Bytes before INST: header, reserved byte, ID, LEN."""
 _CRC_SIZE = 2
-FAST_BLOCK_OVERHEAD = 4
-"""Bytes of one servo in a joint status beside its data: error, ID, CRC."""
 _CRC_POLYNOMIAL = 0x8005
 """Polynomial of the CRC-16 (e-Manual, "CRC Calculation")."""
 
@@ -46,18 +42,12 @@ class Instruction(IntEnum):
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
     FACTORY_RESET = 0x06
     REBOOT = 0x08
-    CLEAR = 0x10
-    BACKUP = 0x20
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
-    FAST_SYNC_READ = 0x8A
     BULK_READ = 0x92
     BULK_WRITE = 0x93
-    FAST_BULK_READ = 0x9A
 
 
 class StatusError(IntEnum):
@@ -90,12 +80,9 @@ def _crc_table() -> tuple[int, ...]:
 _CRC_TABLE = _crc_table()
 
 
-def crc16(data: bytes | bytearray, initial: int = 0) -> int:
-    """Return the CRC-16 of Protocol 2.0 (polynomial 8005, initial value 0, no reflection).
-
-    ``initial`` continues a checksum over bytes that came before.
-    """
-    crc = initial
+def crc16(data: bytes | bytearray) -> int:
+    """Return the CRC-16 of Protocol 2.0 (polynomial 8005, initial value 0, no reflection)."""
+    crc = 0
     table = _CRC_TABLE
     for byte in data:
         crc = ((crc & 0xFF) << 8) ^ table[(crc >> 8) ^ byte]
@@ -126,38 +113,6 @@ def encode_instruction(packet_id: int, instruction: int, parameters: bytes = b""
 def encode_status(packet_id: int, error: int, parameters: bytes = b"") -> bytes:
     """Return the stuffed status packet of a servo; ``error`` is the whole error byte."""
     return _packet(packet_id, stuff(bytes((STATUS, error)) + parameters))
-
-
-class FastBlock(NamedTuple):
-    """The part of one servo in the joint status of a fast read."""
-
-    servo_id: int
-    """The servo."""
-    error: int
-    """Its error byte."""
-    data: bytes
-    """What it read; its length is the one asked for."""
-
-
-def encode_fast_status(lengths: Sequence[int], blocks: Sequence[FastBlock]) -> tuple[bytes, ...]:
-    """Return the pieces of one joint status, one for each servo that answers, not stuffed.
-
-    ``lengths`` are the data lengths of all servos that were asked, in the order of the request:
-    LEN counts them even if fewer ``blocks`` follow, because each servo only adds its own piece.
-    The checksum of each piece covers everything before it, earlier checksums included.
-    """
-    length = 1 + sum(lengths) + FAST_BLOCK_OVERHEAD * len(lengths)
-    lead = _START + _ID_AND_LENGTH.pack(BROADCAST_ID, length) + bytes((STATUS,))
-    crc = 0
-    pieces = []
-    for block in blocks:
-        piece = lead + bytes((block.error, block.servo_id)) + block.data
-        crc = crc16(piece, crc)
-        tail = crc.to_bytes(_CRC_SIZE, "little")
-        crc = crc16(tail, crc)
-        pieces.append(piece + tail)
-        lead = b""
-    return tuple(pieces)
 
 
 class Packet(NamedTuple):

@@ -13,7 +13,6 @@ from simulator.clock import VirtualClock
 from simulator.realtime.terminals import ServoPty
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.firmware import WatchdogStop
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction
@@ -27,12 +26,8 @@ class ServoBench:
         ids: Sequence[int] = (1, 2),
         *,
         model: ServoModel = XM430_W350,
-        firmware: int | None = None,
         settings: Mapping[str, int] | None = None,
         baudrate: int = 1_000_000,
-        watchdog_stop: WatchdogStop = WatchdogStop.HOLD,
-        usb_latency_s: float = 0.0,
-        crc_error_reply: bool = True,
     ) -> None:
         self.clock = VirtualClock()
         self.motors = [ServoMotor(model) for _ in ids]
@@ -45,22 +40,10 @@ class ServoBench:
             )
         defaults = {"baud_rate": 3, "return_delay_time": 0}
         self.servos = [
-            SimulatedServo(
-                i,
-                model,
-                motor,
-                firmware=firmware,
-                settings={**defaults, **(settings or {})},
-                watchdog_stop=watchdog_stop,
-            )
+            SimulatedServo(i, model, motor, settings={**defaults, **(settings or {})})
             for i, motor in zip(ids, self.motors, strict=True)
         ]
-        self.device = ServoBusDevice(
-            self.servos,
-            baudrate,
-            usb_latency_s=usb_latency_s,
-            crc_error_reply=crc_error_reply,
-        )
+        self.device = ServoBusDevice(self.servos, baudrate)
         self.stream = MemoryServoStream(self.device, self.clock)
         self.clock.on_advance.append(self._advance)
         self._last_s = 0.0

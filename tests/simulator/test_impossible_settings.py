@@ -57,7 +57,6 @@ def hit(**trigger: Any) -> None:
         (lambda: SimulatedCell(SimulatorSettings(servo_baud_rate=12345)), "servo_baud_rate"),
         (lambda: ServoBusDevice([servo(), servo()], 57600), "IDs"),
         (lambda: ServoBusDevice([servo()], 0), "baudrate"),
-        (lambda: ServoBusDevice([servo()], 57600, usb_latency_s=-1.0), "usb_latency_s"),
         (lambda: hit(probability=1.5), "probability"),
         (lambda: hit(every=-1, probability=0.5), "every"),
         (lambda: servo(present_position=1), "present_position"),

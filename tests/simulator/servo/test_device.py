@@ -8,7 +8,7 @@ from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350
 from simulator.servo.protocol2 import Instruction, encode_instruction
 
-RANGE, LENGTH, LIMIT, ACCESS, FAIL, UNKNOWN = 4, 5, 6, 7, 1, 2
+RANGE, LENGTH, LIMIT, ACCESS, UNKNOWN = 4, 5, 6, 7, 2
 
 
 @pytest.mark.parametrize("model", [XM430_W350, XL330_M288, XC330_M288])
@@ -69,18 +69,12 @@ def test_what_a_write_is_answered(bench, address: int, size: int, value: int, er
     [
         (Instruction.READ, "8400", LENGTH),
         (Instruction.WRITE, "7400", LENGTH),
-        (Instruction.REG_WRITE, "74", LENGTH),
-        (Instruction.REG_WRITE, "8400 01000000", ACCESS),
         (Instruction.READ, "B902 0A00", ACCESS),
         (Instruction.READ, "4700 0100", ACCESS),
         (Instruction.READ, "8400 0000", ACCESS),
-        (Instruction.ACTION, "", UNKNOWN),
-        (Instruction.CLEAR, "02 44584C22", RANGE),
-        (Instruction.BACKUP, "03 4354524C", RANGE),
-        (Instruction.BACKUP, "01 00000000", RANGE),
-        (Instruction.BACKUP, "02 4354524C", FAIL),
         (Instruction.FACTORY_RESET, "", LENGTH),
         (Instruction.FACTORY_RESET, "05", RANGE),
+        (0x20, "01 4354524C", UNKNOWN),
         (0x77, "", UNKNOWN),
     ],
 )
@@ -98,19 +92,6 @@ def test_one_bad_item_keeps_the_whole_block_from_being_written(bench):
     data = (200).to_bytes(2, "little") + (5000).to_bytes(2, "little")
     assert bench.ask(1, Instruction.WRITE, bytes((100, 0)) + data) == (LIMIT, b"")
     assert bench.read(1, 100, 2) == 885
-
-
-def test_action_checks_the_value_when_it_is_carried_out(bench):
-    parameters = bytes((102, 0)) + (1194).to_bytes(2, "little")
-    assert bench.ask(1, Instruction.REG_WRITE, parameters) == (0, b"")
-    assert bench.ask(1, Instruction.ACTION) == (LIMIT, b"")
-
-
-def test_a_reboot_forgets_the_registered_instruction(bench):
-    bench.ask(1, Instruction.REG_WRITE, bytes((65, 0, 1)))
-    bench.ask(1, Instruction.REBOOT)
-    bench.clock.sleep(0.5)
-    assert bench.ask(1, Instruction.ACTION) == (UNKNOWN, b"")
 
 
 @pytest.mark.parametrize(("level", "answered"), [(0, "p"), (1, "prs"), (2, "prsw")])
@@ -203,17 +184,6 @@ def test_extended_position_counts_turns_until_a_reboot(servo_bench):
     assert bench.read(1, 132, 4, signed=True) == before - 3 * 4096
 
 
-def test_clear_falls_back_to_one_turn_unless_moving(servo_bench):
-    bench = multi_turn(servo_bench)
-    key = bytes.fromhex("0144584C22")
-    servo = bench.servos[0]
-    bench.motors[0].velocity_rad_s = 1.0
-    assert servo.execute(Instruction.CLEAR, key, 0.0).error == FAIL
-    bench.motors[0].velocity_rad_s = 0.0
-    assert bench.ask(1, Instruction.CLEAR, key) == (0, b"")
-    assert 0 <= bench.read(1, 132, 4, signed=True) < 4096
-
-
 @pytest.mark.parametrize("entry", ["mode", "torque"])
 def test_mode_3_falls_back_to_one_turn(servo_bench, entry: str):
     bench = multi_turn(servo_bench)
@@ -223,26 +193,6 @@ def test_mode_3_falls_back_to_one_turn(servo_bench, entry: str):
         assert bench.read(1, 132, 4, signed=True) > 4096
         bench.write(1, 64, 1, 1)
     assert 0 <= bench.read(1, 132, 4, signed=True) < 4096
-
-
-@pytest.mark.parametrize(
-    ("model", "firmware", "clear", "backup"),
-    [
-        (XM430_W350, 41, False, False),
-        (XM430_W350, 42, True, False),
-        (XM430_W350, 44, True, False),
-        (XM430_W350, 45, True, True),
-        (XL330_M288, 45, True, False),
-        (XL330_M288, 46, True, True),
-    ],
-)
-def test_firmware_from_which_on(servo_bench, model, firmware: int, clear: bool, backup: bool):
-    bench = servo_bench(model=model, firmware=firmware)
-    known = {True: 0, False: UNKNOWN}
-    assert bench.ask(1, Instruction.CLEAR, bytes.fromhex("0144584C22"))[0] == known[clear]
-    assert bench.ask(1, Instruction.BACKUP, bytes.fromhex("014354524C"))[0] == known[backup]
-    fast = encode_instruction(0xFE, Instruction.FAST_SYNC_READ, bytes((132, 0, 4, 0, 1)))
-    assert bool(bench.exchange(fast)) == backup
 
 
 def test_reboot_answers_first_then_is_deaf_and_loses_its_ram(bench):
@@ -275,52 +225,3 @@ def test_factory_reset_keeps_what_it_is_told_to(bench):
     servo = bench.servos[1]
     servo.execute(Instruction.FACTORY_RESET, b"\xff", bench.clock.monotonic())
     assert servo.servo_id == 1
-
-
-def test_backup_and_restore(bench):
-    bench.write(1, 84, 2, 700)
-    bench.write(1, 31, 1, 61)
-    assert bench.read(1, 147, 1) == 0
-    assert bench.ask(1, Instruction.BACKUP, bytes.fromhex("014354524C")) == (0, b"")
-    assert bench.read(1, 147, 1) == 1
-    bench.write(1, 84, 2, 900)
-    bench.write(1, 31, 1, 70)
-    assert bench.ask(1, Instruction.BACKUP, bytes.fromhex("024354524C")) == (0, b"")
-    bench.clock.sleep(0.5)
-    assert (bench.read(1, 84, 2), bench.read(1, 31, 1)) == (700, 61)
-    bench.write(1, 64, 1, 1)
-    assert bench.ask(1, Instruction.BACKUP, bytes.fromhex("014354524C")) == (FAIL, b"")
-
-
-def test_a_boot_brings_the_backup_back_when_it_is_told_to(bench):
-    bench.write(1, 60, 1, 2)
-    bench.write(1, 84, 2, 700)
-    bench.ask(1, Instruction.BACKUP, bytes.fromhex("014354524C"))
-    bench.write(1, 84, 2, 900)
-    bench.ask(1, Instruction.REBOOT)
-    bench.clock.sleep(0.5)
-    assert bench.read(1, 84, 2) == 700
-
-
-def test_writing_indirect_data_writes_whole_items(bench):
-    for i, target in enumerate((102, 103, 65)):
-        assert bench.write(1, 578 + 2 * i, 2, target) == 0
-    assert bench.ask(1, Instruction.WRITE, bytes((634 & 0xFF, 634 >> 8, 50, 0, 1))) == (0, b"")
-    assert (bench.read(1, 102, 2), bench.read(1, 65, 1)) == (50, 1)
-    half = bench.ask(1, Instruction.WRITE, bytes((634 & 0xFF, 634 >> 8, 50)))
-    assert half == (LENGTH, b"")
-    assert bench.write(1, 168, 2, 63) == RANGE
-
-
-def test_the_330_size_has_its_own_indirect_area_and_pwm_slope(servo_bench):
-    bench = servo_bench(model=XL330_M288)
-    assert bench.read(1, 168, 2) == 208
-    assert bench.read(1, 62, 1) == 140
-    old = servo_bench(model=XL330_M288, firmware=47)
-    assert old.read(1, 168, 2) == 224
-
-
-def test_time_based_profiles_have_a_smaller_range(servo_bench):
-    bench = servo_bench(settings={"drive_mode": 4})
-    assert bench.write(1, 112, 4, 32737) == 0
-    assert bench.write(1, 112, 4, 32738) == RANGE

@@ -53,11 +53,7 @@ def test_ping_and_scan(rusty: Any) -> None:
     assert rusty.scan([1, 2]) == {1: 1020, 2: 1020}
 
 
-@pytest.mark.parametrize("fast", [False, True])
-def test_sync_reads_of_positions_and_of_what_looks_like_a_header(
-    driver: Any, rusty: Any, fast: bool
-) -> None:
-    rusty.set_fast_sync_read(fast)
+def test_sync_reads_of_positions_and_of_what_looks_like_a_header(driver: Any, rusty: Any) -> None:
     for block, servo_id in zip(rusty.sync_read_raw_data([1, 2], 126, 10), (1, 2), strict=True):
         assert int.from_bytes(bytes(block)[6:], "little") == present(driver, servo_id)
     assert rusty.write_raw_data_with_error(1, 116, list(LOOKS_LIKE_A_HEADER)) == 0
@@ -66,9 +62,7 @@ def test_sync_reads_of_positions_and_of_what_looks_like_a_header(
     assert [bytes(block) for block in blocks] == [LOOKS_LIKE_A_HEADER] * 2
 
 
-@pytest.mark.parametrize("fast", [False, True])
-def test_alert_and_access_errors(driver: Any, rusty: Any, fast: bool) -> None:
-    rusty.set_fast_sync_read(fast)
+def test_alert_and_access_errors(driver: Any, rusty: Any) -> None:
     driver.bench.servos[1].core.injected_error = 0x20
     driver.bench.device.advance_to(time.monotonic())
     answers = rusty.sync_read_raw_data_with_error([1, 2], 132, 4)
@@ -94,9 +88,8 @@ def test_the_vendors_package_reads_and_writes(driver: Any, monkeypatch: pytest.M
     places = dynamixel_sdk.GroupSyncRead(port, packets, 126, 10)
     for i in (1, 2):
         assert places.addParam(i)
-    for read in (places.txRxPacket, places.fastSyncRead):
-        assert read() == 0
-        assert [places.getData(i, 132, 4) for i in (1, 2)] == [present(driver, i) for i in (1, 2)]
+    assert places.txRxPacket() == 0
+    assert [places.getData(i, 132, 4) for i in (1, 2)] == [present(driver, i) for i in (1, 2)]
     port.closePort()
 
 
@@ -125,5 +118,4 @@ def test_bulk_reads_and_a_bulk_write(driver: Any, bus: dxl2.MotorBus) -> None:
     asked.add_address(2, 102, 2, True)
     asked.add_address(1, 112, 4, True)
     assert good(bus.bulk_read(asked)) == [-33, 55]
-    assert good(bus.fast_bulk_read(asked)) == [-33, 55]
     assert registers(driver, 1).get("profile_velocity") == 55
