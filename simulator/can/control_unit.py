@@ -146,7 +146,7 @@ class SimulatedControlUnit(CanopenDevice):
         elif can_id == self._sync_id:
             self._sync()
         elif can_id == self._node.sdo.rx_cobid:
-            self._gate.request(data)
+            self._serve(data)
             self._time_forces()
 
     def command(self, state: str, now_s: float) -> None:
@@ -186,7 +186,6 @@ class SimulatedControlUnit(CanopenDevice):
 
     def _reset(self, *, everything: bool) -> None:
         self._node.nmt.stop_heartbeat()
-        self._gate.reset()
         self.dictionary.reset(self._layout, everything=everything)
         if everything:
             self.scanner.reset()

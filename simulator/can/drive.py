@@ -136,13 +136,12 @@ class SimulatedDrive(CanopenDevice):
         elif can_id == od.COB_HEARTBEAT + (self._number(od.CONSUMER_HEARTBEAT, 1) >> 16):
             self._host_due_s = now_s + 1e-3 * (self._number(od.CONSUMER_HEARTBEAT, 1) & 0xFFFF)
         elif can_id == self._node.sdo.rx_cobid and self._node.nmt.state != "STOPPED":
-            self._gate.request(data)
+            self._serve(data)
 
     def power_cycle(self) -> None:
         """Lose power and come back: set-up and position are lost, the axis stays where it is."""
         self._node.nmt.stop_heartbeat()
         self._node.data_store.clear()
-        self._gate.reset()
         self.state = State.NOT_READY_TO_SWITCH_ON
         self._error_code = self._control = 0
         self._acknowledged = self._reached = self._at_switch = False

@@ -1,18 +1,25 @@
 """A CANopen device in the time of the simulation: boot-up, heartbeat, EMCY, SDO, without a bus."""
 
+import logging
 import math
+import struct
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import canopen
 from canopen.nmt import NMT_COMMANDS
+from canopen.sdo.server import SdoServer
 
-from simulator.can.object_dictionary import SdoGate
 from simulator.errors import SimulatorStateError
 
 RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
 """NMT commands that canopen's node does not carry out."""
+
+_SDO_BYTES = 8
+# What the server refuses is an abort to the client, and no error of the simulator.
+logging.getLogger(SdoServer.__module__).setLevel(logging.CRITICAL)
 
 SendBurst = Callable[[float, int, list[bytes]], float]
 """Takes the time in s at which messages are ready, their identifier and their data; sends them one
@@ -108,11 +115,6 @@ class CanopenDevice:
         self._node = make(node_id, dictionary)
         self._network = DeviceNetwork(self._emit, start_s)
         self._node.associate_network(self._network)
-        sdo = self._node.sdo
-        self._gate = SdoGate(
-            serve=lambda data: sdo.on_request(sdo.rx_cobid, data, self._network.now_s),
-            respond=lambda data: self._network.send_message(sdo.tx_cobid, data),
-        )
 
     def connect(self, send: SendBurst) -> None:
         """Plug the device into a bus."""
@@ -124,6 +126,14 @@ class CanopenDevice:
         if self._send is None:
             raise SimulatorStateError("the device is not connected to a bus: connect() first")
         return self._send
+
+    def _serve(self, request: bytes) -> None:
+        """Answer one SDO request; a message that is not of 8 bytes is none."""
+        sdo = self._node.sdo
+        # An abort names the object of the transfer: before the first one there is none to name.
+        with suppress(struct.error):
+            if len(request) == _SDO_BYTES:
+                sdo.on_request(sdo.rx_cobid, bytearray(request), self._network.now_s)
 
     def next_event_s(self) -> float:
         """Return when the device next sends something by itself, in s; infinity for never."""
@@ -145,8 +155,6 @@ class CanopenDevice:
         return False
 
     def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
-        if can_id == self._node.sdo.tx_cobid:
-            self._gate.response(data)
         send = self.send
         if not self._silenced():
             send(t_s, can_id, [data])

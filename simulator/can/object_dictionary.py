@@ -1,13 +1,11 @@
-"""The control unit's object dictionary: its EDS, filled, and the guard of its SDO server.
+"""The control unit's object dictionary: its EDS, filled.
 
 canopen's LocalNode keeps the values and serves them by SDO. What it leaves open is done here:
-values that live elsewhere in the unit, limits from the EDS, sub-indices of plain variables, the
-rules of CiA 301 on which object may be written when, and requests that its server cannot answer.
+values that live elsewhere in the unit, limits from the EDS, sub-indices of plain variables, and the
+rules of CiA 301 on which object may be written when.
 """
 
-import struct
 from collections.abc import Callable, Mapping
-from enum import Enum, IntEnum
 from typing import Any
 
 import canopen
@@ -18,12 +16,8 @@ from tactile.errors import FrameError
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary as unit_od
 
-UNKNOWN_COMMAND = 0x0504_0001
-OUT_OF_MEMORY = 0x0504_0005
 NO_OBJECT = 0x0602_0000
 NOT_MAPPABLE = 0x0604_0041
-TOO_LONG = 0x0607_0012
-TOO_SHORT = 0x0607_0013
 NO_SUBINDEX = 0x0609_0011
 VALUE_RANGE = 0x0609_0030
 VALUE_HIGH = 0x0609_0031
@@ -33,21 +27,6 @@ WRONG_STATE = 0x0800_0022
 NO_DATA = 0x0800_0024
 """SDO abort codes (CiA 301, 7.2.4.3.17)."""
 
-MAX_DOWNLOAD_BYTES = 1024
-"""A download of more than this is refused: no object of the unit is that long."""
-
-_ABORT = struct.Struct("<BHBL")
-"""An SDO abort: command, index, sub-index, abort code."""
-_INITIATE = struct.Struct("<BHB")
-"""Head of a request that begins a transfer: command, index, sub-index."""
-_SDO_BYTES = 8
-_SEGMENT_BYTES = 7
-_COMMAND_SHIFT = 5
-"""The command specifier is in the three top bits of the first byte."""
-_SIZE_INDICATED, _EXPEDITED = 0x01, 0x02
-"""Bits of the first byte of an initiate: its size stands behind, its data stand behind."""
-_LAST_SEGMENT = 0x01
-"""Bit of the first byte of a segment: no more segments follow."""
 _COB_ID_BITS = 0x7FF
 """Bits of a COB-ID entry that are the identifier of 11 bits."""
 _FRAME_BIT_AND_COB_ID = 0x3FFF_FFFF
@@ -70,133 +49,6 @@ _FORCE_FIELDS = {
     6: slice(7, 8),
 }
 """Bytes of a force message that the sub-indices of object 0x2140 are."""
-
-
-class _ClientCommand(IntEnum):
-    """Command specifiers of an SDO client (CiA 301, 7.2.4.3)."""
-
-    DOWNLOAD_SEGMENT = 0
-    INITIATE_DOWNLOAD = 1
-    INITIATE_UPLOAD = 2
-    UPLOAD_SEGMENT = 3
-    ABORT = 4
-
-
-class _ServerCommand(IntEnum):
-    """Command specifiers of an SDO server."""
-
-    UPLOAD_SEGMENT = 0
-    INITIATE_UPLOAD = 2
-    ABORT = 4
-
-
-class _Transfer(Enum):
-    """Transfer of several segments that is going on."""
-
-    NONE = 0
-    UPLOAD = 1
-    DOWNLOAD = 2
-
-
-class SdoGate:
-    """Gate of an SDO server: passes the requests on that canopen's server can answer.
-
-    That server answers expedited and segmented transfers. It has no notion of a segment without a
-    transfer, of a transfer without an end or of block transfers, and fails on requests that are too
-    short. The gate refuses those with the abort codes of CiA 301.
-
-    Parameters
-    ----------
-    serve
-        Hands a request to the server.
-    respond
-        Sends 8 bytes to the client.
-    """
-
-    def __init__(
-        self, serve: Callable[[bytearray], None], respond: Callable[[bytes], None]
-    ) -> None:
-        self._serve = serve
-        self._respond = respond
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the transfer that is going on."""
-        self._transfer = _Transfer.NONE
-        self._index, self._subindex = 0, 0
-        self._received = 0
-        self._size: int | None = None
-
-    def request(self, data: bytes) -> None:
-        """Answer one request; requests that are not 8 bytes long are no SDO and stay unheard."""
-        if len(data) != _SDO_BYTES:
-            return
-        command = data[0] >> _COMMAND_SHIFT
-        if command == _ClientCommand.DOWNLOAD_SEGMENT:
-            self._download_segment(data)
-        elif command == _ClientCommand.INITIATE_DOWNLOAD:
-            self._initiate_download(data)
-        elif command == _ClientCommand.INITIATE_UPLOAD:
-            _, self._index, self._subindex = _INITIATE.unpack_from(data)
-            self._transfer = _Transfer.NONE
-            self._serve(bytearray(data))
-        elif command == _ClientCommand.UPLOAD_SEGMENT:
-            if self._transfer is _Transfer.UPLOAD:
-                self._serve(bytearray(data))
-            else:
-                self._abort(UNKNOWN_COMMAND)
-        elif command == _ClientCommand.ABORT:
-            self.reset()
-        else:  # block transfers and what is not defined
-            _, self._index, self._subindex = _INITIATE.unpack_from(data)
-            self._abort(UNKNOWN_COMMAND)
-
-    def response(self, data: bytes) -> None:
-        """Follow the transfer by a response of the server; call it with each of them."""
-        command = data[0] >> _COMMAND_SHIFT
-        if command == _ServerCommand.INITIATE_UPLOAD:
-            if not data[0] & _EXPEDITED:
-                self._transfer = _Transfer.UPLOAD
-        elif command == _ServerCommand.UPLOAD_SEGMENT:
-            if data[0] & _LAST_SEGMENT:
-                self._transfer = _Transfer.NONE
-        elif command == _ServerCommand.ABORT:
-            self._transfer = _Transfer.NONE
-
-    def _initiate_download(self, data: bytes) -> None:
-        _, self._index, self._subindex = _INITIATE.unpack_from(data)
-        self._transfer = _Transfer.NONE
-        if not data[0] & _EXPEDITED:
-            sized = data[0] & _SIZE_INDICATED
-            self._size = int.from_bytes(data[_INITIATE.size :], "little") if sized else None
-            if self._size is not None and self._size > MAX_DOWNLOAD_BYTES:
-                self._abort(OUT_OF_MEMORY)
-                return
-            self._received = 0
-            self._transfer = _Transfer.DOWNLOAD
-        self._serve(bytearray(data))
-
-    def _download_segment(self, data: bytes) -> None:
-        if self._transfer is not _Transfer.DOWNLOAD:
-            self._abort(UNKNOWN_COMMAND)
-            return
-        last = bool(data[0] & _LAST_SEGMENT)
-        self._received += _SEGMENT_BYTES - (data[0] >> 1 & 0x07)  # less the bytes without data
-        if self._received > MAX_DOWNLOAD_BYTES:
-            self._abort(OUT_OF_MEMORY)
-        elif self._size is not None and self._received > self._size:
-            self._abort(TOO_LONG)
-        elif last and self._size is not None and self._received < self._size:
-            self._abort(TOO_SHORT)
-        else:
-            self._serve(bytearray(data))
-            if last:
-                self._transfer = _Transfer.NONE
-
-    def _abort(self, code: int) -> None:
-        self._transfer = _Transfer.NONE
-        command = _ServerCommand.ABORT << _COMMAND_SHIFT
-        self._respond(_ABORT.pack(command, self._index, self._subindex, code))
 
 
 class UnitDictionary:

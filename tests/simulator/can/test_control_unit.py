@@ -378,22 +378,13 @@ def test_the_mapping_can_be_written_again_but_not_changed(line: Line) -> None:
 @pytest.mark.parametrize(
     ("requests", "code"),
     [
-        (["60 00 00 00 00 00 00 00"], 0x0504_0001),
-        (["00 00 00 00 00 00 00 00"], 0x0504_0001),
-        (["A0 00 22 00 7F 00 00 00"], 0x0504_0001),
         (["C2 17 10 00 02 00 00 00"], 0x0504_0001),
-        (["E0 17 10 00 02 00 00 00"], 0x0504_0001),
         (["40 08 10 00 00 00 00 00", "70 00 00 00 00 00 00 00"], 0x0503_0000),
-        (["40 08 10 00 00 00 00 00", "00 31 32 33 00 00 00 00"], 0x0504_0001),
-        (["21 17 10 00 02 00 00 00", "60 00 00 00 00 00 00 00"], 0x0504_0001),
-        (["21 17 10 00 FF FF FF FF"], 0x0504_0005),
-        (["21 17 10 00 02 00 00 00", "09 01 02 03 00 00 00 00"], 0x0607_0012),
-        (["21 17 10 00 02 00 00 00", "0D 01 00 00 00 00 00 00"], 0x0607_0013),
         (["40 30 21 01 00 00 00 00"], 0x0601_0001),
         (["40 17 10 01 00 00 00 00"], 0x0609_0011),
     ],
 )
-def test_hostile_sdo_requests_are_aborted_and_leave_the_server_working(
+def test_wrong_sdo_requests_are_aborted_and_leave_the_server_working(
     line: Line, requests: list[str], code: int
 ) -> None:
     *before, last = requests
@@ -402,23 +393,6 @@ def test_hostile_sdo_requests_are_aborted_and_leave_the_server_working(
     assert abort_code(line.sdo(bytes.fromhex(last))) == code
     assert line.read(od.DEVICE_NAME) == b"Tactile control unit"
     assert line.write(od.HEARTBEAT_MS, 0, 100, 2) == 0
-
-
-def test_a_download_without_an_end_is_cut_off(line: Line) -> None:
-    line.sdo(bytes.fromhex("20 17 10 00 00 00 00 00"))
-    toggle = 0
-    for _ in range(200):
-        data = line.sdo(bytes((toggle, *range(7))))
-        if data[0] == 0x80:
-            break
-        toggle ^= 0x10
-    assert abort_code(data) == 0x0504_0005
-
-
-def test_an_abort_of_the_client_ends_the_transfer(line: Line) -> None:
-    line.sdo(bytes.fromhex("40 08 10 00 00 00 00 00"))
-    assert line.tell(SDO_IN, bytes.fromhex("80 08 10 00 00 00 04 05")) == []
-    assert abort_code(line.sdo(bytes.fromhex("60 00 00 00 00 00 00 00"))) == 0x0504_0001
 
 
 def test_faults_of_the_converter_show_in_the_frames(line: Line) -> None:
