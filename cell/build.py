@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, assert_never
+from typing import TYPE_CHECKING, Any, assert_never
 
 from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
@@ -48,7 +48,9 @@ from motion.bus import Watch
 from simulator.cell import SimulatedCell
 from simulator.clock import Pace
 from tactile.can.bus import CanBus, close_bus, open_bus
-from tactile.sensor.sensor import SensorLink
+
+if TYPE_CHECKING:
+    from tactile.unit.link import TactileLink
 
 _IDLE_STEP_S = 0.02
 """Virtual time in s from one look at a paced cell with empty fingers to the next: one frame."""
@@ -116,7 +118,7 @@ class Cell:
         return None if fault is None else str(fault)
 
     @property
-    def link(self) -> SensorLink:
+    def link(self) -> "TactileLink":
         """The link to the control unit, of a cell whose loop runs in this process, for tests."""
         return self.controller.local_hand.link
 

@@ -1,6 +1,7 @@
 """The hand in this process: its loop runs in the thread that commands it."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from cell.hand.interface import HandStatistics, Measured, Watch
 from cell.hand.lines import Lines
@@ -17,9 +18,12 @@ from gripper.state import (
 from tactile.errors import BusOff, ReceiveLoopDead, ZeroDrifted
 from tactile.layout import TaxelLayout
 from tactile.sensor.grip_force import GripForce
-from tactile.sensor.sensor import SensorLink, TactileReading, TactileSensor
+from tactile.sensor.sensor import TactileReading, TactileSensor
 from tactile.sensor.tare import TareResult
 from tactile.unit.settings import NodeIdentity
+
+if TYPE_CHECKING:
+    from tactile.unit.link import TactileLink
 
 
 class LocalHand:
@@ -61,7 +65,7 @@ class LocalHand:
         return self.gripper.bus
 
     @property
-    def link(self) -> SensorLink:
+    def link(self) -> "TactileLink":
         """The link to the control unit, likewise."""
         return self.sensor.link
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,20 +59,6 @@ class PadPair:
         return first, second
 
 
-class Contact(Protocol):
-    """What the pads may press on."""
-
-    def settle(
-        self, position_m: tuple[float, float], friction_n: float
-    ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return force in N and stiffness in N/m on each pad at half openings in m."""
-        ...
-
-    def taxel_force_n(self, side: int, position_m: tuple[float, float]) -> NDArray[np.float64]:
-        """Return the force in N on each taxel of one pad, shape (rows * columns,), row-major."""
-        ...
-
-
 class PadsMeet:
     """The two pads that press on each other, foam on foam; nothing is between them.
 
@@ -112,7 +97,7 @@ class PadsMeet:
     def settle(
         self, position_m: tuple[float, float], friction_n: float
     ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the forces and stiffnesses of pads that meet; see `Contact`."""
+        """Return force in N and stiffness in N/m on each pad at half openings in m."""
         opening_m = position_m[0] + position_m[1]
         if opening_m >= self._highest_m:
             return (0.0, 0.0), (0.0, 0.0)
@@ -131,7 +116,7 @@ class PadsMeet:
         return self._table
 
     def taxel_force_n(self, side: int, position_m: tuple[float, float]) -> NDArray[np.float64]:
-        """Return the force in N on each taxel of one pad; see `Contact`."""
+        """Return the force in N on each taxel of one pad, shape (rows * columns,), row-major."""
         (total_n, _), _ = self.settle(position_m, 0.0)
         depth_m = self._reach_m[side] - position_m[0] - position_m[1]
         grid = self._grids[side]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simulator.clock import ROUNDING_S
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.world.foam import Foam
-from simulator.world.press import Contact, PadPair, PadsMeet, Press
+from simulator.world.press import PadPair, PadsMeet, Press
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, Shape, resting_pose
 from simulator.world.taxels import EQUATION_11, NoiseModel, PadGrid, SensorLaw, ideal_counts
@@ -317,7 +317,7 @@ class PhysicalWorld:
         return max(self._force_n) > 0.0 or self._fingertip_n is not None
 
     @property
-    def _contact(self) -> Contact:
+    def _contact(self) -> Press | PadsMeet:
         """What the pads press on: the object, or each other."""
         return self._empty if self._press is None else self._press
 

@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 from itertools import islice
-from typing import Protocol
 
 import can
 
@@ -20,29 +19,6 @@ _RECEIVE_S = 0.05
 """Longest wait in s of the thread for a message: so fast it ends when it shall."""
 _JOIN_S = 2.0
 """Longest wait in s for the thread's end."""
-
-
-class MessageSource(Protocol):
-    """Source of messages in the order of reception, each with its monotonic time."""
-
-    def start(self) -> None:
-        """Begin to receive; what came before is dropped."""
-        ...
-
-    def drain(self) -> list[Stamped]:
-        """Return all messages that came since the last call; does not wait.
-
-        Raises BusOff when the interface failed, ReceiveLoopDead when nothing receives any more.
-        """
-        ...
-
-    def wait(self, timeout_s: float) -> None:
-        """Let time pass, at most ``timeout_s``, for messages to come."""
-        ...
-
-    def close(self) -> None:
-        """Stop to receive; does not raise."""
-        ...
 
 
 def interface_failed(error: Exception) -> BusOff:
@@ -190,3 +166,7 @@ class ThreadedReceiver:
         if self._thread is not None:
             self._thread.join(_JOIN_S)
             self._thread = None
+
+
+MessageSource = PolledSource | ThreadedReceiver
+"""Where received messages come from, in their order, each with its monotonic time."""

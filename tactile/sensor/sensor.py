@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf, sqrt
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from tactile.errors import (
     CalibrationError,
     ForceContradicted,
     FrameTimeout,
-    LinkFault,
     ZeroDrifted,
     require_at_least,
 )
@@ -34,10 +33,10 @@ from tactile.sensor.filters import (
 from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
 from tactile.sensor.quality import QualityLimits, QualityWatch
 from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
-from tactile.unit.settings import LinkStatistics, NodeIdentity
+from tactile.unit.settings import NodeIdentity
 
 if TYPE_CHECKING:
-    from tactile.can.bus import CanBus
+    from tactile.unit.link import TactileLink
 
 _KEPT_FORCES = 1000
 """Force messages that wait to be taken: five seconds at 200 a second; older ones are dropped."""
@@ -131,49 +130,6 @@ class TactileReading:
         return self.frame.t_s
 
 
-class SensorLink(Protocol):
-    """Source of frames and force messages; `TactileLink` is one."""
-
-    @property
-    def statistics(self) -> LinkStatistics:
-        """Counts since the last start."""
-        ...
-
-    @property
-    def fault(self) -> LinkFault | None:
-        """The latched fault, None while there is none."""
-        ...
-
-    @property
-    def sends_forces(self) -> bool:
-        """Whether there are force messages."""
-        ...
-
-    def use(self, bus: "CanBus") -> None:
-        """Take a bus that was opened anew in the place of a lost one, before the next start."""
-        ...
-
-    def start(self) -> NodeIdentity:
-        """Begin."""
-        ...
-
-    def poll(self) -> tuple[TactileFrame, ...]:
-        """Return the whole frames since the last call, oldest first; does not wait."""
-        ...
-
-    def take_forces(self) -> tuple[ForceMessage, ...]:
-        """Return the force messages that the polls since the last call took in, oldest first."""
-        ...
-
-    def write_zero(self, zero: bytes) -> None:
-        """Give the unit the zero by which it sums; see `tactile.frames.force_message`."""
-        ...
-
-    def close(self) -> None:
-        """End."""
-        ...
-
-
 class TactileSensor:
     """The tactile sensor: tares the frames of a link and turns them into forces.
 
@@ -187,7 +143,7 @@ class TactileSensor:
 
     def __init__(
         self,
-        link: SensorLink,
+        link: "TactileLink",
         layout: TaxelLayout,
         calibration: Calibration,
         *,
@@ -267,7 +223,7 @@ class TactileSensor:
         return self._tare
 
     @property
-    def link(self) -> SensorLink:
+    def link(self) -> "TactileLink":
         """Where frames and force messages come from."""
         return self._link
 

@@ -62,8 +62,6 @@ class TactileLink:
         Monotonic time; real time if ``settings.threaded``.
     force_table
         Object 0x2141, the table by which the unit sums the force; None: no force messages.
-    source
-        Where messages come from; by default a thread or the bus, after ``settings.threaded``.
     """
 
     def __init__(
@@ -75,7 +73,6 @@ class TactileLink:
         clock: Clock,
         settings: LinkSettings | None = None,
         force_table: bytes | None = None,
-        source: MessageSource | None = None,
     ) -> None:
         if not 1 <= node_id <= 127:
             raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
@@ -90,7 +87,7 @@ class TactileLink:
         # What the unit sums is of use only where it sums the pads that grip, each as it sits.
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
         self._force_table = force_table if sums else None
-        self._source: MessageSource = source or self._new_source()
+        self._source = self._new_source()
         self._session = self._new_session()
         self._running = False
         self._fault: LinkFault | None = None
