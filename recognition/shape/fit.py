@@ -11,7 +11,7 @@ of the opening. Their priors are divided out, so that several grasps can be mult
 prior counted once.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,18 +24,77 @@ from recognition.shape.residuals import FOAM, PadUncertainty, ShapeProblem
 
 Array = NDArray[np.float64]
 
-_MAX_STEPS = 18
-"""Most steps of Levenberg-Marquardt."""
-_MAX_TRIALS = 6
-"""Most dampings that are tried in one step."""
+_STEPS, _TRIALS = 18, 6
+"""Most steps of Levenberg-Marquardt, and most dampings that are tried in one step."""
 _ENOUGH = 0.05
 """Fall of the cost, a sum of squares over variances, below which the fit has converged."""
-_MAX_STEP = 1.0
+_LONGEST = 1.0
 """Longest step of one parameter, in its unit (logarithms, mm, rad)."""
 _DAMPING, _LEAST_DAMPING = 1e-2, 1e-6
 """Damping at the start and its least value, as a share of the diagonal of the normal matrix."""
 _LESS, _MORE = 0.2, 8.0
 """Factors on the damping after a step that lowers the cost, and after one that does not."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Look:
+    """What the data show at some parameters."""
+
+    residuals: Array
+    """(n_data,) float64: over their standard deviations."""
+    normal: Array
+    gradient: Array
+    """(n, n) and (n,) float64: J^T J and J^T r, J the Jacobian of the residuals."""
+
+    @classmethod
+    def of(cls, residuals: Array, jacobian: Array) -> "Look":
+        """Return the look of residuals (n_data,) and their Jacobian (n_data, n)."""
+        return cls(
+            residuals=residuals, normal=jacobian.T @ jacobian, gradient=jacobian.T @ residuals
+        )
+
+
+def minimise(
+    look: Callable[[Array], Look],
+    theta: Array,
+    mean: Array,
+    sd: Array,
+    *,
+    steps: int,
+    trials: int,
+    longest: float,
+) -> tuple[Array, float, Look]:
+    """Minimise squared residuals and a prior of ``mean`` and ``sd`` (n,) by Levenberg-Marquardt.
+
+    ``look`` gives what the data show; ``longest`` is the longest step of one parameter, in its
+    unit. Returns the best parameters, the sum of squares, and what the data show there.
+    """
+
+    def cost_of(theta: Array, here: Look) -> float:
+        away = (theta - mean) / sd
+        return float(here.residuals @ here.residuals + away @ away)
+
+    precision = sd**-2
+    damping = _DAMPING
+    here = look(theta)
+    cost = cost_of(theta, here)
+    for _ in range(steps):
+        normal = here.normal + np.diag(precision)
+        gradient = here.gradient + precision * (theta - mean)
+        gain = 0.0
+        for _ in range(trials):
+            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            trial = theta + np.clip(step, -longest, longest)
+            there = look(trial)
+            new = cost_of(trial, there)
+            if new < cost:
+                gain, theta, cost, here = cost - new, trial, new, there
+                damping = max(_LESS * damping, _LEAST_DAMPING)
+                break
+            damping *= _MORE
+        if gain < _ENOUGH:
+            break
+    return theta, cost, here
 
 
 def misfit_of(
@@ -173,54 +232,30 @@ def fit_shape(
     if model.turns:
         # A turn has no preferred value: its prior only bounds it, around where it starts.
         problem.mean[problem.pose + 2] = starts[int(np.argmin(first)), problem.pose + 2]
-    theta, residuals, jacobian = _minimise(problem, starts[int(np.argmin(first))])
-    normal = jacobian.T @ jacobian
+    theta, _, found = minimise(
+        lambda theta: Look.of(*problem.around(theta)),
+        starts[int(np.argmin(first))],
+        problem.mean,
+        problem.sd,
+        steps=_STEPS,
+        trials=_TRIALS,
+        longest=_LONGEST,
+    )
     return ShapeFit(
         model=model,
         theta=theta,
-        normal=normal,
-        gradient=jacobian.T @ residuals,
+        normal=found.normal,
+        gradient=found.gradient,
         prior_mean=problem.mean,
         prior_sd=problem.sd,
-        chi2=float(residuals @ residuals),
+        chi2=float(found.residuals @ found.residuals),
         misfit=misfit_of(
-            residuals * residuals,
-            data.informative(len(residuals)),
-            n_determined(normal, problem.sd),
+            found.residuals * found.residuals,
+            data.informative(len(found.residuals)),
+            n_determined(found.normal, problem.sd),
         ),
         n_shared=problem.n - problem.rest,
     )
-
-
-def _minimise(problem: ShapeProblem, theta: Array) -> tuple[Array, Array, Array]:
-    """Return the best parameters, and residuals and Jacobian of the data there."""
-    precision = problem.sd**-2
-    damping = _DAMPING
-    residuals, jacobian = problem.around(theta)
-    cost = _cost(residuals, theta, problem)
-    for _ in range(_MAX_STEPS):
-        normal = jacobian.T @ jacobian + np.diag(precision)
-        gradient = jacobian.T @ residuals + precision * (theta - problem.mean)
-        gain = 0.0
-        for _ in range(_MAX_TRIALS):
-            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-            trial = theta + np.clip(step, -_MAX_STEP, _MAX_STEP)
-            new_residuals, new_jacobian = problem.around(trial)
-            new = _cost(new_residuals, trial, problem)
-            if new < cost:
-                gain = cost - new
-                theta, cost, residuals, jacobian = trial, new, new_residuals, new_jacobian
-                damping = max(_LESS * damping, _LEAST_DAMPING)
-                break
-            damping *= _MORE
-        if gain < _ENOUGH:
-            break
-    return theta, residuals, jacobian
-
-
-def _cost(residuals: Array, theta: Array, problem: ShapeProblem) -> float:
-    away = (theta - problem.mean) / problem.sd
-    return float(residuals @ residuals + away @ away)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.ramp.ramp import learn_rest
-from recognition.shape.fit import misfit_of, n_determined
+from recognition.shape.fit import Look, minimise, misfit_of, n_determined
 from recognition.shape.foam import FoamModel, PadBed, closed_columns_m, neighbours
 from recognition.shape.models import Drawing, posed
 from recognition.shape.pressed_pads import PressedPads, reduce_to_pads
@@ -39,11 +39,9 @@ _DEPTH_MM, _DEPTH_SD_MM = 1.2, 1.0
 """Mean and standard deviation of the prior of a depth in mm."""
 _STEP = 1e-3
 """Step of the numerical derivative, in the unit of each parameter."""
-_MAX_STEPS = 25
-"""Most Gauss-Newton steps."""
-_ENOUGH = 0.05
-"""Fall of the cost, a sum of squares over variances, below which the fit has converged."""
-_MAX_STEP = 0.7
+_STEPS, _TRIALS = 25, 5
+"""Most Gauss-Newton steps, and most dampings that are tried in one."""
+_LONGEST = 0.7
 """Longest step of one parameter, in its unit."""
 _COLUMN_STEPS = 8
 """Steps in which the closing of columns that push each other in is solved."""
@@ -74,14 +72,6 @@ class FoamFit:
     without openings."""
     n_grasps: int
     """Number of grasps that it rests on."""
-
-
-@dataclass(slots=True)
-class _State:
-    """Parameters: those common to all grasps, then poses and depths of each."""
-
-    common: Array
-    own: Array
 
 
 def fit_foam(grasps: Sequence[Grasp], drawing: Drawing, start: FoamModel | None = None) -> FoamFit:
@@ -132,80 +122,65 @@ class _Fit:
         self.pads, self.pad = grasp.pads, pad
         self.n_levels = len(data[0].share)
         knows_force = all(np.isfinite(d.force_n) and d.force_n > 0.0 for d in data)
-        self.common_sd = _PRIOR_SD.copy()
+        common_sd = _PRIOR_SD.copy()
         if not knows_force:
             # Without a force only the product of modulus and gain shows.
-            self.common_sd[1] = _GAIN_SD_WITHOUT_FORCE
-        self.own_sd = np.concatenate([_POSE_SD, np.full(self.n_levels, _DEPTH_SD_MM)])
+            common_sd[1] = _GAIN_SD_WITHOUT_FORCE
+        own_sd = np.concatenate([_POSE_SD, np.full(self.n_levels, _DEPTH_SD_MM)])
+        self.sd = np.concatenate([common_sd, np.tile(own_sd, len(data))])
         self.rolls = [0.0] * len(data)
         self.scale = 1.0
 
     def run(self) -> FoamFit:
-        state = self._start()
+        theta = self._start()
         fits: list[tuple[float, FoamFit]] = []
-        states: list[_State] = []
+        found: list[Array] = []
         separate, some, much = SIDEWAYS
         for sideways in (separate, much, some):
             if sideways == some and fits[1][0] > fits[0][0]:
                 break
             self.foam = replace(self.foam, sideways=sideways)
-            cost, state, fit = self._minimise(state)
+            cost, theta, fit = self._minimise(theta)
             fits.append((cost, fit))
-            states.append(state)
+            found.append(theta)
         best = min(range(len(fits)), key=lambda number: fits[number][0])
-        fit, state = fits[best][1], states[best]
+        fit, theta = fits[best][1], found[best]
         if fit.misfit > 1.0:
             # The prior counts for more where the law explains less.
             self.foam, self.scale = replace(self.foam, sideways=fit.foam.sideways), fit.misfit
-            again = self._minimise(state)[2]
+            again = self._minimise(theta)[2]
             fit = replace(again, misfit=max(fit.misfit, again.misfit))
         return fit
 
-    def _minimise(self, state: _State) -> tuple[float, _State, FoamFit]:
-        damping, cost = 1e-2, np.inf
-        blocks = self._blocks(state)
-        cost = self._cost(blocks, state)
-        for _ in range(_MAX_STEPS):
-            gain = 0.0
-            for _ in range(5):
-                trial = self._step(blocks, state, damping)
-                new_blocks = self._blocks(trial)
-                new = self._cost(new_blocks, trial)
-                if new < cost:
-                    gain, cost, state, blocks = cost - new, new, trial, new_blocks
-                    damping = max(0.2 * damping, 1e-6)
-                    break
-                damping *= 8.0
-            if gain < _ENOUGH:
-                break
-        normal, _ = self._normal(blocks, state)
-        prior_sd = np.concatenate([self.common_sd, np.tile(self.own_sd, len(self.data))])
-        misfit = misfit_of(
-            self.scale * np.concatenate([r * r for r, _ in blocks]),
-            np.concatenate(
-                [d.informative(len(r)) for d, (r, _) in zip(self.data, blocks, strict=True)]
-            ),
-            n_determined(normal - np.diag(prior_sd**-2), prior_sd),
+    def _minimise(self, theta: Array) -> tuple[float, Array, FoamFit]:
+        theta, cost, found = minimise(
+            self._look, theta, self.mean, self.sd, steps=_STEPS, trials=_TRIALS, longest=_LONGEST
         )
-        covariance = np.linalg.inv(normal)
+        each = np.split(found.residuals, self.ends)
+        misfit = misfit_of(
+            self.scale * found.residuals * found.residuals,
+            np.concatenate([d.informative(len(r)) for d, r in zip(self.data, each, strict=True)]),
+            n_determined(found.normal, self.sd),
+        )
+        covariance = np.linalg.inv(found.normal + np.diag(self.sd**-2))
         fit = FoamFit(
-            foam=self._foam(state.common),
+            foam=self._foam(theta[: len(GLOBALS)]),
             sd=np.sqrt(np.diag(covariance)[: len(GLOBALS)]),
             misfit=misfit,
-            opening_sd_m=self._opening_sd_m(blocks),
+            opening_sd_m=self._opening_sd_m(each),
             n_grasps=len(self.data),
         )
-        return cost, state, fit
+        return cost, theta, fit
 
-    def _opening_sd_m(self, blocks: list[tuple[Array, Array]]) -> float:
+    def _opening_sd_m(self, each: Sequence[Array]) -> float:
         """Return how far openings are off in single grasps, beyond the zero of all."""
         squared = 0.0
-        for data, (residuals, _) in zip(self.data, blocks, strict=True):
+        for data, residuals in zip(self.data, each, strict=True):
             if np.isfinite(data.aperture_m).all():
                 start = data.share.size
                 away = float(residuals[start : start + self.n_levels].mean())
                 squared += self.scale * (away * _APERTURE_JITTER_M) ** 2
-        return float(np.sqrt(squared / (len(blocks) - 1)))
+        return float(np.sqrt(squared / (len(each) - 1)))
 
     def _foam(self, common: Array) -> FoamModel:
         return replace(
@@ -217,7 +192,7 @@ class _Fit:
             densification=self.foam.densification * float(np.exp(common[4])),
         )
 
-    def _start(self) -> _State:
+    def _start(self) -> Array:
         common = np.zeros(len(GLOBALS))
         common[3] = 1e3 * self.foam.aperture_offset_m
         bed = self._bed(common)
@@ -238,9 +213,11 @@ class _Fit:
                         best, chosen, roll_chosen = float(residuals @ residuals), own, float(roll)
             self.rolls[i] = roll_chosen
             rows.append(chosen)
-        self._own_mean = np.array(rows)
-        self._own_mean[:, 3:] = _DEPTH_MM
-        return _State(common, np.array(rows))
+        theta = np.concatenate([common, *rows])
+        for row in rows:
+            row[3:] = _DEPTH_MM
+        self.mean = np.concatenate([common, *rows])
+        return theta
 
     def _bed(self, common: Array) -> PadBed:
         spread_m = self.foam.spread_m * float(np.exp(common[2]))
@@ -313,62 +290,31 @@ class _Fit:
         residuals: Array = np.concatenate(parts) / float(np.sqrt(self.scale))
         return residuals
 
-    def _blocks(self, state: _State) -> list[tuple[Array, Array]]:
-        """Return residuals and Jacobian (over common, then own parameters) of each grasp."""
-        common = state.common
+    def _look(self, theta: Array) -> Look:
+        """Return what all grasps show together; each has parameters of its own."""
+        n_common = len(GLOBALS)
+        common = theta[:n_common]
         bed = self._bed(common)
-        wider = common + _STEP * np.eye(len(GLOBALS))
+        wider = common + _STEP * np.eye(n_common)
         wide_bed = self._bed(wider[2])
-        blocks = []
-        for i, own in enumerate(state.own):
+        normal, gradient = np.zeros((len(theta), len(theta))), np.zeros(len(theta))
+        each = []
+        for i, own in enumerate(theta[n_common:].reshape(len(self.data), -1)):
             reach = self._reach(i, own, bed)
             base = self._residuals(i, bed, common, own, reach)
             columns = [
                 self._residuals(i, wide_bed if k == 2 else bed, wider[k], own, reach)
-                for k in range(len(GLOBALS))
+                for k in range(n_common)
             ]
             for k in range(len(own)):
                 moved = own.copy()
                 moved[k] += _STEP
                 there = self._reach(i, moved, bed) if k < 3 else reach
                 columns.append(self._residuals(i, bed, common, moved, there))
-            blocks.append((base, (np.array(columns) - base).T / _STEP))
-        return blocks
-
-    def _normal(self, blocks: list[tuple[Array, Array]], state: _State) -> tuple[Array, Array]:
-        n_common, n_own = len(GLOBALS), state.own.shape[1]
-        n = n_common + n_own * len(blocks)
-        normal, gradient = np.zeros((n, n)), np.zeros(n)
-        start = np.zeros(n_common)
-        start[3] = 1e3 * self.foam.aperture_offset_m
-        normal[range(n_common), range(n_common)] = self.common_sd**-2
-        gradient[:n_common] = (state.common - start) / self.common_sd**2
-        for i, (residuals, jacobian) in enumerate(blocks):
-            own = slice(n_common + i * n_own, n_common + (i + 1) * n_own)
-            where = np.r_[0:n_common, own]
-            normal[np.ix_(where, where)] += jacobian.T @ jacobian
-            gradient[where] += jacobian.T @ residuals
-            normal[range(own.start, own.stop), range(own.start, own.stop)] += self.own_sd**-2
-            gradient[own] += (state.own[i] - self._own_mean[i]) / self.own_sd**2
-        return normal, gradient
-
-    def _step(self, blocks: list[tuple[Array, Array]], state: _State, damping: float) -> _State:
-        normal, gradient = self._normal(blocks, state)
-        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-        step = np.clip(step, -_MAX_STEP, _MAX_STEP)
-        n_common = len(GLOBALS)
-        return _State(
-            state.common + step[:n_common],
-            state.own + step[n_common:].reshape(state.own.shape),
-        )
-
-    def _cost(self, blocks: list[tuple[Array, Array]], state: _State) -> float:
-        start = np.zeros(len(GLOBALS))
-        start[3] = 1e3 * self.foam.aperture_offset_m
-        away = np.concatenate(
-            [
-                (state.common - start) / self.common_sd,
-                ((state.own - self._own_mean) / self.own_sd).ravel(),
-            ]
-        )
-        return sum(float(r @ r) for r, _ in blocks) + float(away @ away)
+            here = Look.of(base, (np.array(columns) - base).T / _STEP)
+            where = np.r_[:n_common, n_common + i * len(own) : n_common + (i + 1) * len(own)]
+            normal[np.ix_(where, where)] += here.normal
+            gradient[where] += here.gradient
+            each.append(base)
+        self.ends = np.cumsum([len(one) for one in each])[:-1]
+        return Look(residuals=np.concatenate(each), normal=normal, gradient=gradient)
