@@ -19,11 +19,9 @@ from cell.errors import HandLost
 from cell.hand.interface import Hand, HandStatistics, Measured, Watch
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
-    WATCHED,
     Alive,
     Answer,
     Boot,
-    Command,
     EndRamp,
     Event,
     Fault,
@@ -363,12 +361,12 @@ class HandProcess:
 
         A shutdown is carried out although a fault waits to be raised.
         """
-        name = method.__name__
         if method is not Hand.shutdown:
             self.tick()
         self._number += 1
-        self._loop.send(Request(number=self._number, command=Command(name, arguments)))
-        patience_s = self._silence_s if name in WATCHED else self._answer_s
+        request = Request(number=self._number, method=method.__name__, arguments=arguments)
+        self._loop.send(request)
+        patience_s = self._silence_s if request.watched else self._answer_s
         failure: BaseException | None = None
         while True:
             try:

@@ -9,6 +9,7 @@ import pickle
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from inspect import signature
 from typing import Any
 
 from cell.config.model import CellConfig
@@ -27,39 +28,24 @@ class Boot:
     partial: bool = False
 
 
-WATCHED = frozenset({"open", "grasp", "meet", "carry", "squeeze", "release"})
-"""Methods of `Hand` that run the force loop; each period of it is sent as `Progress`."""
-UNWATCHED = frozenset(
-    {"start", "start_sensor", "close_sensor", "tare", "conditions", "inspect", "read_sensor"}
-    | {"keep_grip", "clear_fault", "shutdown"}
-)
-"""The other methods of `Hand` that the process carries out."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A method of `Hand` that the process carries out; its answer has the number."""
 
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """A method of `Hand` and its arguments; ValueError for a name that is no such method."""
-
-    name: str
+    number: int
+    method: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """By name, without the callback ``watch``."""
 
-    def __post_init__(self) -> None:
-        if self.name not in WATCHED | UNWATCHED:
-            raise ValueError(f"{self.name!r} is no command of the hand")
+    @property
+    def watched(self) -> bool:
+        """Whether it runs the force loop; each period of it is sent as `Progress`."""
+        return "watch" in signature(getattr(Hand, self.method)).parameters
 
     def run(self, hand: Hand, watch: Watch) -> Any:
         """Carry it out and return what the method returns."""
-        watched = {"watch": watch} if self.name in WATCHED else {}
-        return getattr(hand, self.name)(**self.arguments, **watched)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
-    """A command and its number; answers name the number."""
-
-    number: int
-    command: Command
+        watched = {"watch": watch} if self.watched else {}
+        return getattr(hand, self.method)(**self.arguments, **watched)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

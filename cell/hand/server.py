@@ -225,9 +225,9 @@ class HandServer:
         value: Any = None
         failure: BaseException | None = None
         dropped = self._outbox.dropped
-        self._ramp = request.number if request.command.name in ("grasp", "meet") else 0
+        self._ramp = request.number if request.method in ("grasp", "meet") else 0
         try:
-            value = request.command.run(self._hand, self._watch)
+            value = request.run(self._hand, self._watch)
         except GraspStopped as stop:
             failure = stop
             if self._outbox.dropped > dropped:
@@ -240,7 +240,7 @@ class HandServer:
             failure = error
             self._stand_by()
         else:
-            self._supervised = self._supervised or request.command.name == "start"
+            self._supervised = self._supervised or request.method == "start"
         self._outbox.post(
             Answer(
                 number=request.number,

@@ -17,7 +17,6 @@ from cell.hand.interface import HandStatistics, Measured
 from cell.hand.messages import (
     Alive,
     Answer,
-    Command,
     EndRamp,
     Fault,
     Progress,
@@ -73,7 +72,7 @@ class FakeLoop(LoopProcess):
         if isinstance(request, EndRamp):
             self.sent.append(request)
             return
-        self.sent.append(request.command)
+        self.sent.append((request.method, request.arguments))
         for event in self.script.popleft() if self.script else [None]:
             self.coming.append(answer(request.number) if event is None else event)
 
@@ -127,7 +126,7 @@ def test_periods_reach_the_watch_and_the_answer_is_returned(hand: HandProcess) -
     )
     assert seen == [(GripperPhase.RAMPING, GripperPhase.RAMPING)] * 2
     assert hand.phase is GripperPhase.HOLDING
-    assert loop_of(hand).sent == [Command("grasp", {"ramp": RAMP})]
+    assert loop_of(hand).sent == [("grasp", {"ramp": RAMP})]
     assert hand.notes == ("a note",)
     assert hand.statistics.loop.cycles == 5
 
@@ -158,7 +157,7 @@ def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand: HandProces
     hand.start()
     loop.script.append([period(), period(), None])
     hand.grasp(RAMP, lambda _cycle, _frames: hand.end_ramp())
-    grasp = Command("grasp", {"ramp": RAMP})
+    grasp = ("grasp", {"ramp": RAMP})
     assert loop.sent[1:] == [grasp, EndRamp(number=2), EndRamp(number=2)]
     assert loop.stops == 0
 
@@ -210,7 +209,7 @@ def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand: HandProcess)
     assert hand.shutdown() == ""
     loop.coming.append(SILENT)
     assert hand.shutdown() == "HeartbeatLost: silent"
-    assert loop.sent == [Command("shutdown"), Command("shutdown")]
+    assert loop.sent == [("shutdown", {})] * 2
 
 
 def test_a_lost_process_is_told_until_it_is_cleared(hand: HandProcess) -> None:

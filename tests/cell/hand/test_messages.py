@@ -1,6 +1,5 @@
 """What crosses to the process of the force loop, and what that process does with it."""
 
-import inspect
 import os
 import pickle
 import signal
@@ -16,13 +15,10 @@ import pytest
 
 from cell.errors import CellStopped, HostSilent
 from cell.hand import server
-from cell.hand.interface import Hand, HandStatistics, Measured
+from cell.hand.interface import HandStatistics, Measured
 from cell.hand.messages import (
-    UNWATCHED,
-    WATCHED,
     Alive,
     Answer,
-    Command,
     EndRamp,
     Fault,
     Progress,
@@ -66,17 +62,6 @@ ANSWER = Answer(
     phase=GripperPhase.HOLDING,
     statistics=statistics(),
 )
-
-
-def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
-    public = {name for name, _ in inspect.getmembers(Hand, inspect.isfunction) if name[0] != "_"}
-    elsewhere = {"check_ramp", "end_ramp", "tick", "request_stop", "close"}
-    assert public - elsewhere == WATCHED | UNWATCHED
-    for name in WATCHED | UNWATCHED:
-        parameters = inspect.signature(getattr(Hand, name)).parameters
-        assert ("watch" in parameters) is (name in WATCHED)
-    with pytest.raises(ValueError, match="'close' is no command of the hand"):
-        Command("close")
 
 
 ERRORS = [
@@ -190,9 +175,10 @@ class Line:
             parent=os.getppid(),
         )
 
-    def ask(self, *commands: Any) -> None:
-        for number, command in enumerate(commands, start=1):
-            self.near.send(Request(number=number, command=command))
+    def ask(self, **calls: Any) -> None:
+        """Send a request for each method with its arguments."""
+        for number, (method, arguments) in enumerate(calls.items(), start=1):
+            self.near.send(Request(number=number, method=method, arguments=arguments))
 
     def serve(self) -> list[Any]:
         """Serve until all requests are answered; return the events."""
@@ -225,7 +211,7 @@ def line() -> Iterator[Line]:
 
 
 def test_requests_are_answered_in_order_with_value_error_and_statistics(line: Line) -> None:
-    line.ask(Command("grasp", {"ramp": RAMP}), Command("inspect"), Command("tare", {"n_frames": 3}))
+    line.ask(grasp={"ramp": RAMP}, inspect={}, tare={"n_frames": 3})
     events = line.serve()
     assert [type(event) for event in events] == [Progress] * 10 + [Answer] * 3
     np.testing.assert_array_equal(events[0].frames[0].counts, frame().counts)
@@ -242,7 +228,7 @@ def test_requests_are_answered_in_order_with_value_error_and_statistics(line: Li
 def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost() -> None:
     line = Line(limit=20)
     line.hand.cycles = 2000
-    line.ask(Command("grasp", {"ramp": RAMP}))
+    line.ask(grasp={"ramp": RAMP})
     events = line.serve()
     *periods, answer = events
     error = answer.error
@@ -258,12 +244,12 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
 def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line: Line, name: str) -> None:
     line.hand.cycles = 3
     line.near.send(EndRamp(number=1))
-    line.near.send(Request(number=1, command=Command("tare", {"n_frames": 3})))
-    line.near.send(Request(number=2, command=Command(name, {"ramp": RAMP})))
+    line.near.send(Request(number=1, method="tare", arguments={"n_frames": 3}))
+    line.near.send(Request(number=2, method=name, arguments={"ramp": RAMP}))
     line.near.send(EndRamp(number=1))
     line.near.send(EndRamp(number=2))
     # One message is taken in each period; a command that comes during a grasp waits for its end.
-    line.near.send(Request(number=3, command=Command("grasp", {"ramp": RAMP})))
+    line.near.send(Request(number=3, method="grasp", arguments={"ramp": RAMP}))
     line.near.send(EndRamp(number=2))
     events = line.serve()
     assert [event.number for event in events if isinstance(event, Answer)] == [1, 2, 3]
@@ -279,7 +265,7 @@ def test_between_commands_the_process_ticks_and_tells_once_what_it_found(line: L
     assert isinstance(event.error, BusTimeout)
     assert line.hand.calls == ["tick", "keep_grip"]
     line.hand.tick_error = None
-    line.ask(Command("start"))
+    line.ask(start={})
     line.serve()
     line.server._supervise()
     assert line.hand.calls[-1] == "tick"
@@ -297,7 +283,7 @@ def test_the_end_freezes_keeps_and_says_why(line: Line, cause: str) -> None:
         line.server.listen(reader)
     else:
         line.server._parent = -1
-    line.server._execute(Request(number=1, command=Command("grasp", {"ramp": RAMP})))
+    line.server._execute(Request(number=1, method="grasp", arguments={"ramp": RAMP}))
     line.server.serve()
     line.server.end()
     *periods, answer, last = line.events()
