@@ -118,37 +118,23 @@ class CellController:
         return self._life.fault
 
     @property
-    def fault_since_s(self) -> float:
-        """Unix time in s at which the last fault was latched; 0 before the first one."""
-        return self._life.fault_since_s
-
-    @property
-    def state_since_s(self) -> float:
-        """Unix time in s of the last change of the state."""
-        return self._life.state_since_s
-
-    @property
-    def n_faults(self) -> int:
-        """Faults latched so far."""
-        return self._life.n_faults
-
-    @property
     def holding(self) -> bool:
         """Whether a part may be in the grip."""
         return self._life.holding
 
     @property
     def status(self) -> CellStatus:
-        """States of cell and grip with their numbers."""
-        return CellStatus(
-            state=self.state.value,
-            state_number=self.state.number,
-            needs_reset=self.state.needs_reset,
-            grasp=self.grasp_state.value,
-            grasp_number=self.grasp_state.number,
-            holding=self.holding,
-            fault=self.fault,
-            fault_number=self._life.fault_number,
+        """States of cell and grip with their numbers, and faults."""
+        life = self._life
+        return CellStatus.of(
+            life.state,
+            life.grasp_state,
+            holding=life.holding,
+            fault=life.fault,
+            fault_number=life.fault_number,
+            since_s=life.state_since_s,
+            fault_since_s=life.fault_since_s,
+            n_faults=life.n_faults,
         )
 
     @property

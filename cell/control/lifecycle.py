@@ -69,8 +69,8 @@ class CellLifecycle:
     state_since_s
         Unix time in s of the last change of the state.
     fault_since_s, n_faults
-        Unix time in s at which the last fault was latched, 0 before the first one; and how many
-        have been so far.
+        Unix time in s at which the latched fault was, None without one; and how many have been so
+        far.
     cancelled
         Whether a stop was requested and nothing has obeyed it yet.
     stop_reason
@@ -96,7 +96,7 @@ class CellLifecycle:
         self.fault: str | None = None
         self.fault_number = 0
         self.state_since_s = time.time()
-        self.fault_since_s = 0.0
+        self.fault_since_s: float | None = None
         self.n_faults = 0
         self.cancelled = False
         self.stop_reason = ON_REQUEST
@@ -175,7 +175,7 @@ class CellLifecycle:
             self.go(Event.FAULT)
             self.go(Event.ABORTED)
             raise
-        self.fault, self.fault_number = None, 0
+        self.fault, self.fault_number, self.fault_since_s = None, 0, None
         self._part_lost = False
         self.complete()
 

@@ -6,6 +6,7 @@ lifecycle walks this table; the page ``docs/reference/states.md`` and the tests 
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any, Self
 
 from gripper.state import GraspResult, GripperPhase
 
@@ -299,3 +300,21 @@ class CellStatus:
     """The fault, while one is latched."""
     fault_number: int
     """Its number in the fault catalogue; 0 for none."""
+    since_s: float = 0.0
+    """Unix time in s since which the cell is in its state."""
+    fault_since_s: float | None = None
+    """Unix time in s at which the fault was latched; None where there is none."""
+    n_faults: int = 0
+    """Faults latched since the cell was opened."""
+
+    @classmethod
+    def of(cls, state: CellState, grasp: GraspState, **more: Any) -> Self:
+        """Return the status of two states; ``more`` are its other fields."""
+        return cls(
+            state=state.value,
+            state_number=state.number,
+            needs_reset=state.needs_reset,
+            grasp=grasp.value,
+            grasp_number=grasp.number,
+            **more,
+        )

@@ -115,12 +115,6 @@ class HostStatus(CellStatus):
     last_answer: Answer | None
     """Answer of the last identification, whatever jobs came after it; None from the beginning of
     the next identification or sort on, until the identification has succeeded."""
-    since_s: float = 0.0
-    """Unix time in s since which the cell is in its state."""
-    fault_since_s: float | None = None
-    """Unix time in s at which the fault was latched; None where there is none."""
-    n_faults: int = 0
-    """Faults latched since the cell was opened."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

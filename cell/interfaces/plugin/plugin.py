@@ -14,14 +14,14 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.control.states import CellState, CellStatus, Command, answer
+from cell.control.states import CellState, Command, answer
 from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, error_text
 from cell.interfaces.plugin.answer import (
     Answer,
@@ -280,13 +280,9 @@ class TactileCellPlugin:
         """Return the states of cell and grip, the live values, and the last answer."""
         with self._calling():
             controller = self._cell.controller
-            states = controller.status
             return HostStatus(
-                **{one.name: getattr(states, one.name) for one in fields(CellStatus)},
+                **asdict(controller.status),
                 live=controller.live,
-                since_s=controller.state_since_s,
-                fault_since_s=controller.fault_since_s if states.fault else None,
-                n_faults=controller.n_faults,
                 last_answer=next(iter(self._last_answer), None),
             )
 

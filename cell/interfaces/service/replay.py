@@ -124,12 +124,9 @@ class Tape:
         n_faults = bisect_right(self._fault_stamps, t_s)
         fault = self._faults[n_faults - 1] if n_faults and state in _LATCHED else None
         n_results = self.results_until(t_s)
-        return HostStatus(
-            state=state.value,
-            state_number=state.number,
-            needs_reset=state.needs_reset,
-            grasp=grasp.value,
-            grasp_number=grasp.number,
+        return HostStatus.of(
+            state,
+            grasp,
             holding=grasp in (GraspState.GRIPPING, GraspState.HOLDING, GraspState.ERROR),
             fault=None if fault is None else str(fault["text"]),
             fault_number=0 if fault is None else int(fault["fault_number"]),

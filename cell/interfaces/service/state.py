@@ -19,8 +19,7 @@ def state_values(service: Service) -> dict[str, Any]:
     state: dict[str, Any] = plain(
         {
             "time_s": time.time(),
-            "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)}
-            | {"since_s": now.status.since_s},
+            "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
             "job": asdict(now.job),
             "last_answer": None if now.last_answer is None else asdict(now.last_answer),
             "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},

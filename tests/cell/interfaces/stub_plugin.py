@@ -5,7 +5,7 @@ go on or fail, or a client holds it.
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.control.live import LiveValues
-from cell.control.states import CellState, CellStatus, Command, GraspState, answer, refusal
+from cell.control.states import CellState, Command, GraspState, answer, refusal
 from cell.errors import CellStateError, CellStopped, error_text
 from cell.fault_catalogue import fault_number
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus, Verification
@@ -203,17 +203,6 @@ class StubPlugin:
     def _show(self, state: CellState, *, holding: bool) -> None:
         """Set the states in one assignment: doors read them in threads of their own."""
         self._cell = state
-        grasp = GraspState.HOLDING if holding else GraspState.IDLE
-        states = CellStatus(
-            state=state.value,
-            state_number=state.number,
-            needs_reset=state.needs_reset,
-            grasp=grasp.value,
-            grasp_number=grasp.number,
-            holding=holding,
-            fault=None if self._error is None else error_text(self._error),
-            fault_number=fault_number(self._error),
-        )
         live = LiveValues(
             force_n=GRIP_N if holding else 0.0,
             force_age_s=0.005,
@@ -225,8 +214,12 @@ class StubPlugin:
         )
         if state in (CellState.ABORTED, CellState.STOPPED):
             live = LiveValues()
-        self._status = HostStatus(
-            **asdict(states),
+        self._status = HostStatus.of(
+            state,
+            GraspState.HOLDING if holding else GraspState.IDLE,
+            holding=holding,
+            fault=None if self._error is None else error_text(self._error),
+            fault_number=fault_number(self._error),
             live=live,
             last_answer=self._last_answer,
             fault_since_s=None if self._error is None else 1.0e9,
