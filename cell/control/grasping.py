@@ -41,7 +41,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.kinematics import Linkage
 from gripper.state import Clock, Cycle, GraspOutcome, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
-from recognition.grasp import CELL_SOURCE, Grasp, PadArray
+from recognition.grasp import CELL_SOURCE, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.frames.codec import TactileFrame
 
@@ -224,30 +224,31 @@ class Grasper:
 
         Returns while they press: how it ended, what it has shown, and why that is nothing.
         """
-        collector, collect = self._collecting()
+        self._held = None
+        self._hand.open(self.watch)
+        collector, collect = self._collecting(None)
         layout, n_seen = self._hand.layout, 0
-
-        def so_far() -> Grasp:
-            return collector.grasp(self.pads, source=self._source, start_ms=start_ms)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             nonlocal n_seen
             collect(cycle, frames)
             if frames and 0.0 < cycle.setpoint_n < _LOOKS_UP_TO_N:
                 n_seen += 1
-                if n_seen % _LOOK_FRAMES == 0 and shows_part(so_far(), layout.gripping_pads):
+                if n_seen % _LOOK_FRAMES == 0 and shows_part(
+                    collector.grasp(), layout.gripping_pads
+                ):
                     self._hand.end_ramp()
 
-        self._held = None
-        self._hand.open(self.watch)
-        start_ms = self._next_start_ms()
         most_n = min(_ZERO_FORCE_N, self._gripper.ramp_force_max_n)
         outcome = self._hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
         if part_between(outcome):
             return outcome, None, ""
         try:
             found = measure_zero(
-                so_far(), collector.current_a, layout.gripping_pads, step_m=self._opening_step_m
+                collector.grasp(),
+                collector.current_a,
+                layout.gripping_pads,
+                step_m=self._opening_step_m,
             )
         except ValueError as error:
             return outcome, None, f"{error}; measure again"
@@ -266,21 +267,17 @@ class Grasper:
         self, step: GraspStep, reached: Pose, label: str, looks: EarlyDecider | None
     ) -> GraspRecord:
         """Open, close and follow the ramp; record that, and return while holding."""
-        collector, collect = self._collecting()
-
-        def so_far() -> Grasp:
-            return collector.grasp(
-                self.pads, source=self._source, start_ms=start_ms, zero=self._zeros.newest
-            )
+        self._held = None
+        self._hand.open(self.watch)
+        collector, collect = self._collecting(self._zeros.newest)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             collect(cycle, frames)
-            if looks is not None and any(looks.add_frame(frame.counts, so_far) for frame in frames):
+            if looks is not None and any(
+                looks.add_frame(frame.counts, collector.grasp) for frame in frames
+            ):
                 self._hand.end_ramp()
 
-        self._held = None
-        self._hand.open(self.watch)
-        start_ms = self._next_start_ms()
         outcome = self._hand.grasp(self._ramp(step), watch)
         self._life.result = outcome.result
         if outcome.result in NOTHING_HELD and not collector.n_frames:
@@ -290,14 +287,7 @@ class Grasper:
                 f"frame of the taxels came: open wider, or close more slowly"
             )
         record = GraspRecord(
-            grasp=collector.grasp(
-                self.pads,
-                label=label,
-                source=self._source,
-                start_ms=start_ms,
-                command=step.command,
-                zero=self._zeros.newest,
-            ),
+            grasp=collector.grasp(label, step.command),
             step=step,
             reached=reached,
             outcome=outcome,
@@ -336,19 +326,11 @@ class Grasper:
         from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
         from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
         self._hand.carry(from_n, 0.0, self.watch)
-        collector, watch = self._collecting()
-        start_ms = self._next_start_ms()
+        collector, watch = self._collecting(self._zeros.newest)
         outcome = self._hand.squeeze(self._ramp(step), watch)
-        further = collector.grasp(
-            self.pads,
-            source=self._source,
-            start_ms=start_ms,
-            command=step.command,
-            zero=self._zeros.newest,
-        )
         self._journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
         return GraspRecord(
-            grasp=spliced(first.grasp, further, from_n),
+            grasp=spliced(first.grasp, collector.grasp(command=step.command), from_n),
             step=step,
             reached=first.reached,
             outcome=outcome,
@@ -358,16 +340,11 @@ class Grasper:
 
     def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
         """Hold the part with the force of a carry, and measure it for a comparison."""
-        collector, watch = self._collecting()
         carry_n = self._sequence.carry_force_n
         self._hand.carry(carry_n, 0.0, self.watch)
+        collector, watch = self._collecting(None)
         self._hand.carry(carry_n, LOOK_S, watch)
         return measured(collector, zero)
-
-    def _next_start_ms(self) -> int:
-        # Somebody may set the machine's clock back: the grasps of a run stay in order all the same.
-        self._last_start_ms = max(time.time_ns() // 1_000_000, self._last_start_ms + 1)
-        return self._last_start_ms
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
         """Record one period of a motion, in which no frame matters; obey a stop."""
@@ -379,9 +356,13 @@ class Grasper:
             return call()
         return self._patient.call(call, supervise)
 
-    def _collecting(self) -> tuple[GraspCollector, Watch]:
-        """Return a collector of periods and frames, and the watch of a motion that fills it."""
-        collector = GraspCollector()
+    def _collecting(self, zero: SelfZero | None) -> tuple[GraspCollector, Watch]:
+        """Return a collector for a motion that begins now, and the watch that fills it."""
+        # Somebody may set the machine's clock back: the grasps of a run stay in order all the same.
+        self._last_start_ms = max(time.time_ns() // 1_000_000, self._last_start_ms + 1)
+        collector = GraspCollector(
+            self.pads, source=self._source, start_ms=self._last_start_ms, zero=zero
+        )
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             self._look(cycle, frames)

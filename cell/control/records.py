@@ -76,9 +76,18 @@ def pad_array(layout: TaxelLayout) -> PadArray:
 
 
 class GraspCollector:
-    """Collects the frames of one grasp, each with opening and set-point of its control period."""
+    """Collects the frames of one grasp, each with opening and set-point of its control period.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    pads, source, start_ms, zero
+        As in `recognition.grasp.Grasp`.
+    """
+
+    def __init__(
+        self, pads: PadArray, *, source: str, start_ms: int, zero: SelfZero | None = None
+    ) -> None:
+        self._pads, self._source, self._start_ms, self._zero = pads, source, start_ms, zero
         self.cycles: list[Cycle] = []
         """All periods so far, in order."""
         self._frames: list[tuple[TactileFrame, Cycle, float]] = []
@@ -110,28 +119,19 @@ class GraspCollector:
         """Mean current of the motors in A from one frame to the next, (n_frames,)."""
         return np.array([mean_a for _, _, mean_a in self._frames])
 
-    def grasp(
-        self,
-        pads: PadArray,
-        *,
-        label: str = "",
-        source: str = "",
-        start_ms: int,
-        command: GraspCommand | None = None,
-        zero: SelfZero | None = None,
-    ) -> Grasp:
+    def grasp(self, label: str = "", command: GraspCommand | None = None) -> Grasp:
         """Return the collected grasp. Raises ValueError if no frame came."""
         counts = self.counts
         t_s = np.array([frame.t_s for frame, _, _ in self._frames])
         return Grasp(
-            pads=pads,
+            pads=self._pads,
             counts=counts,
             t_s=t_s - t_s[0],
             aperture_m=np.array([cycle.state.aperture_m for _, cycle, _ in self._frames]),
             force_n=np.array([cycle.setpoint_n for _, cycle, _ in self._frames]),
             label=label,
-            source=source,
-            start_ms=start_ms,
+            source=self._source,
+            start_ms=self._start_ms,
             command=command,
-            zero=zero,
+            zero=self._zero,
         )
