@@ -14,7 +14,7 @@ from tempfile import NamedTemporaryFile
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
-from fastapi import Body, FastAPI, HTTPException, Query, Request
+from fastapi import Body, HTTPException, Query, Request
 from fastapi.responses import Response
 from pydantic import Field, WithJsonSchema
 
@@ -28,13 +28,12 @@ from cell.errors import (
 from cell.fault_catalogue import CATALOGUE
 from cell.interfaces.http_server import LONGEST, Scope
 from cell.interfaces.live_socket import Moment
-from cell.interfaces.page import mount_page
 from cell.interfaces.plugin.goals import goal_schema
 from cell.interfaces.service.photos import LONGEST_PHOTO
 from cell.interfaces.service.replay import UPLOAD_BYTES, Replay
 from cell.interfaces.service.service import Service
 from cell.interfaces.service.state import plain, state_values
-from cell.interfaces.web_server import GuardedApi, Paths, RequestBody, WebServer, is_here
+from cell.interfaces.web_server import Paths, RequestBody, WebServer, is_here
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A number in a request."""
@@ -129,21 +128,22 @@ def state_moment(service: Service) -> Moment:
     return Moment(json.dumps(state_values(service), allow_nan=False), frame)
 
 
-class Api(GuardedApi):
-    """The paths of a cell below ``/api``; the first lines of the methods are their description.
+class WebDoor(WebServer):
+    """The cell behind HTTP and WebSocket, below ``/api``.
 
     Parameters
     ----------
     service
         The cell.
+
+    Raises
+    ------
+    OSError, ConfigError
+        As `WebServer`.
     """
 
     def __init__(self, service: Service) -> None:
-        super().__init__(service.lease, service.config.serve, lambda: state_moment(service))
         self._service = service
-
-    def app(self) -> FastAPI:
-        """Return the application."""
         paths: Paths = (
             ("/info", "GET", self.info),
             ("/state", "GET", self.state),
@@ -160,15 +160,13 @@ class Api(GuardedApi):
             ("/commands", "POST", self.command),
             ("/pose", "POST", self.pose),
         )
-        if self._service.replay is not None:
+        if service.replay is not None:
             paths += (
                 ("/replay", "POST", self.control_replay),
                 ("/replay", "PUT", self.load_replay),
             )
-        app = self.guarded(paths)
-        app.add_api_route("/api/hold", self.hold, methods=["POST"])
-        mount_page(app)
-        return app
+        config = service.config.serve
+        super().__init__(service.lease, config, lambda: state_moment(service), paths)
 
     def longest(self, scope: Scope, client: str) -> int:
         """Return the most bytes of a body: more for a photo, and for a recording to a replay."""
@@ -306,23 +304,3 @@ class Api(GuardedApi):
         host = "" if request.client is None else request.client.host
         self._service.hold_as(f"HTTP {host} {name}".rstrip(), latch)
         return {"state": self._service.status().state, "held_by": self._service.held_by}
-
-
-class WebDoor(WebServer):
-    """The cell behind HTTP and WebSocket.
-
-    Parameters
-    ----------
-    service
-        The cell.
-
-    Raises
-    ------
-    OSError
-        As `WebServer`.
-    """
-
-    def __init__(self, service: Service) -> None:
-        api = Api(service)
-        self.token = api.token
-        super().__init__(api.app(), service.config.serve, api.longest)

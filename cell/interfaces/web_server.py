@@ -1,7 +1,7 @@
 """Server of web pages and their API: the token, the lease, the live socket.
 
-A door (`cell.interfaces.web`, `cell.interfaces.wizard`) gives it an application; what is refused
-has one shape, with a fault number.
+Its doors (`cell.interfaces.web`, `cell.interfaces.wizard`) add their paths; what is refused has one
+shape, with a fault number.
 """
 
 import asyncio
@@ -32,6 +32,7 @@ from cell.errors import (
 from cell.fault_catalogue import Refusal
 from cell.interfaces.http_server import LONGEST, HttpServer, Scope, refusal_values
 from cell.interfaces.live_socket import LiveFeed, LiveLink, Moment
+from cell.interfaces.page import mount_page
 from cell.interfaces.service.doors import read_secret, same_secret
 from cell.interfaces.service.lease import Lease
 from gripper.errors import GripperError
@@ -77,19 +78,24 @@ class RefusalBody(RequestBody):
     """What to do next."""
 
 
-class GuardedApi:
-    """Paths below ``/api`` that all doors have: the token, the live state and the lease.
+class WebServer(HttpServer):
+    """A page and its API below ``/api``: the token, the lease, the live state, paths of its own.
 
-    The first lines of the methods are the OpenAPI description.
+    The first lines of the methods are the OpenAPI description. `hold` needs no token. It has TLS
+    where a certificate is configured.
 
     Parameters
     ----------
     lease
         What clients command under.
     config
-        Limits of time, and the file of the token.
+        Address, port, allow-list, limits, certificate, and the file of the token.
     look
         Returns what a WebSocket shows now; called in another thread than that of the connections.
+    paths
+        Further paths, which need the token.
+    page
+        File of the page.
 
     Attributes
     ----------
@@ -99,18 +105,26 @@ class GuardedApi:
     Raises
     ------
     OSError, ConfigError
-        If the file of the token cannot be read, or holds none.
+        If it cannot listen at the configured address and port, or a file cannot be read, or that
+        of the token holds none.
     """
 
-    def __init__(self, lease: Lease, config: ServeConfig, look: Callable[[], Moment]) -> None:
+    hold: Callable[..., Any]
+    """Stops what runs: the path ``/hold``."""
+
+    def __init__(
+        self,
+        lease: Lease,
+        config: ServeConfig,
+        look: Callable[[], Moment],
+        paths: Paths,
+        page: str = "index.html",
+    ) -> None:
         file = config.token_file
         self.token = read_secret(file) if file else secrets.token_urlsafe(24)
         self._lease = lease
         self._request_timeout_s = config.request_timeout_s
         self._feed = LiveFeed(look)
-
-    def guarded(self, paths: Paths) -> FastAPI:
-        """Return an application with these paths and those of the lease, which need the token."""
         refusals: dict[int | str, dict[str, Any]] = {
             status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
         }
@@ -118,16 +132,34 @@ class GuardedApi:
         for kind in (StarletteHTTPException, RequestValidationError, *_ERRORS, Exception):
             app.add_exception_handler(kind, _refused)
         router = APIRouter(prefix="/api", dependencies=[Depends(self._authorize)])
-        lease: Paths = (
+        leasing: Paths = (
             ("/lease", "POST", self.acquire),
             ("/lease/{lease}/alive", "POST", self.alive),
             ("/lease/{lease}", "DELETE", self.give_up),
         )
-        for path, method, call in (*paths, *lease):
+        for path, method, call in (*paths, *leasing):
             router.add_api_route(path, call, methods=[method])
         app.include_router(router)
         app.add_api_websocket_route("/api/live", self.live)
-        return app
+        app.add_api_route("/api/hold", self.hold, methods=["POST"])
+        mount_page(app, page)
+        super().__init__(
+            app,
+            config,
+            config.http_port or 0,
+            name="http",
+            longest=self.longest,
+            pages=True,
+            ws=partial(LiveLink, config.request_timeout_s),
+            ws_max_size=LONGEST,
+            ws_per_message_deflate=False,  # on a local network it costs more than it saves
+            ssl_certfile=config.tls_certificate or None,
+            ssl_keyfile=config.tls_key or None,
+        )
+
+    def longest(self, scope: Scope, client: str) -> int:
+        """Return the most bytes of the body of a request from a client."""
+        return LONGEST
 
     def _authorize(
         self, found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())]
@@ -210,42 +242,3 @@ def _refused(_request: Request, error: Exception) -> JSONResponse:
     refusal = Refusal.of(error)
     shown = {"fault_number": refusal.number, "error": refusal.text, "remedy": refusal.remedy}
     return JSONResponse(shown, status)
-
-
-class WebServer(HttpServer):
-    """An application with pages and WebSockets, with TLS where a certificate is configured.
-
-    Parameters
-    ----------
-    app
-        The application.
-    config
-        Address, port, allow-list, limits and certificate.
-    longest
-        Returns the largest body in bytes of a request from a client.
-
-    Raises
-    ------
-    OSError
-        If it cannot listen at the configured address and port, or a file cannot be read.
-    """
-
-    def __init__(
-        self,
-        app: FastAPI,
-        config: ServeConfig,
-        longest: Callable[[Scope, str], int] = lambda _scope, _client: LONGEST,
-    ) -> None:
-        super().__init__(
-            app,
-            config,
-            config.http_port or 0,
-            name="http",
-            longest=longest,
-            pages=True,
-            ws=partial(LiveLink, config.request_timeout_s),
-            ws_max_size=LONGEST,
-            ws_per_message_deflate=False,  # on a local network it costs more than it saves
-            ssl_certfile=config.tls_certificate or None,
-            ssl_keyfile=config.tls_key or None,
-        )

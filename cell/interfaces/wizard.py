@@ -14,7 +14,7 @@ from enum import StrEnum
 from importlib.metadata import version
 from typing import Annotated, Any
 
-from fastapi import FastAPI, HTTPException, Query, Request
+from fastapi import HTTPException, Query, Request
 from fastapi.responses import Response
 
 from cell.commissioning.engine import Dialog, Engine, Finding, Left, Question, Step, Write
@@ -24,9 +24,8 @@ from cell.config.serve import ServeConfig
 from cell.errors import RequestRefused
 from cell.fault_catalogue import Refusal
 from cell.interfaces.live_socket import Moment
-from cell.interfaces.page import mount_page
 from cell.interfaces.service.lease import Lease
-from cell.interfaces.web_server import GuardedApi, Paths, RequestBody, WebServer
+from cell.interfaces.web_server import Paths, RequestBody, WebServer
 
 _WATCH_S = 0.1
 """Time in s between two looks at what a person moves by hand."""
@@ -330,22 +329,20 @@ class RedoBody(LeasedBody):
     key: str
 
 
-class WizardApi(GuardedApi):
-    """The paths of the wizard below ``/api``."""
+class WizardDoor(WebServer):
+    """The wizard behind HTTP and WebSocket, below ``/api``.
+
+    Raises
+    ------
+    OSError, ConfigError
+        As `WebServer`.
+    """
 
     def __init__(self, wizard: Wizard) -> None:
-        super().__init__(
-            wizard.lease,
-            wizard.config,
-            lambda: Moment(json.dumps(wizard.state(), allow_nan=False)),
-        )
         self._wizard = wizard
-
-    def app(self) -> FastAPI:
-        """Return the application."""
         paths: Paths = (
             ("/info", "GET", self.info),
-            ("/state", "GET", self._wizard.state),
+            ("/state", "GET", wizard.state),
             ("/steps/{key}/figures/{name}", "GET", self.figure),
             ("/record", "GET", self.record),
             ("/run", "POST", self.run),
@@ -353,10 +350,13 @@ class WizardApi(GuardedApi):
             ("/leave", "POST", self.leave),
             ("/redo", "POST", self.redo),
         )
-        app = self.guarded(paths)
-        app.add_api_route("/api/hold", self.hold, methods=["POST"])
-        mount_page(app, "commission.html")
-        return app
+        super().__init__(
+            wizard.lease,
+            wizard.config,
+            lambda: Moment(json.dumps(wizard.state(), allow_nan=False)),
+            paths,
+            "commission.html",
+        )
 
     def info(self) -> dict[str, Any]:
         """Version, folder of the cell, time-out of the lease."""
@@ -408,23 +408,3 @@ class WizardApi(GuardedApi):
         host = "" if request.client is None else request.client.host
         self._wizard.stop(f"stopped by {f'{host} {name}'.strip()}")
         return {"state": self._wizard.state()["phase"]}
-
-
-class WizardDoor(WebServer):
-    """The wizard behind HTTP and WebSocket.
-
-    Parameters
-    ----------
-    wizard
-        The wizard.
-
-    Raises
-    ------
-    OSError
-        As `WebServer`.
-    """
-
-    def __init__(self, wizard: Wizard) -> None:
-        api = WizardApi(wizard)
-        self.token = api.token
-        super().__init__(api.app(), wizard.config)
