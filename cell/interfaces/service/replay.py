@@ -7,7 +7,7 @@ to a service what `TactileCellPlugin` is for a cell.
 import threading
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -26,7 +26,6 @@ from cell.fault_catalogue import BY_NUMBER
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus
 from cell.interfaces.plugin.part_report import OnPart, PartReport, thinned_curves
 from cell.interfaces.plugin.plugin import cell_values
-from cell.interfaces.plugin.worker import Job, JobStatus
 from cell.interfaces.service.shift import Shift
 from gripper.state import Clock
 from recognition.recognizer import UNKNOWN
@@ -46,7 +45,8 @@ _CONTACT_FRAMES = 10
 """Frames just before the first contact that are left out of it: the pads may touch already."""
 _LATCHED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING)
 """States in which a fault is latched."""
-_NOTHING_RUNS = "this is the replay of a recording, nothing moves: `tactile-cell serve` runs a cell"
+NOTHING_RUNS = "this is the replay of a recording, nothing moves: `tactile-cell serve` runs a cell"
+"""Why a replay refuses what a cell would do."""
 
 
 class Tape:
@@ -359,15 +359,7 @@ class Replay:
 
     def check(self, task: str) -> NoReturn:
         """Refuse every task and command. Raises RequestRefused."""
-        raise RequestRefused(f"{task}: {_NOTHING_RUNS}")
-
-    def start(self, goal: Any) -> Job:
-        """Refuse a job. Raises RequestRefused."""
-        self.check(goal.task)
-
-    def begin(self, command: Any, *, reboot: bool = False, needless: bool = False) -> Job:
-        """Refuse a command. Raises RequestRefused."""
-        self.check(command.value)
+        raise RequestRefused(f"{task}: {NOTHING_RUNS}")
 
     @property
     def taught_revision(self) -> int:
@@ -378,21 +370,6 @@ class Replay:
         """Return the objects that could be named, without what was taught of them."""
         unknown = {"n_grasps": 0, "shape": None, "size_mm": None}
         return [{"label": label} | unknown for label in self.labels]
-
-    def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> Job:
-        """Refuse to forget an object. Raises RequestRefused."""
-        self.check(f"forget {label}")
-
-    def begin_forget_drift(self) -> Job:
-        """Refuse to forget the drift. Raises RequestRefused."""
-        self.check("forget_drift")
-
-    def feedback(self, job: Job) -> JobStatus:
-        """Refuse to show a job: there is none. Raises RequestRefused."""
-        self.check(f"job {job.number}")
-
-    def cancel(self, job: Job, reason: str) -> None:
-        """Do nothing: no job runs."""
 
     def remark(self, kind: str, text: str) -> None:
         """Write nothing: a recording stays as it is."""

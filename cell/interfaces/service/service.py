@@ -38,7 +38,7 @@ from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.interfaces.service.lease import Lease
 from cell.interfaces.service.photos import Photos
 from cell.interfaces.service.pose_handshake import PoseHandshake
-from cell.interfaces.service.replay import Replay
+from cell.interfaces.service.replay import NOTHING_RUNS, Replay
 from cell.interfaces.service.shift import Shift
 from gripper.state import Clock
 
@@ -250,7 +250,7 @@ class Service:
                     return last
                 raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
             job, task, _, since_s = self._jobs[wanted]
-            return self._view(wanted, task, self._plugin.feedback(job), since_s)
+            return self._view(wanted, task, self._cell.feedback(job), since_s)
 
     def jobs(self) -> tuple[JobView, ...]:
         """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
@@ -304,6 +304,13 @@ class Service:
 
     # -- commands ------------------------------------------------------------------------------
 
+    @property
+    def _cell(self) -> TactileCellPlugin:
+        """What jobs run on. Raises RequestRefused where a recording stands in its place."""
+        if isinstance(self._plugin, Replay):
+            raise RequestRefused(NOTHING_RUNS)
+        return self._plugin
+
     def _lose(self, reason: str) -> None:
         self._plugin.remark("lease", f"nobody is in command, {reason}")
         self.hold(reason)
@@ -335,7 +342,7 @@ class Service:
             fed = tuple(entry.label for entry in self.config.simulator.objects)
             checked = checked.model_copy(update={"feed": fed})
         given = checked.model_dump(exclude_defaults=True)
-        return self._begin(lease, checked.task, given, number, lambda: self._plugin.start(checked))
+        return self._begin(lease, checked.task, given, number, lambda: self._cell.start(checked))
 
     def command(
         self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0
@@ -358,9 +365,9 @@ class Service:
             if command is Command.RELEASE and key != RELEASE_KEY:
                 raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
             if command is not Command.CLEAR:
-                return self._plugin.begin(command, reboot=reboot)
+                return self._cell.begin(command, reboot=reboot)
             gone = self._gone
-            job = self._plugin.begin(command, reboot=reboot, needless=bool(gone))
+            job = self._cell.begin(command, reboot=reboot, needless=bool(gone))
             for client in gone:
                 self.end_hold(client)
             return job
@@ -392,7 +399,7 @@ class Service:
 
         Raises as `start`.
         """
-        return self._begin(lease, "forget_drift", {}, number, self._plugin.begin_forget_drift)
+        return self._begin(lease, "forget_drift", {}, number, self._cell.begin_forget_drift)
 
     # -- taught objects ------------------------------------------------------------------------
 
@@ -422,7 +429,7 @@ class Service:
             "forget",
             {"label": label, "last": last},
             0,
-            lambda: self._plugin.forget(
+            lambda: self._cell.forget(
                 label, last=last, forgotten=lambda: self.photos.remove(label)
             ),
         )
@@ -446,10 +453,10 @@ class Service:
         """Stop what runs and keep the grip; anyone may."""
         with self._lock:
             entry = self._jobs.get(self._newest)
-            if entry is not None and not self._plugin.feedback(entry[0]).outcome.terminal:
+            if entry is not None and not self._cell.feedback(entry[0]).outcome.terminal:
                 self._plugin.remark("hold", reason)
                 # First the cell, then the pose: the job ends as held, not as refused by the host.
-                self._plugin.cancel(entry[0], reason)
+                self._cell.cancel(entry[0], reason)
                 self._poses.stop()
 
     @property
