@@ -1,12 +1,15 @@
-"""A person at the simulated cell in virtual time: hands at fingers, blocks and plugs, answers."""
+"""A person at a simulated cell: hands at fingers, blocks and plugs, and answers in virtual time."""
 
 import re
+import time
 from collections.abc import Callable
 from typing import Any
 
 from cell.commissioning.law import GRAVITY_N_KG
+from cell.pytest_plugin.process import CellProcess
 from simulator.cell import SimulatedCell
-from simulator.world.shapes import ObjectPose
+from simulator.realtime.requests import CellRequests
+from tactile.layout import TaxelLayout
 from tests.cell.commissioning.script import Reply, Script
 
 WIDE_M = 0.05
@@ -14,85 +17,90 @@ WIDE_M = 0.05
 
 
 class Hands:
-    """Does what the wizard asks a person for, at a simulated cell.
+    """Does what the wizard asks a person for, at a simulated cell of this or another process.
 
     Parameters
     ----------
     cell
         The cell.
-    blocks_mm
-        Thicknesses of the blocks, in mm.
     first
         Number of the servo whose finger is opened first: finger 0.
     """
 
-    def __init__(
-        self, cell: SimulatedCell, blocks_mm: tuple[float, ...] = (10.0, 30.0), first: int = 1
-    ) -> None:
-        self.cell = cell
-        self.blocks_mm = blocks_mm
-        self.servos = len(cell.settings.servos)
+    def __init__(self, cell: SimulatedCell | CellProcess, first: int = 1) -> None:
         self.first = first
+        self._off: set[int] = set()
+        self.ask: Callable[..., Any]
+        if isinstance(cell, CellProcess):
+            self.ask, self._sleep = cell.ask, time.sleep
+            self.servos = range(1, 1 + len(cell.servo_ids))
+        else:
+            requests = CellRequests(cell.devices, cell.injector)
+            self.ask, self._sleep = lambda **one: requests(one), cell.clock.sleep
+            self.servos = range(1, 1 + len(cell.settings.servos))
 
     def move(self, **half_openings_m: float) -> None:
         """Move fingers, as ``servo1=0.02``, and wait until they are left."""
-        mechanics = self.cell.devices.mechanics
-        for name, half_opening_m in half_openings_m.items():
-            mechanics.move_by_hand(int(name.removeprefix("servo")) - 1, half_opening_m)
-        while mechanics.moved_by_hand:
-            self.cell.clock.sleep(0.01)
+        self.ask(hand={name.removeprefix("servo"): m for name, m in half_openings_m.items()})
+        while self.ask(state=True)["moved_by_hand"]:
+            self._sleep(0.01)
 
     def all_to(self, half_opening_m: float) -> None:
-        self.move(**{f"servo{i}": half_opening_m for i in range(1, self.servos + 1)})
+        self.move(**{f"servo{i}": half_opening_m for i in self.servos})
 
     def close_on(self, block_mm: float) -> Callable[[], None]:
         def act() -> None:
             self.all_to(WIDE_M)
-            shape = f"box:length=20mm,width=12mm,height={block_mm}mm"
-            self.cell.place(shape, ObjectPose())
+            self.ask(place=f"box:length=20mm,width=12mm,height={block_mm}mm")
             self.all_to(0.0)
 
         return act
 
     def close(self) -> None:
-        self.cell.remove()
+        self.ask(remove=True)
         self.all_to(0.0)
 
     def free(self) -> None:
-        self.cell.remove()
+        self.ask(remove=True)
         self.all_to(0.02)
 
-    def only(self, number: int) -> Callable[[], None]:
-        """Connect one servo alone."""
+    def empty(self) -> None:
+        """Take everything out of the fingers, and a fingertip off the pads."""
+        self.ask(remove=True)
+        self.ask(lift=True)
 
-        def act() -> None:
-            for other in range(1, self.servos + 1):
-                self.disconnect(other, off=other != number)
+    def press(self, layout: TaxelLayout, pad: int) -> None:
+        """Press a pad near its last row and column."""
+        one = layout.pads[pad]
+        x_m, y_m = 0.4 * one.rows * one.pitch_x_m, 0.3 * one.columns * one.pitch_y_m
+        self.ask(press=pad, x_m=x_m, y_m=y_m, force_n=2.0)
 
-        return act
+    def load(self, pad: int, force_n: float) -> None:
+        """Load the middle of a pad."""
+        self.ask(press=pad, x_m=0.0, y_m=0.0, force_n=force_n)
 
-    def disconnect(self, number: int, *, off: bool) -> None:
-        silent = self.cell.devices.faults.servo_wire.silent
-        servo_id = self.cell.settings.servos[number - 1].servo_id
-        (silent.add if off else silent.discard)(servo_id)
-
-    def connect_all(self) -> None:
-        for number in range(1, self.servos + 1):
-            self.disconnect(number, off=False)
+    def connect(self, *numbers: int) -> None:
+        """Connect these servos, and no other one."""
+        off = set(self.servos) - set(numbers)
+        for number in self._off - off:
+            self.ask(clear=f"servo{number}.off")
+        for number in off - self._off:
+            self.ask(inject=f"servo{number}.off")
+        self._off = off
 
     def replies(self) -> dict[str, Reply | list[Reply]]:
         """Return the answers of a person who does all that is asked for."""
         second = 3 - self.first
         return {
-            "servos.connect_one": self.only(self.first),
-            "servos.connect_next": self.connect_all,
+            "servos.connect_one": lambda: self.connect(self.first),
+            "servos.connect_next": lambda: self.connect(*self.servos),
             "fingers.close": self.close,
             "fingers.open_first": lambda: self.move(**{f"servo{self.first}": WIDE_M}),
             "fingers.open_second": lambda: self.move(**{f"servo{second}": WIDE_M}),
-            "fingers.block1": self.blocks_mm[0],
-            "fingers.block2": self.blocks_mm[1] if len(self.blocks_mm) > 1 else 0.0,
-            "fingers.on_block1": self.close_on(self.blocks_mm[0]),
-            "fingers.on_block2": self.close_on(self.blocks_mm[-1]),
+            "fingers.block1": 10.0,
+            "fingers.block2": 30.0,
+            "fingers.on_block1": self.close_on(10.0),
+            "fingers.on_block2": self.close_on(30.0),
             "fingers.free": self.free,
             "fingers.opened": "yes",
         }
@@ -129,21 +137,22 @@ class Person:
         self._layout = cell.settings.layout
         self.pressed_n = 0.0
         self._presses = presses
+        self._hands = Hands(cell)
         told: dict[str, Any] = {
             f"pads_law.{finger}.{number}": self._load(finger, force_n)
             for finger in (0, 1)
             for number, force_n in enumerate((2.0, 5.0, 8.0), start=1)
         }
         told |= {
-            "pads_law.with": self._nothing,
+            "pads_law.with": self._hands.empty,
             "first_force.most": 4.0,
-            "first_force.empty": self._nothing,
+            "first_force.empty": self._hands.empty,
             "first_force.part": lambda: cell.place("ball") and None,
-            "first_force.empty_again": self._nothing,
-            "baseline.empty": self._nothing,
+            "first_force.empty_again": self._hands.empty,
+            "baseline.empty": self._hands.empty,
             "baseline.place": lambda: cell.place("ball") and None,
         }
-        told |= Hands(cell).replies()
+        told |= self._hands.replies()
         told |= {key.replace("__", "."): reply for key, reply in replies.items()}
         self.script = Script(told, moment=self.moment)
 
@@ -151,14 +160,10 @@ class Person:
         # Whose finger it is, whatever the control unit calls it.
         def reply() -> float:
             pad = self._layout.gripping_pads[finger]
-            self._cell.devices.physical.press(pad, 0.0, 0.0, force_n)
+            self._hands.load(pad, force_n)
             return force_n / GRAVITY_N_KG * 1e3
 
         return reply
-
-    def _nothing(self) -> None:
-        self._cell.remove()
-        self._cell.devices.physical.lift()
 
     def moment(self) -> None:
         """Press the pad near the corner that was asked for last, or lift the fingertip."""
@@ -169,10 +174,7 @@ class Person:
         press = re.match(r"Press (\S+) with", last)
         names = [pad.name for pad in self._layout.pads]
         pad = self._presses(names.index(press[1])) if press else None
-        world = self._cell.devices.physical
         if pad is None:
-            world.lift()
-            return
-        one = self._layout.pads[pad]
-        x_m, y_m = 0.4 * one.rows * one.pitch_x_m, 0.3 * one.columns * one.pitch_y_m
-        world.press(pad, x_m, y_m, 2.0)
+            self._hands.ask(lift=True)
+        else:
+            self._hands.press(self._layout, pad)

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from cell.commissioning.law import GRAVITY_N_KG
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.pytest_plugin.process import CellProcess
 from gripper.dynamixel.serial_port import SerialStream
 from tactile.layout import pinch_layout
+from tests.cell.commissioning.hands import WIDE_M, Hands
 from tests.cell.commissioning.terminal import Answer, Person
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
@@ -36,78 +38,43 @@ def cell() -> Iterator[CellProcess]:
     process.end()
 
 
-class RealHands:
-    """Hands at a simulated cell in another process."""
+def typed(hands: Hands) -> dict[str, Answer]:
+    """Return what a person types and does."""
+    layout = pinch_layout()
+    pads = [pad.name for pad in layout.pads]
 
-    def __init__(self, cell: CellProcess) -> None:
-        self.cell = cell
-        self.pads = [pad.name for pad in pinch_layout().pads]
-
-    def move(self, **half_openings_m: float) -> None:
-        self.cell.ask(hand={k.removeprefix("servo"): v for k, v in half_openings_m.items()})
-        while self.cell.ask(state=True)["moved_by_hand"]:
-            time.sleep(0.05)
-
-    def both(self, half_opening_m: float) -> None:
-        self.move(servo1=half_opening_m, servo2=half_opening_m)
-
-    def close(self, _match: object) -> None:
-        self.cell.ask(remove=True)
-        self.both(0.0)
-
-    def on_block(self, match: re.Match[str]) -> None:
-        self.both(0.05)
-        self.cell.ask(place=f"box:length=20mm,width=12mm,height={match[1]}mm")
-        self.both(0.0)
-
-    def free(self, _match: object) -> None:
-        self.cell.ask(remove=True)
-        self.both(0.02)
-
-    def empty(self, _match: object) -> None:
-        self.cell.ask(remove=True)
-        self.cell.ask(lift=True)
-
-    def press(self, match: re.Match[str]) -> None:
-        pad = pinch_layout().pads[self.pads.index(match[1])]
-        x_m, y_m = 0.4 * pad.rows * pad.pitch_x_m, 0.3 * pad.columns * pad.pitch_y_m
-        self.cell.ask(press=self.pads.index(match[1]), x_m=x_m, y_m=y_m, force_n=2.0)
-
-    def load(self, match: re.Match[str]) -> str:
-        force_n = int(match[2]) * 9.80665e-3
-        self.cell.ask(press=self.pads.index(match[1]), x_m=0.0, y_m=0.0, force_n=force_n)
+    def load(match: re.Match[str]) -> str:
+        hands.load(pads.index(match[1]), int(match[2]) * 1e-3 * GRAVITY_N_KG)
         time.sleep(0.3)
         return match[2]
 
-    def answers(self) -> dict[str, Answer]:
-        """Return what a person types and does."""
-        return {
-            "Disconnect all servos but one": lambda _: self.cell.inject("servo2.off") and None,
-            "Connect the next servo": lambda _: self.cell.ask(clear="servo2.off"),
-            "Does it drive both": "2",
-            "Do this\\? y": "y",
-            "close them by hand": self.close,
-            "Open one finger by hand": lambda _: self.move(servo1=0.05),
-            "open the other one": lambda _: self.move(servo2=0.05),
-            "best about (10|30) mm thick": lambda match: match[1],
-            "Hold the block of (\\d+) mm": self.on_block,
-            "How do the fingers move\\?": "",
-            "Take the block out": self.free,
-            "Did each finger open": "1",
-            "!Press (\\S+) with a fingertip": self.press,
-            "!Lift the fingertip|Take the load off": lambda _: self.cell.ask(lift=True),
-            "Do you have weights": "1",
-            "Load \\d of \\d on (\\S+): about (\\d+) g": self.load,
-            "With which force may it": "4",
-            "Take everything out|Take the part away": self.empty,
-            "Hold .*between the pads, (and keep|until)": lambda _: self.cell.ask(place="ball"),
-            "Take hold of the": "",
-            "What is its name": "ball",
-            "failed\\. Mend it": self.fail,
-        }
-
-    def fail(self, _match: object) -> None:
+    def fail(_match: object) -> None:
         raise AssertionError("a step failed")
+
+    return {
+        "Disconnect all servos but one": lambda _: hands.connect(1),
+        "Connect the next servo": lambda _: hands.connect(1, 2),
+        "Does it drive both": "2",
+        "Do this\\? y": "y",
+        "close them by hand": lambda _: hands.close(),
+        "Open one finger by hand": lambda _: hands.move(servo1=WIDE_M),
+        "open the other one": lambda _: hands.move(servo2=WIDE_M),
+        "best about (10|30) mm thick": lambda match: match[1],
+        "Hold the block of (\\d+) mm": lambda match: hands.close_on(float(match[1]))(),
+        "How do the fingers move\\?": "",
+        "Take the block out": lambda _: hands.free(),
+        "Did each finger open": "1",
+        "!Press (\\S+) with a fingertip": lambda match: hands.press(layout, pads.index(match[1])),
+        "!Lift the fingertip|Take the load off": lambda _: hands.ask(lift=True),
+        "Do you have weights": "1",
+        "Load \\d of \\d on (\\S+): about (\\d+) g": load,
+        "With which force may it": "4",
+        "Take everything out|Take the part away": lambda _: hands.empty(),
+        "Hold .*between the pads, (and keep|until)": lambda _: hands.ask(place="ball"),
+        "Take hold of the": "",
+        "What is its name": "ball",
+        "failed\\. Mend it": fail,
+    }
 
 
 def findings(folder: Path) -> dict[str, dict[str, object]]:
@@ -121,7 +88,7 @@ def findings(folder: Path) -> dict[str, dict[str, object]]:
 def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     cell: CellProcess, tmp_path: Path
 ) -> None:
-    hands = RealHands(cell)
+    hands = Hands(cell)
     # The config of a simulated cell names its ports, and allows for the stalls of its process.
     command = ["commission", "box", "--config", str(cell.config_path)]
 
@@ -136,12 +103,12 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     ]
     for leaving in leaves:
         with contextlib.closing(Person(command, tmp_path)) as person:
-            code = person.meet(hands.answers() | leaving)
+            code = person.meet(typed(hands) | leaving)
             code = person.hang_up() if code == -1 else code
             assert code == 1, person.text
-    hands.empty(None)
+    hands.empty()
     with contextlib.closing(Person(command, tmp_path)) as person:
-        assert person.meet(hands.answers(), timeout_s=120.0) == 0, person.text[-6000:]
+        assert person.meet(typed(hands), timeout_s=120.0) == 0, person.text[-6000:]
     steps = findings(tmp_path / "box")
     assert not [key for key, step in steps.items() if step["status"] == "fail"]
     said = json.dumps(steps)

@@ -17,8 +17,15 @@ from cell.control.states import CellState, Command, GraspState, answer, refusal
 from cell.errors import CellStateError, CellStopped, error_text
 from cell.fault_catalogue import fault_number
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus, Verification
-from cell.interfaces.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, VerifyGoal
-from cell.interfaces.plugin.part_report import OnPart
+from cell.interfaces.plugin.goals import (
+    TASKS,
+    Goal,
+    GripGoal,
+    IdentifyGoal,
+    TeachGoal,
+    VerifyGoal,
+)
+from cell.interfaces.plugin.part_report import OnPart, PartReport
 from cell.interfaces.plugin.worker import Job, JobOutcome, JobStatus
 from recognition.recognizer import UNKNOWN
 
@@ -35,6 +42,13 @@ ROUND = FeltShape(
     n_grasps=1,
 )
 """Shape of each part."""
+FLAT = {"shape": "flat", "size_mm": 2.0}
+"""Shape of an object that is taught."""
+CURVES = {
+    "t_s": [0.0, 1.0, 2.0], "force_n": [0.0, 1.0, 7.6], "setpoint_n": [0.0, 1.0, 7.5],
+    "opening_mm": [18.0, 9.5, 9.4], "frame": [0.1] * 408,
+}  # fmt: skip
+"""Last grasp of each part."""
 FOUND = Verification(held=True, same=True, force_n=GRIP_N, opening_mm=9.5)
 """Answer of each grip and verify."""
 
@@ -43,7 +57,17 @@ class StubPlugin:
     """A cell that does as it is asked."""
 
     def __init__(self) -> None:
-        self.labels = ("ball", "box")
+        self.objects: dict[str, dict[str, Any]] = {
+            label: {"n_grasps": 5, "shape": "sphere", "size_mm": 9.5} for label in ("ball", "box")
+        }
+        """The taught objects by label."""
+        self.taught_revision = 0
+        self.finds = ""
+        """What the next part is named; as it is presented where it is empty."""
+        self.levels: dict[str, Any] = {
+            "servos": {"level": "ok", "temperature_c": [41.0, 40.0], "load": [0.18, 0.2]}
+        }
+        """Health."""
         self.asked: list[Goal | tuple[str, bool]] = []
         """What was accepted: goals, and commands with their ``reboot``."""
         self.remarks: list[tuple[str, str]] = []
@@ -62,12 +86,27 @@ class StubPlugin:
         """Have the next job run until `go_on` or `fail`."""
         self._paused = True
 
+    def report(self, **progress: Any) -> None:
+        """Have the job that runs report so much more."""
+        job = self._jobs[self._running]
+        self._jobs[self._running] = replace(job, progress=job.progress | progress)
+
+    def ready(self) -> None:
+        """Be idle with empty fingers, whatever was before; the job that runs is cancelled."""
+        self._error = None
+        self._over(JobOutcome.CANCELED, CellState.IDLE, holding=False)
+
     def go_on(self) -> None:
         """Let the job that runs, if any, succeed."""
         if (job := self._running) is not None:
             state, holding, value = self._end
             if isinstance(value, Answer):
                 value = self._last_answer = replace(value, job=job.number)
+                self.on_part(PartReport(task="identify", answer=value, seconds=9.4, curves=CURVES))
+            if isinstance(self._goal, TeachGoal):
+                taught = self.objects.setdefault(self._goal.label, {"n_grasps": 0, **FLAT})
+                taught["n_grasps"] += self._goal.grasps
+                self.taught_revision += 1
             self._over(JobOutcome.SUCCEEDED, state, holding=holding, value=value)
 
     def fail(self, error: Exception) -> None:
@@ -91,18 +130,17 @@ class StubPlugin:
         self.on_part = on_part
 
     @property
-    def taught_revision(self) -> int:
-        return 0
+    def labels(self) -> tuple[str, ...]:
+        return tuple(self.objects)
 
     def taught(self) -> list[dict[str, Any]]:
-        return [
-            {"label": label, "n_grasps": 5, "shape": "sphere", "size_mm": 9.5}
-            for label in self.labels
-        ]
+        return [{"label": label} | values for label, values in self.objects.items()]
 
     def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> Job:
+        self.taught_revision += 1
+        self.objects[label]["n_grasps"] -= 1
         if not last:
-            self.labels = tuple(one for one in self.labels if one != label)
+            del self.objects[label]
             forgotten()
         return self._accept(("forget", last), Command.GRASP, CellState.EXECUTE, self._end)
 
@@ -110,7 +148,7 @@ class StubPlugin:
         return self._accept(("forget_drift", False), None, self._cell, (self._cell, False, None))
 
     def health(self) -> dict[str, Any]:
-        return {"servos": {"level": "ok"}}
+        return self.levels
 
     def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:
         return counts.astype(np.float32)
@@ -129,8 +167,8 @@ class StubPlugin:
     def start(self, goal: Goal) -> Job:
         command, value, keeps = Command.GRASP, None, False
         if isinstance(goal, IdentifyGoal):
-            label, keeps = goal.present or "ball", goal.keep != "never"
-            found = {label: 0.9, UNKNOWN: 0.1}
+            label, keeps = self.finds or goal.present or "ball", goal.keep != "never"
+            found = {UNKNOWN: 0.1, label: 0.9}
             value = Answer(label=label, probabilities=found, n_grasps=1, kept=keeps, shape=ROUND)
         elif isinstance(goal, GripGoal | VerifyGoal):
             command, value, keeps = Command(goal.task), FOUND, True
@@ -179,6 +217,7 @@ class StubPlugin:
     ) -> Job:
         self._check(needed)
         self.asked.append(asked)
+        self._goal = asked
         if isinstance(asked, IdentifyGoal):
             self._last_answer = None
         if needed is Command.CLEAR:
@@ -198,7 +237,8 @@ class StubPlugin:
         job, self._running = self._running, None
         self._show(state, holding=self._status.holding if holding is None else holding)
         if job is not None:
-            self._jobs[job] = JobStatus(outcome=outcome, progress={}, **end)
+            progress = self._jobs[job].progress
+            self._jobs[job] = JobStatus(outcome=outcome, progress=progress, **end)
 
     def _show(self, state: CellState, *, holding: bool) -> None:
         """Set the states in one assignment: doors read them in threads of their own."""

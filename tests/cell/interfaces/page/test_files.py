@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import fields
 from http.client import HTTPConnection
 from typing import Any, get_args
 
@@ -11,15 +10,13 @@ import pytest
 from cell.commissioning.engine import Verdict
 from cell.commissioning.walk import all_steps
 from cell.control.states import CellState, GraspState
-from cell.fault_catalogue import CATALOGUE, Fault, Step
+from cell.fault_catalogue import CATALOGUE, Step
 from cell.interfaces.http_server import REMEDIES
 from cell.interfaces.page import FOLDER
 from cell.interfaces.plugin.goals import TASKS
-from cell.interfaces.service.state import state_values
 from cell.interfaces.wizard import Phase
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
-from tests.cell.interfaces.page.fake_cell import FakeCell
 
 WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("*.json")}
 SOURCE = "\n".join(path.read_text() for path in FOLDER.glob("*.js"))
@@ -43,8 +40,6 @@ FAMILIES: dict[str, set[str]] = {
 """Keys that end with what the cell reports."""
 SAME_IN_GERMAN = ("Servos",)
 """Texts that both languages write alike."""
-FAULT = {field.name for field in fields(Fault)} | {"detail", "since_s", "recording"}
-"""Fields of a fault in the state."""
 
 
 def used() -> set[str]:
@@ -156,12 +151,3 @@ def test_files_are_served_without_token_and_with_their_headers(serve: Any) -> No
         assert ask(path).status == 404, path
     assert ask("/", Host="evil.example").status == 403
     link.close()
-
-
-def test_the_fake_state_has_the_fields_of_the_real_one(serve: Any, cell: FakeCell) -> None:
-    """Without this its tests could pass on a page that no cell can serve."""
-    state, real = cell.now(), state_values(serve().service)
-    assert set(state) == set(real)
-    for name in ("status", "live", "job", "shift", "allowed"):
-        assert set(state[name]) <= set(real[name]), name
-    assert set(cell.faulted()["fault"]) == FAULT

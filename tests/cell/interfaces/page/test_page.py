@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from cell.control.live import LiveValues
 from tests.cell.interfaces.conftest import until
-from tests.cell.interfaces.page.fake_cell import NOT_NOW, FakeCell
+from tests.cell.interfaces.page.fake_cell import TEACHING, FakeCell
 
 EVIL = '<img src=x onerror="window.evil=1">'
 PIXEL = base64.b64decode(
@@ -29,15 +30,12 @@ def becomes(page: Any, selector: str, wanted: str) -> None:
     expect(page.locator(selector)).to_have_text(pattern, timeout=20_000)
 
 
-def show(page: Any, cell: FakeCell, name: str, **changes: Any) -> dict[str, Any]:
-    """Have the server show a state, and wait until the page does."""
-    state = cell.named("UNKNOWN", 0.93) if name == "unknown" else getattr(cell, name)()
-    cell.state = state | changes
-    cell.state["job"]["number"] += len(cell.asked) + 1
+def show(page: Any, cell: FakeCell, name: str) -> None:
+    """Bring the cell into a state, and wait until the page shows it."""
+    getattr(cell, name)()
     before = cell.n_messages
     until(lambda: cell.n_messages > before + 1)
     page.evaluate("new Promise(go => requestAnimationFrame(() => requestAnimationFrame(go)))")
-    return cell.state
 
 
 def fits(page: Any) -> bool:
@@ -78,17 +76,19 @@ def test_the_page_shows_the_state_and_commands_once(open_page: OpenPage, cell: F
 
 
 def test_a_name_is_text_wherever_it_stands(open_page: OpenPage, cell: FakeCell) -> None:
-    state = cell.named(EVIL)
+    cell.named(EVIL)
+    state, nearest = cell.state, {"runner_up": {"label": EVIL, "probability": 0.1}}
     answers = [
-        answer | {"label": EVIL, "place": EVIL, "runner_up": {"label": EVIL, "probability": 0.1}}
-        for answer in state["shift"]["answers"]
+        answer | {"label": EVIL, "place": EVIL} | nearest for answer in state["shift"]["answers"]
     ]
-    state["shift"] |= {"answers": answers, "counts": {EVIL: 3}}
-    state["job"] |= {"task": EVIL, "progress": {"best": EVIL, "of": 3, "label": EVIL}}
-    state |= {"held_by": [EVIL], "commander": EVIL}
+    cell.changes = {
+        "shift": state["shift"] | {"answers": answers, "counts": {EVIL: 3}},
+        "job": state["job"] | {"task": EVIL, "progress": {"best": EVIL, "of": 3, "label": EVIL}},
+        "held_by": [EVIL],
+        "commander": EVIL,
+    }
     cell.info |= {"name": EVIL, "places": [EVIL, "rejects"]}
-    cell.taught = [{"label": EVIL, "n_grasps": 3, "shape": EVIL, "size_mm": 3.0}]
-    cell.state = state
+    cell.plugin.objects = {EVIL: {"n_grasps": 3, "shape": EVIL, "size_mm": 3.0}}
     page = open_page()
     becomes(page, "#held_name", re.escape(EVIL))
     page.click("#strip button >> nth=-1")
@@ -97,8 +97,9 @@ def test_a_name_is_text_wherever_it_stands(open_page: OpenPage, cell: FakeCell) 
     for tab in ("teach", "sort"):
         page.click(f"#tab_{tab}")
     becomes(page, "#taught b", re.escape(EVIL))
-    cell.state = cell.faulted() | {"commander": EVIL}
-    cell.state["fault"] |= {"number": 999, "text": EVIL, "remedy": EVIL, "steps": [EVIL, "mend"]}
+    cell.faulted()
+    evil = {"number": 999, "text": EVIL, "remedy": EVIL, "steps": [EVIL, "mend"]}
+    cell.changes = {"commander": EVIL, "fault": cell.state["fault"] | evil}
     becomes(page, "#fault_title", re.escape(EVIL))
     assert page.evaluate("[window.evil, document.querySelectorAll('[src=x]').length]") == [None, 0]
 
@@ -141,8 +142,8 @@ def test_german_words_numbers_and_faults(open_page: OpenPage, cell: FakeCell) ->
     page = open_page(locale="de-DE", command=True)
     becomes(page, "#state", "Bereit")
     show(page, cell, "named")
-    becomes(page, "#held_size", "eine Platte von 6,4 mm")
-    becomes(page, "#held_sure", "97\\s%")
+    becomes(page, "#held_size", "eine Kugel von 9,5 mm")
+    becomes(page, "#held_sure", "90\\s%")
     show(page, cell, "faulted")
     becomes(page, "#fault_title", "Das gehaltene Teil rutscht")
     becomes(page, "#fault_grip", "Gehalten")
@@ -159,7 +160,7 @@ def test_an_unknown_part_is_an_answer(open_page: OpenPage, cell: FakeCell) -> No
     becomes(page, "#state", "Ready")
     show(page, cell, "unknown")
     becomes(page, "#held_name", "Unknown")
-    becomes(page, "#held_sure", "Never taught; feels like a cylinder of 6.0 mm")
+    becomes(page, "#held_sure", "Never taught; feels like a sphere of 9.5 mm")
     assert page.locator("#strip .unknown").count() == 2
     assert page.locator("#held_shape .part").count() == 1
 
@@ -171,15 +172,15 @@ def test_the_cell_is_gauged_with_a_taught_object(open_page: OpenPage, cell: Fake
     becomes(page, "#gauge_now", "pads 1\u00a0%, opening 0.0\u00a0mm")
     page.click("#gauge_now")
     page.select_option("#gauge_label", "nut")
+    cell.plugin.pause()
     page.click("#gauge_start")
     until(lambda: cell.asked)
     assert cell.asked == [("gauge", {"label": "nut"})]
     before, after = {"gain": 1.01, "opening_mm": 0.0}, {"gain": 0.71, "opening_mm": -3.9}
     gauged = {"label": "nut", "before": before, "after": after}
-    cell.state["job"] = cell.state["job"] | {
-        "task": "gauge", "outcome": "SUCCEEDED", "gauged": gauged, "number": 14,
-    }  # fmt: skip
-    cell.state["health"]["drift"] = {"level": "watch"} | after
+    cell.plugin.report(gauged=gauged)
+    cell.plugin.levels["drift"] = {"level": "watch"} | after
+    cell.plugin.go_on()
     becomes(page, "#gauge_end", "from 1\u00a0%, 0.0\u00a0mm to -29\u00a0%, -3.9\u00a0mm")
     at = [float(page.get_attribute(f"#gauge_picture .{one}", "cx")) for one in ("before", "now")]
     assert at == pytest.approx([152.6, 74.6])
@@ -194,20 +195,18 @@ def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> 
         "#teach_file", {"name": "washer.png", "mimeType": "image/png", "buffer": PIXEL}
     )
     page.wait_for_selector("#teach_photo", state="visible")
+    cell.plugin.pause()
     page.click("#teach_start")
     until(lambda: cell.asked)
     assert cell.asked == [("teach", {"label": "washer"})]  # ten grasps are the default
-    show(page, cell, "teaching")
+    cell.plugin.report(**TEACHING)
     becomes(page, "#teach_progress", "washer: 6 of 10 grasps – 1 missed")
     assert page.locator("#teach_each li").count() == 6
     becomes(page, "#do_teach, #teach_start", "a job runs")
 
     nearest = {"label": "washer", "n_grasps": 10, "nearest": "nut", "mistaken_share": 0.12}
-    cell.taught.append({"label": "washer", "n_grasps": 10, "shape": "flat", "size_mm": 2.0})
-    ended = {"outcome": "SUCCEEDED", "taught": nearest}
-    cell.state = cell.teaching(10) | {
-        "job": cell.state["job"] | ended, "status": cell.idle()["status"],
-    }  # fmt: skip
+    cell.plugin.report(taught=nearest)
+    cell.plugin.go_on()
     becomes(page, "#teach_end", "Near to nut: 12% would be mistaken")
     until(lambda: cell.service.photos.has("washer"))
     page.wait_for_selector("#taught img")
@@ -218,7 +217,7 @@ def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> 
     page.click("[aria-label='Forget washer']")
     page.click("#sure_yes")
     becomes(page, "#taught li:last-child b", "pin")
-    assert [given["last"] for given in cell.given("forget")] == [True, False]
+    assert cell.given("forget") == [True, False]
 
 
 @pytest.mark.long
@@ -246,8 +245,9 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page: OpenPage, cell: 
     ):
         show(page, cell, name)
         becomes(page, selector, reason)
-    cell.state["held_by"] = ["HTTP 10.0.0.7 gate"]
-    cell.state["allowed"] = {"verify": {"number": 515, "text": "", "remedy": ""}, "grip": NOT_NOW}
+    cell.service.begin_hold("gate", "HTTP 10.0.0.7 gate")
+    allowed = cell.state["allowed"]
+    cell.changes = {"allowed": {task: allowed[task] for task in ("verify", "grip")}}
     becomes(page, "#do_verify", "on hold by HTTP 10.0.0.7 gate")
     becomes(page, "#doing", "Kept on hold by HTTP 10.0.0.7 gate")
     becomes(page, "#do_sort", "not in this mode")
@@ -263,17 +263,18 @@ def test_health_is_one_line_until_something_is_not_well(
     page = open_page()
     becomes(page, "#health", "All is well")
     assert page.locator("#health").bounding_box()["height"] < 45
-    cell.state["health"]["servos"] |= {"level": "watch", "temperature_c": [64.0, 41.0]}
+    cell.plugin.levels["servos"] |= {"level": "watch", "temperature_c": [64.0, 41.0]}
     becomes(page, "#health span >> nth=0", "Look – Servos: 64 °C")
-    cell.state = cell.faulted()
+    cell.plugin.levels["servos"]["level"] = "ok"
+    cell.faulted()
     becomes(page, "#health", "^Servos")  # a fault is not well, whatever else is
-    del cell.state["health"]
+    cell.changes = {"health": None}
     becomes(page, "#health", "No figures")
 
 
 def test_what_is_not_measured_is_a_dash(open_page: OpenPage, cell: FakeCell) -> None:
-    cell.state = cell.working()
-    cell.state["live"] = dict.fromkeys(cell.state["live"])
+    cell.working()
+    cell.plugin.show_live(LiveValues())
     page = open_page()
     becomes(page, "#state", "Working")
     becomes(page, "#felt_force", "–")
@@ -290,7 +291,7 @@ def test_what_a_busy_server_does_not_answer_is_asked_again(
     becomes(page, "#grasp_title", "nut")
     page.click("#grasp_close")
     becomes(page, "#cell", "^$")
-    cell.service.info = lambda: cell.info
+    del cell.service.info
     becomes(page, "#cell", "Cell 3")
 
 
@@ -317,7 +318,7 @@ def test_an_old_frame_is_not_shown(open_page: OpenPage, cell: FakeCell) -> None:
     page = open_page()
     becomes(page, "#state", "Ready")
     page.wait_for_selector("#pads", state="visible")
-    cell.state["live"] = dict.fromkeys(cell.state["live"])
+    cell.plugin.show_live(LiveValues())
     page.wait_for_selector("#pads_none", state="visible")
     becomes(page, "#pads_none", "No frames of the pads")
 
