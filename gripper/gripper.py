@@ -1,4 +1,4 @@
-"""The gripper: open, grasp under a force ramp, hold, back off, release, stop.
+"""The gripper: open, grasp under a force ramp, hold, carry, release, stop.
 
 A part is let go by `Gripper.release` alone. Faults, exceptions, `keep_grip` and `close` leave
 goals and torque as they are.
@@ -52,8 +52,7 @@ from gripper.state import (
 )
 
 CARRY_RATE_N_S = 20.0
-"""Rate in N/s at which a held force goes to that of the carry: four times that of
-`Gripper.back_off`, because a host waits for the answer."""
+"""Rate in N/s at which a held force goes to that of the carry: a host waits for the answer."""
 
 
 class Gripper:
@@ -412,7 +411,7 @@ class Gripper:
         if not control.setpoint_n < ramp.final_n:
             raise LimitExceeded(
                 f"a further ramp to {ramp.final_n} N is not above the held {control.setpoint_n} "
-                f"N: back off first"
+                f"N: carry it with less force first"
             )
         self._carried = None
         with self._life.command(GripperPhase.RAMPING):
@@ -420,26 +419,6 @@ class Gripper:
             outcome = self._grasping.squeeze(control, ramp, observer)
         self._life.phase = GripperPhase.HOLDING
         return outcome
-
-    def back_off(
-        self, force_n: float, observer: Observer | None = None, *, rate_n_s: float = 5.0
-    ) -> GripperState:
-        """Lower the force to ``force_n`` at ``rate_n_s`` without letting go.
-
-        Raises
-        ------
-        LimitExceeded
-            When the force is below the contact force or above the present set-point.
-        PartLost
-            When both pads become empty.
-        """
-        control = self._held_control("back_off")
-        ramp = self._grasping.back_off_ramp(control, force_n, rate_n_s)
-        with self._life.command(GripperPhase.BACKING_OFF):
-            self._make_ready()
-            state = self._grasping.follow(control, ramp, observer)
-        self._life.phase = GripperPhase.HOLDING
-        return state
 
     def release(self, observer: Observer | None = None) -> ReleaseReport:
         """Let go: open to aperture_open_m. The only command that lets a part go.

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf
 
-from gripper.errors import GripContradicted, LimitExceeded, PartLost
+from gripper.errors import GripContradicted, PartLost
 from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Observer, Running
 from gripper.force.mechanics_proof import (
@@ -215,16 +215,6 @@ class GraspRun:
         step = SqueezeStep(self._settings, control, ramp.starting_from(control.setpoint_n))
         final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
         return step.outcome(final)
-
-    def back_off_ramp(self, control: GripControl, force_n: float, rate_n_s: float) -> ForceRamp:
-        """Return the way down from the present set-point; LimitExceeded where there is none."""
-        if not self._settings.contact_force_n <= force_n <= control.setpoint_n:
-            raise LimitExceeded(
-                f"backing off to {force_n} N is not from contact_force_n = "
-                f"{self._settings.contact_force_n} N to the present {control.setpoint_n} N; "
-                f"letting go is done by release"
-            )
-        return ForceRamp.linear(force_n, rate_n_s, start_n=control.setpoint_n)
 
     def follow(
         self, control: GripControl, ramp: ForceRamp, observer: Observer | None

@@ -123,11 +123,6 @@ class PhysicalWorld:
         """Name of the object and the pose in which it came to rest, None without one."""
         return self._placed
 
-    @property
-    def object_z_m(self) -> float:
-        """Position to which the object has floated along the closing axis in m; NaN without one."""
-        return self._press.z_m if self._press else math.nan
-
     def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
         """Put an object between the open pads, in the place of the present one.
 

@@ -175,22 +175,6 @@ def test_holding_does_not_hunt_and_gives_back_current(cell) -> None:
     assert goals_a[-1] < goals_a[0] - 0.03
 
 
-def test_back_off_lowers_the_force_without_letting_go(cell) -> None:
-    cell.hold_part(RAMP)
-    with pytest.raises(LimitExceeded, match="letting go is done by release"):
-        cell.gripper.back_off(0.1)
-    with pytest.raises(LimitExceeded):
-        cell.gripper.back_off(9.0)
-    cell.least_n = 99.0
-    phases: set[GripperPhase] = set()
-    cell.gripper.back_off(4.0, lambda c: phases.add(c.phase))
-    cell.gripper.hold(1.0)
-    assert phases == {GripperPhase.BACKING_OFF}
-    assert cell.force_n == pytest.approx(4.0, abs=0.6)
-    assert cell.least_n > 3.0
-    assert cell.gripper.state is GripperPhase.HOLDING
-
-
 def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
     end_s = cell.clock.monotonic() + seconds
     while cell.clock.monotonic() < end_s:
@@ -240,9 +224,9 @@ def test_a_part_is_squeezed_again_in_the_same_grip(cell) -> None:
     with pytest.raises(GripperStateError):
         cell.gripper.squeeze(RAMP)
     cell.gripper.grasp(RAMP)
-    with pytest.raises(LimitExceeded, match="back off first"):
+    with pytest.raises(LimitExceeded, match="carry it with less force first"):
         cell.gripper.squeeze(RAMP)
-    cell.gripper.back_off(2.0)
+    cell.gripper.carry(2.0)
     cell.least_n = 99.0
     setpoints_n: list[float] = []
     outcome = cell.gripper.squeeze(RAMP, lambda c: setpoints_n.append(c.setpoint_n))
