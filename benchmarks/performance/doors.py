@@ -16,12 +16,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from xmlrpc.client import ServerProxy
 
 from benchmarks._measure import in_turns, line, quantile, repeats, same
 from benchmarks.performance.loop_lateness import figures, running, simulated_cell
-from cell.config.file import changed_config, load_config
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import Command
 from cell.errors import CellStateError
@@ -168,8 +167,8 @@ def clients(n_clients: int, port: int) -> Iterator[None]:
 
 def lateness(n_clients: int) -> str:
     """Grip on pseudo-terminals with so many clients; return the loop's figures."""
-    with simulated_cell() as hello:
-        service = open_service(changed_config(load_config(Path(hello["config"])), _DOORS))
+    with simulated_cell(**_DOORS) as (_, config):
+        service = open_service(config)
         with contextlib.closing(service), open_doors(service) as doors:
             lease = service.lease.acquire("benchmark")
             grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
