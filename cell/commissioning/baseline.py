@@ -331,7 +331,7 @@ def measure_gauge(
         dialog.confirm(
             "baseline.place",
             f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
-            watch=lambda: look_after(hand, bench.clock, hand.period_s),
+            watch=lambda: look_after(hand, bench.clock),
         )
         outcome = hand.grasp(force_ramp(config.sequence.ramp, force_n), motion)
         if outcome.result is not GraspResult.FORCE_REACHED:
@@ -369,7 +369,7 @@ def _let_go(hand: Hand, clock: Clock, dialog: Dialog) -> None:
     dialog.confirm(
         "baseline.release",
         "Take hold of the object; the fingers open then.",
-        watch=lambda: look_after(hand, clock, hand.period_s),
+        watch=lambda: look_after(hand, clock),
     )
     hand.release()
 

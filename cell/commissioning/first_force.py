@@ -32,7 +32,6 @@ from cell.hand.lines import Lines
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
-from gripper.gripper import Gripper, open_gripper
 from gripper.settings import largest_setpoint_n
 from gripper.state import (
     Clock,
@@ -41,6 +40,7 @@ from gripper.state import (
     GraspResult,
     GripperPhase,
 )
+from tactile.can.bus import MissingBus
 
 FIRST_FORCE_N = 1.0
 """Force in N of the first ramp: a part that it breaks is held by nothing."""
@@ -67,31 +67,9 @@ _TICK_S = 0.08
 """Time in s for which the grip is controlled between two looks at the person's answer."""
 
 
-class _GripperAlone:
-    """Commands of a hand, by a gripper whose force is known by the motors' current."""
-
-    def __init__(self, gripper: Gripper) -> None:
-        self._gripper = gripper
-        self.start, self.tick = gripper.start, gripper.tick
-        self.clear_fault, self.request_stop = gripper.clear_fault, gripper.request_stop
-        self.grasp, self.squeeze = gripper.grasp, gripper.squeeze
-        self.carry, self.release = gripper.carry, gripper.release
-
-    @property
-    def phase(self) -> GripperPhase:
-        return self._gripper.state
-
-    def open(self, watch: WatchedMotion) -> None:
-        self._gripper.open(observer=watch)
-
-
-Fingers = Hand | _GripperAlone
-"""What a first grasp commands: a hand with pads, or a gripper by itself."""
-
-
 @contextmanager
 def bench_hand(bench: Bench, config: CellConfig) -> Iterator[Hand]:
-    """Open the hand of a config on the bench's lines.
+    """Open the hand of a config on the bench's lines, for a gripper alone that of the servos.
 
     At the end the torque goes off where nothing is held; what is held stays held.
 
@@ -102,14 +80,19 @@ def bench_hand(bench: Bench, config: CellConfig) -> Iterator[Hand]:
     """
     gripper, tactile = config.gripper, config.tactile
     hand: Hand
-    if bench.clock is time and config.loop.own_process:
+    alone = bench.gripper_alone
+    if bench.clock is time and config.loop.own_process and not alone:
         hand = HandProcess(config)
     else:
         lines = Lines(
             lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
-            lambda: bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate),
+            lambda: (
+                MissingBus()
+                if alone
+                else bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate)
+            ),
         )
-        hand = make_hand(config, lines)
+        hand = make_hand(config, lines, by_current=alone)
     try:
         yield hand
     finally:
@@ -119,43 +102,29 @@ def bench_hand(bench: Bench, config: CellConfig) -> Iterator[Hand]:
             hand.close()
 
 
-@contextmanager
-def _gripper_alone(bench: Bench, config: CellConfig) -> Iterator[_GripperAlone]:
-    """Open the gripper of a config without its control unit."""
-    stream = bench.lines.open_servos(config.gripper.port, config.gripper.baud_rate)
-    gripper = open_gripper(
-        stream, config.gripper_settings, config.linkage, baud_rate=config.gripper.baud_rate
-    )
-    try:
-        yield _GripperAlone(gripper)
-    finally:
-        gripper.close()
-        gripper.bus.close()
-
-
-def start_free(fingers: Fingers, dialog: Dialog) -> None:
+def start_free(hand: Hand, dialog: Dialog) -> None:
     """Verify the servos; fingers that an earlier run left with torque are opened first.
 
     They may hold a part: the person confirms it.
     """
-    fingers.start()
-    if fingers.phase is GripperPhase.HELD_AFTER_FAULT:
+    hand.start()
+    if hand.phase is GripperPhase.HELD_AFTER_FAULT:
         dialog.confirm(
             "fingers.held",
             "The servos have torque from before: a part may be held. Take hold of it; the "
             "fingers open when you confirm.",
         )
-        fingers.release()
-        fingers.start()
+        hand.release()
+        hand.start()
 
 
 @contextmanager
-def told_if_held(fingers: Fingers) -> Iterator[None]:
+def told_if_held(hand: Hand) -> Iterator[None]:
     """Say on the way out, where the person leaves, that the fingers still hold what they hold."""
     try:
         yield
     except Left as left:
-        if fingers.phase in (GripperPhase.OFF, GripperPhase.IDLE):
+        if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
             raise
         raise Left(
             f"{left}. The fingers keep their grip: take hold of the part and run `tactile-cell "
@@ -163,13 +132,13 @@ def told_if_held(fingers: Fingers) -> Iterator[None]:
         ) from None
 
 
-def look_after(fingers: Fingers, clock: Clock, period_s: float) -> str:
+def look_after(hand: Hand, clock: Clock) -> str:
     """Feed the watchdog, and control what is held, for a while; returns the phase as text."""
     end_s = clock.monotonic() + _TICK_S
     while clock.monotonic() < end_s:
-        fingers.tick()
-        clock.sleep(period_s)
-    return f"fingers: {fingers.phase.value.replace('_', ' ')}"
+        hand.tick()
+        clock.sleep(hand.period_s)
+    return f"fingers: {hand.phase.value.replace('_', ' ')}"
 
 
 def _course(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
@@ -241,13 +210,23 @@ class FirstForceStep(Step):
             "Take everything out of the fingers, and your hands away from them.",
         )
         with (
-            (_gripper_alone if alone else bench_hand)(bench, config) as fingers,
-            told_if_held(fingers),
-            WatchedMotion(dialog, fingers.request_stop) as motion,
+            bench_hand(bench, config) as hand,
+            told_if_held(hand),
+            WatchedMotion(dialog, hand.request_stop) as motion,
         ):
-            trial = _Trial(config, dialog, bench.clock, notes, motion, most_n=most_n, cap_n=cap_n)
+            trial = _Trial(
+                config,
+                dialog,
+                bench.clock,
+                notes,
+                hand,
+                motion,
+                most_n=most_n,
+                cap_n=cap_n,
+                alone=alone,
+            )
             try:
-                trial.run(fingers)
+                trial.run()
             finally:
                 if len(course := _course(motion.cycles)):
                     notes.figures["force"] = _figure(course, cap_n)
@@ -313,51 +292,50 @@ class _Trial:
     dialog: Dialog
     clock: Clock
     notes: Finding
+    hand: Hand
     motion: WatchedMotion
     most_n: float
     cap_n: float
+    alone: bool
 
-    def run(self, fingers: Fingers) -> None:
-        hand = None if isinstance(fingers, _GripperAlone) else fingers
-        start_free(fingers, self.dialog)
-        if hand is not None:
-            hand.start_sensor()
-        self._open(fingers)
+    def run(self) -> None:
+        start_free(self.hand, self.dialog)
+        if not self.alone:
+            self.hand.start_sensor()
+        self._open()
         self.notes.fact(
             "The empty fingers opened as direction, zero and linkage say, and the bus watchdog "
             "stopped them when this program fell silent."
         )
-        if hand is not None:
-            self._check_empty(hand)
+        if not self.alone:
+            self._check_empty()
         self._ask(
-            fingers,
             "part",
             "Hold the soft part between the pads, and keep it there until the fingers hold it.",
         )
-        self._grasp(fingers)
-        if hand is not None and meets(self.config):
-            self._meet(hand)
+        self._grasp()
+        if not self.alone and meets(self.config):
+            self._meet()
 
-    def _ask(self, fingers: Fingers, key: str, text: str) -> None:
+    def _ask(self, key: str, text: str) -> None:
         """Ask for something by hand, while the grip is looked after."""
-        period_s = 1.0 / self.config.gripper.loop_rate_hz
         self.dialog.confirm(
-            f"first_force.{key}", text, watch=lambda: look_after(fingers, self.clock, period_s)
+            f"first_force.{key}", text, watch=lambda: look_after(self.hand, self.clock)
         )
 
-    def _open(self, fingers: Fingers) -> None:
+    def _open(self) -> None:
         """Open the empty fingers; where that fails their torque may go off at the end."""
         try:
-            fingers.open(self.motion)
+            self.hand.open(self.motion)
         except GripperError:
             with suppress(GripperError):
-                fingers.clear_fault(reboot=False)
+                self.hand.clear_fault(reboot=False)
             raise
 
-    def _check_empty(self, hand: Hand) -> None:
+    def _check_empty(self) -> None:
         """Take the zero; the pads of the open fingers show no force then."""
-        hand.tare(self.config.tactile.tare_frames)
-        first_n, second_n = hand.read_sensor(timeout_s=1.0).finger_force_n
+        self.hand.tare(self.config.tactile.tare_frames)
+        first_n, second_n = self.hand.read_sensor(timeout_s=1.0).finger_force_n
         limit_n = _EMPTY_SHARE * self.config.gripper.contact_force_n
         self.notes.values["empty_n"] = [round(first_n, 4), round(second_n, 4)]
         self.notes.fact(
@@ -369,21 +347,20 @@ class _Trial:
                 "the pads, let the unit warm up for ten minutes, and run the step again."
             )
 
-    def _meet(self, hand: Hand) -> None:
+    def _meet(self) -> None:
         """Close the empty fingers onto each other: the zero of the opening, and pad against pad."""
         self._ask(
-            hand,
             "empty_again",
             "Take the part away, and your hands: the empty fingers press on each other next.",
         )
         begun = len(self.motion.cycles)
         ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
-        outcome = hand.meet(ramp, self.motion)
+        outcome = self.hand.meet(ramp, self.motion)
         if between := part_between(outcome):
             raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
         last = _course(self.motion.cycles[begun:])[-_LAST_PERIODS:]
         first_n, second_n = (round(float(n), 3) for n in np.nanmean(last[:, 2:], axis=0))
-        hand.release(self.motion)
+        self.hand.release(self.motion)
         opening_mm = 1e3 * outcome.final_aperture_m
         self.notes.values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
         self.notes.fact(
@@ -396,13 +373,13 @@ class _Trial:
                 "`tactile-cell commission --redo fingers`."
             )
 
-    def _grasp(self, fingers: Fingers) -> None:
+    def _grasp(self) -> None:
         """Press the soft part, and let it go."""
         ramp, motion = self.config.sequence.ramp, self.motion
         first_n = max(FIRST_FORCE_N, 1.5 * self.config.gripper.contact_force_n)
         measured: list[list[float]] = []
         for force_n in dict.fromkeys((first_n, max(first_n, self.most_n))):
-            follow = fingers.squeeze if measured else fingers.grasp
+            follow = self.hand.squeeze if measured else self.hand.grasp
             outcome = follow(force_ramp(ramp, force_n), motion)
             if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
                 raise StepFailed(
@@ -410,11 +387,11 @@ class _Trial:
                     "middle between the pads, and run the step again."
                 )
             since = len(motion.cycles)
-            fingers.carry(force_n, _HOLD_S, motion)
+            self.hand.carry(force_n, _HOLD_S, motion)
             held_n = _grip_n(_course(motion.cycles[since:]))
             measured.append([force_n, *(round(float(n), 3) for n in (held_n.mean(), held_n.max()))])
             self._judge(force_n, float(held_n.mean()), outcome)
-        fingers.carry(first_n, 0.0, motion)
+        self.hand.carry(first_n, 0.0, motion)
         peak_n = float(_grip_n(_course(motion.cycles)).max())
         self.notes.values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
         if peak_n > self.cap_n + _WRONG_N:
@@ -423,8 +400,8 @@ class _Trial:
                 "gripper.contact.approach_force_n, or gripper.approach_speed_mm_s, and run the "
                 "step again."
             )
-        self._ask(fingers, "release", "Take hold of the part; the fingers open when you confirm.")
-        fingers.release()
+        self._ask("release", "Take hold of the part; the fingers open when you confirm.")
+        self.hand.release()
 
     def _judge(self, asked_n: float, held_n: float, outcome: GraspOutcome) -> None:
         """Note how a force was reached and held."""

@@ -46,8 +46,13 @@ def open_hand(
         raise
 
 
-def make_hand(config: CellConfig, lines: Lines, *, notes: tuple[str, ...] = ()) -> LocalHand:
-    """Put gripper and sensor together on open lines, which the hand closes at its end."""
+def make_hand(
+    config: CellConfig, lines: Lines, *, notes: tuple[str, ...] = (), by_current: bool = False
+) -> LocalHand:
+    """Put gripper and sensor together on open lines, which the hand closes at its end.
+
+    With ``by_current`` the force is known by the motors' current, and the sensor is not to be used.
+    """
     layout = layout_from_config(config.tactile)
     sensor = open_sensor(
         lines.can_bus,
@@ -63,7 +68,7 @@ def make_hand(config: CellConfig, lines: Lines, *, notes: tuple[str, ...] = ()) 
         config.gripper_settings,
         config.linkage,
         baud_rate=config.gripper.baud_rate,
-        force_sensor=force,
+        force_sensor=None if by_current else force,
     )
     return LocalHand(
         gripper=gripper, sensor=sensor, force=force, lines=lines, notes=(*notes, *config.notes)
