@@ -110,6 +110,25 @@ def bench(make_bench: Callable[..., Bench]) -> Bench:
     return make_bench()
 
 
+@pytest.fixture
+def meddle(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], object]], list[Any]]:
+    """Return what does something to each cell that a program builds, and returns their list."""
+
+    def arrange(act: Callable[[Any], object]) -> list[Any]:
+        built: list[Any] = []
+
+        def build(*arguments: Any, **options: Any) -> Any:
+            built.append(build_cell(*arguments, **options))
+            act(built[-1])
+            return built[-1]
+
+        for module in ("build", "interfaces.cli.session", "jobs.doctor"):
+            monkeypatch.setattr(f"cell.{module}.build_cell", build)
+        return built
+
+    return arrange
+
+
 @dataclass(frozen=True)
 class Taught:
     """A small run of the main job, with its files."""

@@ -18,7 +18,6 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-import cell.interfaces.cli.session
 import cell.jobs.doctor
 from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
@@ -748,25 +747,6 @@ def test_wrong_use_is_two_and_a_failing_job_one(
 ) -> None:
     assert complaint in fail(*command.format(**files).split(), code=code)
     assert not files["made"].exists()
-
-
-@pytest.fixture
-def meddle(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], None]], list[Any]]:
-    """Return what does something to each cell that a command builds."""
-
-    def arrange(act: Callable[[Any], None]) -> list[Any]:
-        built: list[Any] = []
-        original = cell.interfaces.cli.session.build_cell
-
-        def build(*arguments: Any, **options: Any) -> Any:
-            built.append(original(*arguments, **options))
-            act(built[-1])
-            return built[-1]
-
-        monkeypatch.setattr(cell.interfaces.cli.session, "build_cell", build)
-        return built
-
-    return arrange
 
 
 def when_pressed(made: Any, act: Callable[[], None]) -> None:

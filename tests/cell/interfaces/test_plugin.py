@@ -281,22 +281,9 @@ def test_a_reset_with_the_part_still_held_is_refused_and_can_be_repaired(plugin:
     [("unit.off", NodeMissing), ("servo1.off", VerificationFailed)],
 )
 def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
-    plugin_class: Any,
-    make_config: Any,
-    monkeypatch: pytest.MonkeyPatch,
-    fault: str,
-    error: type[Exception],
+    plugin_class: Any, make_config: Any, meddle: Any, fault: str, error: type[Exception]
 ) -> None:
-    import cell.build
-
-    original, built = cell.build.build_cell, []
-
-    def build(*arguments: Any, **options: Any) -> Any:
-        built.append(original(*arguments, **options))
-        built[-1].simulated.inject(fault)
-        return built[-1]
-
-    monkeypatch.setattr(cell.build, "build_cell", build)
+    built = meddle(lambda made: made.simulated.inject(fault))
     threads = threading.active_count()
     with pytest.raises(error):
         plugin_class(make_config())
@@ -517,12 +504,9 @@ def test_a_model_of_other_pads_is_refused_before_the_cell_is_touched(
     make_config: Any,
     taught: Any,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    meddle: Any,
 ) -> None:
-    import cell.build
-
-    touched: list[Any] = []
-    monkeypatch.setattr(cell.build, "build_cell", lambda *a, **_k: touched.append(a))
+    touched = meddle(lambda _made: None)
     with pytest.raises(ModelError, match="teach again on these pads"):
         plugin_class(make_config(tactile__layout="pinch"), model=taught.result.model)
     with pytest.raises(ConfigError, match=r"none\.yaml"):
@@ -538,21 +522,13 @@ def test_config_files_and_the_context_manager(plugin_class: Any, tmp_path: Path)
     assert plugin.state() == "STOPPED"
 
 
-def test_an_idle_cell_in_real_time_is_supervised(
-    make_plugin: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import cell.build
-
-    original = cell.build.build_cell
-
-    def build(*arguments: Any, **options: Any) -> Any:
-        made = original(*arguments, **options)
+def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) -> None:
+    def live(made: Any) -> None:
         made.realtime = True
         tick = made.controller.tick
         made.controller.tick = lambda: (made.simulated.clock.sleep(0.005), tick())
-        return made
 
-    monkeypatch.setattr(cell.build, "build_cell", build)
+    meddle(live)
     plugin = make_plugin()
     plugin._cell.simulated.inject("unit.off")
     until(plugin.fault)

@@ -160,18 +160,11 @@ def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
 
 
 @pytest.fixture
-def altered(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], None]], list[Finding]]:
+def altered(meddle: Any) -> Callable[[Callable[[Any], None]], list[Finding]]:
     """Return what examines a simulated cell after something was done to it."""
 
     def run(act: Callable[[Any], None]) -> list[Finding]:
-        original = cell.jobs.doctor.build_cell
-
-        def build(*arguments: Any, **options: Any) -> Any:
-            made = original(*arguments, **options)
-            act(made.simulated)
-            return made
-
-        monkeypatch.setattr(cell.jobs.doctor, "build_cell", build)
+        meddle(lambda made: act(made.simulated))
         return list(examine(CellConfig()))
 
     return run
@@ -260,23 +253,17 @@ def test_a_missing_extra_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
 AXES = changed_config(CellConfig(), CHANGES)
 
 
-def test_drives_and_servos_of_axes_are_asked_and_not_moved(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle: Any) -> None:
     findings = by_name(list(examine(AXES)))
     assert findings["axis x (drive 11)"].found == "SWITCH ON DISABLED, position 0 increments"
     assert findings["axis roll (servo 1)"].verdict is Verdict.PASS
-    original = cell.jobs.doctor.build_cell
 
-    def build(*arguments: Any, **options: Any) -> Any:
-        made = original(*arguments, **options)
+    def spoil(made: Any) -> None:
         made.simulated.clock.sleep(0.1)
-        made.simulated.inject("axis1.fault=0x3210")
-        made.simulated.inject("axis2.silence")
-        made.simulated.inject("axis3.fault")
-        return made
+        for fault in ("axis1.fault=0x3210", "axis2.silence", "axis3.fault"):
+            made.simulated.inject(fault)
 
-    monkeypatch.setattr(cell.jobs.doctor, "build_cell", build)
+    meddle(spoil)
     findings = by_name(list(examine(AXES)))
     for name, found in (
         ("axis x (drive 11)", "error 3210h: over-voltage"),
