@@ -30,8 +30,7 @@ from cell.config.model import CellConfig
 from cell.control.plan import plan
 from cell.control.states import CellState
 from cell.errors import CellStopped
-from cell.jobs.common import silent
-from cell.jobs.teach import teach
+from cell.learning.collection import grasps_of
 from cell.learning.training import train
 from gripper.state import GripperPhase
 from recognition.recognizer import Recognizer
@@ -90,7 +89,8 @@ def _now_s(cell: Cell) -> float:
 def steady(cell: Cell, config: CellConfig, n: int, seed: int) -> int:
     """Let a cell grasp one object ``n`` times; the number of grasps."""
     labels = [entry.label for entry in config.simulator.objects]
-    return len(teach(cell, config, labels[seed % len(labels)], n, seed=seed, progress=silent))
+    label = labels[seed % len(labels)]
+    return len(grasps_of(cell.controller, config.sequence, [label], n, seed=seed))
 
 
 def shift(config: CellConfig, recognizer: Recognizer, n: int, seed: int) -> tuple[int, float]:
@@ -138,11 +138,8 @@ def soak(n_grasps: int, config: CellConfig | None = None) -> Iterator[Sample]:
     """Do at least ``n_grasps`` grasps and yield a sample after each block."""
     config = config or CellConfig()
     with closing(_cell(config)) as cell:
-        taught = [
-            record.grasp
-            for number, entry in enumerate(config.simulator.objects)
-            for record in teach(cell, config, entry.label, 3, seed=number, progress=silent)
-        ]
+        labels = [entry.label for entry in config.simulator.objects]
+        taught = grasps_of(cell.controller, config.sequence, labels, 3)
         recognizer = train(taught, "shrinkage_lda").recognizer
         grasps, virtual_s, seed = 0, 0.0, 1000
         while grasps < n_grasps:

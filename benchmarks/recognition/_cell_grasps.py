@@ -10,8 +10,7 @@ import numpy as np
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.jobs.common import silent
-from cell.jobs.teach import teach
+from cell.learning.collection import grasps_of
 from cell.simulation import simulator_settings
 from recognition.grasp import Grasp
 
@@ -44,13 +43,8 @@ def cell_grasps(
         cell = build_cell(config)
     try:
         cell.controller.start()
-        return [
-            record.grasp
-            for number, label in enumerate(objects)
-            for record in teach(
-                cell, config, label, n_grasps, seed=1000 * seed + number, progress=silent
-            )
-        ]
+        labels = list(objects)
+        return grasps_of(cell.controller, config.sequence, labels, n_grasps, seed=1000 * seed)
     finally:
         cell.close()
 

@@ -21,10 +21,9 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.plan import plan
-from cell.jobs.teach import teach
+from cell.learning.collection import grasps_of
 from cell.learning.shapes import shape_reader
 from cell.learning.training import train
-from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers
 
@@ -96,13 +95,7 @@ class Bench:
         self.labels = labels
         self.read_shape = shape_reader(config)
         cell.controller.start()
-        self.taught: list[Grasp] = [
-            record.grasp
-            for number, label in enumerate(labels)
-            for record in teach(
-                cell, config, label, n_taught, seed=number, progress=lambda *_step: None
-            )
-        ]
+        self.taught = grasps_of(cell.controller, config.sequence, labels, n_taught)
 
     def train(self, *, use_aperture: bool) -> tuple[Recognizer, EarlyClassifiers]:
         """Return the recogniser of whole ramps and the heads."""

@@ -8,28 +8,12 @@ import numpy as np
 
 from cell.build import Cell
 from cell.config.model import CellConfig
-from cell.control.records import GraspRecord
 from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.errors import CellError, DatasetError
 from cell.jobs.common import Progress, progress_of
 from cell.learning.collection import Collection
 from cell.learning.model import what_differs
 from recognition.grasp import Grasp, PadArray
-
-
-def teach(
-    cell: Cell, config: CellConfig, label: str, n_grasps: int, *, seed: int, progress: Progress
-) -> list[GraspRecord]:
-    """Grasp one known object ``n_grasps`` times, each at another pose and force.
-
-    Raises
-    ------
-    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-        As `Collection.fill`; the records so far are in the recording only.
-    """
-    collection = Collection(label=label, n_planned=n_grasps)
-    collection.fill(cell.controller, config.sequence, seed=seed, on_grasp=progress_of(progress))
-    return collection.records
 
 
 def teach_to_dataset(
@@ -105,8 +89,8 @@ def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
     return len(grasps), len(before)
 
 
-def labelled(path: Path) -> tuple[tuple[Grasp, ...], int]:
-    """Return the labelled grasps of a data set or recording, and how many have no label.
+def labelled(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:
+    """Return the labelled grasps of a data set or recording; a note says how many have no label.
 
     Raises
     ------
@@ -120,7 +104,9 @@ def labelled(path: Path) -> tuple[tuple[Grasp, ...], int]:
             f"{path}: none of its {len(grasps)} grasps has a label; "
             f"`tactile-cell teach LABEL --from {path} -o DATASET` adds them to a data set under one"
         )
-    return named, len(grasps) - len(named)
+    if n_without := len(grasps) - len(named):
+        note(f"{path}: {n_without} grasps without a label are left out")
+    return named
 
 
 def repeated(grasps: Sequence[Grasp]) -> list[Grasp]:

@@ -1,6 +1,6 @@
 """Collection of the grasps of one known object, which train a recogniser."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from cell.config.sequence import SequenceConfig
@@ -86,3 +86,24 @@ class Collection:
             on_grasp(self)
         if misses and not self.records:
             raise misses[-1]
+
+
+def grasps_of(
+    controller: CellController,
+    sequence: SequenceConfig,
+    labels: Sequence[str],
+    n_grasps: int,
+    *,
+    seed: int = 0,
+    on_grasp: Callable[[Collection], None] = lambda _now: None,
+) -> list[Grasp]:
+    """Grasp each known object so many times and return the grasps; see `Collection.fill`.
+
+    The plan of each object has a seed of its own, from ``seed`` on.
+    """
+    grasps: list[Grasp] = []
+    for number, label in enumerate(labels):
+        one = Collection(label=label, n_planned=n_grasps)
+        one.fill(controller, sequence, seed=seed + number, on_grasp=on_grasp)
+        grasps += one.grasps
+    return grasps

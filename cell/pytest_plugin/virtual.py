@@ -9,7 +9,7 @@ from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord
-from cell.jobs.teach import teach
+from cell.learning.collection import grasps_of
 from cell.learning.shapes import shape_reader
 from cell.learning.training import train
 from recognition.recognizer import Recognizer
@@ -102,21 +102,9 @@ class VirtualCell:
         cell.errors.CellError
             If the grasps do not suffice for training, or as `CellController.grasp`.
         """
-        records = [
-            record
-            for number, label in enumerate(labels)
-            for record in teach(
-                self.cell,
-                self.config,
-                label,
-                grasps,
-                seed=seed + number,
-                progress=lambda *_step: None,
-            )
-        ]
         wanted = self.config.recognition
         return train(
-            [record.grasp for record in records],
+            grasps_of(self.controller, self.config.sequence, labels, grasps, seed=seed),
             wanted.recognizer,
             use_aperture=wanted.use_aperture,
         ).recognizer

@@ -14,17 +14,16 @@ from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.data.files import json_bytes
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
-from cell.jobs.common import job_folder, silent
+from cell.jobs.common import job_folder, progress_of
 from cell.jobs.run import BASELINE, _scores, baseline, score
 from cell.jobs.run_report import main_report
 from cell.jobs.teach import (
     append_to_dataset,
     labelled,
     name_recorded,
-    teach,
     teach_to_dataset,
 )
-from cell.learning.collection import Collection
+from cell.learning.collection import Collection, grasps_of
 from cell.learning.model import load_model
 from cell.learning.training import train
 from gripper.state import GripperPhase
@@ -164,14 +163,14 @@ def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_o
     bench.controller.start()
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
     told: list[tuple[str, int, int]] = []
-    records = teach(
-        bench.cell, taught.config, "box", 2, seed=1, progress=lambda *step: told.append(step)
-    )
-    assert [record.grasp.label for record in records] == ["box"]
+    show = progress_of(lambda *step: told.append(step))
+    cell = bench.controller, taught.config.sequence
+    (found,) = grasps_of(*cell, ["box"], 2, seed=1, on_grasp=show)
+    assert found.label == "box"
     assert told == [("teach box", 1, 2), ("teach box", 2, 2)]
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
     with pytest.raises(NoPartFound):
-        teach(bench.cell, taught.config, "box", 1, seed=1, progress=silent)
+        grasps_of(*cell, ["box"], 1, seed=1)
 
 
 @pytest.mark.parametrize("dataset", ["d.npz", "gone/d.npz"])
@@ -213,15 +212,16 @@ def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(
 ) -> None:
     recording, named = taught.result.recording, tmp_path / "named.npz"
     n_identified = len(taught.result.records)
-    grasps, without = labelled(recording)
-    assert ({grasp.label for grasp in grasps}, without) == ({"ball", "box"}, n_identified)
+    notes: list[str] = []
+    assert {grasp.label for grasp in labelled(recording, notes.append)} == {"ball", "box"}
+    assert notes == [f"{recording}: {n_identified} grasps without a label are left out"]
     unnamed = tmp_path / "unnamed.npz"
     write_dataset(unnamed, [grasp for grasp in read_grasps(recording) if not grasp.label])
     with pytest.raises(CellError, match=r"tactile-cell teach LABEL --from .*unnamed\.npz -o"):
-        labelled(unnamed)
+        labelled(unnamed, notes.append)
     assert name_recorded(recording, "thing", named) == (n_identified, 0)
     assert name_recorded(unnamed, "other", named) == (n_identified, n_identified)
-    assert {grasp.label for grasp in labelled(named)[0]} == {"thing", "other"}
+    assert {grasp.label for grasp in labelled(named, notes.append)} == {"thing", "other"}
     with pytest.raises(CellError, match="each of its grasps has a label"):
         name_recorded(named, "thing", tmp_path / "again.npz")
 

@@ -48,7 +48,8 @@ def calibrate(
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_line, write_json
     from cell.jobs.calibrate import calibrate_model, check_gauge, follow_shift
-    from cell.jobs.teach import teach as teach_object
+    from cell.jobs.common import progress_of
+    from cell.learning.collection import grasps_of
     from cell.learning.model import load_model, save_model
     from recognition.drift.drift import drift_text
 
@@ -75,10 +76,14 @@ def calibrate(
             checked, "calibrate", out_folder, config_file=config, json_file=json_file
         ) as (cell, progress):
             for label in gauge:
-                records = teach_object(
-                    cell, checked, label, grasps, seed=checked.seed, progress=progress
+                taken[label] = grasps_of(
+                    cell.controller,
+                    checked.sequence,
+                    [label],
+                    grasps,
+                    seed=checked.seed,
+                    on_grasp=progress_of(progress),
                 )
-                taken[label] = [record.grasp for record in records]
         corrected = calibrate_model(loaded, taken)
         n_grasps = sum(map(len, taken.values()))
     save_model(

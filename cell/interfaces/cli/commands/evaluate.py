@@ -67,15 +67,14 @@ def evaluate(
 
     With intervals of 95 %; unknown objects are those left out of teaching.
     """
-    from cell.interfaces.cli.grasps import labelled_grasps
-    from cell.interfaces.cli.terminal import print_note, progress_bar, write_json
+    from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
     from cell.jobs.evaluate import evaluate_recognizers
     from cell.jobs.parallel import workers
-    from cell.jobs.teach import repeated
+    from cell.jobs.teach import labelled, repeated
 
     names = recognizers or list(TRAINERS)
-    grasps = [grasp for path in datasets for grasp in labelled_grasps(path)]
-    taught = None if train_on is None else labelled_grasps(train_on)
+    grasps = [grasp for path in datasets for grasp in labelled(path, print_line)]
+    taught = None if train_on is None else labelled(train_on, print_line)
     if twice := len(repeated([*(taught or ()), *grasps])):
         print_note(f"{twice} grasps are tested that were taught, or stand twice: right too often")
     if jobs is None:

@@ -33,14 +33,13 @@ def train(
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
     from cell.errors import CellError
-    from cell.interfaces.cli.grasps import labelled_grasps
     from cell.interfaces.cli.terminal import print_line, print_note, write_json
-    from cell.jobs.teach import repeated
+    from cell.jobs.teach import labelled, repeated
     from cell.learning.model import save_model
     from cell.learning.teaching_summary import summarise_teaching
     from cell.learning.training import train as train_model
 
-    grasps = [grasp for path in datasets for grasp in labelled_grasps(path)]
+    grasps = [grasp for path in datasets for grasp in labelled(path, print_line)]
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets were taken on different pads; train a model for each")
     if twice := len(repeated(grasps)):
