@@ -66,6 +66,8 @@ class CellController:
 
     Attributes
     ----------
+    hand
+        Gripper and sensor, for statistics; commands go through the controller.
     zero
         Zero of the taxels that the last start has taken; None before.
     """
@@ -87,7 +89,7 @@ class CellController:
         self._journal = Journal(recorder)
         self.zero: TareResult | None = None
         self._zero_refused = ""
-        self._hand = hand
+        self.hand = hand
         self._life = CellLifecycle(
             hand, self._journal, shows_nothing=lambda: self.shows_nothing, clock=clock
         )
@@ -138,11 +140,6 @@ class CellController:
         )
 
     @property
-    def hand(self) -> Hand:
-        """Gripper and sensor, for statistics; commands go through the controller."""
-        return self._hand
-
-    @property
     def gripper(self) -> Gripper:
         """The gripper, as `local_hand`."""
         return self.local_hand.gripper
@@ -155,9 +152,9 @@ class CellController:
     @property
     def local_hand(self) -> LocalHand:
         """The hand of a cell whose loop runs in this process, for tests; else CellStateError."""
-        if not isinstance(self._hand, LocalHand):
+        if not isinstance(self.hand, LocalHand):
             raise CellStateError("the force loop runs in a process of its own; see `hand`")
-        return self._hand
+        return self.hand
 
     @property
     def now_s(self) -> float:
@@ -172,7 +169,7 @@ class CellController:
     @property
     def measured(self) -> Measured:
         """Newest values of the hand; none while nothing looks at it, as after a fault."""
-        return Measured() if self._life.state in _UNSUPERVISED else self._hand.measured
+        return Measured() if self._life.state in _UNSUPERVISED else self.hand.measured
 
     @property
     def carry_force_n(self) -> float:
@@ -182,7 +179,7 @@ class CellController:
     @property
     def shows_nothing(self) -> bool:
         """Whether pads and current both showed at the last look that nothing is held."""
-        measured, since_s = self._hand.measured, self._clock.monotonic() - FRESH_S
+        measured, since_s = self.hand.measured, self._clock.monotonic() - FRESH_S
         cycle, force = measured.cycle, measured.force
         if cycle is None or force is None or min(cycle.t_s, force.t_s) < since_s:
             return False
@@ -211,18 +208,18 @@ class CellController:
         """
         self._life.go(Event.START)
         with self._life.latching_faults():
-            self._hand.start()
-            if not self._hand.start_sensor().sends_forces:
+            self.hand.start()
+            if not self.hand.start_sensor().sends_forces:
                 self._journal.note("note", FORCE_FROM_FRAMES)
-            if self._hand.phase is GripperPhase.HELD_AFTER_FAULT:
-                found = "; ".join(map(str, self._hand.conditions()))
+            if self.hand.phase is GripperPhase.HELD_AFTER_FAULT:
+                found = "; ".join(map(str, self.hand.conditions()))
                 raise PartInGrip(
                     f"servos have torque from an earlier run, a part may be in the grip; nothing "
                     f"was moved ({found}). Clear the fault and release the part on purpose, then "
                     f"start again"
                 )
-            self._hand.open(self._grasper.watch)
-            self.zero = self._hand.tare(self._config.tactile.tare_frames)
+            self.hand.open(self._grasper.watch)
+            self.zero = self.hand.tare(self._config.tactile.tare_frames)
             self._life.check_cancelled()
             self._zero_refused = ""
             if self._zeros.due and self._zeros.wanted:
@@ -290,7 +287,7 @@ class CellController:
     def reset(self) -> None:
         """Leave the cleared fault behind; the next `start` verifies everything anew."""
         self._life.go(Event.RESET)
-        self._hand.close_sensor()
+        self.hand.close_sensor()
 
     def cancel(self, reason: str = ON_REQUEST) -> None:
         """Stop the running sequence, or else the next one, and keep the grip.
@@ -300,7 +297,7 @@ class CellController:
         """
         self._life.stop_reason = reason
         self._life.cancelled = True
-        self._hand.request_stop()
+        self.hand.request_stop()
 
     def forget_cancel(self) -> None:
         """Withdraw a `cancel` that nothing has obeyed: what it was meant for is over."""
@@ -353,10 +350,10 @@ class CellController:
         """
         self._life.go(Event.RELEASE_HELD)
         self._life.cancelled = False
-        self._hand.close_sensor()
+        self.hand.close_sensor()
         self._journal.note("release", "on request, before the start")
         with self._life.latching_faults():
-            report = self._hand.release()
+            report = self.hand.release()
             self._life.complete()
         return report
 
@@ -367,7 +364,7 @@ class CellController:
         """
         if self._life.state in (CellState.IDLE, CellState.HELD, CellState.COMPLETE):
             with self._life.latching_faults():
-                self._hand.tick()
+                self.hand.tick()
 
     def shutdown(self) -> None:
         """Leave the devices in a defined state: a held part stays held, a fault latched.
@@ -382,11 +379,11 @@ class CellController:
         if stopping:
             self._life.go(Event.STOP)
         try:
-            found = self._hand.shutdown()
+            found = self.hand.shutdown()
             if found:
                 self._journal.note("fault", found)
         finally:
-            self._journal.loop(self._hand.statistics)
+            self._journal.loop(self.hand.statistics)
             if stopping:
                 self._life.complete()
 
@@ -603,7 +600,7 @@ class CellController:
 
     def _begin_answer(self, answer: Callable[[], _T]) -> Callable[[], _T]:
         """Begin to compute beside the motions, where that delays no force loop; else do it last."""
-        return in_thread(answer, "answer").result if self._hand.own_process else answer
+        return in_thread(answer, "answer").result if self.hand.own_process else answer
 
     def _grasp(
         self,
@@ -630,7 +627,7 @@ class CellController:
             with self._life.latching_faults():
                 yield
         finally:
-            self._journal.loop(self._hand.statistics)
+            self._journal.loop(self.hand.statistics)
 
     def _check_found(self, record: GraspRecord) -> None:
         """Raise NoPartFound where a grasp has found nothing."""
@@ -669,7 +666,7 @@ class CellController:
         self._life.go(Event.RELEASE)
         self._journal.note("release", why)
         with self._life.latching_faults():
-            report = self._hand.release(self._grasper.watch)
+            report = self.hand.release(self._grasper.watch)
             self._life.result = None
             self._life.complete()
         return report

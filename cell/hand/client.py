@@ -16,7 +16,7 @@ from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
-from cell.hand.interface import Hand, HandStatistics, Measured, Watch
+from cell.hand.interface import Hand, Measured, Watch
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
     Alive,
@@ -33,7 +33,6 @@ from gripper.errors import GripperError, copy_fingers
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.state import GripperPhase
 from tactile.errors import TactileError
-from tactile.layout import TaxelLayout
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -235,7 +234,8 @@ class HandProcess:
         self, config: CellConfig, *, partial: bool = False, silence_s: float = 5.0
     ) -> None:
         self._config = config
-        self._layout = layout_from_config(config.tactile)
+        self.layout = layout_from_config(config.tactile)
+        self.period_s = 1.0 / config.gripper.loop_rate_hz
         self._settings = config.gripper_settings
         self._linkage = config.linkage
         self._silence_s = silence_s
@@ -243,22 +243,13 @@ class HandProcess:
         self._number = 0
         self._phase = GripperPhase.OFF
         self._loop = LoopProcess(config, partial=partial)
-        self._statistics = self._loop.ready.statistics
+        self.statistics = self._loop.ready.statistics
+        """Counters as of the last command."""
         self.measured = Measured()
         """As in `Hand`: what the process has sent, and `tick` or a command taken in."""
         self._heard_s = time.monotonic()
 
     # -- what is known here --------------------------------------------------------------------
-
-    @property
-    def layout(self) -> TaxelLayout:
-        """The taxels."""
-        return self._layout
-
-    @property
-    def period_s(self) -> float:
-        """Period of the loop in s."""
-        return 1.0 / self._config.gripper.loop_rate_hz
 
     @property
     def phase(self) -> GripperPhase:
@@ -271,11 +262,6 @@ class HandProcess:
     def notes(self) -> tuple[str, ...]:
         """What the system has not granted to the process."""
         return self._loop.ready.notes
-
-    @property
-    def statistics(self) -> HandStatistics:
-        """Counters as of the last command."""
-        return self._statistics
 
     @property
     def pid(self) -> int:
@@ -384,7 +370,7 @@ class HandProcess:
             if isinstance(event, Answer) and event.number == self._number:
                 break
         self._heard_s = time.monotonic()
-        self._phase, self._statistics = event.phase, event.statistics
+        self._phase, self.statistics = event.phase, event.statistics
         if failure is not None:
             if event.error is not None:
                 # Only the process that moves the fingers has measured where they stand.

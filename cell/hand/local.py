@@ -1,11 +1,9 @@
 """The hand in this process: its loop runs in the thread that commands it."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from cell.hand.interface import HandStatistics, Measured, Watch
 from cell.hand.lines import Lines
-from gripper.dynamixel.bus import ServoBus
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.state import (
@@ -16,21 +14,18 @@ from gripper.state import (
     ReleaseReport,
 )
 from tactile.errors import BusOff, ReceiveLoopDead, ZeroDrifted
-from tactile.layout import TaxelLayout
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileReading, TactileSensor
 from tactile.sensor.tare import TareResult
 from tactile.unit.settings import NodeIdentity
-
-if TYPE_CHECKING:
-    from tactile.unit.link import TactileLink
 
 
 class LocalHand:
     """Implements `cell.hand.interface.Hand` in the caller's thread.
 
     The gripper asks ``force`` for that of the sensor; the lines under both are closed at the end.
-    Gripper and sensor are public for tests and benchmarks: commands go through the hand.
+    Gripper and sensor, their ``bus`` and ``link``, are public for tests and benchmarks: commands go
+    through the hand.
     """
 
     own_process = False
@@ -46,6 +41,8 @@ class LocalHand:
     ) -> None:
         self.gripper = gripper
         self.sensor = sensor
+        self.bus, self.link = gripper.bus, sensor.link
+        self.layout, self.period_s = sensor.layout, gripper.period_s
         self.notes = notes
         self.measured = Measured()
         self._force = force
@@ -58,26 +55,6 @@ class LocalHand:
         self.keep_grip = gripper.keep_grip
         self.request_stop = gripper.request_stop
         self.close_sensor = sensor.close
-
-    @property
-    def bus(self) -> ServoBus:
-        """The servos' line, for tests; commands go through the hand."""
-        return self.gripper.bus
-
-    @property
-    def link(self) -> "TactileLink":
-        """The link to the control unit, likewise."""
-        return self.sensor.link
-
-    @property
-    def layout(self) -> TaxelLayout:
-        """The taxels."""
-        return self.sensor.layout
-
-    @property
-    def period_s(self) -> float:
-        """Period of the loop in s."""
-        return self.gripper.period_s
 
     @property
     def phase(self) -> GripperPhase:
