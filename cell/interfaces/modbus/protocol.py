@@ -7,6 +7,7 @@ import asyncio
 import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from typing import Protocol
 
@@ -168,37 +169,32 @@ class ModbusServer:
         self._connect = connect
         self._request_timeout_s = request_timeout_s
         self._places = Places()
-        self._loop = asyncio.new_event_loop()
-        try:
-            self._server = self._loop.run_until_complete(
-                asyncio.start_server(self._serve, address, port)
-            )
-        except BaseException:
-            self._loop.close()
-            raise
-        self.port: int = self._server.sockets[0].getsockname()[1]
-        self._thread = threading.Thread(target=self._run, name="modbus", daemon=True)
+        started: Future[int] = Future()
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._run(address, port, started)),
+            name="modbus",
+            daemon=True,
+        )
         self._thread.start()
+        self.port = started.result()
 
     def close(self) -> None:
-        """End all connections and the thread."""
+        """End all connections and the thread. A second call does nothing."""
         if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._loop.call_soon_threadsafe(self._over.set)
             self._thread.join()
 
-    def _run(self) -> None:
+    async def _run(self, address: str, port: int, started: "Future[int]") -> None:
+        """Listen until the end; connections that are left are then cancelled with the loop."""
+        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
         try:
-            self._loop.run_forever()
-        finally:
-            self._loop.run_until_complete(self._end())
-            self._loop.close()
-
-    async def _end(self) -> None:
-        self._server.close()
-        tasks = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+            server = await asyncio.start_server(self._serve, address, port)
+        except BaseException as error:
+            started.set_exception(error)
+            return
+        started.set_result(server.sockets[0].getsockname()[1])
+        await self._over.wait()
+        server.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info("peername")

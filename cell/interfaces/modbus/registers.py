@@ -8,6 +8,7 @@ changes; a client that connects anew first writes the acknowledged number. The p
 import itertools
 import struct
 from collections.abc import Mapping, Sequence
+from functools import partial
 from math import degrees
 from typing import Any
 
@@ -294,7 +295,7 @@ class ModbusDoor:
 
 
 class _Client:
-    """One connection."""
+    """One connection; implements `cell.interfaces.modbus.protocol.Registers`."""
 
     def __init__(self, door: ModbusDoor, host: str) -> None:
         self.host = host
@@ -303,20 +304,13 @@ class _Client:
         self.secret = [0] * N_SECRET
         self.refusal = Refusal()
         self.identification = door.identification
-        self._door = door
+        self.read = partial(door.read, self)
+        self.write = partial(door.write, self)
+        self.disconnected = partial(door.disconnected, self)
 
     def refuse(self, error: CellError) -> None:
         """Take note why an exception answers a request of this client."""
         self.refusal = Refusal.of(error)
-
-    def read(self, function: int, address: int, count: int) -> Sequence[int]:
-        return self._door.read(self, function, address, count)
-
-    def write(self, address: int, values: Sequence[int]) -> None:
-        self._door.write(self, address, values)
-
-    def disconnected(self) -> None:
-        self._door.disconnected(self)
 
 
 _COMMANDS = {number: command for command in COMMANDS for number in command.numbers}
