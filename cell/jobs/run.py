@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
+from cell.report.data import ConfusionTable
 from recognition.drift.grid import DriftGrid
-from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 
 BASELINE = "level_check"
@@ -38,30 +38,6 @@ class Trial:
     """Answer of each recogniser to the first grasp alone, by name."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Score:
-    """Accuracy of one recogniser."""
-
-    accuracy: float
-    interval: tuple[float, float]
-    """Share of right answers and its 95 % interval (Wilson)."""
-    n: int
-    n_right: int
-    """Answers in all and right ones."""
-    confusion: tuple[tuple[int, ...], ...]
-    """(n_labels, n_labels + 1) int: row: what was held; column: the answer, the last one UNKNOWN.
-    """
-
-    @property
-    def text(self) -> str:
-        """The counts as text: right, UNKNOWN and wrong ones of all."""
-        n_unknown = sum(row[-1] for row in self.confusion)
-        unknown = f", {n_unknown} {UNKNOWN}" if n_unknown else ""
-        return (
-            f"{self.n_right} of {self.n} right{unknown}, {self.n - self.n_right - n_unknown} wrong"
-        )
-
-
 @dataclass(slots=True, kw_only=True)
 class MainResult:
     """Answers, scores and files of the main job.
@@ -77,7 +53,7 @@ class MainResult:
     seconds
         Duration in s.
     scores
-        Accuracy by recogniser.
+        Answers counted, by recogniser.
     trials
         The identifications, in order.
     examples
@@ -98,7 +74,7 @@ class MainResult:
     default: str
     n_taught: int
     seconds: float
-    scores: dict[str, Score]
+    scores: dict[str, ConfusionTable]
     trials: tuple[Trial, ...]
     examples: dict[str, GraspRecord]
     recognizers: dict[str, Recognizer]
@@ -134,8 +110,11 @@ class MainResult:
             "labels": self.labels,
             "default": self.default,
             "recognizers": {
-                name: asdict(score) | {"confusion_columns": (*self.labels, UNKNOWN)}
-                for name, score in self.scores.items()
+                name: {
+                    key: getattr(counted, key) for key in ("accuracy", "interval", "n", "n_right")
+                }
+                | {"confusion": counted.counts, "confusion_columns": counted.columns}
+                for name, counted in self.scores.items()
             },
             "identifications": [
                 {
@@ -162,22 +141,17 @@ class MainResult:
         }
 
 
-def score(truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]) -> Score:
-    """Count answers against the truth."""
-    columns = [*labels, UNKNOWN]
-    counts = np.zeros((len(labels), len(columns)), dtype=int)
+def score(
+    name: str, truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]
+) -> ConfusionTable:
+    """Count answers against the truth; those that are no label count as UNKNOWN."""
+    columns = (*labels, UNKNOWN)
+    counts = np.zeros((len(labels), len(columns)), dtype=np.int64)
     for truth, answer in zip(truths, answers, strict=True):
         if truth in labels:
             place = columns.index(answer) if answer in columns else len(labels)
             counts[labels.index(truth), place] += 1
-    n, n_right = int(counts.sum()), int(np.trace(counts))
-    return Score(
-        accuracy=n_right / n if n else float("nan"),
-        interval=wilson_interval(n_right, n) if n else (0.0, 1.0),
-        n=n,
-        n_right=n_right,
-        confusion=tuple(tuple(row) for row in counts.tolist()),
-    )
+    return ConfusionTable(name=name, labels=tuple(labels), columns=columns, counts=counts)
 
 
 @one_blas_thread()
@@ -291,11 +265,16 @@ def _seed(config: CellConfig, use: int, number: int) -> int:
     return int(np.random.SeedSequence([config.seed, use, number]).generate_state(1)[0])
 
 
-def _scores(trials: Sequence[Trial], labels: Sequence[str], default: str) -> dict[str, Score]:
-    answers: dict[str, list[str]] = {default: [trial.found.label for trial in trials]}
-    for name in trials[0].first if trials else ():
-        key = f"{name}_one_grasp" if name == default else name
-        posteriors = [trial.first[name] for trial in trials]
-        answers[key] = [p.best if name == BASELINE else p.name for p in posteriors]
+def _scores(
+    trials: Sequence[Trial], labels: Sequence[str], default: str
+) -> dict[str, ConfusionTable]:
     truths = [trial.truth for trial in trials]
-    return {name: score(truths, given, labels) for name, given in answers.items()}
+    answers = [trial.found.label for trial in trials]
+    scores = {default: score("This cell, as many grasps as it takes", truths, answers, labels)}
+    for name in trials[0].first if trials else ():
+        posteriors = [trial.first[name] for trial in trials]
+        answers = [p.best if name == BASELINE else p.name for p in posteriors]
+        key = f"{name}_one_grasp" if name == default else name
+        whose = "This cell" if name == default else "The paper's method"
+        scores[key] = score(f"{whose}, first grasp alone", truths, answers, labels)
+    return scores

@@ -27,20 +27,10 @@ from cell.report.page import write_report
 from recognition.errors import ContactError, QuadricError
 from recognition.quadric.level import grip_surfaces, ramp_levels
 from recognition.quadric.trajectory import sweep
-from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer
 
 _RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
 """Shares of the grip force at which the eigenvalue along the ramp is drawn."""
-
-
-def score_title(result: MainResult, name: str) -> str:
-    """Return in words whose answers the score of that name counts."""
-    if name == result.default:
-        return "This cell, as many grasps as it takes"
-    if name == BASELINE:
-        return "The paper's method, first grasp alone"
-    return "This cell, first grasp alone"
 
 
 @one_blas_thread()
@@ -181,14 +171,6 @@ def _trajectories(result: MainResult) -> Trajectories | None:
 
 
 def _confusions(result: MainResult) -> tuple[ConfusionTable, ...]:
-    tables = [
-        ConfusionTable(
-            name=score_title(result, name),
-            labels=result.labels,
-            columns=(*result.labels, UNKNOWN),
-            counts=np.array(score.confusion),
-        )
-        for name, score in result.scores.items()
-    ]
     paper = paper_table()
-    return (paper, *tables) if set(paper.labels) == set(result.labels) else tuple(tables)
+    tables = tuple(result.scores.values())
+    return (paper, *tables) if set(paper.labels) == set(result.labels) else tables

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
+from recognition.evaluation.metrics import wilson_interval
+from recognition.recognizer import UNKNOWN
 from tactile.layout import TaxelLayout
 
 HeldAndFound = tuple[str, Identification]
@@ -34,7 +36,7 @@ class ConfusionTable:
     """What was held against what was named."""
 
     name: str
-    """The recogniser."""
+    """Whose answers they are, in words."""
     labels: tuple[str, ...]
     columns: tuple[str, ...]
     """Objects held (rows) and answers (columns)."""
@@ -42,6 +44,38 @@ class ConfusionTable:
     """(n_labels, n_columns) int64: trials."""
     caption: str = ""
     """What was counted."""
+
+    @property
+    def n(self) -> int:
+        """Number of trials."""
+        return int(self.counts.sum())
+
+    @property
+    def n_right(self) -> int:
+        """Right answers."""
+        return sum(
+            int(self.counts[row, self.columns.index(label)])
+            for row, label in enumerate(self.labels)
+            if label in self.columns
+        )
+
+    @property
+    def accuracy(self) -> float:
+        """Share of right answers; NaN without a trial."""
+        return self.n_right / self.n if self.n else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Its 95 % interval (Wilson)."""
+        return wilson_interval(self.n_right, self.n)
+
+    @property
+    def text(self) -> str:
+        """The counts as text: right, UNKNOWN and wrong ones of all."""
+        n_unknown = int(self.counts[:, np.array(self.columns) == UNKNOWN].sum())
+        unknown = f", {n_unknown} {UNKNOWN}" if n_unknown else ""
+        wrong = self.n - self.n_right - n_unknown
+        return f"{self.n_right} of {self.n} right{unknown}, {wrong} wrong"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

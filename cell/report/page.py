@@ -185,7 +185,7 @@ def confusion_view(table: ConfusionTable, colours: Mapping[str, int]) -> dict[st
 
     All tables of a page have their rows and columns in the same order.
     """
-    rows, n_right, n = [], 0, 0
+    rows = []
     last = len(colours)
     columns = sorted(
         (
@@ -199,7 +199,6 @@ def confusion_view(table: ConfusionTable, colours: Mapping[str, int]) -> dict[st
     for label, counts in ordered:
         total = int(counts.sum())
         right = int(counts[table.columns.index(label)]) if label in table.columns else 0
-        n_right, n = n_right + right, n + total
         rows.append(
             {
                 "label": label,
@@ -225,10 +224,10 @@ def confusion_view(table: ConfusionTable, colours: Mapping[str, int]) -> dict[st
         "caption": table.caption,
         "columns": [column for _, column in columns],
         "rows": rows,
-        "n": n,
-        "n_right": n_right,
+        "n": table.n,
+        "n_right": table.n_right,
         "dense": len(table.labels) > DENSE_LABELS,
-        **_interval(n_right, n),
+        **_interval(table.n_right, table.n),
     }
 
 

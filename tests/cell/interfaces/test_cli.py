@@ -169,7 +169,7 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
         default="force_ramp",
         n_taught=0,
         seconds=1.0,
-        scores=dict.fromkeys(("force_ramp", "level_check"), score(labels, labels, labels)),
+        scores=dict.fromkeys(("force_ramp", "level_check"), score("", labels, labels, labels)),
         trials=(),
         examples={},
         recognizers={},

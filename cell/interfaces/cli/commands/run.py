@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cell.config.model import CellConfig
     from cell.jobs.run import MainResult
     from cell.learning.taught_model import TaughtModel
+    from cell.report.data import ConfusionTable
 
 ObjectsOption = Annotated[
     list[str] | None,
@@ -140,26 +141,25 @@ def _labels(
 def print_result(result: "MainResult") -> None:
     """Print confusion tables, shapes, times and files of a run, and the paper's table beside."""
     from cell.interfaces.cli.terminal import percent, print_line, print_table
-    from cell.jobs.run_report import score_title
-    from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
+    from cell.report.build import paper_table
+    from cell.report.paper_table import TABLE_1, TABLE_1_LABELS
     from cell.report.shapes import shapes_view
 
     if set(result.labels) == set(TABLE_1_LABELS):
         order = [TABLE_1_LABELS.index(label) for label in result.labels]
-        n = TABLE_1_TRIALS * len(order)
-        right = sum(row[place] for place, row in enumerate(TABLE_1)) * TABLE_1_TRIALS // 100
-        print_line(f"The paper's own cell (its Table 1): {right} of {n} right; per cent:")
+        paper = paper_table()
+        right = f"{paper.n_right} of {paper.n} right"
+        print_line(f"The paper's own cell (its Table 1): {right}; per cent:")
         rows = [[TABLE_1[row][column] for column in order] for row in order]
         print_table(confusion_table(result.labels, rows))
-    same: dict[Any, list[str]] = {}
-    for name, score in result.scores.items():
-        accuracy = percent(score.accuracy, score.interval)
-        text = f"{score_title(result, name)}: {score.text}; {accuracy}"
-        same.setdefault(score.confusion, []).append(f"{text}, in brackets the 95 % interval")
-    for confusion, lines in same.items():
-        for text in lines:
-            print_line(text)
-        print_table(confusion_table(result.labels, confusion))
+    same: dict[bytes, list[ConfusionTable]] = {}
+    for counted in result.scores.values():
+        same.setdefault(counted.counts.tobytes(), []).append(counted)
+    for alike in same.values():
+        for counted in alike:
+            accuracy = percent(counted.accuracy, counted.interval)
+            print_line(f"{counted.name}: {counted.text}; {accuracy}, in brackets the 95 % interval")
+        print_table(confusion_table(result.labels, alike[0].counts.tolist()))
     print_line(f"One grasp takes {result.grasp_s:.1f} s of the cell's time.")
     for remark in result.remarks:
         print_line(remark)
