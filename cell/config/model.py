@@ -148,11 +148,6 @@ class CellConfig(Section):
                 "simulator.faults are for the simulated cell, and this one has real ports: "
                 "take them out"
             )
-        if self.sequence.decide_early and not (simulated[0] or self.loop.own_process):
-            raise ValueError(
-                "sequence.decide_early works out answers while the force loop runs, which needs "
-                "loop.own_process: in one process the loop would be late"
-            )
         if not simulated[0] and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
         if (
@@ -236,6 +231,11 @@ class CellConfig(Section):
         return self.gripper.port == SIMULATED
 
     @property
+    def decides_early(self) -> bool:
+        """Whether ramps may end early: while they run, answers are worked out beside the loop."""
+        return self.sequence.decide_early and (self.simulated or self.loop.own_process)
+
+    @property
     def brings_objects(self) -> bool:
         """Whether the simulated cell brings the objects by itself, and nobody is asked for them."""
         kind = self.positioner.kind
@@ -256,13 +256,20 @@ class CellConfig(Section):
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the operator on what this cell does otherwise than it is asked to."""
+        found: tuple[str, ...] = ()
+        if self.sequence.decide_early and not self.decides_early:
+            found += (
+                "force ramps go on to their end: sequence.decide_early works out answers while the "
+                "force loop runs, which needs loop.own_process",
+            )
         asked_mm_s = self.gripper.approach_speed_mm_s
         speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
         if speed_mm_s >= asked_mm_s:
-            return ()
+            return found
         way_mm = speed_mm_s * self.gripper.contact_timeout_s
         late = way_mm < self.gripper.aperture_open_mm - self.gripper.aperture_min_mm
         return (
+            *found,
             f"the fingers approach with as little as {speed_mm_s:.1f} mm/s, not with "
             f"gripper.approach_speed_mm_s = {asked_mm_s:g}: faster, their momentum could press a "
             f"part with more than gripper.force_max_n = {self.gripper.force_max_n:g} N. Lower "

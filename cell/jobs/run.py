@@ -96,11 +96,6 @@ class MainResult:
         """Mean time in s of a grasp of the identifications, from closing to the end of its ramp."""
         return float(np.mean([record.duration_s for record in self.records] or [0.0]))
 
-    @property
-    def n_ended_early(self) -> int:
-        """Grasps of the identifications whose ramp ended early, because it sufficed."""
-        return sum(record.early is not None for record in self.records)
-
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
         return {
@@ -130,7 +125,6 @@ class MainResult:
                 np.mean([float(len(trial.found.records)) for trial in self.trials] or [0.0])
             ),
             "grasp_seconds": self.grasp_s,
-            "ramps_ended_early": self.n_ended_early,
             "drift": None if self.drift is None else self.drift.values,
             "remarks": self.remarks,
             "report": self.report,
@@ -169,7 +163,8 @@ def teach_and_identify(
     """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
 
     With a ``model`` nothing is taught. Plans of teaching and of identifying are drawn with
-    different seeds, so no pose and force is met twice.
+    different seeds, so no pose and force is met twice. Ramps are whole: all recognisers judge the
+    same grasps.
 
     Raises
     ------
@@ -197,7 +192,7 @@ def teach_and_identify(
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
             seed = _seed(config, 1 + repeat, number)
-            found = model.identify(cell.controller, held=label, seed=seed)
+            found = model.identify(cell.controller, held=label, seed=seed, whole_ramps=True)
             others = {
                 name: recognizer.posterior(found.records[0].grasp)
                 for name, recognizer in recognizers.items()

@@ -43,7 +43,7 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         subtitle=f"{config.name}: {result.n_taught} grasps taught, "
         f"{len(result.trials)} identifications",
         created=datetime.now().strftime("%Y-%m-%d %H:%M"),
-        key_figures=_key_figures(result, config),
+        key_figures=_key_figures(result),
         facts=_facts(config, cell),
         layout=hand.layout,
         examples=tuple(result.examples.items()),
@@ -70,7 +70,7 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
     return path
 
 
-def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...]:
+def _key_figures(result: MainResult) -> tuple[KeyFigure, ...]:
     low, high = result.scores[result.default].interval
     shown = {
         result.default: ("right", f"; 95 % interval {low:.0%} to {high:.0%}"),
@@ -88,14 +88,6 @@ def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...
     ]
     per_trial = np.mean([len(trial.found.records) for trial in result.trials])
     figures.append(KeyFigure(value=f"{per_trial:.1f}", caption="grasps until sure"))
-    if config.sequence.decide_early:
-        figures.append(
-            KeyFigure(
-                value=f"{result.grasp_s:.1f} s",
-                caption="a grasp, to the end of its ramp",
-                note=f"{result.n_ended_early} of {len(result.records)} ended early",
-            )
-        )
     return tuple(figures)
 
 
@@ -127,11 +119,6 @@ def _notes(config: CellConfig) -> tuple[str, ...]:
         + (", the opening of the fingers" if config.recognition.use_aperture else "")
         + " and several grasps.",
     ]
-    if config.sequence.decide_early:
-        notes.append(
-            "A ramp ended as soon as it was sure enough together with the grasps before it. The "
-            "level check judges such a grasp by the part of the ramp that there is."
-        )
     if config.simulated:
         notes.append(
             "Simulated cell: rigid objects in 3 mm foam, byte-true servos and control unit. "

@@ -6,7 +6,7 @@ The main job, the identification at the command line and the plugin all work wit
 import hashlib
 import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -97,14 +97,15 @@ class TaughtModel:
         self._early: EarlyClassifiers | None = None
         self._memory: PoseMemory | None = None
         self._recognizer: Recognizer | None = None
-        self._remarked = self._remarked_zero = False
+        self._remarked = False
+        self._told: set[str] = set()
         self.revision = 0
         self._pads = pad_array(layout_from_config(config.tactile))
         if model is not None:
             check_pads(model, self._pads)
             self._trainer_name = model.trainer_name
             self._sections = dict(model.sections)
-            self._early = load_early(model, config.sequence)
+            self._early = load_early(model) if config.decides_early else None
             self._memory = load_pose_memory(model, config.sequence)
             self._recognizer = with_caution(model.recognizer, config.recognition)
             _check_training_set(model, self._training_set)
@@ -233,7 +234,7 @@ class TaughtModel:
                 self._training_set,
                 wanted.recognizer,
                 use_aperture=wanted.use_aperture,
-                early=sequence.decide_early,
+                early=self._config.decides_early,
                 poses=sequence.kind == "active",
             )
         except CellError as error:
@@ -397,6 +398,7 @@ class TaughtModel:
         max_grasps: int | None = None,
         force_n: float | None = None,
         keep: Keep = Keep.NEVER,
+        whole_ramps: bool = False,
         on_grasp: OnGrasp | None = None,
     ) -> Identification:
         """Grasp an object until its name is sure enough, then follow the drift that it shows.
@@ -415,6 +417,8 @@ class TaughtModel:
             Force at the end of each ramp in N; None: those of the plan.
         keep
             When the part stays in the grip.
+        whole_ramps
+            Whether no ramp ends early, whatever the config says.
         on_grasp
             Called after each grasp.
 
@@ -433,13 +437,18 @@ class TaughtModel:
         found = controller.identify(
             recognizer,
             plan(sequence, max_grasps or self.max_grasps, seed=seed),
-            early=self._early,
+            early=None if whole_ramps else self._early,
             chooser=None if memory is None else ActiveChooser(memory, sequence, seed=seed),
             read_shape=self._read_shape,
             on_grasp=on_grasp,
             keep=keep,
         )
-        remark = self._follow(found.records) or self._without_zero(found.records)
+        remark = self._follow(found.records)
+        for lack in () if remark else self._lacks(found.records):
+            if lack not in self._told:
+                self._told.add(lack)
+                remark = lack
+                break
         if remark:
             controller.remark("drift", remark)
         return replace(found, remark=remark)
@@ -454,7 +463,8 @@ class TaughtModel:
     def _follow(self, records: Sequence[GraspRecord]) -> str:
         """Follow the drift by whole grasps; return a remark for the operator, once, or nothing.
 
-        Grasps whose ramp ended before its force, or that held nothing, are left out.
+        Grasps whose ramp ended before its force, or that held nothing, are left out: classifiers of
+        ramps cut short judge a drift in other ways, and both together let more new objects pass.
         """
         recognizer = self.recognizer
         if not self._config.recognition.follow_drift or not isinstance(recognizer, DriftFollowing):
@@ -471,18 +481,21 @@ class TaughtModel:
             return f"the sensors have drifted since teaching: {drift_text(recognizer.grid.drift)}"
         return "the sensors are as they were taught again"
 
-    def _without_zero(self, records: Sequence[GraspRecord]) -> str:
-        """Return once that the self-zero of today is of no use, as none was taken at teaching."""
+    def _lacks(self, records: Sequence[GraspRecord]) -> Iterator[str]:
+        """Yield what the model lacks of what the cell would use."""
         recognizer = self.recognizer
-        if self._remarked_zero or not isinstance(recognizer, ForceRamp):
-            return ""
-        if recognizer.zero is not None or all(one.grasp.zero is None for one in records):
-            return ""
-        self._remarked_zero = True
-        return (
-            "the model was taught without a self-zero, so that today's changes nothing and answers "
-            "allow for any drift: teach again after a self-zero, or gauge"
-        )
+        if not isinstance(recognizer, ForceRamp):
+            return
+        if recognizer.zero is None and any(one.grasp.zero is not None for one in records):
+            yield (
+                "the model was taught without a self-zero, so that today's changes nothing and "
+                "answers allow for any drift: teach again after a self-zero, or gauge"
+            )
+        if self._config.decides_early and self._early is None:
+            yield (
+                "the model was taught without ramps cut short, so that none ends early: train it "
+                "again, or set sequence.decide_early to false"
+            )
 
     # -- files ---------------------------------------------------------------------------------
 

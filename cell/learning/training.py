@@ -84,7 +84,8 @@ def train(
     use_aperture
         Whether the opening of the fingers is a feature.
     early
-        Whether ramps cut short train early classifiers too.
+        Whether ramps cut short train early classifiers too: for the default recogniser, of which
+        it is measured that they name as whole ramps do.
     poses
         Whether a pose memory is built too, which takes four further trainings.
 
@@ -109,24 +110,17 @@ def train(
                 f"{len(grasps)} taught grasps do not suffice to choose grasps by: {error}; teach "
                 "more grasps of each object, or choose random, grid or list"
             ) from error
-    return Trained(
-        recognizer=recognizer,
-        trainer_name=name,
-        early=EarlyTrainer(base=trainer).fit_classifiers(grasps, recognizer) if early else None,
-        memory=memory,
-    )
+    cut = None
+    if early and isinstance(recognizer, ForceRamp):
+        cut = EarlyTrainer(base=trainer).fit_classifiers(grasps, recognizer)
+    return Trained(recognizer=recognizer, trainer_name=name, early=cut, memory=memory)
 
 
-def load_early(model: LoadedModel, sequence: SequenceConfig) -> EarlyClassifiers | None:
-    """Return the early classifiers of a model file; None where the sequence uses none.
+def load_early(model: LoadedModel) -> EarlyClassifiers | None:
+    """Return the early classifiers of a model file; None where it has none.
 
-    Raises
-    ------
-    ModelError
-        If the sequence needs them and the file has none, or they do not fit its recogniser.
+    Raises ModelError where they do not fit its recogniser.
     """
-    if not sequence.decide_early:
-        return None
     kind = type(model.recognizer)
 
     def build(arrays: Arrays) -> EarlyClassifiers:
@@ -138,13 +132,7 @@ def load_early(model: LoadedModel, sequence: SequenceConfig) -> EarlyClassifiers
             rehearse(head, model.pads)
         return heads
 
-    heads = model.section(EARLY_SECTION, build)
-    if heads is None:
-        raise ModelError(
-            f"{model.path} was not taught with ramps cut short, which sequence.decide_early needs: "
-            "train it with `tactile-cell train --early`, or set decide_early to false"
-        )
-    return heads
+    return model.section(EARLY_SECTION, build)
 
 
 def load_pose_memory(model: LoadedModel, sequence: SequenceConfig) -> PoseMemory | None:

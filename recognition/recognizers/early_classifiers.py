@@ -25,16 +25,14 @@ let up to 3 % more of them pass (docs/decisions/0010-unknown-never-ends-a-ramp.m
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EarlyAnswer:
-    """Posterior of a ramp at its last look, and when that was."""
+    """Posterior of a ramp at the look that ended it, and when that was."""
 
     posterior: Posterior
-    """Posterior of this grasp alone at the last look."""
+    """Posterior of this grasp alone at that look."""
     looks: int
     """Number of looks, the last one included."""
     n_frames: int
     """Frames of the grasp up to that look."""
-    decided: bool
-    """Whether the stop rule was satisfied; False where the ramp came to its end without."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,9 +162,11 @@ class EarlyDecider:
                 # What cannot be judged yet decides nothing: the ramp goes on.
                 continue
             fused = fuse([*self._earlier, posterior])
-            if self._rule.suffices(fused) and fused.unknown <= _MOST_UNKNOWN:
+            sure = self._rule.suffices(fused) and fused.unknown <= _MOST_UNKNOWN
+            # A drawn size is compared with the sharpest one that is measured: of a whole ramp.
+            if sure and not posterior.drawn_m:
                 self.answer = EarlyAnswer(
-                    posterior=posterior, looks=self._looks, n_frames=self._seen, decided=True
+                    posterior=posterior, looks=self._looks, n_frames=self._seen
                 )
                 return True
         return False

@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStopped, ConfigError, ModelError
+from cell.errors import CellStopped, ModelError
 from cell.interfaces.plugin.plugin import TactileCellPlugin
-from cell.jobs.run import teach_and_identify
-from cell.jobs.run_report import main_report
-from cell.learning.model import load_model, save_model
+from cell.learning.model import LoadedModel, load_model, save_model
 from cell.learning.taught_model import TaughtModel
-from cell.learning.training import EARLY_SECTION, load_early, train
+from cell.learning.training import EARLY_SECTION, load_early
 from gripper.errors import ServoFault
 from recognition.errors import ContactError
 from recognition.ramp.ramp import learn_rest
@@ -33,6 +32,7 @@ class Saying:
 
     share: float
     unknown: float = 0.01
+    drawn_m: tuple[float, ...] = ()
     act: Callable[[], object] = lambda: None
     labels: tuple[str, ...] = ("ball", "box")
     asked: list[int] = field(default_factory=list)
@@ -43,7 +43,12 @@ class Saying:
         self.contacts.append(grasp.contact_frame)
         self.act()
         probability = np.array([self.share, 1.0 - self.share])
-        return Posterior(labels=self.labels, probability=probability, unknown=self.unknown)
+        return Posterior(
+            labels=self.labels,
+            probability=probability,
+            unknown=self.unknown,
+            drawn_m=self.drawn_m,
+        )
 
     def to_arrays(self) -> Any:
         raise NotImplementedError
@@ -61,7 +66,7 @@ def heads_of(taught: Any, *heads: Saying) -> EarlyClassifiers:
         for g in taught.grasps
         if g.label == "ball"
     )
-    levels = full * np.array([0.2, 0.35, 0.5])[: len(heads)]
+    levels = full * np.array([0.2, 0.35, 0.5, 0.55])[: len(heads)]
     return EarlyClassifiers(rest=rest, load_counts=levels, recognizers=heads)
 
 
@@ -102,13 +107,14 @@ def test_nothing_but_a_sure_name_ends_a_ramp(bench: Any, taught: Any) -> None:
 
     whole = Saying(0.9, unknown=0.97)
     strange = Saying(0.999, unknown=0.05)  # enough for the end of a sequence
-    early = heads_of(taught, Saying(0.999, act=refuse), strange, Saying(0.9))
+    drawn = Saying(0.999, drawn_m=(9.5e-3,))  # the size of a whole ramp is compared with it
+    early = heads_of(taught, Saying(0.999, act=refuse), strange, drawn, Saying(0.9))
     found = bench.controller.identify(whole, [STEP], early=early)
     assert found.records[0].early is None
     assert not found.records[0].outcome.ended_early
     assert found.records[0].cycles[-1].setpoint_n == 6.0
     assert len(whole.asked) == 1
-    assert [len(head.asked) for head in early.recognizers] == [1, 1, 1]
+    assert [len(head.asked) for head in early.recognizers] == [1, 1, 1, 1]
 
 
 def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench: Any, taught: Any) -> None:
@@ -122,6 +128,22 @@ def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench: Any, taught: 
     assert bench.grip_n > 0.5
 
 
+def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(
+    bench: Any, taught: Any
+) -> None:
+    bench.ready()
+    found = bench.controller.identify(
+        Saying(0.5), [STEP], early=heads_of(taught, Saying(0.999)), keep=Keep.ALWAYS
+    )
+    (record,) = found.records
+    carry_n = bench.config.sequence.carry_force_n
+    assert record.outcome.final_force_n < 0.8 * carry_n
+    assert found.kept
+    check = bench.controller.verify()
+    assert (check.same, check.force_n) == (True, pytest.approx(carry_n, rel=0.1))
+    assert bench.grip_n == pytest.approx(carry_n, rel=0.2)
+
+
 def test_a_stop_comes_before_the_end_of_the_ramp(bench: Any, taught: Any) -> None:
     bench.ready()
     head = Saying(0.999, act=bench.controller.cancel)
@@ -131,76 +153,32 @@ def test_a_stop_comes_before_the_end_of_the_ramp(bench: Any, taught: Any) -> Non
     assert bench.grip_n > 0.5
 
 
-@pytest.fixture(scope="module")
-def early_model(taught: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The taught model, with heads for ramps that end early."""
-    path = tmp_path_factory.mktemp("early") / "model.npz"
-    whole = load_model(taught.result.model)
-    trained = train(taught.grasps, whole.trainer_name, early=True)
-    save_model(
-        path,
-        whole.recognizer,
-        trainer_name=whole.trainer_name,
-        pads=whole.pads,
-        sections=trained.sections,
-    )
-    return path
-
-
 def test_objects_are_named_in_less_time_and_none_wrongly(
-    make_bench: Callable[..., Any],
-    make_config: Callable[..., Any],
-    taught: Any,
-    early_model: Path,
-    tmp_path: Path,
+    make_bench: Callable[..., Any], taught: Any
 ) -> None:
-    results = {}
-    for decide_early in (False, True):
-        config = make_config(sequence__decide_early=decide_early)
-        bench = make_bench(config)
-        bench.controller.start()
-        results[decide_early] = teach_and_identify(
-            bench.cell,
-            config,
-            labels=["ball", "box"],
-            n_teach=99,
-            n_trials=4,
-            folder=tmp_path,
-            progress=lambda *_step: None,
-            model=TaughtModel.load(config, early_model),
-        )
-    whole, early = results[False], results[True]
-    for trial in (*whole.trials, *early.trials):
-        assert trial.found.label in (trial.truth, UNKNOWN)
-    assert whole.n_ended_early == 0 < early.n_ended_early
-    assert early.grasp_s < whole.grasp_s
-    data = early.as_json()
-    assert data["ramps_ended_early"] == early.n_ended_early
-    assert data["grasp_seconds"] == early.grasp_s
-    page = main_report(early, config, bench.cell, tmp_path / "report.html").read_text()
-    n_grasps = sum(len(trial.found.records) for trial in early.trials)
-    assert f"{early.n_ended_early} of {n_grasps} ended early" in page
-    assert "ended early at" in page
+    bench = make_bench(taught.config).ready()
+    model = TaughtModel.load(taught.config, taught.result.model)
+    grasp_s: dict[bool, list[float]] = {True: [], False: []}
+    for whole, times_s in grasp_s.items():
+        ended = 0
+        for number, label in enumerate(2 * ["ball", "box"]):
+            found = model.identify(
+                bench.controller, held=label, seed=20 + number, whole_ramps=whole
+            )
+            assert found.label in (label, UNKNOWN)
+            times_s += [record.duration_s for record in found.records]
+            ended += sum(record.early is not None for record in found.records)
+        assert (ended == 0) is whole
+    assert np.mean(grasp_s[False]) < np.mean(grasp_s[True])
 
 
-def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(
-    make_config: Callable[..., Any], taught: Any, early_model: Path
-) -> None:
-    wanted, unwanted = (
-        make_config(sequence__decide_early=value).sequence for value in (True, False)
-    )
-    model = load_model(early_model)
-    assert load_early(model, unwanted) is None
-    heads = load_early(model, wanted)
+def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught: Any) -> None:
+    heads = load_early(load_model(taught.result.model))
     assert heads is not None
     assert len(heads.recognizers) == 2
     assert {head.labels for head in heads.recognizers} == {("ball", "box")}
     # A ramp to a small force never reaches half of the usual load.
     assert np.mean([bool(heads.look_frames(grasp)) for grasp in taught.grasps]) > 0.5
-    plain = load_model(taught.result.model)
-    assert load_early(plain, unwanted) is None
-    with pytest.raises(ModelError, match=r"not taught with ramps cut short.*train --early"):
-        load_early(plain, wanted)
 
 
 @pytest.mark.parametrize(
@@ -213,34 +191,43 @@ def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(
     ],
 )
 def test_heads_that_do_not_fit_their_model_are_refused(
-    make_config: Callable[..., Any], early_model: Path, tmp_path: Path, name: str, change: Any
+    taught: Any, tmp_path: Path, name: str, change: Any
 ) -> None:
-    model = load_model(early_model)
+    model = load_model(taught.result.model)
     arrays = dict(model.sections[EARLY_SECTION])
     changed = change(arrays.pop(name))
     arrays |= {} if changed is None else {name: changed}
-    path = tmp_path / "m.npz"
+    resaved(model, tmp_path / "m.npz", {EARLY_SECTION: arrays})
+    with pytest.raises(ModelError, match="does not suit this program"):
+        TaughtModel.load(taught.config, tmp_path / "m.npz")
+
+
+def test_a_model_taught_without_ramps_cut_short_says_once_that_its_ramps_are_whole(
+    make_bench: Callable[..., Any], taught: Any, tmp_path: Path
+) -> None:
+    bench = make_bench(taught.config).ready()
+    path = resaved(load_model(taught.result.model), tmp_path / "m.npz", {})
+    model = TaughtModel.load(taught.config, path)
+    found = [model.identify(bench.controller, held="box", seed=seed) for seed in range(2)]
+    assert all(record.early is None for one in found for record in one.records)
+    assert [one.remark.partition(":")[0] for one in found] == [
+        "the model was taught without ramps cut short, so that none ends early",
+        "",
+    ]
+
+
+def resaved(model: LoadedModel, path: Path, sections: Any) -> Path:
     save_model(
         path,
         model.recognizer,
         trainer_name=model.trainer_name,
         pads=model.pads,
-        sections={EARLY_SECTION: arrays},
+        sections=sections,
     )
-    sequence = make_config(sequence__decide_early=True).sequence
-    with pytest.raises(ModelError, match="does not suit this program"):
-        load_early(load_model(path), sequence)
+    return path
 
 
-def test_a_host_is_refused_before_the_cell_is_touched(
-    make_config: Callable[..., Any], taught: Any
-) -> None:
-    config = make_config(sequence__decide_early=True)
-    with pytest.raises(ModelError, match="decide_early needs"):
-        TactileCellPlugin(config, model=taught.result.model)
-
-
-def test_a_loop_in_the_same_process_cannot_wait_for_answers(
+def test_ramps_are_whole_where_the_loop_would_wait_for_answers(
     make_config: Callable[..., Any],
 ) -> None:
     ports = {
@@ -250,20 +237,20 @@ def test_a_loop_in_the_same_process_cannot_wait_for_answers(
         "positioner__kind": "operator",
         "loop__own_process": False,
     }
-    make_config(**ports)
-    with pytest.raises((ConfigError, ValueError), match=r"decide_early .* loop\.own_process"):
-        make_config(**ports, sequence__decide_early=True)
+    assert make_config().decides_early
+    assert not make_config(**ports).decides_early
+    assert make_config(**{**ports, "loop__own_process": True}).decides_early
 
 
 def test_what_a_plugin_was_taught_decides_early_and_is_saved(
     make_config: Callable[..., Any], tmp_path: Path
 ) -> None:
-    config = make_config(sequence__decide_early=True, sequence__max_grasps=1)
+    config = make_config(sequence__max_grasps=1)
     with TactileCellPlugin(config) as plugin:
         plugin.result(plugin.start({"task": "teach", "label": "box", "grasps": 6}), 60.0)
         answer = plugin.result(plugin.start({"task": "identify", "present": "box"}), 60.0)
         assert (answer.label, answer.n_grasps) == ("box", 1)
         plugin.save(tmp_path / "m.npz")
-    heads = load_early(load_model(tmp_path / "m.npz"), config.sequence)
+    heads = load_early(load_model(tmp_path / "m.npz"))
     assert heads is not None
     assert len(heads.recognizers) > 0
