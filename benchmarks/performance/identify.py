@@ -19,7 +19,6 @@ from functools import partial
 from benchmarks._measure import line, quantile, repeats, timed
 from benchmarks.recognition._grasps import PAPER, recorded, simulated
 from cell.build import build_cell
-from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.keeping import Keep
@@ -28,6 +27,7 @@ from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from recognition.evaluation.splits import chronological_split
 from recognition.grasp import Grasp
+from recognition.recognizer import UNKNOWN
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer
 
 
@@ -46,7 +46,7 @@ def one_series(train: Sequence[Grasp], test: Sequence[Grasp], rounds: int) -> No
 
 def from_the_command(n_teach: int, rounds: int) -> None:
     """Print the times of a cell from the command to the end of its work, by phase."""
-    config = changed_config(CellConfig(), {"self_zero": "never"})
+    config = CellConfig()
     labels = [entry.label for entry in config.simulator.objects]
     with closing(build_cell(config)) as cell:
         controller, model = cell.controller, TaughtModel(config)
@@ -75,7 +75,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             (Keep.NEVER, ("releasing",)),
             (Keep.ALWAYS, ("backing_off", "holding")),
         ):
-            totals_s, phases_s, n_grasps, right = [], dict[str, list[float]](), 0, 0
+            totals_s, phases_s, n_grasps, names = [], dict[str, list[float]](), 0, Counter[str]()
             for turn in range(rounds * len(labels)):
                 spent_s.clear()
                 held = labels[turn % len(labels)]
@@ -85,14 +85,14 @@ def from_the_command(n_teach: int, rounds: int) -> None:
                 totals_s.append(sum(spent_s.values()) + alone_s)
                 for name, value_s in took_s.items():
                     phases_s.setdefault(name, []).append(value_s)
-                right += found.label == held
+                names[{held: "right", UNKNOWN: UNKNOWN}.get(found.label, "wrong")] += 1
                 n_grasps += len(found.records)
                 if found.kept:
                     controller.release()
             line(
                 "kept" if keep is Keep.ALWAYS else "let go",
                 f"from the command median {statistics.median(totals_s):.2f} s, largest "
-                f"{max(totals_s):.2f} s, n = {len(totals_s)}, {right} right, {n_grasps} grasps",
+                f"{max(totals_s):.2f} s, n = {len(totals_s)}, {n_grasps} grasps, {dict(names)}",
             )
             for name, values_s in phases_s.items():
                 line(f"  {name}", f"{statistics.median(values_s):.3f} s, {max(values_s):.3f} s")

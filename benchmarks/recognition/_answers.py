@@ -7,10 +7,13 @@ from typing import Self
 import numpy as np
 
 from benchmarks._measure import share
+from cell.config.sequence import SequenceConfig
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
+from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from recognition.recognizers.force_ramp.recognizer import ForceRamp
 from recognition.shape.answer import UNCLEAR, ShapeAnswer
+from recognition.statistics.fusion import StopRule
 
 GAUGE_GRASPS = 3
 """Grasps of an object that a gauge takes."""
@@ -26,29 +29,52 @@ class Answer:
     best: str
     name: str
     """The likeliest label, and the name that is given: that label or ``UNKNOWN``."""
+    early: bool = False
+    """Whether the name ended the ramp early."""
 
     @classmethod
-    def of(cls, truth: str, posterior: Posterior) -> Self:
+    def of(cls, truth: str, posterior: Posterior, *, early: bool = False) -> Self:
         """Return what a posterior answers."""
-        return cls(truth, truth in posterior.labels, posterior.best, posterior.name)
+        return cls(truth, truth in posterior.labels, posterior.best, posterior.name, early)
 
 
-def asked(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[Answer]:
-    """Answer each grasp by itself."""
-    return [Answer.of(grasp.label, recognizer.posterior(grasp)) for grasp in grasps]
+def asked(
+    recognizer: Recognizer, grasps: Sequence[Grasp], early: EarlyClassifiers | None = None
+) -> list[Answer]:
+    """Answer each grasp by itself; with ``early`` by as much of its ramp as a cell would take."""
+    heads = None if early is None else early.as_wary_as(recognizer)
+    answers = []
+    for grasp in grasps:
+        ended = None if heads is None else _when_sure(heads, grasp)
+        found = recognizer.posterior(grasp) if ended is None else ended
+        answers.append(Answer.of(grasp.label, found, early=ended is not None))
+    return answers
+
+
+def _when_sure(early: EarlyClassifiers, grasp: Grasp) -> Posterior | None:
+    """Return the answer that ends the ramp of a recorded grasp; None where it is whole."""
+    rule = StopRule(error_rate=SequenceConfig().error_rate)
+    looks = EarlyDecider(early, (), rule)
+    any(looks.add_frame(counts, lambda: grasp) for counts in grasp.counts)
+    return None if looks.answer is None else looks.answer.posterior
 
 
 def followed(
-    recognizer: ForceRamp, grasps: Sequence[Grasp], seed: int
+    recognizer: ForceRamp,
+    grasps: Sequence[Grasp],
+    seed: int,
+    early: EarlyClassifiers | None = None,
 ) -> tuple[list[Answer], ForceRamp]:
     """Answer the grasps of a shift in a mixed order, each after those before it.
 
-    Returns the answers, and the recogniser after the last one.
+    Ramps that ``early`` ends are not followed. Returns the answers, and the recogniser after the
+    last one.
     """
     answers = []
     for i in np.random.default_rng(seed).permutation(len(grasps)).tolist():
-        answers += asked(recognizer, [grasps[i]])
-        recognizer = recognizer.follow(grasps[i])
+        answers += asked(recognizer, [grasps[i]], early)
+        if not answers[-1].early:
+            recognizer = recognizer.follow(grasps[i])
     return answers, recognizer
 
 
@@ -77,6 +103,8 @@ def figures(answers: Sequence[Answer], *, times: int = 1) -> str:
     }
     texts = [f"{kind} {share(sum(hits), len(hits), times=times)}" for kind, hits in kinds.items()]
     text = f"{', '.join(texts)} of {len(known) // times}"
+    if any(one.early for one in answers):
+        text += f", {np.mean([one.early for one in answers]):.0%} of all ended early"
     return text + (f"; new UNKNOWN {share(sum(new), len(new))} of {len(new)}" if new else "")
 
 

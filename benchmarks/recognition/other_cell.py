@@ -6,6 +6,8 @@ Grasps go through servos, buses and force loop. Both cells measure their own zer
 fingers; "untold" leaves that out. The gauge takes the first three grasps of one object on the other
 cell, once for each object. Objects never taught are grasped there, too.
 
+Rows of ramps that end early take of each grasp as much as a cell would, and follow whole ones.
+
 The cell that taught names grasps of slower and faster ramps as well, and one that was taught with
 slow ramps names fast ones.
 """
@@ -19,6 +21,7 @@ from benchmarks.recognition._answers import asked, figures, followed, gauged
 from benchmarks.recognition._cell_grasps import cell_grasps
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp
+from recognition.recognizers.early_classifiers import EarlyTrainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
@@ -72,6 +75,7 @@ def main(effort: float = 1.0) -> None:
     untold = [replace(grasp, zero=None) for grasp in zeroed]
     test, new = ([g for g in untold if (g.label in TAUGHT) is known] for known in (True, False))
     taught = ForceRampTrainer().fit(train)
+    early = EarlyTrainer(base=ForceRampTrainer()).fit_classifiers(train, taught)
     line("compared", f"{len(taught_objects)} objects, {n} grasps each; {len(new)} grasps of others")
     line("  same cell", figures(asked(taught, same)))
     later = [a_day_later(grasp) for grasp in same]
@@ -80,8 +84,10 @@ def main(effort: float = 1.0) -> None:
     line("  same cell, a day later, untold", figures(asked(taught, bare)))
     line("  other cell, untold", figures(asked(taught, untold)))
     line("  other cell, zeroed by itself", figures(asked(taught, zeroed)))
-    answers, day = followed(taught, test, 0)
-    line("  followed", figures(answers + asked(day, new)))
+    line("    ended early", figures(asked(taught, zeroed, early)))
+    for what, heads in (("followed", None), ("followed, ended early", early)):
+        answers, day = followed(taught, test, 0, heads)
+        line(f"  {what}", figures(answers + asked(day, new, heads)))
     every = []
     for label in taught_objects:
         answers = gauged(taught, untold, [label])
