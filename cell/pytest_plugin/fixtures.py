@@ -206,19 +206,19 @@ def servo_bus(cell_bench: "LinkBench") -> "ServoBus":
     Nothing is written to the servos when it opens or closes. ``servo_clock`` is its time,
     ``cell_config.gripper.servos`` has the IDs.
     """
-    return cell_bench.servos().bus
+    return cell_bench.servo_bus
 
 
 @pytest.fixture
 def servo_stream(cell_bench: "LinkBench") -> "ByteStream":
     """Bytes of the servo line, for tests below the level of servo_bus; the same line."""
-    return cell_bench.servos().stream
+    return cell_bench.servo_line[0]
 
 
 @pytest.fixture
 def servo_clock(cell_bench: "LinkBench") -> "Clock":
     """Time that passes for servo_bus: virtual, or the module time with ``--servo-port``."""
-    return cell_bench.servos().clock
+    return cell_bench.servo_line[1]
 
 
 @pytest.fixture
@@ -228,13 +228,13 @@ def can_bus(cell_bench: "LinkBench") -> "CanBus":
     Waiting in ``recv`` moves the virtual time. ``can_clock`` is its time,
     ``cell_config.tactile.node_id`` the unit's node.
     """
-    return cell_bench.can().bus
+    return cell_bench.can_line[0]
 
 
 @pytest.fixture
 def can_clock(cell_bench: "LinkBench") -> "Clock":
     """Time that passes for can_bus: virtual, or the module time with ``--can-interface``."""
-    return cell_bench.can().clock
+    return cell_bench.can_line[1]
 
 
 @pytest.fixture

@@ -168,26 +168,26 @@ def servos(
 ) -> Iterator[Servos]:
     bench = _bench(request, cell_config, cell_faults)
     try:
-        end = bench.servos()
+        bus, (stream, clock) = bench.servo_bus, bench.servo_line
         found = Servos(
-            bus=end.bus,
-            stream=end.stream,
-            clock=end.clock,
+            bus=bus,
+            stream=stream,
+            clock=clock,
             ids=tuple(servo.id for servo in cell_config.gripper.servos),
             may_move=request.param == "simulator" or bench.options.allow_motion,
         )
         for servo_id in found.ids:
-            if end.bus.read(servo_id, TORQUE_ENABLE):
+            if bus.read(servo_id, TORQUE_ENABLE):
                 pytest.fail(
                     f"servo {servo_id} holds torque, a part may be in the grip: nothing was "
                     "written. Release it on purpose (tactile-cell release --config FILE "
                     "--confirm), then switch the torque off",
                     pytrace=False,
                 )
-        before = {i: [end.bus.read(i, r) for r in EEPROM] for i in found.ids}
+        before = {i: [bus.read(i, r) for r in EEPROM] for i in found.ids}
         yield found
-        assert {i: [end.bus.read(i, r) for r in EEPROM] for i in found.ids} == before
-        assert not any(end.bus.read(i, TORQUE_ENABLE) for i in found.ids)
+        assert {i: [bus.read(i, r) for r in EEPROM] for i in found.ids} == before
+        assert not any(bus.read(i, TORQUE_ENABLE) for i in found.ids)
     finally:
         bench.close()
 
@@ -211,19 +211,19 @@ def unit(
     bench = _bench(request, cell_config, cell_faults)
     wanted = cell_config.tactile
     try:
-        end = bench.can()
+        bus, clock = bench.can_line
         link = TactileLink(
-            end.bus,
+            bus,
             node_id=wanted.node_id,
             layout=layout_from_config(wanted),
-            clock=end.clock,
+            clock=clock,
             settings=LinkSettings(
                 sync_period_s=wanted.sync_period_ms * 1e-3,
                 heartbeat_s=wanted.heartbeat_ms * 1e-3,
                 threaded=request.param == "hardware",
             ),
         )
-        found = Unit(bus=end.bus, clock=end.clock, node_id=wanted.node_id, link=link)
+        found = Unit(bus=bus, clock=clock, node_id=wanted.node_id, link=link)
         found.clock.sleep(POWER_UP_S)
         found.reset()
         yield found
