@@ -45,7 +45,7 @@ class Identification:
     drift: DriftGrid | None = None
     """The drift with which the answer was given; None for a recogniser that does not follow it."""
     complaints: tuple[str, ...] = ()
-    """Errors of the callback and of the fits of shape; they do not end the sequence."""
+    """Errors of the callback, of looks at ramps and of fits of shape; they end no sequence."""
     shapes: tuple[ShapeAnswer | None, ...] = ()
     """Shape and size by each grasp, in order; None where its pads do not show them. Empty where
     none was asked for."""
@@ -172,7 +172,7 @@ class Evidence:
         self.records.append(record)
         number = len(self.records)
         if error is not None:
-            self._complain(f"shape of grasp {number}", error)
+            self.complain(f"shape of grasp {number}", error)
         if self._read_shape is not None:
             self._shapes.append(shape)
         if shape is not None:
@@ -182,7 +182,7 @@ class Evidence:
             try:
                 self._on_grasp(number, record, posterior, shape)
             except Exception as error:
-                self._complain(f"after grasp {number}", error)
+                self.complain(f"after grasp {number}", error)
         self._decision = decide(self.posteriors, self._rule)
 
     def identification(self, *, kept: bool) -> Identification:
@@ -202,7 +202,8 @@ class Evidence:
             kept=kept,
         )
 
-    def _complain(self, when: str, error: Exception) -> None:
+    def complain(self, when: str, error: Exception) -> None:
+        """Keep what went wrong without ending the sequence."""
         self._complaints.append(f"{when}: {type(error).__name__}: {error}")
 
     def _fused_shape(self) -> ShapeAnswer | None:
@@ -211,7 +212,7 @@ class Evidence:
         try:
             return fuse_shapes(read) if read else None
         except Exception as error:
-            self._complain("shape of all grasps", error)
+            self.complain("shape of all grasps", error)
             return None
 
 
@@ -280,4 +281,6 @@ def grasp_and_classify(
         _, kept = grasp(next_step(), looks, judge)
         if not judge.holds:
             evidence.add()
+        if looks is not None and looks.error is not None:
+            evidence.complain(f"looks at the ramp of grasp {len(evidence.records)}", looks.error)
     return evidence.identification(kept=kept)

@@ -42,14 +42,8 @@ class GraspRecord:
 
     @property
     def ended(self) -> str:
-        """Where and by what the ramp was ended early, in words; empty where it was not."""
-        if self.early is None:
-            return ""
-        posterior = self.early.posterior
-        return (
-            f"ended early at {self.cycles[-1].setpoint_n:.1f} N: {posterior.best} "
-            f"{100 * float(posterior.probability.max()):.1f} %"
-        )
+        """Where the ramp was ended early, in words; empty where it was not."""
+        return "" if self.early is None else f"ended early at {self.cycles[-1].setpoint_n:.1f} N"
 
     def ramp_as_json(self) -> dict[str, Any]:
         """Return how the ramp ended, as plain data."""

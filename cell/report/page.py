@@ -141,10 +141,9 @@ def sequence_view(truth: str, found: Identification, colours: Mapping[str, int])
     for number, (posterior, record) in enumerate(
         zip(found.posteriors, found.records, strict=True), start=1
     ):
-        ended = f", {record.ended}" if record.ended else ""
         steps.append(
             {
-                "note": f"{record.reached}; {record.step.force_n:.1f} N{ended}",
+                "note": f"{record.reached}; {record.step.force_n:.1f} N",
                 "fused": _bars(fuse(found.posteriors[:number]), colours),
                 "single": _bars(posterior, colours),
             }

@@ -131,6 +131,8 @@ class EarlyDecider:
         self._looks = 0
         self.answer: EarlyAnswer | None = None
         """The answer that satisfied the rule; None until then."""
+        self.error: Exception | None = None
+        """What a look has raised: a ramp goes on through it, as no program may fail in its loop."""
 
     @property
     def looks(self) -> int:
@@ -160,6 +162,9 @@ class EarlyDecider:
                 posterior = classifier.posterior(so_far().first_frames(self._seen))
             except RecognitionError:
                 # What cannot be judged yet decides nothing: the ramp goes on.
+                continue
+            except Exception as error:
+                self.error = error
                 continue
             fused = fuse([*self._earlier, posterior])
             sure = self._rule.suffices(fused) and fused.unknown <= _MOST_UNKNOWN

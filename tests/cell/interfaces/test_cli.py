@@ -299,7 +299,7 @@ def test_ramps_end_early_but_for_a_model_taught_without(
     (ended,) = [ramp for ramp in ramps if ramp["ended_early"]]
     assert (ended["label"], ended["probability"] >= 0.98) == ("box", True)
     assert ended["setpoint_n"] < ended["wanted_n"]
-    assert f"ended early at {ended['setpoint_n']:.1f} N: box" in said
+    assert f"; ended early at {ended['setpoint_n']:.1f} N\n" in said
 
 
 def test_release_names_the_cell_and_has_to_be_meant(

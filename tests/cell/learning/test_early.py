@@ -93,7 +93,7 @@ def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")
     assert [event["text"] for event in recording.events if event["kind"] == "ramp"] == [
-        f"ended early at {record.cycles[-1].setpoint_n:.1f} N: ball 99.9 %"
+        f"ended early at {record.cycles[-1].setpoint_n:.1f} N"
     ]
     assert [result["n_ended_early"] for result in recording.results] == [1]
     assert len(recording.grasps[0].counts) == record.grasp.n_frames
@@ -115,6 +115,20 @@ def test_nothing_but_a_sure_name_ends_a_ramp(bench: Any, taught: Any) -> None:
     assert found.records[0].cycles[-1].setpoint_n == 6.0
     assert len(whole.asked) == 1
     assert [len(head.asked) for head in early.recognizers] == [1, 1, 1, 1]
+
+
+def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench: Any, taught: Any) -> None:
+    bench.ready()
+
+    def fail() -> None:
+        raise ValueError("a broken model")
+
+    early = heads_of(taught, Saying(0.999, act=fail), Saying(0.9))
+    found = bench.controller.identify(Saying(0.999), [STEP], early=early)
+    assert (found.label, found.records[0].early) == ("ball", None)
+    assert found.complaints == ("looks at the ramp of grasp 1: ValueError: a broken model",)
+    assert [len(head.asked) for head in early.recognizers] == [1, 1]
+    assert bench.controller.fault is None
 
 
 def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench: Any, taught: Any) -> None:
