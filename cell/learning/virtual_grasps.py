@@ -143,37 +143,37 @@ class Noise(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """Motion and sensor of a cell, with their uncertainties."""
+    """Motion and sensor of a cell, with their uncertainties; what a config has comes from it."""
 
-    period_s: float = 0.02
+    period_s: float
     """Time between two frames in s."""
-    aperture_open_m: float = 18e-3
+    aperture_open_m: float
     """Opening at the start in m."""
-    approach_speed_m_s: float = 24e-3
-    travel_speed_m_s: float = 50e-3
+    approach_speed_m_s: float
+    travel_speed_m_s: float
     """Closing speed of the opening in m/s, where a part may begin and before that."""
-    aperture_step_m: float = 0.1e-3
+    aperture_step_m: float
     """Smallest step of the measured opening in m."""
-    aperture_sd_m: float = 0.2e-3
+    aperture_sd_m: float
     """Standard deviation in m of the measured opening, the same over one grasp."""
-    impact_n: tuple[float, float] = (0.6, 1.1)
+    impact_n: tuple[float, float]
     """(low, high): grip force in N with which the ramp begins."""
     slip_n: float = 0.1
     """Largest lag in N behind the set-point before the fingers move on."""
     force_sd: float = 0.02
     """Relative standard deviation of the force at the end of the ramp."""
-    modulus_sd: float = 0.05
-    gain_sd: float = 0.05
-    spread_sd: float = 0.05
-    densification_sd: float = 0.1
-    thickness_sd: float = 0.03
+    modulus_sd: float
+    gain_sd: float
+    spread_sd: float
+    densification_sd: float
+    thickness_sd: float
     """Relative standard deviations of what is known of foam and sensor; drawn for each grasp."""
-    bend_sd: float = 0.0
+    bend_sd: float
     """Standard deviation of the logarithm of an exponent of the reading: a converter that bends
     otherwise than its law."""
-    lag: float = 0.0
+    lag: float
     """Largest share of a reading that follows the force only slowly: foam creeps."""
-    noise_sd: float = 0.0
+    noise_sd: float
     """Standard deviation of the logarithm of a factor on the noise."""
     pad_gain_sd: float = 0.05
     taxel_gain_sd: float = 0.08
