@@ -14,6 +14,7 @@ from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, ModelError
 from cell.interfaces.plugin.plugin import TactileCellPlugin
+from cell.learning.collection import Collection
 from cell.learning.model import LoadedModel, load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import EARLY_SECTION, load_early
@@ -184,6 +185,9 @@ def test_objects_are_named_in_less_time_and_none_wrongly(
             ended += sum(record.early is not None for record in found.records)
         assert (ended == 0) is whole
     assert np.mean(grasp_s[False]) < np.mean(grasp_s[True])
+    more = Collection(label="ball", n_planned=2)
+    model.collect(bench.controller, more, seed=30, on_grasp=lambda _: None)
+    assert all(one.cycles[-1].setpoint_n == one.step.force_n for one in more.records)
 
 
 def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught: Any) -> None:
