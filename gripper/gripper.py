@@ -25,7 +25,7 @@ from gripper.errors import (
 from gripper.force.by_current import ForceByCurrent, cap_by_current_n
 from gripper.force.grasp import GraspRun
 from gripper.force.grip_control import GripControl
-from gripper.force.loop import LoopRunner, Observer, Running
+from gripper.force.loop import LoopRunner, Running
 from gripper.force.mechanics_proof import FirstMotion, standing_rows
 from gripper.force.motion import MoveTo, StandStill
 from gripper.force.ramp import ForceRamp, check_ramp
@@ -45,6 +45,7 @@ from gripper.state import (
     GraspResult,
     GripperPhase,
     GripperState,
+    Observer,
     ReleaseReport,
     ServoCondition,
     VerificationReport,
@@ -105,8 +106,10 @@ class Gripper:
         self._servos = ServoGroup(bus, linkage, settings, clock, self._health)
         sensor = force_sensor or ForceByCurrent(self._servos, linkage, settings)
         self._runner = LoopRunner(self._servos, self._health, sensor, settings, clock)
-        self._grasping = GraspRun(self._runner, self._servos, linkage, settings)
         self._life = Lifecycle(self._servos, self._runner, settings)
+        self._grasping = GraspRun(
+            self._runner, self._servos, linkage, settings, self._life.set_phase
+        )
         self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
         self._link_timing: LinkTiming | None = None
         self._one_finger: Gripper | None = None
@@ -244,10 +247,7 @@ class Gripper:
             return None
         with self._life.latching():
             if self._carried is not None:
-                cycles: list[Cycle] = []
-                self._carried.observer = cycles.append
-                self._runner.period(self._carried)
-                return cycles[0] if cycles else None
+                return self._runner.period(self._carried)
             with self._servos.in_loop():
                 state = self._runner.read()
             if state is None:
@@ -293,17 +293,17 @@ class Gripper:
                 f"aperture_m is {target_m}, must be from {self._settings.aperture_min_m} to "
                 f"{self._settings.aperture_open_m}"
             )
-        with self._life.command(GripperPhase.OPENING):
+        with self._life.command(GripperPhase.OPENING, observer):
             was_limp = self._make_ready()
             if was_limp and self._servos.off_by_turns:
                 standing = StandStill(self._settings, self._servos.read_patiently())
-                self._runner.run(self._life.phase, standing.step, observer, needs_force=False)
-            state = self._move_to(target_m, observer, first=was_limp)
+                self._runner.run(standing.step, needs_force=False)
+            state = self._move_to(target_m, first=was_limp)
             if self._settings.watchdog_self_test and not self._watchdog_proofs:
                 self._watchdog_proofs = prove_watchdog(
                     self._servos, self._health, self._linkage, self._settings, self._clock
                 )
-                state = self._move_to(target_m, observer)
+                state = self._move_to(target_m)
         self._life.phase = GripperPhase.IDLE
         return state
 
@@ -359,9 +359,9 @@ class Gripper:
         control = self._held_control("hold")
         if not duration_s > 0.0:
             raise LimitExceeded(f"duration_s is {duration_s}, must be above 0")
-        with self._life.command(GripperPhase.HOLDING):
+        with self._life.command(GripperPhase.HOLDING, observer):
             self._make_ready()
-            state = self._grasping.hold(control, duration_s, observer)
+            state = self._grasping.hold(control, duration_s)
         self._life.phase = GripperPhase.HOLDING
         return state
 
@@ -385,13 +385,13 @@ class Gripper:
         ramp = ForceRamp.linear(force_n, CARRY_RATE_N_S, start_n=control.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None
-        with self._life.command(GripperPhase.BACKING_OFF):
+        with self._life.command(GripperPhase.BACKING_OFF, observer):
             self._make_ready()
             if force_n != control.setpoint_n:
-                state = self._grasping.follow(control, ramp, observer)
+                state = self._grasping.follow(control, ramp)
             self._life.phase = GripperPhase.HOLDING
             if duration_s > 0.0 or force_n == control.setpoint_n:
-                state = self._grasping.hold(control, max(duration_s, self.period_s), observer)
+                state = self._grasping.hold(control, max(duration_s, self.period_s))
             self._servos.disarm_watchdog()
         self._carried = self._grasping.hold_on(control, state.t_s)
         return state
@@ -414,9 +414,9 @@ class Gripper:
                 f"N: carry it with less force first"
             )
         self._carried = None
-        with self._life.command(GripperPhase.RAMPING):
+        with self._life.command(GripperPhase.RAMPING, observer):
             self._make_ready()
-            outcome = self._grasping.squeeze(control, ramp, observer)
+            outcome = self._grasping.squeeze(control, ramp)
         self._life.phase = GripperPhase.HOLDING
         return outcome
 
@@ -445,7 +445,7 @@ class Gripper:
             left = self._not_able()
             if left:
                 return self._open_one_finger(left[0], observer)
-        with self._life.command(GripperPhase.RELEASING):
+        with self._life.command(GripperPhase.RELEASING, observer):
             was_limp = self._make_ready(releasing=True)
             # A part that a stop leaves half held is none whose force can be controlled.
             self._grasping.forget()
@@ -453,7 +453,7 @@ class Gripper:
             wider = self._wider_open()
             try:
                 state = self._move_to(
-                    self._settings.aperture_open_m, observer, only_open=True, first=was_limp
+                    self._settings.aperture_open_m, only_open=True, first=was_limp
                 )
             finally:
                 self._health.end_release()
@@ -576,7 +576,7 @@ class Gripper:
         self,
         ramp: ForceRamp,
         observer: Observer | None,
-        run: Callable[[ForceRamp, Observer | None, Callable[[GripperPhase], None]], GraspOutcome],
+        run: Callable[[ForceRamp], GraspOutcome],
     ) -> GraspOutcome:
         """Close with one of the runs of a grasp, and keep what is held after it."""
         self._life.check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)
@@ -586,10 +586,10 @@ class Gripper:
                 "open the gripper, its self-test follows (watchdog_self_test is on)"
             )
         self.check_ramp(ramp)
-        with self._life.command(GripperPhase.APPROACHING):
+        with self._life.command(GripperPhase.APPROACHING, observer):
             self._make_ready()
             self._life.part_possible = True
-            outcome = run(ramp, observer, self._life.set_phase)
+            outcome = run(ramp)
         held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
         self._life.part_possible = self._life.controlled = held
         self._life.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
@@ -677,7 +677,6 @@ class Gripper:
     def _move_to(
         self,
         aperture_m: float,
-        observer: Observer | None,
         *,
         only_open: bool = False,
         first: bool = False,
@@ -687,7 +686,7 @@ class Gripper:
         move = kind(
             self._settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open
         )
-        return self._runner.run(self._life.phase, move.step, observer, needs_force=False)
+        return self._runner.run(move.step, needs_force=False)
 
     def _make_ready(self, *, releasing: bool = False) -> bool:
         """Make the servos ready for a command; return whether all of them were without torque."""

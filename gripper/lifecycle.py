@@ -20,7 +20,7 @@ from gripper.errors import (
 from gripper.force.loop import LoopRunner
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings, OverForce
-from gripper.state import GripperPhase, shows_nothing
+from gripper.state import GripperPhase, Observer, shows_nothing
 
 _DOING = {
     GripperPhase.OPENING: "opening",
@@ -68,8 +68,6 @@ class Lifecycle:
 
     Attributes
     ----------
-    phase
-        Phase of the gripper.
     part_possible
         True from the beginning of an approach until a release has ended or nothing was found.
     controlled
@@ -83,7 +81,6 @@ class Lifecycle:
     """
 
     def __init__(self, servos: ServoGroup, runner: LoopRunner, settings: GripperSettings) -> None:
-        self.phase = GripperPhase.OFF
         self.part_possible = False
         self.controlled = False
         self.fault: BaseException | None = None
@@ -92,6 +89,15 @@ class Lifecycle:
         self._servos = servos
         self._settings = settings
         self._runner = runner
+
+    @property
+    def phase(self) -> GripperPhase:
+        """Phase of the gripper."""
+        return self._runner.phase
+
+    @phase.setter
+    def phase(self, phase: GripperPhase) -> None:
+        self._runner.phase = phase
 
     def set_phase(self, phase: GripperPhase) -> None:
         """Set the phase; from the ramp on the force can be controlled."""
@@ -130,10 +136,11 @@ class Lifecycle:
             )
 
     @contextmanager
-    def command(self, phase: GripperPhase) -> Iterator[None]:
+    def command(self, phase: GripperPhase, observer: Observer | None) -> Iterator[None]:
         """Run one command in its phase; a stop freezes the goals, or stops fingers on their way."""
         self._runner.forget_stop()
         self.phase = phase
+        self._runner.observer = observer
         self.running = True
         try:
             with self.latching():
@@ -144,6 +151,7 @@ class Lifecycle:
             raise
         finally:
             self.running = False
+            self._runner.observer = None
 
     @contextmanager
     def delegated(self, phase: GripperPhase, carrier: "Lifecycle") -> Iterator[None]:

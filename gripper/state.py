@@ -1,5 +1,6 @@
 """Values that the gripper takes and returns: time, force, servo and gripper states, outcomes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -280,6 +281,10 @@ class Cycle:
     """Mean magnitude of the goal currents in A."""
     level: int | None = None
     """Level of the ramp that is held, None while the force changes."""
+
+
+Observer = Callable[[Cycle], None]
+"""Function called once a period, after the goals were written; what it raises ends the command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

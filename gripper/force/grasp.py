@@ -6,7 +6,7 @@ from math import inf
 
 from gripper.errors import GripContradicted, PartLost
 from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
-from gripper.force.loop import Action, LoopRunner, Moment, Observer, Running
+from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.mechanics_proof import (
     ZERO_RANGE_M,
     closes_farther,
@@ -43,6 +43,8 @@ class GraspRun:
     ----------
     runner, servos, linkage, settings
         Of the gripper.
+    set_phase
+        Tells the phase that a grasp comes to.
     """
 
     def __init__(
@@ -51,8 +53,10 @@ class GraspRun:
         servos: ServoGroup,
         linkage: Linkage,
         settings: GripperSettings,
+        set_phase: Callable[[GripperPhase], None],
     ) -> None:
         self._runner = runner
+        self._set_phase = set_phase
         self._servos = servos
         self._linkage = linkage
         self._settings = settings
@@ -80,48 +84,29 @@ class GraspRun:
         """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
         self._end.request()
 
-    def run(
-        self,
-        ramp: ForceRamp,
-        observer: Observer | None,
-        set_phase: Callable[[GripperPhase], None],
-    ) -> GraspOutcome:
+    def run(self, ramp: ForceRamp) -> GraspOutcome:
         """Approach, then follow the ramp to its end, or until it is ended on request."""
         self.forget()
         with self._end.counting():
-            reached = self._approach(self._settings, observer)
+            reached = self._approach(self._settings)
             contact = reached.state
             if reached.event is ApproachEvent.OBSTRUCTED:
                 raise _obstructed(contact)
             if reached.event is not ApproachEvent.CONTACT:
                 closing = -contact.aperture_velocity_m_s > STALL_SPEED_M_S
                 closed = contact.aperture_m <= self._settings.aperture_min_m
-                self._confirm_empty(
-                    contact,
-                    observer,
-                    set_phase,
-                    ran=closed or closing,
-                    approached=True,
-                )
-                set_phase(GripperPhase.APPROACHING)
-                self._prove_closed(contact, observer)
+                self._confirm_empty(contact, ran=closed or closing, approached=True)
+                self._set_phase(GripperPhase.APPROACHING)
+                self._prove_closed(contact)
                 return _without_contact(contact)
             self._widest_m = max(self._widest_m, reached.touch_m)
             self._touched += 1
-            step, final = self._press(ramp, reached, observer, set_phase)
-        if step.lost:
-            self._confirm_lost(step, final, reached, observer, set_phase)
-        return step.outcome(final)
+            return self._press(ramp, reached)
 
-    def meet(
-        self,
-        ramp: ForceRamp,
-        observer: Observer | None,
-        set_phase: Callable[[GripperPhase], None],
-    ) -> GraspOutcome:
+    def meet(self, ramp: ForceRamp) -> GraspOutcome:
         """Close the empty fingers onto each other and follow a ramp; see `Gripper.meet`."""
         self.forget()
-        reached = self._closed(observer)
+        reached = self._closed()
         contact = reached.state
         self._closed_is_proven = True
         if reached.event is ApproachEvent.OBSTRUCTED:
@@ -129,20 +114,11 @@ class GraspRun:
         with self._end.counting():
             if contact.aperture_m > ZERO_RANGE_M:
                 self._end.request()
-            step, final = self._press(ramp, reached, observer, set_phase)
-        if step.lost:
-            self._confirm_lost(step, final, reached, observer, set_phase)
-        return step.outcome(final)
+            return self._press(ramp, reached)
 
-    def _press(
-        self,
-        ramp: ForceRamp,
-        reached: "_Reached",
-        observer: Observer | None,
-        set_phase: Callable[[GripperPhase], None],
-    ) -> tuple["RampStep", GripperState]:
-        """Follow a ramp on what was touched; return its step and the last feedback."""
-        set_phase(GripperPhase.RAMPING)
+    def _press(self, ramp: ForceRamp, reached: "_Reached") -> GraspOutcome:
+        """Follow a ramp on what was touched; a part that was lost on it is forgotten."""
+        self._set_phase(GripperPhase.RAMPING)
         self._ramp_step = step = RampStep(
             reached.settings,
             self._linkage,
@@ -154,36 +130,23 @@ class GraspRun:
             friction_share=reached.friction_share,
             end=self._end,
         )
-        final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
-        return step, final
-
-    def _confirm_lost(
-        self,
-        step: "RampStep",
-        final: GripperState,
-        reached: "_Reached",
-        observer: Observer | None,
-        set_phase: Callable[[GripperPhase], None],
-    ) -> None:
-        """Forget a part that was lost on the ramp, once nothing shows one any more."""
-        ran = step.control is not None and step.control.ran
-        self._confirm_empty(
-            final, observer, set_phase, ran=ran, stiffness_n_m=reached.stiffness.stiffness_n_m
-        )
-        self.forget()
+        final = self._runner.run(step.step)
+        if step.lost:
+            ran = step.control is not None and step.control.ran
+            self._confirm_empty(final, ran=ran, stiffness_n_m=reached.stiffness.stiffness_n_m)
+            self.forget()
+        return step.outcome(final)
 
     def _confirm_empty(
         self,
         state: GripperState,
-        observer: Observer | None,
-        set_phase: Callable[[GripperPhase], None],
         *,
         ran: bool,
         stiffness_n_m: float | None = None,
         approached: bool = False,
     ) -> None:
         """Return when nothing shows a part any more; GripContradicted where something does."""
-        set_phase(GripperPhase.HOLDING)
+        self._set_phase(GripperPhase.HOLDING)
         step = EmptyGrip(
             self._settings,
             self._linkage,
@@ -192,38 +155,26 @@ class GraspRun:
             approached=approached,
             ran=ran,
         )
-        self._runner.run(GripperPhase.HOLDING, step.step, observer, needs_force=True)
+        self._runner.run(step.step)
 
-    def hold(
-        self, control: GripControl, duration_s: float, observer: Observer | None
-    ) -> GripperState:
+    def hold(self, control: GripControl, duration_s: float) -> GripperState:
         """Control the force at its last set-point for a time in s."""
-        step = HoldStep(self._settings, control, duration_s)
-        return self._runner.run(GripperPhase.HOLDING, step.step, observer, needs_force=True)
+        return self._runner.run(HoldStep(self._settings, control, duration_s).step)
 
     def hold_on(self, control: GripControl, now_s: float) -> Running:
         """Return the control of the force at its last set-point, without an end."""
-        step = HoldStep(self._settings, control, inf)
-        return self._runner.begin(
-            GripperPhase.HOLDING, step.step, None, needs_force=True, now_s=now_s
-        )
+        return self._runner.begin(HoldStep(self._settings, control, inf).step, now_s=now_s)
 
-    def squeeze(
-        self, control: GripControl, ramp: ForceRamp, observer: Observer | None
-    ) -> GraspOutcome:
+    def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
         step = SqueezeStep(self._settings, control, ramp.starting_from(control.setpoint_n))
-        final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
-        return step.outcome(final)
+        return step.outcome(self._runner.run(step.step))
 
-    def follow(
-        self, control: GripControl, ramp: ForceRamp, observer: Observer | None
-    ) -> GripperState:
+    def follow(self, control: GripControl, ramp: ForceRamp) -> GripperState:
         """Follow a change of the held force to its end and until the force has settled."""
-        step = BackOffStep(self._settings, control, ramp)
-        return self._runner.run(GripperPhase.BACKING_OFF, step.step, observer, needs_force=True)
+        return self._runner.run(BackOffStep(self._settings, control, ramp).step)
 
-    def _approach(self, settings: GripperSettings, observer: Observer | None) -> "_Reached":
+    def _approach(self, settings: GripperSettings) -> "_Reached":
         """Close until the contact, or the end of the way, and feed the estimates."""
         # Fingers that are to meet find no part on their way.
         known = settings is self._settings and self._touched > 0
@@ -241,7 +192,7 @@ class GraspRun:
             friction.push(moment, running=approach.runs_freely(moment.state))
             return approach.step(moment)
 
-        state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
+        state = self._runner.run(step)
         if friction.measured:
             self._friction_share = friction.friction_share()
         return _Reached(
@@ -259,17 +210,17 @@ class GraspRun:
         """Opening in m at which the next part may begin, by those touched so far."""
         return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
-    def _closed(self, observer: Observer | None) -> "_Reached":
+    def _closed(self) -> "_Reached":
         """Close until the pads meet; MechanicsContradicted where nothing stops the fingers."""
-        reached = self._approach(meeting_settings(self._settings), observer)
+        reached = self._approach(meeting_settings(self._settings))
         if reached.event is ApproachEvent.LIMIT:
             raise not_met(self._settings, self._linkage, reached.state)
         return reached
 
-    def _prove_closed(self, state: GripperState, observer: Observer | None) -> None:
+    def _prove_closed(self, state: GripperState) -> None:
         """Look once whether the pads of fingers that have found nothing stop each other."""
         if not self._closed_is_proven and closes_farther(self._settings, state):
-            self._closed(observer)
+            self._closed()
             self._closed_is_proven = True
 
 

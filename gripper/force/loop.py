@@ -22,7 +22,15 @@ from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import Clock, Cycle, ForceSample, ForceSensor, GripperPhase, GripperState
+from gripper.state import (
+    Clock,
+    Cycle,
+    ForceSample,
+    ForceSensor,
+    GripperPhase,
+    GripperState,
+    Observer,
+)
 
 _FREEZE_AT = 2
 """Period without feedback, counted in a row, in which the stop goals are written."""
@@ -34,9 +42,6 @@ _HEALTH_EVERY = 4
 """Every fourth period one health check: each takes a transaction of the period."""
 _LONGEST_STEP = 2.0
 """Longest step of control in periods: after a late period nothing catches up."""
-
-Observer = Callable[[Cycle], None]
-"""Function called once a period, after the goals were written; what it raises ends the command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,9 +75,7 @@ class Moment:
 class Running:
     """Steps of control that are being run."""
 
-    phase: GripperPhase
     step: Callable[[Moment], Action]
-    observer: Observer | None
     needs_force: bool
     """As in `LoopRunner.run`."""
     last_s: float
@@ -92,6 +95,13 @@ class LoopRunner:
     ----------
     servos, health, sensor, settings, clock
         Of the gripper.
+
+    Attributes
+    ----------
+    phase
+        Phase of the gripper.
+    observer
+        Called once a period of the command that runs; None without one.
     """
 
     def __init__(
@@ -109,6 +119,8 @@ class LoopRunner:
         self._clock = clock
         self._timer = LoopTimer(settings.period_s)
         self._stop = threading.Event()
+        self.phase = GripperPhase.OFF
+        self.observer: Observer | None = None
         self._due_s = clock.monotonic()
         self._bus_loss = BusLossMonitor(servos, settings)
         self._cycles = 0
@@ -147,24 +159,13 @@ class LoopRunner:
         self._bus_loss.answered()
         return state
 
-    def run(
-        self,
-        phase: GripperPhase,
-        step: Callable[[Moment], Action],
-        observer: Observer | None,
-        *,
-        needs_force: bool,
-    ) -> GripperState:
+    def run(self, step: Callable[[Moment], Action], *, needs_force: bool = True) -> GripperState:
         """Run steps until one is done and return the last feedback.
 
         Parameters
         ----------
-        phase
-            Phase of the gripper that the observer receives.
         step
             One step of control.
-        observer
-            Called once each period.
         needs_force
             True to insist on a fresh, valid force sample.
 
@@ -181,44 +182,38 @@ class LoopRunner:
         if deadline_s < self._due_s:
             self._clock.sleep(self._due_s - deadline_s)
             deadline_s = self._due_s
-        running = self.begin(phase, step, observer, needs_force=needs_force, now_s=deadline_s)
+        running = self.begin(step, needs_force=needs_force, now_s=deadline_s)
         while True:
             if self._stop.is_set():
                 raise GraspStopped("stopped on request")
-            state = self.period(running)
-            if state is not None and running.done:
+            cycle = self.period(running)
+            if cycle is not None and self.observer is not None:
+                self.observer(cycle)
+            if cycle is not None and running.done:
                 self._due_s = deadline_s + self._settings.period_s
-                return state
+                return cycle.state
             deadline_s = self._wait(
-                deadline_s + self._settings.period_s, answered=state is not None
+                deadline_s + self._settings.period_s, answered=cycle is not None
             )
 
     def begin(
-        self,
-        phase: GripperPhase,
-        step: Callable[[Moment], Action],
-        observer: Observer | None,
-        *,
-        needs_force: bool,
-        now_s: float,
-    ) -> "Running":
+        self, step: Callable[[Moment], Action], *, needs_force: bool = True, now_s: float
+    ) -> Running:
         """Return steps whose periods the caller runs, each with `period`; arguments as in `run`.
 
         ``now_s`` is the monotonic time in s from which on the age of the force counts.
         """
         self._bus_loss.begin()
         return Running(
-            phase=phase,
             step=step,
-            observer=observer,
             needs_force=needs_force,
             last_s=now_s - self._settings.period_s,
             fresh_s=now_s,
             looked_s=now_s - self._settings.period_s,
         )
 
-    def period(self, running: "Running") -> GripperState | None:
-        """Run one period and return its feedback, None where an answer was lost.
+    def period(self, running: Running) -> Cycle | None:
+        """Run one period and return it, None where an answer was lost.
 
         Raises what `run` raises, but for a stop and for lateness: the caller keeps the time. The
         limits of servos and pads move by what the period begins late: that is the loop's own.
@@ -231,7 +226,7 @@ class LoopRunner:
         with self._servos.in_loop():
             state = self.read()
             if state is None:
-                self._bus_loss.stop_fingers(running.phase)
+                self._bus_loss.stop_fingers(self.phase)
         # Pads and CAN are supervised in each period, whether the servos answer or not.
         sample = self._sensor.latest_force()
         if sample is not None and sample.valid:
@@ -240,37 +235,26 @@ class LoopRunner:
         if running.needs_force:
             now_s = self._clock.monotonic() if state is None else state.t_s
             self._check_force(now_s, running.fresh_s, sample)
-        if state is not None:
-            moment = Moment(
-                now_s=state.t_s,
-                dt_s=min(
-                    max(state.t_s - running.last_s, 0.0),
-                    _LONGEST_STEP * self._settings.period_s,
-                ),
-                state=state,
-                sample=sample,
-            )
-            running.last_s = state.t_s
-            running.done = self._control(running.phase, running.step, moment, running.observer)
-        return state
-
-    def _control(
-        self,
-        phase: GripperPhase,
-        step: Callable[[Moment], Action],
-        moment: Moment,
-        observer: Observer | None,
-    ) -> bool:
-        """Take one step of control, write its goals, and return whether it was the last."""
-        action = step(moment)
+        if state is None:
+            return None
+        dt_s = min(max(state.t_s - running.last_s, 0.0), _LONGEST_STEP * self._settings.period_s)
+        running.last_s = state.t_s
+        action = running.step(Moment(now_s=state.t_s, dt_s=dt_s, state=state, sample=sample))
         if action.goals is not None:
-            self._servos.write_goals(action.goals, moment.state)
-        if self._settings.derates(moment.state.temperature_c):
+            self._servos.write_goals(action.goals, state)
+        if self._settings.derates(state.temperature_c):
             self._timer.derated += 1
-        self._check_health(moment.state)
-        if observer is not None:
-            observer(self._cycle(phase, moment, action))
-        return action.done
+        self._check_health(state)
+        running.done = action.done
+        return Cycle(
+            t_s=state.t_s,
+            phase=self.phase,
+            state=state,
+            force=sample,
+            setpoint_n=action.setpoint_n,
+            goal_current_a=self._servos.goal_current_a,
+            level=action.level,
+        )
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         if sample is not None:
@@ -294,17 +278,6 @@ class LoopRunner:
             except (BusTimeout, BusCorrupt):
                 # Feedback shows soon enough whether the bus is lost.
                 self._timer.missed_reads += 1
-
-    def _cycle(self, phase: GripperPhase, moment: Moment, action: Action) -> Cycle:
-        return Cycle(
-            t_s=moment.now_s,
-            phase=phase,
-            state=moment.state,
-            force=moment.sample,
-            setpoint_n=action.setpoint_n,
-            goal_current_a=self._servos.goal_current_a,
-            level=action.level,
-        )
 
     def _wait(self, deadline_s: float, *, answered: bool) -> float:
         """Wait for the next period and return its start; a late one moves all that follow."""
