@@ -1,7 +1,7 @@
 """Ramps of the simulated cell that end as soon as they suffice, beside whole ones.
 
 Both identify the paper's objects, and objects never taught, in the same poses and with the same
-forces, with the opening of the fingers and by touch alone. Time is that of the cell: of a grasp
+forces. Time is that of the cell: of a grasp
 from the first move of the closing fingers to the end of its ramp, of an identification from the
 first pose to the last release. `benchmarks.recognition.sequences` has more sequences, replayed from
 single grasps.
@@ -97,10 +97,9 @@ class Bench:
         cell.controller.start()
         self.taught = grasps_of(cell.controller, config.sequence, labels, n_taught)
 
-    def train(self, *, use_aperture: bool) -> tuple[Recognizer, EarlyClassifiers]:
+    def train(self) -> tuple[Recognizer, EarlyClassifiers]:
         """Return the recogniser of whole ramps and the heads."""
-        name = self.config.recognition.recognizer
-        trained = train(self.taught, name, use_aperture=use_aperture, early=True)
+        trained = train(self.taught, self.config.recognition.recognizer, early=True)
         assert trained.early is not None
         return trained.recognizer, trained.early
 
@@ -135,9 +134,9 @@ def bench_of(noise: float, effort: float) -> Iterator[Bench]:
         cell.close()
 
 
-def compare(bench: Bench, effort: float, *, use_aperture: bool) -> None:
+def compare(bench: Bench, effort: float) -> None:
     """Print whole and ended ramps."""
-    whole, heads = bench.train(use_aperture=use_aperture)
+    whole, heads = bench.train()
     objects = {"taught": bench.labels, "never taught": list(NEVER_TAUGHT)}
     ways = {"whole ramps": None, "ended early": heads}
     tallies = {way: {what: Tally() for what in objects} for way in ways}
@@ -159,11 +158,9 @@ def main(effort: float = 1.0) -> None:
     line("compared", "identifications on the simulated cell, ramps whole and ended early")
     for noise in NOISES if effort >= 0.1 else NOISES[:1]:
         with bench_of(noise, effort) as bench:
-            cases = ((True, "opening too"), (False, "touch alone"))
-            for use_aperture, what in cases if effort >= 0.1 else cases[:1]:
-                taught = f"{len(bench.taught)} grasps teach {len(bench.labels)} objects"
-                line(f"  {what}, noise {noise:g} x", taught)
-                compare(bench, effort, use_aperture=use_aperture)
+            taught = f"{len(bench.taught)} grasps teach {len(bench.labels)} objects"
+            line(f"  noise {noise:g} x", taught)
+            compare(bench, effort)
 
 
 if __name__ == "__main__":

@@ -101,7 +101,8 @@ class SequenceConfig(Section):
     """Wanted rate of wrong answers at which a sequence stops early, 0 to 0.5."""
     decide_early: bool = True
     """Whether a force ramp ends as soon as what was felt until then is sure enough for a name; else
-    it goes on to its force. On real ports it needs `loop.own_process`."""
+    it goes on to its force. It needs the opening (`recognition.use_aperture`) and, on real ports,
+    `loop.own_process`."""
     carry_force_n: float = Field(default=4.0, ge=0.1, le=50.0)
     """Force in N with which a part that is kept is held for the host, 0.1 to 50."""
     regrasp: Literal["fixture", "none"] = "fixture"

@@ -33,6 +33,7 @@ from cell.learning.training import (
     gaugeable,
     load_early,
     load_pose_memory,
+    may_end_early,
     train,
     with_caution,
 )
@@ -491,7 +492,7 @@ class TaughtModel:
                 "the model was taught without a self-zero, so that today's changes nothing and "
                 "answers allow for any drift: teach again after a self-zero, or gauge"
             )
-        if self._config.decides_early and self._early is None:
+        if self._config.decides_early and self._early is None and may_end_early(recognizer):
             yield (
                 "the model was taught without ramps cut short, so that none ends early: train it "
                 "again, or set sequence.decide_early to false"

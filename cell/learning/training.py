@@ -33,6 +33,14 @@ def with_caution(recognizer: Recognizer, config: RecognitionConfig) -> Recognize
     return recognizer
 
 
+def may_end_early(recognizer: Recognizer) -> bool:
+    """Return whether ramps cut short name as whole ones do: by the default one, with the opening.
+
+    By touch alone some more names were wrong (docs/explanations/sequences.md).
+    """
+    return isinstance(recognizer, ForceRamp) and recognizer.both is not None
+
+
 def gaugeable(recognizer: Recognizer, trainer_name: str) -> ForceRamp:
     """Return a recogniser that can be gauged. Raises ModelError for one of another kind."""
     if not isinstance(recognizer, ForceRamp):
@@ -84,8 +92,7 @@ def train(
     use_aperture
         Whether the opening of the fingers is a feature.
     early
-        Whether ramps cut short train early classifiers too: for the default recogniser, of which
-        it is measured that they name as whole ramps do.
+        Whether ramps cut short train early classifiers too, where `may_end_early`.
     poses
         Whether a pose memory is built too, which takes four further trainings.
 
@@ -111,16 +118,18 @@ def train(
                 "more grasps of each object, or choose random, grid or list"
             ) from error
     cut = None
-    if early and isinstance(recognizer, ForceRamp):
+    if early and may_end_early(recognizer):
         cut = EarlyTrainer(base=trainer).fit_classifiers(grasps, recognizer)
     return Trained(recognizer=recognizer, trainer_name=name, early=cut, memory=memory)
 
 
 def load_early(model: LoadedModel) -> EarlyClassifiers | None:
-    """Return the early classifiers of a model file; None where it has none.
+    """Return the early classifiers of a model file; None where it has none to go by.
 
     Raises ModelError where they do not fit its recogniser.
     """
+    if not may_end_early(model.recognizer):
+        return None
     kind = type(model.recognizer)
 
     def build(arrays: Arrays) -> EarlyClassifiers:

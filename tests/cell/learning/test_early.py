@@ -17,7 +17,7 @@ from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.learning.collection import Collection
 from cell.learning.model import LoadedModel, load_model, save_model
 from cell.learning.taught_model import TaughtModel
-from cell.learning.training import EARLY_SECTION, load_early
+from cell.learning.training import EARLY_SECTION, load_early, train
 from gripper.errors import ServoFault
 from recognition.errors import ContactError
 from recognition.ramp.ramp import learn_rest
@@ -197,6 +197,21 @@ def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught: Any) -> N
     assert {head.labels for head in heads.recognizers} == {("ball", "box")}
     # A ramp to a small force never reaches half of the usual load.
     assert np.mean([bool(heads.look_frames(grasp)) for grasp in taught.grasps]) > 0.5
+
+
+def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(
+    make_bench: Callable[..., Any], taught: Any
+) -> None:
+    assert train(taught.grasps, "level_check", early=True).early is None
+    bench = make_bench(taught.config).ready()
+    touch = taught.config.recognition.model_copy(update={"use_aperture": False})
+    model = TaughtModel(
+        taught.config.model_copy(update={"recognition": touch}), training_set=taught.grasps
+    )
+    model.train()
+    found = model.identify(bench.controller, held="box", seed=0)
+    assert all(record.early is None for record in found.records)
+    assert found.remark == ""
 
 
 @pytest.mark.parametrize(
