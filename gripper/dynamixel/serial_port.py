@@ -12,7 +12,7 @@ import tempfile
 import termios
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -136,14 +136,14 @@ class SerialStream:
                 f"baud rate {baudrate} is none of {', '.join(map(str, BAUD_RATES))}"
             )
         self.path = path
-        self._lock_fd: int | None = None
         try:
-            # The lock follows the device, not the link that names it.
-            device = os.path.realpath(path, strict=True)
-            self._lock_fd = lock_device(device)
-            self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
+            with ExitStack() as opened:
+                # The lock follows the device, not the link that names it.
+                device = os.path.realpath(path, strict=True)
+                opened.callback(os.close, lock_device(device))
+                self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
+                self._unlock = opened.pop_all().close
         except _PORT_ERRORS as error:
-            self._unlock()
             raise PortLost(_opening_failed(path, error)) from error
         self._request_low_latency()
 
@@ -211,11 +211,6 @@ class SerialStream:
             f"serial port {self.path} is gone ({cause}): check cable and supply of the adapter, "
             f"then clear the fault, which opens the port anew. A part may still be gripped"
         )
-
-    def _unlock(self) -> None:
-        if self._lock_fd is not None:
-            os.close(self._lock_fd)
-            self._lock_fd = None
 
 
 def _opening_failed(path: str, error: Exception) -> str:

@@ -5,7 +5,6 @@ receive thread on others, and does not notice that a socketcand server is gone; 
 lock against a second program. Subclasses of its drivers mend that here, nothing else is replaced.
 """
 
-import contextlib
 import fcntl
 import hashlib
 import logging
@@ -16,8 +15,8 @@ import socket
 import tempfile
 import time
 from collections import deque
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -76,8 +75,9 @@ class MissingBus(can.BusABC):
         raise can.CanOperationError("the CAN bus could not be opened")
 
 
-class BusLock:
-    """Lock file of a CAN interface or of its adapter's port: one program at a time.
+@contextmanager
+def bus_lock(interface: str, channel: str) -> Iterator[None]:
+    """Hold the lock file of a CAN interface or of its adapter's port: one program at a time.
 
     The exclusive mode of a serial port does not keep out a program with the rights of an
     administrator, and a CAN interface of the system has none: both programs would command the same
@@ -89,27 +89,18 @@ class BusLock:
         BlockingIOError when another program holds it; FileNotFoundError for a serial port that is
         not there.
     """
-
-    def __init__(self, interface: str, channel: str) -> None:
-        self._handle: int | None = None
-        if interface in _SHARED:
-            return
-        # The lock follows the device, not the link that names it; servo ports have the same.
-        name = os.path.realpath(channel, strict=True) if interface == "slcan" else channel
-        digest = hashlib.sha256(name.encode()).hexdigest()[:16]
-        handle = _open_lock_file(Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock")
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BaseException:
-            os.close(handle)
-            raise
-        self._handle = handle
-
-    def release(self) -> None:
-        """Give the lock back; a second time nothing happens."""
-        if self._handle is not None:
-            os.close(self._handle)
-            self._handle = None
+    if interface in _SHARED:
+        yield
+        return
+    # The lock follows the device, not the link that names it; servo ports have the same.
+    name = os.path.realpath(channel, strict=True) if interface == "slcan" else channel
+    digest = hashlib.sha256(name.encode()).hexdigest()[:16]
+    handle = _open_lock_file(Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock")
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _open_lock_file(path: Path) -> int:
@@ -135,7 +126,7 @@ class WatchedSocketcandBus(SocketCanDaemonBus):
 
     def _check_server(self) -> None:
         connection: socket.socket = vars(self)[_DRIVERS_SOCKET]
-        with contextlib.suppress(BlockingIOError):
+        with suppress(BlockingIOError):
             if not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT):
                 raise can.CanOperationError("the socketcand server has closed the connection")
 
@@ -336,16 +327,16 @@ def open_bus(
         When the bus cannot be opened; the message names what to check.
     """
     try:
-        lock = None if shared and interface == "socketcan" else BusLock(interface, channel)
-        try:
+        with ExitStack() as opened:
+            if not (shared and interface == "socketcan"):
+                opened.enter_context(bus_lock(interface, channel))
             bus = _open(interface, channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
-        except BaseException:
-            if lock is not None:
-                lock.release()
-            raise
-        if nodes:
-            bus.set_filters([{"can_id": node, "can_mask": _NODE_BITS} for node in nodes])
-        return bus if lock is None else _holding(bus, lock)
+            opened.callback(bus.shutdown)
+            if nodes:
+                bus.set_filters([{"can_id": node, "can_mask": _NODE_BITS} for node in nodes])
+            # The lock is given back when the bus is shut down.
+            bus.shutdown = opened.pop_all().close  # type: ignore[method-assign]
+            return bus
     except BlockingIOError as error:
         raise BusNotOpened(
             f"CAN interface {interface!r}, channel {channel!r}, is used by another program of this "
@@ -370,20 +361,6 @@ def _open(interface: str, channel: str, *, bitrate: int, tty_baudrate: int) -> c
     elif interface == "socketcand":
         return open_socketcand(channel)
     return can.Bus(channel, interface=interface, ignore_config=True, **options)
-
-
-def _holding(bus: can.BusABC, lock: BusLock) -> can.BusABC:
-    """Have the bus give its lock back when it is shut down."""
-    shutdown = bus.shutdown
-
-    def shut_down_and_release() -> None:
-        try:
-            shutdown()
-        finally:
-            lock.release()
-
-    bus.shutdown = shut_down_and_release  # type: ignore[method-assign]
-    return bus
 
 
 _ADVICE = {

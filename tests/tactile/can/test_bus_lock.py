@@ -11,15 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from tactile.can.bus import BusLock, close_bus, open_bus
+from tactile.can.bus import bus_lock, close_bus, open_bus
 from tactile.errors import BusNotOpened
 
 HOLD = """
 import sys
-from tactile.can.bus import BusLock
-lock = BusLock(sys.argv[1], sys.argv[2])
-print("locked", flush=True)
-sys.stdin.readline()
+from tactile.can.bus import bus_lock
+with bus_lock(sys.argv[1], sys.argv[2]):
+    print("locked", flush=True)
+    sys.stdin.readline()
 """
 
 
@@ -52,7 +52,8 @@ def test_a_second_program_is_refused_until_the_first_has_ended(interface: str, p
         with pytest.raises(BusNotOpened, match="used by another program of this kind"):
             open_bus(interface, channel)
         other.kill()
-    BusLock(interface, channel).release()
+    with bus_lock(interface, channel):
+        pass
 
 
 def test_a_link_to_the_port_is_the_same_port_and_closing_gives_it_back(
@@ -77,19 +78,20 @@ def test_a_lock_file_of_another_user_is_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
-    BusLock("socketcan", "can79").release()
-    (file,) = tmp_path.iterdir()
+    with bus_lock("socketcan", "can79"):
+        (file,) = tmp_path.iterdir()
     file.chmod(0o444)
-    lock = BusLock("socketcan", "can79")
-    with file.open() as other, pytest.raises(BlockingIOError):
+    with (
+        bus_lock("socketcan", "can79"),
+        file.open() as other,
+        pytest.raises(BlockingIOError),
+    ):
         fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    lock.release()
-    lock.release()
 
 
 def test_buses_within_a_program_are_shared() -> None:
-    for lock in (BusLock("virtual", "a"), BusLock("virtual", "a")):
-        lock.release()
+    with bus_lock("virtual", "a"), bus_lock("virtual", "a"):
+        pass
 
 
 def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(port: str) -> None:
@@ -102,4 +104,5 @@ def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(port: str) -> Non
     finally:
         os.close(handle)
     assert refused.value.__cause__ is not None
-    BusLock("slcan", port).release()
+    with bus_lock("slcan", port):
+        pass
