@@ -239,25 +239,6 @@ def test_an_unplugged_adapter_is_reported_and_the_grip_stays(cell) -> None:
     cell.gripper.close()
 
 
-def test_force_above_the_cap_lowers_the_current_and_keeps_the_part(make_cell) -> None:
-    cell = make_cell(force_max_n=9.0)
-    cell.gripper.start()
-
-    def misread() -> None:
-        cell.sensor.gain = 2.0
-
-    seen: list[int] = []
-    with pytest.raises(LimitExceeded, match="force_max_n is 9"):
-        cell.gripper.grasp(
-            ForceRamp.linear(8.0, 2.0),
-            at(cell, 5.5, lambda: (misread(), seen.append(cell.register(0, "goal_current")))),
-        )
-    assert cell.register(0, "goal_current") <= 0.6 * seen[0]
-    assert_grip_is_kept(cell, 1.0)
-    cell.gripper.clear_fault()
-    cell.gripper.release()
-
-
 def test_an_overloaded_servo_is_named_and_comes_back_by_reboot_only(cell) -> None:
     cell.hold_part(RAMP)
     with pytest.raises(ServoFault, match=r"overload.*") as fault:

@@ -100,7 +100,11 @@ def test_too_much_force_is_answered_as_configured_and_never_pushed_on(make_cell,
     if way is OverForce.OPEN:
         assert 0.0 < cell.mechanics.aperture_m - before_m < 0.004
     assert cell.force_n < peak_n
+    if way is OverForce.LOWER:
+        assert cell.force_n > 1.0
     assert force_n == pytest.approx(4.0, abs=0.5)
+    cell.gripper.clear_fault()
+    cell.gripper.release()
 
 
 def swell(cell, more_m: float) -> None:
@@ -264,6 +268,11 @@ def test_a_stop_in_the_approach_goes_no_farther(make_cell, make_part) -> None:
     assert "closing, at an opening of 1" in fingers_left(caught.value)
     cell.clock.sleep(1.0)
     assert cell.mechanics.aperture_m > 0.0115
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    with pytest.raises(GripperStateError):
+        cell.gripper.hold(1.0)
+    cell.gripper.release()
+    assert cell.gripper.state is GripperPhase.IDLE
 
 
 def test_no_note_is_made_where_fingers_hold(cell) -> None:

@@ -33,10 +33,6 @@ def when_held(cell, act) -> object:
     return observe
 
 
-def chatter(cell) -> None:
-    cell.device.faults.chatter = DENSE
-
-
 def looks_s(cell) -> list[float]:
     """Return the list that gets the times at which the force sensor is asked."""
     times: list[float] = []
@@ -82,31 +78,24 @@ def test_noise_ends_the_grasp_in_time_with_the_line_as_the_cause(make_cell, patt
     assert cell.force_n > 3.0
 
 
-def test_the_force_cap_is_watched_while_the_servos_are_not_understood(make_cell) -> None:
+@pytest.mark.parametrize(
+    ("knob", "value", "error"),
+    [("gain", 3.0, ForceAboveCap), ("dead", True, ForceSensorStale)],
+)
+def test_pads_are_watched_while_the_servos_are_not_understood(
+    make_cell, knob, value, error
+) -> None:
     cell = make_cell(bus_loss_s=2.0, force_max_n=9.0)
     cell.gripper.start()
 
-    def push() -> None:
-        chatter(cell)
-        cell.sensor.gain = 3.0
+    def fail() -> None:
+        cell.device.faults.chatter = DENSE
+        setattr(cell.sensor, knob, value)
 
-    with pytest.raises(ForceAboveCap):
-        cell.gripper.grasp(RAMP, when_held(cell, push))
+    with pytest.raises(error):
+        cell.gripper.grasp(RAMP, when_held(cell, fail))
     assert cell.clock.monotonic() - cell.began_s < 0.2
     assert cell.gripper.statistics.missed_reads > 5
-
-
-def test_silent_pads_are_noticed_while_the_servos_are_not_understood(make_cell) -> None:
-    cell = make_cell(bus_loss_s=2.0)
-    cell.gripper.start()
-
-    def silence() -> None:
-        chatter(cell)
-        cell.sensor.dead = True
-
-    with pytest.raises(ForceSensorStale):
-        cell.gripper.grasp(RAMP, when_held(cell, silence))
-    assert cell.clock.monotonic() - cell.began_s < 0.25
 
 
 @pytest.mark.parametrize("lost_of_100", [3, 20])

@@ -47,11 +47,13 @@ def test_a_wrong_baud_rate_is_a_silent_bus_and_the_advice_says_so(cell) -> None:
     ],
 )
 def test_a_changed_eeprom_register_is_shown_expected_against_found(cell, name, raw) -> None:
-    cell.servos[1].core.registers.put(name, raw)
-    with pytest.raises(VerificationFailed) as bad:
+    for servo in cell.servos:
+        servo.core.registers.put(name, raw)
+    with pytest.raises(VerificationFailed, match=rf"servo 2 {name}.*found {raw}") as bad:
         cell.gripper.start()
-    (row,) = bad.value.report.failed
-    assert (row.servo_id, row.item, row.found) == (2, name, str(raw))
+    found = [(row.servo_id, row.item, row.found) for row in bad.value.report.failed]
+    assert found == [(1, name, str(raw)), (2, name, str(raw))]
+    assert cell.torques == [0, 0]
 
 
 def test_what_may_be_corrected_is_a_setting(make_cell) -> None:

@@ -116,30 +116,22 @@ def test_time_out_is_the_limit() -> None:
     assert event is ApproachEvent.LIMIT
 
 
-def test_a_standstill_at_the_current_limit_without_pads_is_an_obstruction() -> None:
-    approach = new_approach()
-    closing_a = approach.current_a
-    event, i = ApproachEvent.CLOSING, 0
-    while event is ApproachEvent.CLOSING:
-        t_s = DT_S * i
-        event, _ = step(approach, t_s, DT_S, state(t_s, 0.01, 0.0, approach.current_a), None)
-        i += 1
-    assert event is ApproachEvent.OBSTRUCTED
-    assert 0.4 < DT_S * i < 0.7
-    assert closing_a < approach.current_a <= closing_a * 1.6 + 1e-9
-
-
-def test_a_standstill_with_one_pad_is_a_contact() -> None:
+@pytest.mark.parametrize(
+    ("one_pad_n", "ends"), [(0.0, ApproachEvent.OBSTRUCTED), (1.0, ApproachEvent.CONTACT)]
+)
+def test_a_standstill_at_the_current_limit_is_a_contact_with_one_pad_alone(one_pad_n, ends) -> None:
     approach = new_approach()
     closing_a = approach.current_a
     event, i = ApproachEvent.CLOSING, 0
     while event is ApproachEvent.CLOSING:
         t_s = DT_S * i
         at = state(t_s, 0.01, 0.0, approach.current_a)
-        event, _ = step(approach, t_s, DT_S, at, sample(t_s, 0.0, 1.0))
+        event, _ = step(approach, t_s, DT_S, at, sample(t_s, 0.0, one_pad_n))
         i += 1
-    assert event is ApproachEvent.CONTACT
-    assert approach.current_a == closing_a
+    assert event is ends
+    assert 0.4 < DT_S * i < 0.7
+    assert (approach.current_a > closing_a) is (one_pad_n == 0.0)
+    assert approach.current_a <= closing_a * 1.6 + 1e-9
 
 
 def test_an_invalid_sample_shows_no_contact() -> None:
@@ -203,40 +195,37 @@ def test_fingers_that_touch_before_they_have_run_press_on_all_the_same(make_cell
     assert outcome.contact_t_s < 1.5
 
 
-@pytest.mark.parametrize(
-    ("period_s", "noise_n", "rests_s"), [(0.02, 0.3, 0.08), (0.005, 0.15, 0.03)]
-)
-def test_the_rest_at_the_contact_ends_where_its_force_is_known(period_s, noise_n, rests_s) -> None:
-    rest, i = ContactRest(0.08, hard_n=1.0, hard_until_s=0.07), 0
+def rests_s(rest: ContactRest, period_s: float, force_n: float, noise_n: float) -> float:
+    """Return for how long fingers rest with a sensor of this period and noise."""
+    i = 0
     while rest.goes_on(
         Moment(
             now_s=DT_S * i,
             dt_s=DT_S,
             state=state(DT_S * i, 0.01, 0.0),
-            sample=scan(period_s * int(DT_S * i / period_s + 1e-9), 0.7, noise_n),
+            sample=scan(period_s * int(DT_S * i / period_s + 1e-9), force_n, noise_n),
         )
     ):
         i += 1
-    assert DT_S * i == pytest.approx(rests_s, abs=0.011)
+    return DT_S * i
+
+
+@pytest.mark.parametrize(
+    ("period_s", "noise_n", "lasts_s"), [(0.02, 0.3, 0.08), (0.005, 0.15, 0.03)]
+)
+def test_the_rest_at_the_contact_ends_where_its_force_is_known(period_s, noise_n, lasts_s) -> None:
+    rest = ContactRest(0.08, hard_n=1.0, hard_until_s=0.07)
+    assert rests_s(rest, period_s, 0.7, noise_n) == pytest.approx(lasts_s, abs=0.011)
     assert rest.force_n == pytest.approx(0.7)
 
 
 def test_no_ramp_begins_while_the_force_of_a_hard_touch_is_fresh() -> None:
-    rests_s = []
-    for met_n in (0.5, 1.1):
-        rest, i = ContactRest(0.08, hard_n=0.6, hard_until_s=0.06), 0
-        while rest.goes_on(
-            Moment(
-                now_s=DT_S * i,
-                dt_s=DT_S,
-                state=state(DT_S * i, 0.01, 0.0),
-                sample=scan(DT_S * i, met_n, 0.05),
-            )
-        ):
-            i += 1
-        rests_s.append(DT_S * i)
-    assert rests_s[0] < 0.03
-    assert rests_s[1] == pytest.approx(0.06)
+    soft_s, hard_s = (
+        rests_s(ContactRest(0.08, hard_n=0.6, hard_until_s=0.06), DT_S, met_n, 0.05)
+        for met_n in (0.5, 1.1)
+    )
+    assert soft_s < 0.03
+    assert hard_s == pytest.approx(0.06)
 
 
 @pytest.mark.parametrize("near_m_s", [0.012, 0.015])
