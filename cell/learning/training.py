@@ -36,7 +36,7 @@ def with_caution(recognizer: Recognizer, config: RecognitionConfig) -> Recognize
 def may_end_early(recognizer: Recognizer) -> bool:
     """Return whether ramps cut short name as whole ones do: by the default one, with the opening.
 
-    By touch alone some more names were wrong (docs/explanations/sequences.md).
+    By touch alone that is not shown, and little is gained (docs/explanations/sequences.md).
     """
     return isinstance(recognizer, ForceRamp) and recognizer.both is not None
 
