@@ -24,7 +24,7 @@ _HALF_TURN = 0x8000
 
 @dataclass(slots=True, kw_only=True)
 class FrameStatistics:
-    """Counts of messages and frames since the last reset."""
+    """Counts of messages and frames since the assembler was made."""
 
     complete: int = 0
     """Frames handed out."""
@@ -69,10 +69,6 @@ class FrameAssembler:
         self._n = frame_format.n_messages
         self._long_header = frame_format.header_bytes == 2
         self._dtype = "<u1" if frame_format.sample_bytes == 1 else "<u2"
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all messages, the last counter and the statistics: the unit starts anew."""
         self._current: _Burst | None = None
         self._previous: _Burst | None = None
         self._last_counter: int | None = None
@@ -81,7 +77,7 @@ class FrameAssembler:
 
     @property
     def statistics(self) -> FrameStatistics:
-        """Counts since the last reset."""
+        """Counts so far."""
         return replace(self.counts)
 
     def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:

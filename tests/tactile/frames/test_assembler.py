@@ -170,12 +170,3 @@ def test_idle_frames_after_lost_ones_are_not_taken_for_duplicates(missing: int) 
     kept = [c for c in range(20) if not 8 <= c < 8 + missing]
     frames = received(FrameAssembler(PAPER), stream_of(dict.fromkeys(kept, np.zeros(408, int))))
     assert [frame.counter for frame in frames] == kept
-
-
-def test_reset_forgets_counter_and_statistics() -> None:
-    assembler = FrameAssembler(PAPER)
-    stream = stream_of({40: np.zeros(408, int)})
-    assert len(received(assembler, stream)) == 1
-    assembler.reset()
-    assert len(received(assembler, stream_of({0: np.zeros(408, int)}))) == 1
-    assert assembler.statistics.complete == 1
