@@ -202,7 +202,9 @@ def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught: Any) -> N
 def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(
     make_bench: Callable[..., Any], taught: Any
 ) -> None:
-    assert train(taught.grasps, "level_check", early=True).early is None
+    for name, use_aperture in (("level_check", True), ("force_ramp", False)):
+        trained = train(taught.grasps, name, use_aperture=use_aperture, early=True)
+        assert trained.early is None
     bench = make_bench(taught.config).ready()
     touch = taught.config.recognition.model_copy(update={"use_aperture": False})
     model = TaughtModel(
