@@ -122,7 +122,7 @@ class Driver:
         step = GraspStep(pose=Pose(), force_n=force_n)
         return self.command(
             f"identify {force_n} N, keep {keep}",
-            lambda: self.controller.identify(self.witness(), [step], keep=keep),
+            lambda: self.witness().identify(self.controller, step, keep),
         )
 
     def witness(self) -> FrameWitness:

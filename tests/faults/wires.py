@@ -288,7 +288,7 @@ class WitnessModel:
         """Grasp and classify, as `TaughtModel.identify`."""
         controller.present(held)
         step = GraspStep(pose=Pose(), force_n=force_n)
-        return controller.identify(self._witness(), [step], keep=keep)
+        return self._witness().identify(controller, step, keep)
 
 
 class WireDriver(Driver):
