@@ -20,18 +20,15 @@ class VirtualClock:
     """A monotonic clock that moves only by its `sleep` and `advance_to`.
 
     It has ``monotonic`` and ``sleep`` as the standard module ``time`` has them, so it stands in
-    for that module wherever a clock is injected. Waiting moves the time in pieces of at most
-    ``step_s`` and calls ``on_advance`` after each piece: whatever lives in the simulated world
-    sees the time pass.
+    for that module wherever a clock is injected. Waiting moves the time in pieces of at most 1 ms
+    and calls ``on_advance`` after each piece: whatever lives in the simulated world sees the time
+    pass.
     """
 
-    def __init__(self, start_s: float = 0.0, *, step_s: float = STEP_S) -> None:
+    def __init__(self, start_s: float = 0.0) -> None:
         if not math.isfinite(start_s):
             raise ValueError(f"a clock starts at a finite time, got start_s={start_s}")
-        if not (math.isfinite(step_s) and step_s > 0.0):
-            raise ValueError(f"the step of a clock is positive, got step_s={step_s}")
         self._now_s = float(start_s)
-        self._step_s = float(step_s)
         self._advancing = False
         self.on_advance: list[Callable[[float], None]] = []
         """Called in this order with the new time in s after each piece; a callback must not move
@@ -65,9 +62,9 @@ class VirtualClock:
             raise RuntimeError("a callback of on_advance must not move the clock that calls it")
         self._advancing = True
         try:
-            last_s = t_s - _ROUNDING_SHARE * self._step_s
+            last_s = t_s - _ROUNDING_SHARE * STEP_S
             while self._now_s < t_s:
-                now_s = self._now_s + self._step_s
+                now_s = self._now_s + STEP_S
                 self._now_s = t_s if now_s > last_s else now_s
                 for callback in self.on_advance:
                     callback(self._now_s)
