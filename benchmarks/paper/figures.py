@@ -21,11 +21,9 @@ _BINS = 240
 _DASHES = (0, (4, 2.5))
 
 
-def condition_index(*, force_n: float | None, filtered: bool, reading: int = 0) -> int:
-    """Return the place of a condition in `CONDITIONS`."""
-    return CONDITIONS.index(
-        Condition(reading=READINGS[reading], force_n=force_n, filtered=filtered)
-    )
+def condition_index(*, force_n: float | None, filtered: bool) -> int:
+    """Return the place of a condition of the first reading in `CONDITIONS`."""
+    return CONDITIONS.index(Condition(reading=READINGS[0], force_n=force_n, filtered=filtered))
 
 
 def resistance_figure(indentation: Indentation) -> str:

@@ -164,7 +164,7 @@ FIGURES = "paper.json"
 
 
 def reproduce_paper(
-    folder: Path, *, effort: float = 1.0, seed: int = 2008, workers: int = 1
+    folder: Path, *, effort: float = 1.0, workers: int = 1
 ) -> tuple[PaperStudy, Path]:
     """Run all trials and write page and figures.
 
@@ -174,8 +174,6 @@ def reproduce_paper(
         Where ``paper.html`` and ``paper.json`` go; made where it is missing.
     effort
         Part of the full number of trials; below 1 the figures only show that the page works.
-    seed
-        Of all that is random.
     workers
         Processes that share the trials.
 
@@ -197,7 +195,7 @@ def reproduce_paper(
         raise CellError(f"{folder} cannot be made: {error}; name another folder") from error
     start_s = time.monotonic()
     try:
-        found = study(Effort(seed=seed).scaled(effort), workers=workers)
+        found = study(Effort().scaled(effort), workers=workers)
     except ValueError as error:
         raise CellError(f"the trials cannot be run: {error}") from error
     seconds = time.monotonic() - start_s

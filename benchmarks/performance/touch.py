@@ -208,11 +208,11 @@ def _held(rig: TouchRig, force_n: float) -> None:
         raise SystemExit(f"the part is not held: {outcome}")
 
 
-def _after_hold(rig: TouchRig, *errors: type[GripperError], hold_s: float = 1.0) -> float:
+def _after_hold(rig: TouchRig, *errors: type[GripperError]) -> float:
     """Return the time in s from the event to one of some errors; infinite without."""
     rig.begins_s = rig.now_s + _SETTLED_S + rig.random.uniform(0.0, 0.1)
     try:
-        rig.gripper.hold(hold_s)
+        rig.gripper.hold(1.0)
     except errors:
         return rig.now_s - (rig.over_s if ForceAboveCap in errors else rig.begins_s)
     except GripperError:

@@ -36,17 +36,15 @@ class Sensing:
     force_sd: float = 0.03
 
 
-def draw_placing(
-    rng: np.random.Generator, *, offset_m: float = 2e-3, low_n: float = 2.0, high_n: float = 8.0
-) -> GraspCommand:
+def draw_placing(rng: np.random.Generator) -> GraspCommand:
     """Draw a command as a sequence of kind ``random`` does."""
-    x_m, y_m = rng.uniform(-offset_m, offset_m, 2)
+    x_m, y_m = rng.uniform(-2e-3, 2e-3, 2)
     return GraspCommand(
         x_m=x_m,
         y_m=y_m,
         rotation_rad=rng.uniform(0.0, math.tau),
         roll_rad=rng.uniform(0.0, math.tau),
-        force_n=rng.uniform(low_n, high_n),
+        force_n=rng.uniform(2.0, 8.0),
     )
 
 

@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
+_N_BINS = 10
+"""Bins of confidence of the calibration error."""
+
 
 def confusion_matrix(
     truth: Sequence[str], answers: Sequence[str], labels: Sequence[str]
@@ -42,20 +45,18 @@ def wilson_interval(successes: int, n: int, *, confidence: float = 0.95) -> tupl
     return max(0.0, min(p, centre - half)), min(1.0, max(p, centre + half))
 
 
-def expected_calibration_error(
-    confidence: ArrayLike, correct: ArrayLike, *, n_bins: int = 10
-) -> float:
+def expected_calibration_error(confidence: ArrayLike, correct: ArrayLike) -> float:
     """Return the mean gap between confidence and share of right answers over bins of confidence.
 
-    Bins are equal parts of 0 to 1, weighted by what falls in them. Raises ValueError where the two
+    Bins are tenths of 0 to 1, weighted by what falls in them. Raises ValueError where the two
     differ in length or are empty.
     """
     p = np.asarray(confidence, dtype=np.float64)
     right = np.asarray(correct, dtype=np.float64)
     if p.shape != right.shape or p.ndim != 1 or len(p) == 0:
         raise ValueError(f"confidence {p.shape} and correct {right.shape} must be equal 1-d rows")
-    bins = np.minimum((p * n_bins).astype(np.int64), n_bins - 1)
-    gaps = np.bincount(bins, weights=right - p, minlength=n_bins)
+    bins = np.minimum((p * _N_BINS).astype(np.int64), _N_BINS - 1)
+    gaps = np.bincount(bins, weights=right - p, minlength=_N_BINS)
     return float(np.abs(gaps).sum() / len(p))
 
 

@@ -137,9 +137,7 @@ class ShapeProblem:
         lag_m, covered = model.surface(h_m, at[:, 1 : model.n_own], u_m, v_m, self._cell_m)
         return 1e-3 * at[:, depths] - lag_m[:, None], covered[:, None]
 
-    def forces_n(
-        self, theta: Array, depths: slice | None = None, start_m: Fine | None = None
-    ) -> Array:
+    def forces_n(self, theta: Array, depths: slice | None = None) -> Array:
         """Return forces (B, K, n_taxels) in N.
 
         Parameters
@@ -148,14 +146,14 @@ class ShapeProblem:
             Parameters.
         depths
             Of which of the depths; by default of all.
-        start_m
-            `start_m` of parameters near by.
         """
-        closed_m, covered = self._closed(theta, depths or slice(self.depth, self.rest), start_m)
+        closed_m, covered = self._closed(theta, depths or slice(self.depth, self.rest))
         pressure = self._relative_pressure(closed_m, covered, theta)
         return self._scaled(self._on_taxels(pressure, theta), theta)
 
-    def _closed(self, theta: Array, depths: slice, start_m: Fine | None) -> tuple[Fine, Fine]:
+    def _closed(
+        self, theta: Array, depths: slice, start_m: Fine | None = None
+    ) -> tuple[Fine, Fine]:
         """Return how far columns are closed in m (B, K, n_x, n_y), and the covered share."""
         closed_m, covered = self._wanted(theta, depths)
         if self.foam.sideways:

@@ -46,6 +46,8 @@ _TEXT = re.compile(
     rb"\s+endloop\s+endfacet)+\s+endsolid[^\r\n]*\s*" % (_NUMBER, _CORNER)
 )
 """An STL text file as its format is defined: one solid of triangles."""
+_UNIT_M = 1e-3
+"""Length of one unit of a file in m; STL has none, mm is what most programs write."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,17 +119,13 @@ def _rasterise(
     high_m[hit] = np.maximum(high_m[hit], z_m)
 
 
-def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -> MeshShape:
+def load_mesh(path: Path) -> MeshShape:
     """Read an STL file, centred on its bounding box.
 
     Parameters
     ----------
     path
-        The STL file, binary or text.
-    unit_m
-        Length of one unit of the file in m; STL has none, mm is what most programs write.
-    roll_step_rad
-        See `MeshShape`.
+        The STL file, binary or text; its unit is 1 mm.
 
     Raises
     ------
@@ -138,9 +136,9 @@ def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -
     """
     import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
 
-    triangles_m = unit_m * _triangles(path)
+    triangles_m = _UNIT_M * _triangles(path)
     mesh = trimesh.Trimesh(
-        vertices=triangles_m.reshape(-1, 3) / unit_m,
+        vertices=triangles_m.reshape(-1, 3) / _UNIT_M,
         faces=np.arange(3 * len(triangles_m)).reshape(-1, 3),
     )
     # A triangle with a corner given twice has no area, and closes nothing.
@@ -155,10 +153,10 @@ def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -
         size_mm = " x ".join(f"{1e3 * side_m:.3g}" for side_m in size_m)
         raise SimulatorSettingsError(
             f"{path} is {size_mm} mm in size, expected {1e3 * _SMALLEST_M:g} mm or more on one "
-            f"side: its unit is {1e3 * unit_m:g} mm; was it drawn in inches or m? Export it in mm"
+            f"side: its unit is {1e3 * _UNIT_M:g} mm; was it drawn in inches or m? Export it in mm"
         )
     centre_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
-    return MeshShape(triangles_m=triangles_m - centre_m, roll_step_rad=roll_step_rad)
+    return MeshShape(triangles_m=triangles_m - centre_m)
 
 
 def _triangles(path: Path) -> NDArray[np.float64]:

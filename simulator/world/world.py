@@ -211,16 +211,8 @@ class PhysicalWorld:
         if self._press is not None:
             self._press.swell_m = 0.5 * thickness_m
 
-    def press(
-        self,
-        pad: int,
-        x_m: float,
-        y_m: float,
-        force_n: float,
-        *,
-        radius_m: float = FINGERTIP_RADIUS_M,
-    ) -> None:
-        """Press a pad with a person's fingertip, or a round stamp, in the place of the last one.
+    def press(self, pad: int, x_m: float, y_m: float, force_n: float) -> None:
+        """Press a pad with a person's fingertip, in the place of the last one.
 
         The finger that carries the pad stands: whoever presses it holds it as well.
 
@@ -232,8 +224,6 @@ class PhysicalWorld:
             Place on the pad in its plane in m.
         force_n
             Force in N.
-        radius_m
-            Radius in m of the round patch.
 
         Raises
         ------
@@ -245,7 +235,7 @@ class PhysicalWorld:
         if not (math.isfinite(force_n) and force_n >= 0.0):
             raise SimulatorSettingsError(f"force_n is {force_n}, must be at least 0")
         grid = PadGrid(self._layout.pads[pad], self._settings.foam)
-        share = 1.0 - ((grid.x_m - x_m) ** 2 + (grid.y_m - y_m) ** 2) / radius_m**2
+        share = 1.0 - ((grid.x_m - x_m) ** 2 + (grid.y_m - y_m) ** 2) / FINGERTIP_RADIUS_M**2
         pressure = np.sqrt(np.maximum(share, 0.0))
         if not pressure.any():
             raise SimulatorSettingsError(

@@ -54,15 +54,11 @@ def sample_mm(
 
 
 def outline_radii_mm(
-    patch: NDArray[np.float64],
-    grid: PadGrid,
-    n_angles: int,
-    *,
-    share: float = OUTLINE_SHARE,
+    patch: NDArray[np.float64], grid: PadGrid, n_angles: int
 ) -> NDArray[np.float64]:
     """Return the distance from the centroid to the outline in each direction, in mm.
 
-    Along each ray the farthest point counts that still carries ``share`` of the peak, so two
+    Along each ray the farthest point counts that still carries `OUTLINE_SHARE` of the peak, so two
     patches side by side have one outline. Directions go once round, the first along x.
 
     Parameters
@@ -87,7 +83,7 @@ def outline_radii_mm(
     radius_mm = np.arange(0.0, float(np.hypot(*extent_mm)), _STEP_MM)
     ray = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     points_mm = centroid_mm(patch, grid) + radius_mm[None, :, None] * ray[:, None, :]
-    value = sample_mm(patch, grid, points_mm) / peak - share
+    value = sample_mm(patch, grid, points_mm) / peak - OUTLINE_SHARE
     inside = value > 0.0
     inside[:, 0] = True
     last = inside.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
