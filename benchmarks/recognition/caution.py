@@ -80,8 +80,9 @@ def show_teachings(grasps: Sequence[Grasp] | None, effort: float) -> None:
             show_few("simulated", train, test, n_objects, n_taught)
     if grasps is not None:
         train, test = map(list, chronological_split(chronological_split(grasps, 0.6)[0], 0.6))
-        for n_taught in counts[:-1]:
-            show_few("recorded", train, test, 4, n_taught)
+        for n_objects in (4, 8):
+            for n_taught in counts[:-1]:
+                show_few("recorded", train, test, n_objects, n_taught)
 
 
 def main(effort: float = 1.0) -> None:

@@ -27,7 +27,7 @@ from recognition.features.growth import growth_features
 from recognition.features.patch import harmonic_features, profile_features
 from recognition.ramp.levels import Levels
 
-FEATURE_VERSION = 9
+FEATURE_VERSION = 10
 """Changes with every change of a feature, or of what is learnt from it: models of another version
 are refused."""
 

@@ -85,6 +85,7 @@ def fit_lda(
     min_shrinkage: float = 0.0,
     target: NDArray[np.float64] | None = None,
     nuisance: NDArray[np.float64] | None = None,
+    least_unit: float = 0.0,
     keep_whitening: bool = False,
 ) -> LinearDiscriminant:
     """Fit a linear discriminant to labelled rows.
@@ -106,6 +107,9 @@ def fit_lda(
         Diagonal of the target; None for the identity.
     nuisance : (m, F)
         Deviations that the rows do not show; the mean of their squares adds to the covariance.
+    least_unit
+        Deviation added to that of each feature in its unit, in the feature's own: what few rows do
+        not show to vary is known no better.
     keep_whitening
         Whether `LinearDiscriminant.whitening` is wanted.
 
@@ -125,7 +129,7 @@ def fit_lda(
     within = features - means[classes]
     mean = means.mean(axis=0)
     freedom = float(n - n_classes)
-    scale = _units(features, within, freedom, nuisance)
+    scale = np.hypot(_units(features, within, freedom, nuisance), least_unit)
     within = within / scale
     covariance = within.T @ within / freedom
     if shrinkage is None:

@@ -89,6 +89,12 @@ def test_each_entry_makes_the_trainer_of_its_name():
     assert {*TRAINERS, *COMPARATORS} == set(trainer_names())
 
 
+def test_no_feature_of_the_default_has_a_unit_that_taught_grasps_hardly_show(teach):
+    taught = teach("force_ramp")
+    for view in (taught.touch, taught.both):
+        assert view.model.discriminant.scale.min() >= 0.02
+
+
 def test_every_trainer_and_comparator_of_the_chapter_has_an_entry():
     modules = [
         importlib.import_module(found.name)

@@ -55,6 +55,19 @@ def test_more_features_than_rows_and_constant_features_are_no_trouble():
     assert np.all(np.isfinite(lda.distances(rng.normal(size=(5, 50)))))
 
 
+def test_what_few_rows_hardly_show_to_vary_has_the_least_unit():
+    x, y = gaussians(np.random.default_rng(3))
+    x = np.column_stack([x, np.zeros(len(x))])
+    once = np.eye(1, 7, k=6)
+
+    def off(least_unit):
+        lda = fit_lda(x, y, 3, nuisance=1e-8 * once, least_unit=least_unit, keep_whitening=True)
+        return np.linalg.norm(0.02 * once / lda.scale @ lda.whitening)
+
+    assert off(0.0) > 1e5
+    assert off(0.02) < 1e2
+
+
 def test_full_shrinkage_leaves_plain_scaled_distance():
     rng = np.random.default_rng(4)
     x, y = gaussians(rng)
