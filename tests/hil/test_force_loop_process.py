@@ -44,8 +44,11 @@ def simulator(free_machine: None) -> Iterator[CellProcess]:
 
 
 @pytest.fixture
-def make_cell(simulator: CellProcess, tmp_path: Path) -> Iterator[Callable[[], Cell]]:
+def make_cell(
+    simulator: CellProcess, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Iterator[Callable[[], Cell]]:
     """Return the maker of a cell with its loop in a process; what it holds is let go at last."""
+    monkeypatch.chdir(tmp_path)  # where it keeps its self-zero
     cells: list[Cell] = []
 
     def make() -> Cell:

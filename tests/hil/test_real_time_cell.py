@@ -35,7 +35,13 @@ def hurried() -> Iterator[None]:
 
 
 @pytest.fixture
-def simulator(free_machine: None, cell_process: Callable[..., CellProcess]) -> CellProcess:
+def simulator(
+    free_machine: None,
+    cell_process: Callable[..., CellProcess],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> CellProcess:
+    monkeypatch.chdir(tmp_path)  # where the cell's programs keep its self-zero
     one = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
     first(one.pid)
     return one
