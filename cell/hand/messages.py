@@ -9,7 +9,7 @@ import pickle
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from inspect import signature
+from inspect import getmembers, isfunction, signature
 from typing import Any
 
 from cell.config.model import CellConfig
@@ -28,19 +28,36 @@ class Boot:
     partial: bool = False
 
 
+_ELSEWHERE = frozenset({"check_ramp", "end_ramp", "tick", "request_stop", "close"})
+"""Methods of `Hand` that no request names: done in the program, or by messages of their own."""
+COMMANDS = {
+    name: "watch" in signature(method).parameters
+    for name, method in getmembers(Hand, isfunction)
+    if not name.startswith("_") and name not in _ELSEWHERE
+}
+"""The other methods, and whether each runs the force loop and is watched."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """A method of `Hand` that the process carries out; its answer has the number."""
+    """A command of `Hand` that the process carries out; its answer has the number.
+
+    ValueError for a name that is none of `COMMANDS`.
+    """
 
     number: int
     method: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """By name, without the callback ``watch``."""
 
+    def __post_init__(self) -> None:
+        if self.method not in COMMANDS:
+            raise ValueError(f"{self.method!r} is no command of the hand")
+
     @property
     def watched(self) -> bool:
         """Whether it runs the force loop; each period of it is sent as `Progress`."""
-        return "watch" in signature(getattr(Hand, self.method)).parameters
+        return COMMANDS[self.method]
 
     def run(self, hand: Hand, watch: Watch) -> Any:
         """Carry it out and return what the method returns."""

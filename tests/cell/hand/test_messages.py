@@ -17,6 +17,7 @@ from cell.errors import CellStopped, HostSilent
 from cell.hand import server
 from cell.hand.interface import HandStatistics, Measured
 from cell.hand.messages import (
+    COMMANDS,
     Alive,
     Answer,
     EndRamp,
@@ -62,6 +63,16 @@ ANSWER = Answer(
     phase=GripperPhase.HOLDING,
     statistics=statistics(),
 )
+
+
+def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
+    watched = {"open", "grasp", "meet", "carry", "squeeze", "release"}
+    unwatched = {"start", "start_sensor", "close_sensor", "tare", "conditions", "inspect"}
+    unwatched |= {"read_sensor", "keep_grip", "clear_fault", "shutdown"}
+    assert {name for name, is_watched in COMMANDS.items() if is_watched} == watched
+    assert set(COMMANDS) == watched | unwatched
+    with pytest.raises(ValueError, match="'close' is no command of the hand"):
+        Request(number=1, method="close")
 
 
 ERRORS = [
