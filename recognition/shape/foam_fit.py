@@ -196,7 +196,7 @@ class _Fit:
         common = np.zeros(len(GLOBALS))
         common[3] = 1e3 * self.foam.aperture_offset_m
         bed = self._bed(common)
-        rows = []
+        rows, lengths = [], []
         for i, data in enumerate(self.data):
             _, axes = np.linalg.eigh(data.spread_m2)
             turn = float(np.arctan2(axes[1, 1], axes[0, 1]))
@@ -213,6 +213,8 @@ class _Fit:
                         best, chosen, roll_chosen = float(residuals @ residuals), own, float(roll)
             self.rolls[i] = roll_chosen
             rows.append(chosen)
+            lengths.append(len(residuals))
+        self.ends = np.cumsum(lengths)[:-1]
         theta = np.concatenate([common, *rows])
         for row in rows:
             row[3:] = _DEPTH_MM
@@ -316,5 +318,4 @@ class _Fit:
             normal[np.ix_(where, where)] += here.normal
             gradient[where] += here.gradient
             each.append(base)
-        self.ends = np.cumsum([len(one) for one in each])[:-1]
         return Look(residuals=np.concatenate(each), normal=normal, gradient=gradient)
