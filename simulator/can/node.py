@@ -4,7 +4,6 @@ import logging
 import math
 import struct
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +16,12 @@ from simulator.errors import SimulatorStateError
 RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
 """NMT commands that canopen's node does not carry out."""
 
+UNKNOWN_COMMAND = 0x0504_0001
+"""SDO abort code (CiA 301, 7.2.4.3.17): command specifier that is unknown, or out of its turn."""
+_ABORTED = 0x80
+"""First byte of an SDO abort."""
+_ABORT, _INITIATE = struct.Struct("<BHBL"), struct.Struct("<BHB")
+"""An SDO abort, and the head of a request: command, index, sub-index, and the abort code."""
 _SDO_BYTES = 8
 # What the server refuses is an abort to the client, and no error of the simulator.
 logging.getLogger(SdoServer.__module__).setLevel(logging.CRITICAL)
@@ -130,10 +135,15 @@ class CanopenDevice:
     def _serve(self, request: bytes) -> None:
         """Answer one SDO request; a message that is not of 8 bytes is none."""
         sdo = self._node.sdo
-        # An abort names the object of the transfer: before the first one there is none to name.
-        with suppress(struct.error):
-            if len(request) == _SDO_BYTES:
-                sdo.on_request(sdo.rx_cobid, bytearray(request), self._network.now_s)
+        if len(request) != _SDO_BYTES:
+            return
+        try:
+            sdo.on_request(sdo.rx_cobid, bytearray(request), self._network.now_s)
+        except struct.error:
+            # Its abort names the object of the last transfer, and there was none.
+            _, index, subindex = _INITIATE.unpack_from(request)
+            abort = _ABORT.pack(_ABORTED, index, subindex, UNKNOWN_COMMAND)
+            self._network.send_message(sdo.tx_cobid, abort)
 
     def next_event_s(self) -> float:
         """Return when the device next sends something by itself, in s; infinity for never."""

@@ -16,6 +16,7 @@ WRITE_2, WRITE_4, WRITTEN = 0x2B, 0x23, 0x60
 NO_SUCH_OBJECT = 0x0602_0000
 NO_SUCH_SUBINDEX = 0x0609_0011
 READ_ONLY = 0x0601_0002
+UNKNOWN_COMMAND = 0x0504_0001
 
 
 def request(command: int, index: int, subindex: int, value: int = 0) -> bytes:
@@ -93,8 +94,9 @@ def test_the_heartbeat_comes_as_often_as_it_is_set(unit: Any) -> None:
         (request(READ, 0x5FFF, 0), NO_SUCH_OBJECT),
         (request(READ, od.IDENTITY, 9), NO_SUCH_SUBINDEX),
         (request(WRITE_4, od.IDENTITY, od.IDENTITY_VENDOR, 1), READ_ONLY),
+        (request(0xE0, od.IDENTITY, 1), UNKNOWN_COMMAND),
     ],
-    ids=["no object", "no sub-index", "read only"],
+    ids=["no object", "no sub-index", "read only", "no command"],
 )
 def test_what_cannot_be_done_is_aborted_with_its_code(unit: Any, asked: bytes, code: int) -> None:
     answer = unit.sdo(asked)
