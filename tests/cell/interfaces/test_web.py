@@ -1,5 +1,6 @@
 """The cell over HTTP and WebSocket, with the standard library and `websockets` as clients."""
 
+import asyncio
 import json
 import math
 import os
@@ -19,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from websockets.asyncio.client import connect as open_in_one_thread
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
@@ -571,10 +573,15 @@ def test_tls_by_certificate_files(connect: Any, tls: dict[str, str], tmp_path: P
     link.request("GET", "/api/info", headers={"Authorization": f"Bearer {host.token}"})
     assert link.getresponse().status == 200
     link.close()
-    url = f"wss://127.0.0.1:{host.port}/api/live?token=a%20token%20of%20the%20operator"
-    with open_socket(url, ssl=trusted) as live:
-        for _ in range(20):
-            assert json.loads(live.recv(timeout=20))["status"]["state"] == "IDLE"
+
+    async def watch() -> None:
+        url = f"wss://127.0.0.1:{host.port}/api/live?token=a%20token%20of%20the%20operator"
+        async with open_in_one_thread(url, ssl=trusted) as live:
+            for _ in range(20):
+                assert json.loads(await live.recv())["status"]["state"] == "IDLE"
+
+    # OpenSSL allows one thread at a time on a connection; the other client reads and writes in two.
+    asyncio.run(asyncio.wait_for(watch(), 20.0))
 
 
 # -- opening the doors -------------------------------------------------------------------------
