@@ -20,8 +20,6 @@ from gripper.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from simulator.clock import VirtualClock
 
-MakeConfig = Callable[..., CellConfig]
-
 
 def call(*arguments: object) -> str:
     """Run a command that succeeds; return what it printed."""
@@ -83,15 +81,13 @@ class Bench(VirtualCell):
         return once(self.clock, lambda: self.controller.hand.phase is phase, act, after_s)
 
 
-@pytest.fixture
-def make_config() -> MakeConfig:
-    """Return the maker of a small config; takes changes as ``tactile__node_id=7``."""
-    return small_config
+MakeBench = Callable[..., Bench]
+"""Maker of simulated cells; takes a config and what `build_cell` takes."""
 
 
 @pytest.fixture
-def make_bench() -> Iterator[Callable[..., Bench]]:
-    """Return the maker of simulated cells; takes a config and what `build_cell` takes."""
+def make_bench() -> Iterator[MakeBench]:
+    """Return the maker; what it has made is closed at the end."""
     cells: list[Cell] = []
 
     def make(config: CellConfig | None = None, **options: Any) -> Bench:
@@ -106,7 +102,7 @@ def make_bench() -> Iterator[Callable[..., Bench]]:
 
 
 @pytest.fixture
-def bench(make_bench: Callable[..., Bench]) -> Bench:
+def bench(make_bench: MakeBench) -> Bench:
     return make_bench()
 
 
@@ -192,9 +188,3 @@ def plain_grasp(
         "label": label,
     }
     return Grasp(**(values | changes))
-
-
-@pytest.fixture
-def make_grasp() -> Callable[..., Grasp]:
-    """Return the maker of grasps without meaning; takes label, pad shapes and changes."""
-    return plain_grasp

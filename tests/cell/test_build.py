@@ -3,7 +3,6 @@
 import json
 import socket
 import threading
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ from typing import Any
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
@@ -23,6 +21,7 @@ from cell.errors import ConfigError, PositionerError
 from gripper.errors import PortLost
 from gripper.state import GraspResult
 from tactile.errors import BusNotOpened, TactileError
+from tests.cell.conftest import MakeBench, small_config
 from tests.fuzz.harness import Clock
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
@@ -53,29 +52,23 @@ def positioner(bench: Any) -> Any:
     ],
     ids=["one servo, rack", "two servos, rack", "mounts", "pinch", "node", "stairs", "s-curve"],
 )
-def test_cells_of_other_make_grasp_too(
-    make_bench: Callable[..., Any], make_config: Callable[..., CellConfig], change: dict[str, Any]
-) -> None:
-    bench = make_bench(make_config(**change)).ready("box")
+def test_cells_of_other_make_grasp_too(make_bench: MakeBench, change: dict[str, Any]) -> None:
+    bench = make_bench(small_config(**change)).ready("box")
     record = bench.grasp(3.0)
     assert record.outcome.result is not GraspResult.NO_CONTACT
     assert record.outcome.final_force_n == pytest.approx(3.0, abs=1.5)
     assert bench.grip_n == 0.0
 
 
-def test_operator_needs_somebody_to_ask(
-    make_bench: Callable[..., Any], make_config: Callable[..., CellConfig]
-) -> None:
-    config = make_config(positioner__kind="operator")
+def test_operator_needs_somebody_to_ask(make_bench: MakeBench) -> None:
+    config = small_config(positioner__kind="operator")
     with pytest.raises(ConfigError, match="no terminal to ask at"):
         make_bench(config)
     assert isinstance(positioner(make_bench(config, ask=lambda _text: "")), OperatorPositioner)
 
 
-def test_callback_needs_a_mover_and_the_simulated_cell_follows_it(
-    make_bench: Callable[..., Any], make_config: Callable[..., CellConfig]
-) -> None:
-    config = make_config(positioner__kind="callback")
+def test_callback_needs_a_mover_and_the_simulated_cell_follows_it(make_bench: MakeBench) -> None:
+    config = small_config(positioner__kind="callback")
     with pytest.raises(ConfigError, match="must pass its mover"):
         make_bench(config)
     moved: list[Pose] = []
@@ -94,11 +87,9 @@ def test_callback_needs_a_mover_and_the_simulated_cell_follows_it(
     assert pose.x_m == pytest.approx(1.5e-3)
 
 
-def test_a_socket_is_used_where_one_is_named(
-    make_bench: Callable[..., Any], make_config: Callable[..., CellConfig], tmp_path: Path
-) -> None:
+def test_a_socket_is_used_where_one_is_named(make_bench: MakeBench, tmp_path: Path) -> None:
     path = str(tmp_path / "s")
-    config = make_config(positioner__socket=path)
+    config = small_config(positioner__socket=path)
     with pytest.raises(PositionerError, match="no simulated cell answers"):
         make_bench(config)
     with socket.socket(socket.AF_UNIX) as listener:
@@ -129,18 +120,14 @@ def test_a_socket_is_used_where_one_is_named(
     ],
 )
 def test_wrong_ports_are_named_and_nothing_stays_open(
-    make_config: Callable[..., CellConfig],
-    tmp_path: Path,
-    change: dict[str, Any],
-    error: type[Exception],
-    name: str,
+    tmp_path: Path, change: dict[str, Any], error: type[Exception], name: str
 ) -> None:
     with pytest.raises(error, match=name):
-        build_cell(make_config(**REAL | change), folder=tmp_path, ask=str)
+        build_cell(small_config(**REAL | change), folder=tmp_path, ask=str)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_health_counts_what_the_links_did(make_bench: Callable[..., Any], tmp_path: Path) -> None:
+def test_health_counts_what_the_links_did(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(folder=tmp_path).ready()
     bench.grasp()
     health = bench.cell.health()
@@ -159,7 +146,7 @@ def paced(cell: Cell, real: Clock, real_s: float) -> None:
         cell.idle()
 
 
-def test_a_paced_cell_lives_on_while_no_command_runs(make_bench: Callable[..., Any]) -> None:
+def test_a_paced_cell_lives_on_while_no_command_runs(make_bench: MakeBench) -> None:
     bench, real = make_bench().ready(), Clock()
     cell, clock = bench.cell, bench.simulated.clock
     began_s = clock.monotonic()
@@ -184,9 +171,7 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench: Callable[..., A
     assert clock.monotonic() - began_s < 0.2
 
 
-def test_a_paced_cell_keeps_a_part_and_its_fault_and_is_ready_again(
-    make_bench: Callable[..., Any],
-) -> None:
+def test_a_paced_cell_keeps_a_part_and_its_fault_and_is_ready_again(make_bench: MakeBench) -> None:
     bench, real = make_bench().ready(), Clock()
     cell, controller, clock = bench.cell, bench.controller, bench.simulated.clock
     cell.follow(real, 1.0)

@@ -1,6 +1,5 @@
 """The simulated cell as the config describes it."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,14 @@ from cell.simulation import (
 )
 from simulator.cell import SimulatedCell
 from simulator.servo.mechanics import RackLinkage
+from tests.cell.conftest import plain_grasp, small_config
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 
 
-def test_settings_follow_the_config(make_config: Callable[..., CellConfig]) -> None:
+def test_settings_follow_the_config() -> None:
     settings = simulator_settings(
-        make_config(
+        small_config(
             seed=5,
             tactile__node_id=9,
             tactile__serial_number=77,
@@ -72,18 +72,14 @@ def test_the_built_in_objects_are_those_of_the_paper() -> None:
         ),
     ],
 )
-def test_a_cell_that_cannot_be_is_a_config_error(
-    make_config: Callable[..., CellConfig], change: dict[str, Any], complaint: str
-) -> None:
+def test_a_cell_that_cannot_be_is_a_config_error(change: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        simulator_settings(make_config(**change))
+        simulator_settings(small_config(**change))
     assert complaint in str(caught.value)
 
 
-def test_an_object_comes_to_rest_and_a_box_on_a_face(
-    make_config: Callable[..., CellConfig],
-) -> None:
-    with SimulatedCell(simulator_settings(make_config())) as cell:
+def test_an_object_comes_to_rest_and_a_box_on_a_face() -> None:
+    with SimulatedCell(simulator_settings(small_config())) as cell:
         placer = InProcessPlacer(cell)
         assert placer.place("ball", Pose(x_m=1e-3, roll_rad=0.5)).x_m == 1e-3
         reached = placer.place("box", Pose(roll_rad=0.2))
@@ -92,9 +88,9 @@ def test_an_object_comes_to_rest_and_a_box_on_a_face(
             placer.place("nothing", Pose())
 
 
-def test_the_widest_opening_of_records(make_grasp: Callable[..., Any]) -> None:
-    unknown = make_grasp("a", aperture_m=np.full(12, np.nan))
+def test_the_widest_opening_of_records() -> None:
+    unknown = plain_grasp("a", aperture_m=np.full(12, np.nan))
     assert largest_aperture_m([unknown]) == 0.0
     assert largest_aperture_m(
-        [unknown, make_grasp("a", aperture_m=np.linspace(0.06, 0.01, 12))]
+        [unknown, plain_grasp("a", aperture_m=np.linspace(0.06, 0.01, 12))]
     ) == pytest.approx(0.06)

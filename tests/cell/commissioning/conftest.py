@@ -71,8 +71,12 @@ class Stand:
         return [s.core.registers.get(name) for s in self.cell.devices.servo_bus.servos]
 
 
+MakeStand = Callable[..., Stand]
+"""Maker of stands of a cell with some faults and settings."""
+
+
 @pytest.fixture
-def stand(tmp_path: Path) -> Iterator[Callable[..., Stand]]:
+def stand(tmp_path: Path) -> Iterator[MakeStand]:
     """Return what makes a stand of a cell with some faults and settings; closed at the end."""
     with ExitStack() as undo:
 

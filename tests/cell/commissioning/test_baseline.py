@@ -1,7 +1,6 @@
 """Baseline of the wizard: a gauge object, and what has changed since, with the step it affects."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from cell.errors import CellError
 from cell.jobs.doctor import gauge_again
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand
 
 FOUND: dict[str, Any] = {
     "unit": {"serial_number": 7, "revision": 0x10001},
@@ -127,7 +126,7 @@ def test_a_gauge_object_that_feels_otherwise_names_the_step(
     assert (found.what, found.step) == (what, step)
 
 
-def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand: Callable[..., Stand]) -> None:
+def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand: MakeStand) -> None:
     one = stand()
     servos = [{"id": n, "model": "XM430-W350", "firmware": 0} for n in (1, 2)]
     one.bench.found = FOUND | {"unit": {"serial_number": 1}, "servos": {"servos": servos}}
@@ -142,7 +141,7 @@ def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(stand: Callable[..., 
 
 
 def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(
-    stand: Callable[..., Stand], tmp_path: Path
+    stand: MakeStand, tmp_path: Path
 ) -> None:
     one = stand(noise=NoiseModel(level=0.3))
     finding = one.run(BaselineStep())

@@ -20,7 +20,7 @@ from gripper.kinematics import ParallelLinkage, RackPinion
 from gripper.servos.group import ServoGroup
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.cell.commissioning.hands import Hands
 
 STEP = FingersStep()
@@ -96,7 +96,7 @@ def test_directions_and_zero_follow_from_the_hands() -> None:
 
 
 @pytest.fixture
-def limp(stand: Callable[..., Stand]) -> Callable[..., Stand]:
+def limp(stand: MakeStand) -> MakeStand:
     """Return what makes a cell whose servos are set up."""
 
     def make(*faults: str) -> Stand:
@@ -107,7 +107,7 @@ def limp(stand: Callable[..., Stand]) -> Callable[..., Stand]:
     return make
 
 
-def test_one_servo_with_a_pinion(stand: Callable[..., Stand]) -> None:
+def test_one_servo_with_a_pinion(stand: MakeStand) -> None:
     one = stand(
         servos=(SimulatedServoSettings(servo_id=1, mount=ServoMount(direction=-1)),),
         linkage=RackLinkage(pinion_radius_m=0.02),
@@ -123,7 +123,7 @@ def test_one_servo_with_a_pinion(stand: Callable[..., Stand]) -> None:
     assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
 
 
-def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: Callable[..., Stand]) -> None:
+def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: MakeStand) -> None:
     one = limp("servo2.turned", "servo1.horn=164")
     found = one.run(STEP, **Hands(one.cell, first=2).replies())
     assert found.status is Verdict.PASS, found.lines
@@ -142,7 +142,7 @@ def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: Callable[...,
     assert one.person.script.watched
 
 
-def test_a_person_stops_the_first_motion_while_it_runs(limp: Callable[..., Stand]) -> None:
+def test_a_person_stops_the_first_motion_while_it_runs(limp: MakeStand) -> None:
     one = limp()
 
     def stop() -> None:
@@ -155,9 +155,7 @@ def test_a_person_stops_the_first_motion_while_it_runs(limp: Callable[..., Stand
 
 
 @pytest.mark.parametrize("place", ["near", "far"])
-def test_a_first_motion_begins_with_room_on_both_sides(
-    limp: Callable[..., Stand], place: str
-) -> None:
+def test_a_first_motion_begins_with_room_on_both_sides(limp: MakeStand, place: str) -> None:
     one = limp()
     hands = Hands(one.cell)
     tight = hands.close if place == "near" else lambda: hands.all_to(0.05)
@@ -182,7 +180,7 @@ def drifting(one: Stand) -> None:
     ],
 )
 def test_a_finger_that_does_not_open_is_named_and_limp(
-    limp: Callable[..., Stand], happens: Callable[[Stand], None], named: str
+    limp: MakeStand, happens: Callable[[Stand], None], named: str
 ) -> None:
     one = limp()
 
@@ -197,9 +195,7 @@ def test_a_finger_that_does_not_open_is_named_and_limp(
     assert one.torques == [0, 0]
 
 
-def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(
-    limp: Callable[..., Stand],
-) -> None:
+def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(limp: MakeStand) -> None:
     one = limp()
     found = one.run(STEP, fingers__opened="no")
     assert found.status is Verdict.FAIL
@@ -207,7 +203,7 @@ def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(
     assert one.torques == [0, 0]
 
 
-def test_a_finger_that_was_not_moved_is_asked_for_again(limp: Callable[..., Stand]) -> None:
+def test_a_finger_that_was_not_moved_is_asked_for_again(limp: MakeStand) -> None:
     one = limp()
     opened = [lambda: None, lambda: Hands(one.cell).move(servo1=0.05)]
     one.run(STEP, fingers__open_first=opened)
@@ -215,7 +211,7 @@ def test_a_finger_that_was_not_moved_is_asked_for_again(limp: Callable[..., Stan
     assert "One finger should have moved" in one.person.script.text
 
 
-def test_fingers_that_were_not_closed_are_found_out(limp: Callable[..., Stand]) -> None:
+def test_fingers_that_were_not_closed_are_found_out(limp: MakeStand) -> None:
     one = limp()
     found = one.run(STEP, fingers__close=Hands(one.cell).close_on(20.0))
     assert found.status is Verdict.FAIL
@@ -223,9 +219,7 @@ def test_fingers_that_were_not_closed_are_found_out(limp: Callable[..., Stand]) 
     assert "fingers.block2" not in one.person.script.asked
 
 
-def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(
-    limp: Callable[..., Stand],
-) -> None:
+def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(limp: MakeStand) -> None:
     one = limp()
     hands = Hands(one.cell)
     replies: dict[str, Any] = {
@@ -242,13 +236,13 @@ def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(
     assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(found.lines)
 
 
-def test_one_block_is_enough_and_worth_a_word(limp: Callable[..., Stand]) -> None:
+def test_one_block_is_enough_and_worth_a_word(limp: MakeStand) -> None:
     found = limp().run(STEP, fingers__block2=0.0)
     assert found.status is Verdict.WARN
     assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
 
 
-def test_leaving_at_each_question_leaves_no_torque(limp: Callable[..., Stand]) -> None:
+def test_leaving_at_each_question_leaves_no_torque(limp: MakeStand) -> None:
     one = limp()
     one.run(STEP)
     for place in [*one.person.script.asked, "approve"]:
@@ -258,7 +252,7 @@ def test_leaving_at_each_question_leaves_no_torque(limp: Callable[..., Stand]) -
 
 
 def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(
-    limp: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch
+    limp: MakeStand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = limp()
     write, seen = ServoGroup.write_goals, []

@@ -1,19 +1,17 @@
 """First force of the wizard: empty, watchdog, 1 N, the cap; nothing moves before it was shown."""
 
-from collections.abc import Callable
-
 import pytest
 
 from cell.commissioning.engine import Left, Verdict
 from cell.commissioning.first_force import FirstForceStep
 from simulator.world.taxels import NoiseModel
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand, Stand
 
 STEP = FirstForceStep()
 
 
 @pytest.fixture
-def one(stand: Callable[..., Stand]) -> Stand:
+def one(stand: MakeStand) -> Stand:
     """A cell of less noise than usual."""
     return stand(noise=NoiseModel(level=0.3))
 

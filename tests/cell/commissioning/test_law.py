@@ -1,6 +1,5 @@
 """The law from counts to newtons of the wizard: loads on both pads, and the factor that is set."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -10,14 +9,14 @@ from cell.commissioning.law import LawStep, fit_factor, judge_law
 from cell.config.tactile import TactileConfig
 from simulator.world.taxels import SensorLaw
 from tactile.layout import paper_layout
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand, Stand
 
 LOADS_N = (2.0, 5.0, 8.0)
 STEP = LawStep()
 
 
 @pytest.fixture
-def paper(stand: Callable[..., Stand]) -> Callable[..., Stand]:
+def paper(stand: MakeStand) -> MakeStand:
     """Return what makes a cell with the pads of the paper, whose law is that of foam."""
 
     def make(*faults: str) -> Stand:
@@ -28,7 +27,7 @@ def paper(stand: Callable[..., Stand]) -> Callable[..., Stand]:
     return make
 
 
-def test_a_law_that_is_right_passes_and_changes_nothing(paper: Callable[..., Stand]) -> None:
+def test_a_law_that_is_right_passes_and_changes_nothing(paper: MakeStand) -> None:
     finding = paper().run(STEP)
     assert finding.status is Verdict.PASS, finding.lines
     assert finding.settings == {}
@@ -36,14 +35,14 @@ def test_a_law_that_is_right_passes_and_changes_nothing(paper: Callable[..., Sta
 
 
 @pytest.mark.parametrize("felt", [0.8, 1.25])
-def test_a_law_that_is_off_is_named_and_set_right(paper: Callable[..., Stand], felt: float) -> None:
+def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, felt: float) -> None:
     finding = paper(f"taxels.force_gain={felt}").run(STEP)
     assert finding.status is Verdict.WARN
     assert "The law was 2" in finding.lines[-1]
     assert finding.settings["tactile.calibration.gain"] == pytest.approx(1.0 / felt, rel=0.06)
 
 
-def test_a_linear_law_is_set_by_its_force_of_a_count(stand: Callable[..., Stand]) -> None:
+def test_a_linear_law_is_set_by_its_force_of_a_count(stand: MakeStand) -> None:
     one = stand(law=SensorLaw(full_scale_n=0.0012 * 4095))
     law = {"kind": "linear", "force_per_count_n": 0.001}
     one.knows(tactile__tare_frames=60, tactile__calibration=law)
@@ -53,7 +52,7 @@ def test_a_linear_law_is_set_by_its_force_of_a_count(stand: Callable[..., Stand]
     assert found == pytest.approx(0.0012, rel=0.05)
 
 
-def test_without_a_scale_the_forces_are_unchecked(stand: Callable[..., Stand]) -> None:
+def test_without_a_scale_the_forces_are_unchecked(stand: MakeStand) -> None:
     finding = stand().run(STEP, pads_law__with="skip")
     assert finding.status is Verdict.WARN
     assert "not checked" in finding.lines[0]

@@ -1,15 +1,13 @@
 """Quality of the lines: sound ones pass, with and without pads."""
 
-from collections.abc import Callable
-
 from cell.commissioning.engine import Verdict
 from cell.commissioning.link_quality import LinkQualityStep
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand
 
 STEP = LinkQualityStep(duration_s=2.5)
 
 
-def test_sound_lines_pass(stand: Callable[..., Stand]) -> None:
+def test_sound_lines_pass(stand: MakeStand) -> None:
     finding = stand().run(STEP)
     assert finding.status is Verdict.PASS, finding.lines
     assert finding.values["periods"] == 500
@@ -20,7 +18,7 @@ def test_sound_lines_pass(stand: Callable[..., Stand]) -> None:
     assert max(figure["series"]["answer of the servos"]) < 5.0
 
 
-def test_a_gripper_without_pads_has_one_line(stand: Callable[..., Stand]) -> None:
+def test_a_gripper_without_pads_has_one_line(stand: MakeStand) -> None:
     one = stand("unit.off")
     one.bench.found = {"unit": {"gripper_alone": True}}
     finding = one.run(STEP)

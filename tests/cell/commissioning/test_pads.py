@@ -1,6 +1,5 @@
 """The pads of the wizard: at rest, and pressed by a fingertip; what is wrong is named and set."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,13 @@ from cell.commissioning.pads import (
 from tactile.layout import PadMount, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration
 from tactile.sensor.tare import TareLimits
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand
 
 REST, PRESSED = PadsAtRestStep(), PadsPressedStep()
 
 
 @pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
-def test_sound_pads_at_rest_pass_without_a_word(stand: Callable[..., Stand], layout: Any) -> None:
+def test_sound_pads_at_rest_pass_without_a_word(stand: MakeStand, layout: Any) -> None:
     one = stand(layout=layout)
     one.knows(tactile__layout=layout.name)
     finding = one.run(REST)
@@ -36,16 +35,14 @@ def test_sound_pads_at_rest_pass_without_a_word(stand: Callable[..., Stand], lay
     assert set(finding.figures) == {"zero", "noise"}
 
 
-def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(
-    stand: Callable[..., Stand],
-) -> None:
+def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand: MakeStand) -> None:
     finding = stand(board_serial_numbers=(0, 0)).run(REST)
     assert finding.status is Verdict.WARN
     assert "press each pad after every work" in "\n".join(finding.lines)
     assert finding.settings == {"tactile.board_serial_numbers": None}
 
 
-def test_pads_where_the_layout_has_them_pass(stand: Callable[..., Stand]) -> None:
+def test_pads_where_the_layout_has_them_pass(stand: MakeStand) -> None:
     finding = stand().run(PRESSED)
     assert finding.status is Verdict.PASS, finding.lines
     assert finding.settings == {"tactile.mounting": []}
@@ -73,7 +70,7 @@ EXCHANGED = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
     ],
 )
 def test_pads_that_sit_otherwise_are_found_named_and_set(
-    stand: Callable[..., Stand], fault: str, mounts: list[PadMount], named: str
+    stand: MakeStand, fault: str, mounts: list[PadMount], named: str
 ) -> None:
     finding = stand(fault).run(PRESSED)
     assert finding.status is Verdict.WARN
@@ -82,9 +79,7 @@ def test_pads_that_sit_otherwise_are_found_named_and_set(
     assert found == mounts
 
 
-def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(
-    stand: Callable[..., Stand],
-) -> None:
+def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(stand: MakeStand) -> None:
     mounts = (
         PadMount(pad=0, sent_as=1, rows_mirrored=True, columns_mirrored=True),
         PadMount(pad=1, sent_as=0, rows_mirrored=True, columns_mirrored=True),
@@ -95,7 +90,7 @@ def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(
     assert "force messages cannot be used" not in "\n".join(finding.lines)
 
 
-def test_a_dead_pad_is_named_and_fails_the_step(stand: Callable[..., Stand]) -> None:
+def test_a_dead_pad_is_named_and_fails_the_step(stand: MakeStand) -> None:
     one = stand()
     presses = {0: None, 1: 1}
     finding = one.run(PRESSED, presses=presses.get, pads_pressed__again="skip")
@@ -105,7 +100,7 @@ def test_a_dead_pad_is_named_and_fails_the_step(stand: Callable[..., Stand]) -> 
     assert finding.settings == {}
 
 
-def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand: Callable[..., Stand]) -> None:
+def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand: MakeStand) -> None:
     one = stand()
     wrong, looks = [0, 0, 1], 0
 
@@ -121,7 +116,7 @@ def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand: Callable[..., Sta
     assert finding.status is Verdict.PASS, finding.lines
 
 
-def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: Callable[..., Stand]) -> None:
+def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: MakeStand) -> None:
     def leave() -> None:
         raise Left("left")
 

@@ -1,7 +1,6 @@
 """Servos that are new or set otherwise: numbered, backed up, set, read back, and brought back."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Left, Verdict
 from cell.commissioning.servos import ServosStep
 from cell.errors import CellError
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.cell.commissioning.script import Script
 
 STEP = ServosStep()
@@ -21,7 +20,7 @@ PORT = "/dev/ttyUSB0"
 
 
 @pytest.fixture
-def new(stand: Callable[..., Stand]) -> Stand:
+def new(stand: MakeStand) -> Stand:
     """A cell with two servos from the box: both have ID 1."""
     one = stand("servo1.factory", "servo2.factory")
     one.cell.clock.sleep(1.0)  # they have booted
@@ -102,7 +101,7 @@ def test_nothing_is_written_that_was_refused(new: Stand, tmp_path: Path) -> None
     assert not list(tmp_path.glob("backup*"))
 
 
-def test_wrong_registers_are_shown_then_set_and_read_back(stand: Callable[..., Stand]) -> None:
+def test_wrong_registers_are_shown_then_set_and_read_back(stand: MakeStand) -> None:
     one = stand("servo1.wrong=homing_offset:100", "servo2.wrong=drive_mode:1")
     found = one.run(STEP)
     assert found.status is Verdict.PASS, found.lines
@@ -112,7 +111,7 @@ def test_wrong_registers_are_shown_then_set_and_read_back(stand: Callable[..., S
     assert one.registers("homing_offset") == one.registers("drive_mode") == [0, 0]
 
 
-def test_torque_that_holds_a_part_is_not_switched_off_unasked(stand: Callable[..., Stand]) -> None:
+def test_torque_that_holds_a_part_is_not_switched_off_unasked(stand: MakeStand) -> None:
     one = stand("servo1.wrong=homing_offset:100")
     for servo in one.cell.devices.servo_bus.servos:
         servo.core.set_torque(on=True)

@@ -1,6 +1,5 @@
 """The control unit of the wizard: what is found on a bus, and what is wrong there, by name."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,13 +15,13 @@ from simulator.can.drive import DriveMount
 from simulator.devices import SimulatedDrive
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand
 from tests.cell.commissioning.script import Script, SimulatedLines
 
 STEP = UnitStep()
 
 
-def test_a_unit_is_found_and_set_up_and_named(stand: Callable[..., Stand]) -> None:
+def test_a_unit_is_found_and_set_up_and_named(stand: MakeStand) -> None:
     one = stand(node_id=17, serial_number=4711)
     finding, script = one.run(STEP), one.person.script
     assert finding.status is Verdict.PASS, finding.lines
@@ -42,9 +41,7 @@ def test_a_unit_is_found_and_set_up_and_named(stand: Callable[..., Stand]) -> No
     assert "force messages" in finding.lines[-1]
 
 
-def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(
-    stand: Callable[..., Stand],
-) -> None:
+def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(stand: MakeStand) -> None:
     one = stand()
     one.cell.clock.sleep(0.1)  # it has booted
     first, second = (one.run(STEP) for _ in range(2))
@@ -52,7 +49,7 @@ def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(
     assert "found by listening" in second.lines[0]
 
 
-def test_nothing_is_written_that_is_refused(stand: Callable[..., Stand]) -> None:
+def test_nothing_is_written_that_is_refused(stand: MakeStand) -> None:
     one = stand()
     with pytest.raises(Left):
         one.run(STEP, leave_at=["approve"])
@@ -60,9 +57,7 @@ def test_nothing_is_written_that_is_refused(stand: Callable[..., Stand]) -> None
 
 
 @pytest.mark.parametrize("bitrate", [500_000, 250_000])
-def test_another_bit_rate_is_found_and_the_period_fits_it(
-    stand: Callable[..., Stand], bitrate: int
-) -> None:
+def test_another_bit_rate_is_found_and_the_period_fits_it(stand: MakeStand, bitrate: int) -> None:
     finding = stand(f"can.bit_rate={bitrate}").run(STEP)
     assert finding.status is Verdict.PASS, finding.lines
     assert finding.settings["tactile.bitrate"] == bitrate
@@ -70,9 +65,7 @@ def test_another_bit_rate_is_found_and_the_period_fits_it(
     assert ("tactile.sync_period_ms" in finding.settings) == (bitrate == 250_000)
 
 
-def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(
-    stand: Callable[..., Stand],
-) -> None:
+def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeStand) -> None:
     class Adapter(SimulatedLines):
         rates = (500_000,)
 
@@ -88,7 +81,7 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(
     assert one.run(STEP).lines == ["BusNotOpened: invalid bit rate 1000000"]
 
 
-def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand: Callable[..., Stand]) -> None:
+def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand: MakeStand) -> None:
     one = stand()
     mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
     one.cell.devices.can_devices.add(SimulatedDrive(mount))
@@ -98,9 +91,7 @@ def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand: Callable[..., 
     assert "Beside it, node 3 is another device" in "\n".join(finding.lines)
 
 
-def test_the_interface_is_asked_for_only_where_there_are_several(
-    stand: Callable[..., Stand],
-) -> None:
+def test_the_interface_is_asked_for_only_where_there_are_several(stand: MakeStand) -> None:
     one = stand()
     one.bench.settings = {"gripper.port": "/dev/ttyUSB0"}
     one.lines.ports += ("/dev/ttyACM0", "/dev/ttyACM1")

@@ -1,7 +1,5 @@
 """What is wrong with a cell: the step that finds it names it, moves nothing, sets nothing."""
 
-from collections.abc import Callable
-
 import pytest
 
 from cell.commissioning.engine import Step, Verdict
@@ -12,7 +10,7 @@ from cell.commissioning.servos import ServosStep
 from cell.commissioning.unit import UnitStep
 from cell.commissioning.walk import all_steps
 from simulator.world.taxels import NoiseModel
-from tests.cell.commissioning.conftest import Stand
+from tests.cell.commissioning.conftest import MakeStand
 
 SERVOS, UNIT, REST, FORCE = ServosStep(), UnitStep(), PadsAtRestStep(), FirstForceStep()
 PRESSED, LINES = PadsPressedStep(), LinkQualityStep(duration_s=2.5)
@@ -60,7 +58,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
     ],
 )
 def test_what_is_wrong_is_named(
-    stand: Callable[..., Stand], step: Step, fault: str, status: Verdict, named: str
+    stand: MakeStand, step: Step, fault: str, status: Verdict, named: str
 ) -> None:
     one = stand(noise=NoiseModel(level=0.3)) if step is FORCE else stand()
     one.cell.inject(fault)
@@ -71,9 +69,7 @@ def test_what_is_wrong_is_named(
 
 
 @pytest.mark.parametrize("step", [step for step in all_steps() if step.needs_pads])
-def test_steps_of_the_pads_pass_by_where_there_are_none(
-    stand: Callable[..., Stand], step: Step
-) -> None:
+def test_steps_of_the_pads_pass_by_where_there_are_none(stand: MakeStand, step: Step) -> None:
     one = stand("unit.off")
     one.bench.found = {"unit": {"gripper_alone": True}}
     finding = one.run(step)

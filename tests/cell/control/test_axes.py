@@ -14,6 +14,7 @@ from cell.control.positioner import Destination
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
 from gripper.state import GripperPhase
+from tests.cell.conftest import MakeBench, small_config
 from tests.faults.scenarios.axes import CHANGES
 
 NEAR_M, NEAR_RAD = 1e-4, radians(1.0)
@@ -21,12 +22,12 @@ POSE = Pose(x_m=2e-3, rotation_rad=radians(30.0), roll_rad=radians(40.0))
 
 
 @pytest.fixture
-def config(make_config: Callable[..., CellConfig]) -> CellConfig:
-    return make_config(**{path.replace(".", "__"): value for path, value in CHANGES.items()})
+def config() -> CellConfig:
+    return small_config(**{path.replace(".", "__"): value for path, value in CHANGES.items()})
 
 
 @pytest.fixture
-def bench(make_bench: Callable[..., Any], config: CellConfig) -> Any:
+def bench(make_bench: MakeBench, config: CellConfig) -> Any:
     return make_bench(config)
 
 
@@ -56,7 +57,7 @@ def test_the_axes_bring_the_object_where_the_grasp_is(bench: Any) -> None:
 
 
 def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
-    make_bench: Callable[..., Any], config: CellConfig
+    make_bench: MakeBench, config: CellConfig
 ) -> None:
     assert make_bench(config, places=lambda _destination: None).cell.axes is not None
 

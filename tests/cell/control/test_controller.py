@@ -2,7 +2,6 @@
 
 import re
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from gripper.errors import (
 )
 from gripper.state import GraspResult, GripperPhase
 from tactile.errors import LinkFault
+from tests.cell.conftest import MakeBench, small_config
 from tests.cell.control.test_identification import Sure
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
@@ -84,9 +84,7 @@ def test_a_machine_clock_set_back_leaves_the_grasps_in_order(
     assert after.grasp.start_ms == before.grasp.start_ms + 1
 
 
-def test_an_empty_gripper_is_no_part_and_no_fault(
-    make_bench: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(folder=tmp_path).ready()
     bench.once_in(APPROACHING, bench.simulated.remove)
     with pytest.raises(NoPartFound, match=r"no contact at pose x \+0\.0 mm.*is the object in"):
@@ -101,7 +99,7 @@ def test_an_empty_gripper_is_no_part_and_no_fault(
     assert [event["kind"] for event in recording.events] == ["no part"]
 
 
-def test_the_recording_holds_what_happened(make_bench: Callable[..., Any], tmp_path: Path) -> None:
+def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(folder=tmp_path)
     assert bench.cell.recording_path == tmp_path / "recording.mcap"
     bench.ready()
@@ -241,7 +239,7 @@ def test_a_cancel_between_two_parts_of_a_job_is_not_lost(bench: Any) -> None:
 
 
 def test_cancelling_an_identification_keeps_what_was_recorded(
-    make_bench: Callable[..., Any], tmp_path: Path
+    make_bench: MakeBench, tmp_path: Path
 ) -> None:
     bench = make_bench(folder=tmp_path).ready()
     bench.grasp()
@@ -341,9 +339,7 @@ def test_an_object_that_does_not_exist_is_refused_before_anything_closes(bench: 
     assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
 
 
-def test_the_cell_is_supervised_while_a_person_moves_the_object(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any]
-) -> None:
+def test_the_cell_is_supervised_while_a_person_moves_the_object(make_bench: MakeBench) -> None:
     moving = threading.Event()
     asked: list[str] = []
 
@@ -352,7 +348,7 @@ def test_the_cell_is_supervised_while_a_person_moves_the_object(
         assert moving.wait(10.0)
         return ""
 
-    bench = make_bench(make_config(positioner__kind="operator"), ask=ask)
+    bench = make_bench(small_config(positioner__kind="operator"), ask=ask)
     bench.controller.start()
     before_s = bench.simulated.clock.monotonic()
     bench.simulated.clock.on_advance.append(
@@ -368,12 +364,10 @@ def test_the_cell_is_supervised_while_a_person_moves_the_object(
     assert len(asked) == 2
 
 
-def test_a_link_lost_while_a_person_moves_is_a_fault(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any]
-) -> None:
+def test_a_link_lost_while_a_person_moves_is_a_fault(make_bench: MakeBench) -> None:
     lost = threading.Event()
     bench = make_bench(
-        make_config(positioner__kind="operator"), ask=lambda _text: str(not lost.wait(10.0))
+        small_config(positioner__kind="operator"), ask=lambda _text: str(not lost.wait(10.0))
     )
     bench.controller.start()
     bench.simulated.inject("unit.off")
@@ -388,10 +382,10 @@ def test_a_link_lost_while_a_person_moves_is_a_fault(
 
 
 def test_a_frame_that_shows_the_part_stands_against_messages_that_show_none(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any]
+    make_bench: MakeBench,
 ) -> None:
     slow = {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.3}
-    bench = make_bench(make_config(sequence__ramp=slow)).ready()
+    bench = make_bench(small_config(sequence__ramp=slow)).ready()
     bench.simulated.inject("unit.force_gain=0@contact+0.3s")
     with pytest.raises(GripContradicted, match="a frame scanned since then shows"):
         bench.controller.grasp(GraspStep(pose=Pose(), force_n=5.0))

@@ -1,6 +1,5 @@
 """Identification without a cell: when a sequence ends, what is fused, what cannot spoil it."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -16,6 +15,7 @@ from cell.learning.shapes import in_words, shape_reader
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.foam import FoamModel
 from recognition.statistics.fusion import DecisionKind
+from tests.cell.conftest import small_config
 
 
 class Sure:
@@ -75,14 +75,12 @@ def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRe
     assert found.decision.kind is not DecisionKind.CONTINUE
 
 
-def test_shape_and_size_are_fused_over_the_grasps(
-    record: GraspRecord, make_config: Callable[..., Any]
-) -> None:
+def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     told: list[Any] = []
     found = identified(
         record,
         Sure(2),
-        read_shape=shape_reader(make_config()),
+        read_shape=shape_reader(small_config()),
         on_grasp=lambda *parts: told.append(parts[3]),
     )
     assert tuple(told) == found.shapes
@@ -100,10 +98,8 @@ def raising(error: Exception) -> Any:
     return fail
 
 
-def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(
-    record: GraspRecord, make_config: Callable[..., Any]
-) -> None:
-    read = shape_reader(make_config())
+def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecord) -> None:
+    read = shape_reader(small_config())
     assert read is not None
     for options, complaint in (
         ({"on_grasp": raising(RuntimeError("closed"))}, "after grasp 1: RuntimeError: closed"),
@@ -122,24 +118,21 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(
 
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
 def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(
-    record: GraspRecord,
-    make_config: Callable[..., Any],
-    drawn_m: tuple[float, ...],
-    label: str,
+    record: GraspRecord, drawn_m: tuple[float, ...], label: str
 ) -> None:
     told: list[Posterior] = []
     found = identified(
         record,
         Sure(2, drawn_m),
-        read_shape=shape_reader(make_config()),
+        read_shape=shape_reader(small_config()),
         on_grasp=lambda *parts: told.append(parts[2]),
     )
     assert found.label == found.fused.name == label
     assert tuple(told) == found.posteriors
 
 
-def test_a_config_may_want_no_shapes(make_config: Callable[..., Any]) -> None:
-    config = make_config(recognition__shape=False)
+def test_a_config_may_want_no_shapes() -> None:
+    config = small_config(recognition__shape=False)
     assert shape_reader(config, PadKnowledge(foam=FoamModel())) is None
     gauged = PadKnowledge(foam=FoamModel(), fit=cast("Any", "of a gauge"))
     with pytest.raises(ConfigError, match="a gauge serves shape and size"):

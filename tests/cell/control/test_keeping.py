@@ -21,6 +21,7 @@ from gripper.errors import PartLost, PartSlipped
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from tactile.errors import TactileError
+from tests.cell.conftest import MakeBench, small_config
 
 CARRY_N = 4.0
 """Default of `sequence.carry_force_n`."""
@@ -219,9 +220,9 @@ def test_a_grip_without_a_part_is_no_part(bench: Any) -> None:
 
 
 def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any], taught: Any
+    make_bench: MakeBench, taught: Any
 ) -> None:
-    bench = make_bench(make_config(sequence__regrasp="none"))
+    bench = make_bench(small_config(sequence__regrasp="none"))
     bench.ready("box")
     least_n: list[float] = []
     opened: list[float] = []
@@ -262,14 +263,12 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(
     assert bench.grip_n == 0.0
 
 
-def test_forces_of_the_config_that_could_not_hold_a_part_are_refused(
-    make_config: Callable[..., Any],
-) -> None:
+def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
     for carry_n in (0.3, 14.9):
         with pytest.raises(ConfigError, match=f"carry_force_n is {carry_n:g} N, a part is held"):
-            make_config(sequence__carry_force_n=carry_n)
+            small_config(sequence__carry_force_n=carry_n)
     with pytest.raises(ConfigError, match="a further ramp begins at twice"):
-        make_config(sequence__regrasp="none", sequence__force_n=[1.7, 8.0])
+        small_config(sequence__regrasp="none", sequence__force_n=[1.7, 8.0])
 
 
 # -- faults of a carry -----------------------------------------------------------------------
@@ -306,9 +305,7 @@ def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(
 # -- the same part? --------------------------------------------------------------------------
 
 
-def test_a_look_at_a_kept_part_finds_it_unchanged(
-    make_bench: Callable[..., Any], tmp_path: Any
-) -> None:
+def test_a_look_at_a_kept_part_finds_it_unchanged(make_bench: MakeBench, tmp_path: Any) -> None:
     bench = make_bench(folder=tmp_path)
     bench.ready()
     bench.controller.grip(6.0, Pose())
@@ -370,7 +367,7 @@ def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
 TO_BIN = Destination(label="ball", place="bin 1")
 
 
-def test_a_kept_part_is_carried_to_its_place(make_bench: Callable[..., Any]) -> None:
+def test_a_kept_part_is_carried_to_its_place(make_bench: MakeBench) -> None:
     brought: list[Destination] = []
     held_n: list[float] = []
 
@@ -389,7 +386,7 @@ def test_a_kept_part_is_carried_to_its_place(make_bench: Callable[..., Any]) -> 
 
 @pytest.mark.parametrize("answer", [False, "there"])
 def test_a_place_that_is_refused_leaves_the_part_in_the_grip(
-    make_bench: Callable[..., Any], answer: Any
+    make_bench: MakeBench, answer: Any
 ) -> None:
     bench = make_bench(places=lambda _destination: answer)
     bench.ready()
@@ -401,7 +398,7 @@ def test_a_place_that_is_refused_leaves_the_part_in_the_grip(
     assert bench.grip_n > 1.0
 
 
-def test_a_stop_on_the_way_ends_the_way_and_keeps_the_part(make_bench: Callable[..., Any]) -> None:
+def test_a_stop_on_the_way_ends_the_way_and_keeps_the_part(make_bench: MakeBench) -> None:
     bench = make_bench(places=lambda _destination: bench.controller.cancel())
     bench.ready()
     bench.controller.grip(3.0, Pose())

@@ -24,13 +24,13 @@ from gripper.errors import MechanicsContradicted, PartBetweenFingers
 from gripper.state import GripperPhase
 from recognition.grasp import SelfZero
 from tactile.errors import FrameTimeout
-from tests.cell.conftest import call
+from tests.cell.conftest import call, small_config
 
 PULSE_MM = 60.0 * 2.0 * math.pi / 4096.0
 
 
 @pytest.mark.long
-def test_what_is_measured_is_what_the_hand_is(make_bench, make_config) -> None:
+def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
     pads = {
         "shift_mm": [0.8, -1.0],
         "tilt_deg": [1.5, -1.0],
@@ -39,7 +39,7 @@ def test_what_is_measured_is_what_the_hand_is(make_bench, make_config) -> None:
     }
     plain = make_bench().ready()
     there = make_bench(
-        make_config(
+        small_config(
             simulator__pads=pads, simulator__faults=["servo1.horn=12", "servo2.horn=9"], seed=3
         )
     ).ready()
@@ -87,9 +87,9 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: 
     "part", ["sphere:diameter=9.5mm", "sphere:diameter=5mm", "cylinder:diameter=3mm,length=60mm"]
 )
 def test_a_daily_start_opens_again_on_a_part_and_goes_on(
-    make_bench, make_config, tmp_path: Path, part: str
+    make_bench, tmp_path: Path, part: str
 ) -> None:
-    config = make_config(self_zero="daily")
+    config = small_config(self_zero="daily")
     (tmp_path / "job").mkdir()
     bench = make_bench(config, folder=tmp_path / "job")
     bench.simulated.place(part)
@@ -115,15 +115,13 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(
     assert zero_file(tmp_path, config.name).exists()
 
 
-def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(
-    make_bench, make_config
-) -> None:
-    flat = make_bench(make_config(self_zero="daily"))
+def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(make_bench) -> None:
+    flat = make_bench(small_config(self_zero="daily"))
     flat.simulated.place("box:length=80mm,width=40mm,height=3mm")
     flat.controller.start()
     assert "something flat may be between them" in flat.controller.zero_note
     assert flat.controller.self_zero is None
-    bent = make_bench(make_config(self_zero="daily", simulator__pads={"tilt_deg": [6.0, 0.0]}))
+    bent = make_bench(small_config(self_zero="daily", simulator__pads={"tilt_deg": [6.0, 0.0]}))
     bent.controller.start()
     assert "a finger is bent" in bent.controller.zero_note
     assert (bent.controller.state, bent.controller.self_zero) == (CellState.IDLE, None)
@@ -131,10 +129,10 @@ def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(
 
 @pytest.mark.parametrize("when", ["daily", "always"])
 def test_a_zero_that_cannot_be_written_counts_in_its_program(
-    make_bench, make_config, tmp_path: Path, when: str
+    make_bench, tmp_path: Path, when: str
 ) -> None:
     """Nobody has asked a daily start for one, and a full disk is no fault of the hand."""
-    config = make_config(self_zero=when)
+    config = small_config(self_zero=when)
     (tmp_path / "job").mkdir()
     zero_file(tmp_path, config.name).mkdir()
     bench = make_bench(config, folder=tmp_path / "job")
@@ -144,8 +142,8 @@ def test_a_zero_that_cannot_be_written_counts_in_its_program(
     assert "counts in this program alone: cannot write self-zero" in bench.controller.zero_note
 
 
-def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench, make_config) -> None:
-    bench = make_bench(make_config(self_zero="daily"))
+def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench) -> None:
+    bench = make_bench(small_config(self_zero="daily"))
     bench.simulated.place("ball")
     taken_s = bench.once_in(GripperPhase.RAMPING, bench.simulated.remove)
     bench.controller.start()
@@ -155,8 +153,8 @@ def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench, make_con
     assert not bench.controller.holding
 
 
-def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench, make_config) -> None:
-    bench = make_bench(make_config(self_zero="always")).ready()
+def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None:
+    bench = make_bench(small_config(self_zero="always")).ready()
     bench.controller.grip(3.0, Pose())
     held_n = bench.grip_n
     bench.controller.shutdown()
@@ -166,8 +164,8 @@ def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench, make_co
     assert bench.controller.holding
 
 
-def test_a_start_after_a_fault_on_the_same_day_does_not_zero_again(make_bench, make_config) -> None:
-    bench = make_bench(make_config(self_zero="daily")).ready()
+def test_a_start_after_a_fault_on_the_same_day_does_not_zero_again(make_bench) -> None:
+    bench = make_bench(small_config(self_zero="daily")).ready()
     taken = bench.controller.self_zero
     bench.inject("unit.off")
     with pytest.raises(FrameTimeout):
@@ -180,8 +178,8 @@ def test_a_start_after_a_fault_on_the_same_day_does_not_zero_again(make_bench, m
     assert bench.controller.self_zero is taken
 
 
-def test_a_start_does_not_zero_on_a_part(make_bench, make_config) -> None:
-    bench = make_bench(make_config(self_zero="always"))
+def test_a_start_does_not_zero_on_a_part(make_bench) -> None:
+    bench = make_bench(small_config(self_zero="always"))
     bench.simulated.place("ball")
     with pytest.raises(PartBetweenFingers, match="something is between them"):
         bench.controller.start()
@@ -199,8 +197,8 @@ def test_a_start_does_not_zero_on_a_part(make_bench, make_config) -> None:
     ],
     ids=["horn closed", "horn open", "bent finger"],
 )
-def test_what_is_out_of_bounds_is_named(make_bench, make_config, changes, says) -> None:
-    bench = make_bench(make_config(**changes)).ready()
+def test_what_is_out_of_bounds_is_named(make_bench, changes, says) -> None:
+    bench = make_bench(small_config(**changes)).ready()
     bench.simulated.remove()
     with pytest.raises(says, match=r"zero_pulse|a tooth of a horn|a finger is bent"):
         bench.controller.measure_zero()
@@ -208,9 +206,9 @@ def test_what_is_out_of_bounds_is_named(make_bench, make_config, changes, says) 
 
 @pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 2), ("on_demand", 0)])
 def test_it_is_measured_at_a_start_where_it_is_due(
-    make_bench, make_config, tmp_path: Path, when: str, times: int
+    make_bench, tmp_path: Path, when: str, times: int
 ) -> None:
-    config = make_config(self_zero=when)
+    config = small_config(self_zero=when)
     kept = zero_file(tmp_path, config.name)
     seen: list[Any] = []
     for job in ("first", "second"):
@@ -269,17 +267,17 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(
     assert (CellConfig().self_zero, faulty.self_zero) == ("daily", "on_demand")
 
 
-def test_fingers_that_cannot_meet_are_gauged(make_bench, make_config) -> None:
-    bench = make_bench(make_config(gripper__pads_meet=False)).ready()
+def test_fingers_that_cannot_meet_are_gauged(make_bench) -> None:
+    bench = make_bench(small_config(gripper__pads_meet=False)).ready()
     with pytest.raises(PlanRefused, match="calibrate --gauge"):
         bench.controller.measure_zero()
     with pytest.raises(Exception, match=r"gripper\.pads_meet is false"):
-        make_config(gripper__pads_meet=False, self_zero="daily")
+        small_config(gripper__pads_meet=False, self_zero="daily")
     unset = changed_config(CellConfig(), {"gripper.pads_meet": False})
     assert (CellConfig().self_zero, unset.self_zero) == ("daily", "never")
     assert parse_config(config_text(unset), source="x") == unset
     with pytest.raises(PlanRefused, match="self_zero is never"):
-        make_bench(make_config(self_zero="never")).ready().controller.measure_zero()
+        make_bench(small_config(self_zero="never")).ready().controller.measure_zero()
 
 
 DAY_S = 86_400.0
@@ -295,8 +293,8 @@ def test_a_damaged_file_counts_as_none(tmp_path: Path, text: str) -> None:
     assert SelfZeros("daily", path=path).newest == ZERO
 
 
-def test_a_file_of_another_hand_counts_as_none(make_config, tmp_path: Path) -> None:
-    config = make_config()
+def test_a_file_of_another_hand_counts_as_none(tmp_path: Path) -> None:
+    config = small_config()
     kept_zeros(config, tmp_path).keep(ZERO)
     assert kept_zeros(config, tmp_path).newest == ZERO
     for other in (
@@ -304,8 +302,8 @@ def test_a_file_of_another_hand_counts_as_none(make_config, tmp_path: Path) -> N
         {"gripper__linkage__link_mm": 61.0},
         {"seed": 3},
     ):
-        assert kept_zeros(make_config(**other), tmp_path).newest is None
-    assert kept_zeros(make_config(gripper__force_max_n=12.0), tmp_path).newest == ZERO
+        assert kept_zeros(small_config(**other), tmp_path).newest is None
+    assert kept_zeros(small_config(gripper__force_max_n=12.0), tmp_path).newest == ZERO
 
 
 def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
@@ -325,11 +323,9 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", [10, 38, 45])
-def test_pads_on_each_other_contradict_no_message_at_twice_the_noise(
-    make_bench, make_config, seed: int
-) -> None:
+def test_pads_on_each_other_contradict_no_message_at_twice_the_noise(make_bench, seed: int) -> None:
     """A load on all taxels has a centre that their noise moves far, at the release too."""
     noisy = {"simulator__noise_level": 2.0, "tactile__tare_frames": 100}
-    bench = make_bench(make_config(self_zero="always", seed=seed, **noisy))
+    bench = make_bench(small_config(self_zero="always", seed=seed, **noisy))
     bench.controller.start()
     assert bench.controller.self_zero is not None

@@ -25,6 +25,7 @@ from cell.errors import CellStateError, CellStopped
 from docs.tools.states_page import DOES, GRASP_DOES, states_page
 from gripper.state import GraspResult, GripperPhase
 from tactile.errors import BusOff
+from tests.cell.conftest import MakeBench
 
 IDLE = (CellState.STARTING, CellState.IDLE)
 HELD = (*IDLE, CellState.EXECUTE, CellState.HOLDING, CellState.HELD)
@@ -205,9 +206,7 @@ def test_the_page_names_each_state_and_each_accepted_command() -> None:
 
 
 @pytest.mark.parametrize("state", CellState)
-def test_a_refused_command_changes_nothing(
-    state: CellState, make_bench: Callable[..., Any]
-) -> None:
+def test_a_refused_command_changes_nothing(state: CellState, make_bench: MakeBench) -> None:
     walk = Walk(make_bench())
     refused = [command for command in Command if not answer(state, command).accepted]
     assert refused
@@ -230,7 +229,7 @@ ACCEPTED = [(s, c) for s in CellState for c in Command if answer(s, c).accepted]
 
 @pytest.mark.parametrize(("state", "command"), ACCEPTED)
 def test_an_accepted_command_goes_the_way_of_the_table(
-    state: CellState, command: Command, make_bench: Callable[..., Any], tmp_path: Path
+    state: CellState, command: Command, make_bench: MakeBench, tmp_path: Path
 ) -> None:
     walk = Walk(make_bench(folder=tmp_path))
     held = state in (CellState.COMPLETE, CellState.HELD, CellState.ABORTED, CellState.RESETTING)

@@ -16,14 +16,15 @@ from cell.data.recording_recovery import RECOVERED, recover_recording
 from cell.errors import RecordingError
 from cell.interfaces.cli.app import app
 from tactile.frames.codec import TactileFrame
+from tests.cell.conftest import plain_grasp
 
 
 @pytest.fixture
-def recording(tmp_path: Path, make_grasp: Any) -> Path:
+def recording(tmp_path: Path) -> Path:
     """Forty grasps of twelve frames, in several chunks."""
     rng = np.random.default_rng(0)
     grasps = [
-        make_grasp(f"object {i}", counts=rng.integers(500, 4096, (12, 24))) for i in range(40)
+        plain_grasp(f"object {i}", counts=rng.integers(500, 4096, (12, 24))) for i in range(40)
     ]
     path = tmp_path / "r.mcap"
     with Recorder(path, time, pads=grasps[0].pads) as recorder:

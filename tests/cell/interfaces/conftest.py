@@ -148,12 +148,12 @@ def tls(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def make_plugin(make_config: Any) -> Iterator[Callable[..., Any]]:
+def make_plugin() -> Iterator[Callable[..., Any]]:
     """Return the maker of plugins on small simulated cells."""
     made: list[Any] = []
 
     def make(config: CellConfig | None = None, **options: Any) -> Any:
-        made.append(TactileCellPlugin(config or make_config(), **options))
+        made.append(TactileCellPlugin(config or small_config(), **options))
         return made[-1]
 
     yield make

@@ -45,7 +45,7 @@ from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
 from simulator.faults.injector import VOCABULARY
-from tests.cell.conftest import call, once
+from tests.cell.conftest import call, once, plain_grasp
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
 
@@ -632,7 +632,7 @@ def test_simulate_announces_one_line_and_a_ready_config_without_its_faults(
 
 
 def test_simulate_plays_records_that_fit(
-    tmp_path: Path, dataset: Path, make_grasp: Any, monkeypatch: pytest.MonkeyPatch, fail: Any
+    tmp_path: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch, fail: Any
 ) -> None:
     from cell.jobs import simulate as simulating
     from simulator.errors import EndpointError
@@ -642,7 +642,7 @@ def test_simulate_plays_records_that_fit(
     call("simulate", "--frames", dataset)
     assert len(served[0].grasps) == 10
     wide = tmp_path / "wide.npz"
-    write_dataset(wide, [make_grasp("a")])
+    write_dataset(wide, [plain_grasp("a")])
     said = fail("simulate", "--frames", wide)
     assert "opens to 40.0 mm" in said
 
@@ -663,12 +663,12 @@ def test_all_faults_are_listed() -> None:
 
 
 @pytest.fixture
-def files(tmp_path: Path, taught: Any, config: Path, make_grasp: Any) -> dict[str, Path]:
+def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
     """Files that jobs refuse, and some that they take."""
     names = ("other.npz", "nameless.npz", "empty.mcap", "made.npz", "none.npz")
     paths = {name.split(".")[0]: tmp_path / name for name in names}
-    write_dataset(paths["other"], [make_grasp("a")] * 3)
-    write_dataset(paths["nameless"], [make_grasp("")])
+    write_dataset(paths["other"], [plain_grasp("a")] * 3)
+    write_dataset(paths["nameless"], [plain_grasp("")])
     Recorder(paths["empty"], Clock(), pads=taught.grasps[0].pads).close()
     operated = config.read_text().replace("kind: simulated\n", "kind: operator\n")
     placed = operated.replace("places: []", "places:\n  - {label: ball, place: left}")

@@ -17,6 +17,7 @@ from tactile.frames.codec import FrameFormat, TactileFrame, crc16, encode_frame
 from tactile.frames.force_message import ForceMessage, ForceStatus, encode_force_message
 from tactile.layout import Pad, TaxelLayout, paper_layout, pinch_layout
 from tactile.unit.dbc import dbc_text
+from tests.cell.conftest import small_config
 
 NODE = 5
 HEARTBEAT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
@@ -57,10 +58,8 @@ class Listener:
 
 
 @pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=lambda one: one.name)
-def test_a_whole_grasp_decodes_to_the_same_samples(
-    layout: TaxelLayout, make_config: Any, make_bench: Any
-) -> None:
-    bench = make_bench(make_config(tactile__layout=layout.name))
+def test_a_whole_grasp_decodes_to_the_same_samples(layout: TaxelLayout, make_bench: Any) -> None:
+    bench = make_bench(small_config(tactile__layout=layout.name))
     traffic: list[tuple[int, bytes]] = []
     bench.simulated.can_bus.capture.append(
         lambda _t_s, can_id, data: traffic.append((can_id, data))
@@ -203,9 +202,9 @@ def test_a_unit_without_force_messages_sends_its_frames_where_they_always_were()
     assert "PadForces" not in text
 
 
-def test_the_command_writes_the_file_of_a_config(make_config: Any, tmp_path: Path) -> None:
+def test_the_command_writes_the_file_of_a_config(tmp_path: Path) -> None:
     config, output = tmp_path / "cell.yaml", tmp_path / "cell.dbc"
-    config.write_text(config_text(make_config(tactile__layout="pinch", tactile__node_id=9)))
+    config.write_text(config_text(small_config(tactile__layout="pinch", tactile__node_id=9)))
     call = CliRunner().invoke
     assert call(app, ["dbc", "-c", str(config), "-o", str(output)]).exit_code == 0
     assert call(app, ["dbc", "-c", str(config)]).stdout == output.read_text(encoding="ascii")

@@ -1,14 +1,11 @@
 """Health of a cell: its levels follow the limits of the config."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from cell.config.model import CellConfig
 from cell.interfaces.plugin.health import health_values
-
-MakeConfig = Callable[..., CellConfig]
+from tests.cell.conftest import small_config
 
 
 @pytest.mark.parametrize(
@@ -28,8 +25,8 @@ def test_heat_is_judged_by_the_limit_and_where_the_current_is_lowered(
     assert health_values(config, bench.cell, None)["servos"]["level"] == level
 
 
-def test_lost_frames_are_judged_by_their_limit(make_config: Any, make_bench: Any) -> None:
-    bench = make_bench(make_config(tactile__loss_max_share=0.5)).ready()
+def test_lost_frames_are_judged_by_their_limit(make_bench: Any) -> None:
+    bench = make_bench(small_config(tactile__loss_max_share=0.5)).ready()
     assert health_values(bench.config, bench.cell, None)["can"]["level"] == "ok"
     bench.simulated.inject("can.lose_next=12")
     for _ in range(50):
@@ -37,5 +34,5 @@ def test_lost_frames_are_judged_by_their_limit(make_config: Any, make_bench: Any
         bench.controller.tick()
     can = health_values(bench.config, bench.cell, None)["can"]
     assert can["level"] == "watch"
-    strict = make_config(tactile__loss_max_share=0.001)
+    strict = small_config(tactile__loss_max_share=0.001)
     assert health_values(strict, bench.cell, None)["can"]["level"] == "bad"

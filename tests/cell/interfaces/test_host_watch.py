@@ -12,6 +12,7 @@ from cell.errors import RecordingError
 from cell.interfaces.plugin.host_watch import HostWatch
 from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
 from cell.interfaces.plugin.worker import JobOutcome
+from tests.cell.conftest import small_config
 from tests.cell.interfaces.conftest import LIMIT_S, until
 from tests.fuzz.harness import Clock
 
@@ -40,8 +41,8 @@ def test_a_silence_while_a_job_runs_is_told_once_and_again_after_the_host_was_he
         assert look(50_000.0) == [3601.0, 3601.0]
 
 
-def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read(make_config: Any) -> None:
-    with TactileCellPlugin(make_config(host_timeout_s=0.2)) as plugin:
+def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
+    with TactileCellPlugin(small_config(host_timeout_s=0.2)) as plugin:
         controller = plugin._cell.controller
         job = plugin.start(TeachGoal(label="ball", grasps=1000))
         until(lambda: not plugin._worker.running)
@@ -56,8 +57,8 @@ def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read(make_config: A
         assert plugin.status().state_number == CellState.IDLE.number
 
 
-def test_each_call_of_the_host_is_heard(make_config: Any) -> None:
-    with TactileCellPlugin(make_config(host_timeout_s=1000.0)) as plugin:
+def test_each_call_of_the_host_is_heard() -> None:
+    with TactileCellPlugin(small_config(host_timeout_s=1000.0)) as plugin:
         for call in (plugin.alive, plugin.state, plugin.status, plugin.fault, plugin.forget_drift):
             plugin._watch._heard_s = -1.0
             call()
@@ -65,9 +66,9 @@ def test_each_call_of_the_host_is_heard(make_config: Any) -> None:
 
 
 def test_a_lost_recording_holds_the_grasp_where_the_config_says_so(
-    make_bench: Any, make_config: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = make_bench(make_config(recording__when_lost="hold"), folder=tmp_path).ready()
+    bench = make_bench(small_config(recording__when_lost="hold"), folder=tmp_path).ready()
     write = DirectFile.write
 
     def refuse(_self: DirectFile, _data: bytes) -> int:

@@ -37,7 +37,7 @@ from gripper.errors import ServoFault, VerificationFailed
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import FrameTimeout, NodeMissing
-from tests.cell.conftest import once
+from tests.cell.conftest import once, small_config
 from tests.cell.interfaces.conftest import LIMIT_S, done, grip_n, until
 
 
@@ -59,7 +59,7 @@ def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n
 
 
 def test_a_gauge_says_under_which_foam_shapes_are_read(
-    make_plugin: Any, make_config: Any, taught: Any, tmp_path: Path
+    make_plugin: Any, taught: Any, tmp_path: Path
 ) -> None:
     gauge = tmp_path / "gauge.npz"
     balls = [replace(grasp, label="master") for grasp in taught.grasps if grasp.label == "ball"]
@@ -206,13 +206,13 @@ def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: 
 
 @pytest.mark.parametrize("host_timeout_s", [None, 1000.0])
 def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
-    plugin_class: Any, make_config: Any, taught: Any, host_timeout_s: float | None
+    plugin_class: Any, taught: Any, host_timeout_s: float | None
 ) -> None:
     class Host:
         """A host whose mover refers to it, so that only the collector finds that nobody does."""
 
         def __init__(self) -> None:
-            config = make_config().model_copy(update={"host_timeout_s": host_timeout_s})
+            config = small_config().model_copy(update={"host_timeout_s": host_timeout_s})
             self.plugin = plugin_class(config, mover=self.move, model=taught.result.model)
 
         def move(self, pose: Pose) -> None:
@@ -238,10 +238,8 @@ def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
 # -- faults ------------------------------------------------------------------------------------
 
 
-def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(
-    make_plugin: Any, make_config: Any
-) -> None:
-    plugin = make_plugin(make_config(simulator__faults=["servo1.overload"]))
+def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(make_plugin: Any) -> None:
+    plugin = make_plugin(small_config(simulator__faults=["servo1.overload"]))
     assert plugin.state() == "ABORTED"
     assert "0x20: overload" in plugin.fault()
     with pytest.raises(CellStateError, match="0x20: overload"):
@@ -281,12 +279,12 @@ def test_a_reset_with_the_part_still_held_is_refused_and_can_be_repaired(plugin:
     [("unit.off", NodeMissing), ("servo1.off", VerificationFailed)],
 )
 def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
-    plugin_class: Any, make_config: Any, meddle: Any, fault: str, error: type[Exception]
+    plugin_class: Any, meddle: Any, fault: str, error: type[Exception]
 ) -> None:
     built = meddle(lambda made: made.simulated.inject(fault))
     threads = threading.active_count()
     with pytest.raises(error):
-        plugin_class(make_config())
+        plugin_class(small_config())
     assert built[-1].simulated.clock.on_advance == []
     assert threading.active_count() == threads
 
@@ -500,15 +498,11 @@ def test_too_few_grasps_to_learn_from_abort_the_job_not_the_cell(make_plugin: An
 
 
 def test_a_model_of_other_pads_is_refused_before_the_cell_is_touched(
-    plugin_class: Any,
-    make_config: Any,
-    taught: Any,
-    tmp_path: Path,
-    meddle: Any,
+    plugin_class: Any, taught: Any, tmp_path: Path, meddle: Any
 ) -> None:
     touched = meddle(lambda _made: None)
     with pytest.raises(ModelError, match="teach again on these pads"):
-        plugin_class(make_config(tactile__layout="pinch"), model=taught.result.model)
+        plugin_class(small_config(tactile__layout="pinch"), model=taught.result.model)
     with pytest.raises(ConfigError, match=r"none\.yaml"):
         plugin_class(str(tmp_path / "none.yaml"))
     assert touched == []

@@ -16,6 +16,7 @@ from cell.control.states import CellState
 from cell.errors import CellStopped, PositionerError
 from cell.interfaces.cli import terminal as asking
 from cell.interfaces.cli.signals import stopping
+from tests.cell.conftest import small_config
 
 LIMIT_S = 10.0
 
@@ -145,12 +146,10 @@ def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> No
     assert (ended.returncode, ended.stdout) == (0, b"closed\ntold\n")
 
 
-def test_a_stop_does_not_wait_for_whoever_moves_the_object(
-    make_bench: Any, make_config: Any
-) -> None:
+def test_a_stop_does_not_wait_for_whoever_moves_the_object(make_bench: Any) -> None:
     answered = threading.Event()
     bench = make_bench(
-        make_config(positioner__kind="operator"),
+        small_config(positioner__kind="operator"),
         ask=lambda _text: "" if answered.wait(LIMIT_S) else "q",
     )
     bench.controller.start()
@@ -171,9 +170,7 @@ def test_a_stop_does_not_wait_for_whoever_moves_the_object(
     bench.controller.present("ball")
 
 
-def test_a_stop_while_the_object_is_moved_for_a_grasp_holds(
-    make_bench: Any, make_config: Any
-) -> None:
+def test_a_stop_while_the_object_is_moved_for_a_grasp_holds(make_bench: Any) -> None:
     moving, go_on = threading.Event(), threading.Event()
 
     def ask(_text: str) -> str:
@@ -181,7 +178,7 @@ def test_a_stop_while_the_object_is_moved_for_a_grasp_holds(
         go_on.wait(LIMIT_S)
         return ""
 
-    bench = make_bench(make_config(positioner__kind="operator"), ask=ask)
+    bench = make_bench(small_config(positioner__kind="operator"), ask=ask)
     bench.controller.start()
     bench.simulated.clock.on_advance.append(
         lambda _now_s: bench.controller.cancel() if moving.is_set() else None

@@ -19,6 +19,7 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.jobs.doctor import Finding, _boards, examine
 from cell.simulation import simulated_cell
+from tests.cell.conftest import small_config
 from tests.faults.scenarios.axes import CHANGES
 
 REAL = {
@@ -147,13 +148,9 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
     ],
 )
 def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
-    make_config: Callable[..., CellConfig],
-    boards: tuple[int, int],
-    named: list[int] | None,
-    verdict: Verdict,
-    advice: str,
+    boards: tuple[int, int], named: list[int] | None, verdict: Verdict, advice: str
 ) -> None:
-    config = make_config(tactile__board_serial_numbers=named, **REAL)
+    config = small_config(tactile__board_serial_numbers=named, **REAL)
     finding = _boards(boards, config)
     assert finding.verdict is verdict
     assert advice in finding.advice
@@ -214,8 +211,8 @@ def test_lost_frames_are_a_warning(altered: Callable[..., list[Finding]]) -> Non
     assert "terminating resistors" in finding.advice
 
 
-def test_wrong_ports_are_named_with_what_to_do(make_config: Callable[..., CellConfig]) -> None:
-    findings = by_name(list(examine(make_config(**REAL))))
+def test_wrong_ports_are_named_with_what_to_do() -> None:
+    findings = by_name(list(examine(small_config(**REAL))))
     assert findings["servo port"].verdict is Verdict.FAIL
     assert "does not exist" in findings["servo port"].found
     assert "gripper.port" in findings["servo port"].advice
@@ -224,11 +221,11 @@ def test_wrong_ports_are_named_with_what_to_do(make_config: Callable[..., CellCo
 
 
 def test_a_port_without_rights_and_one_with(
-    make_config: Callable[..., CellConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     port = tmp_path / "ttyX"
     port.write_text("")
-    config = make_config(**REAL | {"gripper__port": str(port)})
+    config = small_config(**REAL | {"gripper__port": str(port)})
     assert by_name(list(examine(config)))["servo port"].verdict is Verdict.PASS
     monkeypatch.setattr("os.access", lambda *_: False)
     finding = by_name(list(examine(config)))["servo port"]

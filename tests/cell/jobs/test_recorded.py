@@ -1,7 +1,6 @@
 """Jobs over recorded grasps: evaluate, replay, identify."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from cell.jobs.identify import identify_on_cell, identify_recorded
 from cell.jobs.replay import replay_grasps
 from cell.learning.model import LoadedModel
 from cell.learning.taught_model import TaughtModel
+from tests.cell.conftest import MakeBench, plain_grasp, small_config
 
 SPLIT = "chronological:0.6"
 
@@ -46,7 +46,7 @@ def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
     assert told[-1] == ("evaluate", 4, 4)
 
 
-def test_what_cannot_be_evaluated_says_why(taught: Any, make_grasp: Callable[..., Any]) -> None:
+def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
     def evaluated(grasps: Any, **changes: Any) -> Any:
         options = {"split": SPLIT, "names": ["force_ramp"], "progress": silent}
         return evaluate_recognizers(grasps, **options | changes)
@@ -54,11 +54,11 @@ def test_what_cannot_be_evaluated_says_why(taught: Any, make_grasp: Callable[...
     with pytest.raises(CellError, match="not understood"):
         evaluated(taught.grasps, split="halves")
     with pytest.raises(CellError, match="has no label"):
-        evaluated([make_grasp("")])
+        evaluated([plain_grasp("")])
     with pytest.raises(CellError, match=r"to train and .* to test; both need at least one"):
         evaluated(taught.grasps, train=())
     with pytest.raises(CellError, match="different pads"):
-        evaluated(taught.grasps, train=[make_grasp("ball")])
+        evaluated(taught.grasps, train=[plain_grasp("ball")])
     with pytest.raises(CellError, match="force_ramp cannot be evaluated"):
         evaluated(taught.grasps[:3], train=taught.grasps[:2])
 
@@ -106,27 +106,23 @@ def test_what_is_too_short_to_teach_is_compared_all_the_same(taught: Any, n: int
     assert "ball" in result.unnamed
 
 
-def test_other_pads_wide_openings_and_unknown_ones_are_replayed(
-    make_grasp: Callable[..., Any],
-) -> None:
-    wide = make_grasp("", aperture_m=np.linspace(0.12, 0.02, 12))
-    partly = make_grasp("", aperture_m=np.where(np.arange(12) < 4, np.nan, 0.03))
-    still = make_grasp("", t_s=np.zeros(12), aperture_m=np.full(12, np.nan))
+def test_other_pads_wide_openings_and_unknown_ones_are_replayed() -> None:
+    wide = plain_grasp("", aperture_m=np.linspace(0.12, 0.02, 12))
+    partly = plain_grasp("", aperture_m=np.where(np.arange(12) < 4, np.nan, 0.03))
+    still = plain_grasp("", t_s=np.zeros(12), aperture_m=np.full(12, np.nan))
     result = play([wide, partly, still])
     assert result.frames_equal
     assert result.frames_received == 36
     assert result.aperture_error_m < 1e-3
 
 
-def test_what_cannot_be_replayed_says_why(
-    taught: Any, make_grasp: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_what_cannot_be_replayed_says_why(taught: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="have 3 pads"):
-        play([make_grasp("", ((2, 2),) * 3)])
+        play([plain_grasp("", ((2, 2),) * 3)])
     with pytest.raises(CellError, match="not understood"):
         play(taught.grasps, split="?")
     with pytest.raises(CellError, match=r"bus\.pcap"):
-        play([make_grasp("")], capture=tmp_path / "none" / "bus.pcap")
+        play([plain_grasp("")], capture=tmp_path / "none" / "bus.pcap")
 
 
 # -- identify -------------------------------------------------------------------------------------
@@ -159,12 +155,12 @@ def loaded(taught: Any) -> LoadedModel:
     )
 
 
-def test_grasps_on_other_pads_are_refused(taught: Any, make_grasp: Callable[..., Any]) -> None:
+def test_grasps_on_other_pads_are_refused(taught: Any) -> None:
     with pytest.raises(ModelError, match=r"taught on 408 taxels in 10 pads, these .* 24 in 2"):
-        identify_recorded(loaded(taught), [make_grasp("a")])
+        identify_recorded(loaded(taught), [plain_grasp("a")])
 
 
-def test_the_cell_names_what_it_holds(make_bench: Callable[..., Any], taught: Any) -> None:
+def test_the_cell_names_what_it_holds(make_bench: MakeBench, taught: Any) -> None:
     bench = make_bench(taught.config)
     bench.controller.start()
     told: list[int] = []
@@ -180,16 +176,14 @@ def test_the_cell_names_what_it_holds(make_bench: Callable[..., Any], taught: An
     assert told == list(range(1, len(found.records) + 1))
 
 
-def test_a_real_cell_is_not_told_what_it_holds(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any], taught: Any
-) -> None:
+def test_a_real_cell_is_not_told_what_it_holds(make_bench: MakeBench, taught: Any) -> None:
     asked: list[str] = []
 
     def ask(text: str) -> str:
         asked.append(text)
         return "" if len(asked) == 1 else "q"
 
-    config = make_config(positioner__kind="operator")
+    config = small_config(positioner__kind="operator")
     bench = make_bench(config, ask=ask)
     bench.controller.start()
     model = TaughtModel(config, loaded(taught))
@@ -198,11 +192,9 @@ def test_a_real_cell_is_not_told_what_it_holds(
     assert "the object to identify" in asked[0]
 
 
-def test_a_model_of_other_pads_is_refused_before_the_cell_is_built(
-    make_config: Callable[..., Any], taught: Any
-) -> None:
+def test_a_model_of_other_pads_is_refused_before_the_cell_is_built(taught: Any) -> None:
     with pytest.raises(ModelError, match="teach on these pads"):
-        TaughtModel(make_config(tactile__layout="pinch"), loaded(taught))
+        TaughtModel(small_config(tactile__layout="pinch"), loaded(taught))
 
 
 def test_an_unknown_object_has_the_probability_of_being_unknown(taught: Any) -> None:

@@ -1,7 +1,6 @@
 """The main job: teach, train, identify; its files, its figures, its page."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from cell.learning.model import load_model
 from cell.learning.training import train
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
+from tests.cell.conftest import MakeBench, plain_grasp
 
 
 def test_each_object_is_taught_and_identified(taught: Any) -> None:
@@ -105,7 +105,7 @@ def test_json_has_what_was_promised(taught: Any) -> None:
 
 
 def test_the_baseline_as_default_is_trained_once(
-    make_bench: Callable[..., Any], taught: Any, tmp_path: Path
+    make_bench: MakeBench, taught: Any, tmp_path: Path
 ) -> None:
     bench, model = make_bench(taught.config), Mock(trainer_name=BASELINE)
     assert baseline(model, ()) == {}
@@ -116,7 +116,7 @@ def test_the_baseline_as_default_is_trained_once(
 
 
 def test_the_page_shows_objects_figures_and_files(
-    make_bench: Callable[..., Any], taught: Any, tmp_path: Path
+    make_bench: MakeBench, taught: Any, tmp_path: Path
 ) -> None:
     bench = make_bench(taught.config)
     path = main_report(taught.result, taught.config, bench.cell, tmp_path / "report.html")
@@ -157,7 +157,7 @@ def test_nothing_asked_is_no_accuracy() -> None:
 
 
 def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(
-    make_bench: Callable[..., Any], taught: Any
+    make_bench: MakeBench, taught: Any
 ) -> None:
     bench = make_bench(taught.config)
     bench.controller.start()
@@ -175,7 +175,7 @@ def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_o
 
 @pytest.mark.parametrize("dataset", ["d.npz", "gone/d.npz"])
 def test_what_was_grasped_before_a_stop_is_in_the_data_set(
-    make_bench: Callable[..., Any], taught: Any, tmp_path: Path, dataset: str
+    make_bench: MakeBench, taught: Any, tmp_path: Path, dataset: str
 ) -> None:
     bench = make_bench(taught.config, folder=tmp_path)
     bench.controller.start()
@@ -233,16 +233,14 @@ def test_training_on_too_little_says_what_is_missing(taught: Any) -> None:
         train([], "level_check")
 
 
-def test_a_data_set_grows_on_the_same_pads_only(
-    tmp_path: Path, make_grasp: Callable[..., Any]
-) -> None:
+def test_a_data_set_grows_on_the_same_pads_only(tmp_path: Path) -> None:
     path = tmp_path / "d.npz"
-    append_to_dataset(path, (), [make_grasp("a")])
-    append_to_dataset(path, read_dataset(path), [make_grasp("b")])
+    append_to_dataset(path, (), [plain_grasp("a")])
+    append_to_dataset(path, read_dataset(path), [plain_grasp("b")])
     assert [grasp.label for grasp in read_dataset(path)] == ["a", "b"]
     before = path.read_bytes()
     with pytest.raises(CellError, match="on other pads"):
-        append_to_dataset(path, read_dataset(path), [make_grasp("c", ((2, 2), (2, 2)))])
+        append_to_dataset(path, read_dataset(path), [plain_grasp("c", ((2, 2), (2, 2)))])
     assert path.read_bytes() == before
 
 

@@ -1,29 +1,28 @@
 """The simulated cell as a process: who may serve in a folder."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cell.config.file import changed_config, load_config
-from cell.config.model import CellConfig
 from cell.config.tactile import link_settings
 from cell.errors import CellError
 from cell.jobs import simulate
 from simulator.settings import SimulatorSettings
+from tests.cell.conftest import small_config
 from tests.faults.scenarios.axes import CHANGES
 
 
 def test_a_folder_serves_one_simulated_cell_at_a_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make_config: Callable[..., CellConfig]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "sim"
     served: list[Path] = []
 
     def serve_here() -> None:
         simulate.serve_simulated_cell(
-            make_config(), frames=None, folder=folder, announce=lambda _line: None
+            small_config(), frames=None, folder=folder, announce=lambda _line: None
         )
 
     def serve(_settings: Any, _announce: Any, *, folder: Path, **_options: Any) -> None:
@@ -39,9 +38,9 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(
 
 
 def test_a_client_gets_the_axes_at_their_ports_and_more_patience(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make_config: Callable[..., CellConfig]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = changed_config(make_config(), CHANGES)
+    config = changed_config(small_config(), CHANGES)
     found = {
         "servo_port": "servos",
         "can_interface": "slcan",

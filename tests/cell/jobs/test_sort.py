@@ -12,6 +12,7 @@ from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
 from cell.jobs.sort import Places, SortedPart, Tally, simulated_feed, sort_parts
 from cell.learning.taught_model import TaughtModel
 from recognition.recognizer import UNKNOWN
+from tests.cell.conftest import MakeBench
 
 BINS = [{"label": "ball", "place": "bin 1"}, {"label": "box", "place": "bin 2"}]
 STRANGE = {"label": "rod", "shape": "cylinder:diameter=6mm,length=20mm"}
@@ -20,7 +21,7 @@ STRANGE = {"label": "rod", "shape": "cylinder:diameter=6mm,length=20mm"}
 class Sorter:
     """A cell that sorts, and what its host saw at each place."""
 
-    def __init__(self, make_bench: Callable[..., Any], taught: Any, **changes: Any) -> None:
+    def __init__(self, make_bench: MakeBench, taught: Any, **changes: Any) -> None:
         objects = [entry.model_dump() for entry in taught.config.simulator.objects]
         config = changed_config(
             taught.config,
@@ -52,7 +53,7 @@ class Sorter:
 
 
 @pytest.fixture
-def sorter(make_bench: Callable[..., Any], taught: Any) -> Sorter:
+def sorter(make_bench: MakeBench, taught: Any) -> Sorter:
     return Sorter(make_bench, taught)
 
 
@@ -134,7 +135,7 @@ def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
 
 
 def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
-    make_bench: Callable[..., Any], taught: Any
+    make_bench: MakeBench, taught: Any
 ) -> None:
     sorter = Sorter(make_bench, taught, **{"sequence.x_mm": [0.0, 0.0]})
     positioner = sorter.controller._positioner

@@ -1,7 +1,6 @@
 """The model of the built-in cell in the user's cache: found by what it was taught with, or not."""
 
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import pytest
 from cell.interfaces.cli.commands.run import _keep_for_serve
 from cell.jobs import taught_cache
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
+from tests.cell.conftest import small_config
 
 
 @pytest.fixture
@@ -34,15 +34,11 @@ def test_a_kept_model_is_found_and_replaced(kept: Path, taught: Any, tmp_path: P
 
 
 def test_a_model_of_another_config_version_or_code_is_not_found(
-    kept: Path,
-    taught: Any,
-    make_config: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+    kept: Path, taught: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    same = make_config(seed=taught.config.seed, serve__http_port=0, recording__directory="there")
+    same = small_config(seed=taught.config.seed, serve__http_port=0, recording__directory="there")
     assert cached_model(same) == kept
-    assert cached_model(make_config(simulator__noise_level=1.5)) is None
+    assert cached_model(small_config(simulator__noise_level=1.5)) is None
     with monkeypatch.context() as patch:
         patch.setattr(taught_cache, "version", lambda _name: "99")
         assert cached_model(taught.config) is None
@@ -54,12 +50,10 @@ def test_a_model_of_another_config_version_or_code_is_not_found(
     assert cached_model(taught.config) is None
 
 
-def test_few_models_are_kept(
-    kept: Path, make_config: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_few_models_are_kept(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(taught_cache, "_code", list)
     for seed in range(9):
-        made = keep_model(make_config(seed=seed), lambda folder: (folder / MODEL_FILE).touch())
+        made = keep_model(small_config(seed=seed), lambda folder: (folder / MODEL_FILE).touch())
     folders = list(kept.parent.parent.iterdir())
     assert len(folders) == 4
     assert made.parent in folders

@@ -3,16 +3,15 @@
 import shutil
 import subprocess
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from cell.build import build_cell
-from cell.config.model import CellConfig
 from cell.jobs.common import silent
 from cell.jobs.run import teach_and_identify
 from simulator.can.capture import PcapWriter
+from tests.cell.conftest import small_config
 
 TSHARK = shutil.which("tshark")
 MESSAGES_A_FRAME = 59
@@ -35,11 +34,9 @@ def decode(capture: Path, *arguments: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_a_captured_sequence_is_canopen_to_tshark(
-    make_config: Callable[..., CellConfig], tmp_path: Path
-) -> None:
+def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
     capture = tmp_path / "sequence.pcap"
-    config = make_config()
+    config = small_config()
     cell = build_cell(config, capture=capture)
     cell.controller.start()
     result = teach_and_identify(

@@ -1,6 +1,6 @@
 """The linear algebra has one thread while a cell works, and the host's number of threads after."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
 from recognition.recognizer import Posterior
+from tests.cell.conftest import MakeBench
 
 HOST_THREADS = 2
 
@@ -42,7 +43,7 @@ def test_an_error_gives_the_threads_back() -> None:
 
 
 def test_training_and_answering_have_one_thread(
-    make_bench: Callable[..., Any], taught: Any, monkeypatch: pytest.MonkeyPatch
+    make_bench: MakeBench, taught: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[set[int]] = []
 

@@ -1,7 +1,6 @@
 """Teaching from a drawing, the gauge, and shape and size on the command line."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from recognition.recognizer import UNKNOWN
 from recognition.recognizers import make_trainer
 from recognition.shape.foam import FoamModel, PadBed
 from simulator.world.taxels import ideal_counts
+from tests.cell.conftest import plain_grasp
 
 BALL = "sphere:diameter=9.5mm"
 BOX = "box:length=15.9mm,width=10mm,height=10mm"
@@ -343,7 +343,7 @@ def test_an_object_beside_the_pads_is_refused() -> None:
         teach_drawing(config.model_copy(update={"sequence": sequence}), "b", drawn_shape(BALL), 1)
 
 
-def test_what_a_gauge_must_be(taught: Any, make_grasp: Callable[..., Any]) -> None:
+def test_what_a_gauge_must_be(taught: Any) -> None:
     config, ball = taught.config, drawn_shape(BALL)
     pads = taught.grasps[0].pads
     with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
@@ -353,11 +353,11 @@ def test_what_a_gauge_must_be(taught: Any, make_grasp: Callable[..., Any]) -> No
     wrong = calibrate_on_gauge([g for g in taught.grasps if g.label == "box"], ball, pads)
     assert "is this the gauge's shape?" in str(wrong)
     with pytest.raises(CellError, match="'thing' is not known: add --gauge-shape"):
-        gauge_shape([make_grasp("thing")], None, config)
+        gauge_shape([plain_grasp("thing")], None, config)
     with pytest.raises(ConfigError, match="unknown shape"):
-        gauge_shape([make_grasp("thing")], "thing", config)
+        gauge_shape([plain_grasp("thing")], "thing", config)
     with pytest.raises(CellError, match="on 24 taxels, this cell has 408"):
-        calibrate_on_gauge([make_grasp("thing")], ball, pads)
+        calibrate_on_gauge([plain_grasp("thing")], ball, pads)
     with pytest.raises(CellError, match="the gauge cannot be used"):
         calibrate_on_gauge(taught.grasps[:1], ball, pads)
 

@@ -1,6 +1,6 @@
 """A running cell follows the drift of its sensors, says so once, and can keep it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,6 +29,7 @@ from recognition.drift.grid import DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.statistics.fusion import Decision, DecisionKind
+from tests.cell.conftest import plain_grasp, small_config
 
 DRIFT = Drift(gains=(float(np.exp(-1 / 3)),), aperture_offset_m=-4e-3)
 
@@ -78,9 +79,9 @@ def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early:
     return SimpleNamespace(grasp=grasp, outcome=outcome, early=None)
 
 
-def model_of(make_config: Callable[..., Any], recognizer: Any, **changes: object) -> TaughtModel:
+def model_of(recognizer: Any, **changes: object) -> TaughtModel:
     """Return a model with that recogniser."""
-    model = TaughtModel(make_config(**changes))
+    model = TaughtModel(small_config(**changes))
     model._recognizer = recognizer
     return model
 
@@ -91,10 +92,8 @@ def identified(model: TaughtModel, *records: Any) -> str:
     return model.identify(controller, held=None, seed=0).remark
 
 
-def test_it_learns_after_each_answer_and_speaks_once(
-    make_config: Callable[..., Any], make_grasp: Callable[..., Grasp]
-) -> None:
-    model, one = model_of(make_config, Follower()), record(make_grasp("ball"))
+def test_it_learns_after_each_answer_and_speaks_once() -> None:
+    model, one = model_of(Follower()), record(plain_grasp("ball"))
     assert identified(model, one) == ""
     assert identified(model, one) == (
         "the sensors have drifted since teaching: gain 0.72, opening -4.0 mm"
@@ -104,10 +103,8 @@ def test_it_learns_after_each_answer_and_speaks_once(
     assert identified(model, one) == ""
 
 
-def test_only_whole_ramps_that_held_something_teach(
-    make_config: Callable[..., Any], make_grasp: Callable[..., Grasp]
-) -> None:
-    model, grasp = model_of(make_config, Follower()), make_grasp("ball")
+def test_only_whole_ramps_that_held_something_teach() -> None:
+    model, grasp = model_of(Follower()), plain_grasp("ball")
     weak = record(grasp, GraspResult.FORCE_NOT_REACHED)
     identified(model, weak, record(grasp, early=True))
     assert model.drift.n_followed == 0
@@ -117,22 +114,18 @@ def test_only_whole_ramps_that_held_something_teach(
     assert model.drift.n_followed == 0
 
 
-def test_others_stay_as_they_are(
-    make_config: Callable[..., Any], make_grasp: Callable[..., Grasp]
-) -> None:
-    one = record(make_grasp("ball"))
+def test_others_stay_as_they_are() -> None:
+    one = record(plain_grasp("ball"))
     off: Any = {"recognition.follow_drift": False}
-    for model in (model_of(make_config, Plain()), model_of(make_config, Follower(), **off)):
+    for model in (model_of(Plain()), model_of(Follower(), **off)):
         before = model.recognizer
         assert [identified(model, one) for _ in range(3)] == 3 * [""]
         assert model.recognizer is before
 
 
-def test_recorded_grasps_are_followed_in_the_order_of_time(
-    make_grasp: Callable[..., Grasp],
-) -> None:
+def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
     times = {"b": 30, "c": 40, "a": 20, "d": 10}
-    grasps = [replace(make_grasp("ball"), source=k, start_ms=t) for k, t in times.items()]
+    grasps = [replace(plain_grasp("ball"), source=k, start_ms=t) for k, t in times.items()]
     model: Any = SimpleNamespace(
         recognizer=Follower(), trainer_name="force_ramp", pads=grasps[0].pads
     )
@@ -175,8 +168,6 @@ class Grasping:
 
 
 def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
-    make_config: Callable[..., Any],
-    make_grasp: Callable[..., Grasp],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     taught_with: list[list[Grasp]] = []
@@ -186,8 +177,8 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
         return Trained(recognizer=Follower(), trainer_name=name)
 
     monkeypatch.setattr("cell.learning.taught_model.train", train)
-    controller: Any = Grasping(make_grasp("ball"))
-    model, told = TaughtModel(make_config()), list[Any]()
+    controller: Any = Grasping(plain_grasp("ball"))
+    model, told = TaughtModel(small_config()), list[Any]()
     cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
     cell.teach(TeachGoal(label="ball", grasps=1), told.append)
     assert np.array_equal(taught_with[0][0].counts, controller.given.counts)
@@ -275,9 +266,9 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught: Any) -> No
 
 
 def test_a_model_that_was_taught_without_a_self_zero_is_named_once(
-    taught: Any, make_bench: Any, make_config: Any
+    taught: Any, make_bench: Any
 ) -> None:
-    bench = make_bench(make_config(self_zero="always")).ready()
+    bench = make_bench(small_config(self_zero="always")).ready()
     model = TaughtModel.load(bench.config, taught.result.model)
     first, second = (model.identify(bench.controller, held="ball", seed=s) for s in (1, 2))
     assert "was taught without a self-zero" in first.remark

@@ -23,6 +23,7 @@ from recognition.errors import ContactError
 from recognition.ramp.ramp import learn_rest
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.recognizers.early_classifiers import EarlyClassifiers
+from tests.cell.conftest import MakeBench, small_config
 
 STEP = GraspStep(pose=Pose(), force_n=6.0)
 
@@ -72,7 +73,7 @@ def heads_of(taught: Any, *heads: Saying) -> EarlyClassifiers:
 
 
 def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
-    make_bench: Callable[..., Any], taught: Any, tmp_path: Path
+    make_bench: MakeBench, taught: Any, tmp_path: Path
 ) -> None:
     bench = make_bench(folder=tmp_path).ready()
     unsure, sure, whole = Saying(0.6), Saying(0.999), Saying(0.001)
@@ -169,7 +170,7 @@ def test_a_stop_comes_before_the_end_of_the_ramp(bench: Any, taught: Any) -> Non
 
 
 def test_objects_are_named_in_less_time_and_none_wrongly(
-    make_bench: Callable[..., Any], taught: Any
+    make_bench: MakeBench, taught: Any
 ) -> None:
     bench = make_bench(taught.config).ready()
     model = TaughtModel.load(taught.config, taught.result.model)
@@ -200,7 +201,7 @@ def test_a_model_keeps_what_it_was_taught_with_ramps_cut_short(taught: Any) -> N
 
 
 def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(
-    make_bench: Callable[..., Any], taught: Any
+    make_bench: MakeBench, taught: Any
 ) -> None:
     for name, use_aperture in (("level_check", True), ("force_ramp", False)):
         trained = train(taught.grasps, name, use_aperture=use_aperture, early=True)
@@ -238,7 +239,7 @@ def test_heads_that_do_not_fit_their_model_are_refused(
 
 
 def test_a_model_taught_without_ramps_cut_short_says_once_that_its_ramps_are_whole(
-    make_bench: Callable[..., Any], taught: Any, tmp_path: Path
+    make_bench: MakeBench, taught: Any, tmp_path: Path
 ) -> None:
     bench = make_bench(taught.config).ready()
     path = resaved(load_model(taught.result.model), tmp_path / "m.npz", {})
@@ -262,9 +263,7 @@ def resaved(model: LoadedModel, path: Path, sections: Any) -> Path:
     return path
 
 
-def test_ramps_are_whole_where_the_loop_would_wait_for_answers(
-    make_config: Callable[..., Any],
-) -> None:
+def test_ramps_are_whole_where_the_loop_would_wait_for_answers() -> None:
     ports = {
         "gripper__port": "/dev/ttyUSB0",
         "tactile__interface": "socketcan",
@@ -272,15 +271,13 @@ def test_ramps_are_whole_where_the_loop_would_wait_for_answers(
         "positioner__kind": "operator",
         "loop__own_process": False,
     }
-    assert make_config().decides_early
-    assert not make_config(**ports).decides_early
-    assert make_config(**{**ports, "loop__own_process": True}).decides_early
+    assert small_config().decides_early
+    assert not small_config(**ports).decides_early
+    assert small_config(**{**ports, "loop__own_process": True}).decides_early
 
 
-def test_what_a_plugin_was_taught_decides_early_and_is_saved(
-    make_config: Callable[..., Any], tmp_path: Path
-) -> None:
-    config = make_config(sequence__max_grasps=1)
+def test_what_a_plugin_was_taught_decides_early_and_is_saved(tmp_path: Path) -> None:
+    config = small_config(sequence__max_grasps=1)
     with TactileCellPlugin(config) as plugin:
         plugin.result(plugin.start({"task": "teach", "label": "box", "grasps": 6}), 60.0)
         answer = plugin.result(plugin.start({"task": "identify", "present": "box"}), 60.0)

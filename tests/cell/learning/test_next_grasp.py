@@ -18,6 +18,7 @@ from cell.learning.taught_model import TaughtModel
 from cell.learning.training import MEMORY_SECTION, load_pose_memory, train
 from recognition.recognizer import Posterior
 from recognition.statistics.next_grasp import PoseMemory
+from tests.cell.conftest import small_config
 
 LABELS = ("ball", "box")
 CONFIG = SequenceConfig(kind="active", candidates=16)
@@ -87,10 +88,10 @@ def test_a_model_with_poses_is_chosen_by_and_one_without_is_refused(
 
 
 def test_identify_chooses_by_the_memory_in_the_model(
-    taught: Any, make_config: Any, make_bench: Any, tmp_path: Path
+    taught: Any, make_bench: Any, tmp_path: Path
 ) -> None:
     bare, path = load_model(taught.result.model), tmp_path / "poses.npz"
-    config = make_config(sequence__kind="active", sequence__max_grasps=1)
+    config = small_config(sequence__kind="active", sequence__max_grasps=1)
     save_model(
         path,
         bare.recognizer,

@@ -1,6 +1,6 @@
 """What a taught model shows of its objects, and how one is forgotten."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import ToldApart, told_apart
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
+from tests.cell.conftest import plain_grasp
 
 
 @pytest.fixture
@@ -81,11 +82,9 @@ class Nearsighted:
         return Posterior(labels=self.labels, probability=weights / weights.sum(), unknown=0.0)
 
 
-def test_the_nearest_object_is_that_which_grasps_look_like(
-    make_grasp: Callable[..., Grasp],
-) -> None:
+def test_the_nearest_object_is_that_which_grasps_look_like() -> None:
     grasps = [
-        make_grasp(label, start_ms=number)
+        plain_grasp(label, start_ms=number)
         for label in ("nut", "pin", "bolt")
         for number in range(1, 9)
     ]

@@ -23,6 +23,7 @@ from cell.interfaces.service import service as service_module
 from cell.interfaces.service.doors import is_for_this_machine, may_connect
 from cell.interfaces.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
+from tests.cell.conftest import small_config
 from tests.cell.interfaces.conftest import LEASE_S, until
 
 IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
@@ -421,8 +422,8 @@ def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any) 
 # -- who may connect ---------------------------------------------------------------------------
 
 
-def test_hosts_are_this_machine_and_those_allowed(make_config: Any) -> None:
-    config = make_config(
+def test_hosts_are_this_machine_and_those_allowed() -> None:
+    config = small_config(
         serve__listen="0.0.0.0", serve__allow=["192.168.1.10", "10.1.0.0/16", "fd00::/8"]
     ).serve
     for host, may in {
@@ -469,8 +470,8 @@ def test_hosts_are_this_machine_and_those_allowed(make_config: Any) -> None:
         ("localhost\n", False),
     ],
 )
-def test_requests_name_this_machine(make_config: Any, host: str, may: bool) -> None:
-    config = make_config(serve__hosts=["cell.lan", "10.0.0.7"]).serve
+def test_requests_name_this_machine(host: str, may: bool) -> None:
+    config = small_config(serve__hosts=["cell.lan", "10.0.0.7"]).serve
     assert is_for_this_machine([host], "192.0.2.1", config) is may
     assert not is_for_this_machine([host, host], "192.0.2.1", config)
     assert not is_for_this_machine([], "192.0.2.1", config)
@@ -491,10 +492,10 @@ def test_requests_name_this_machine(make_config: Any, host: str, may: bool) -> N
     ],
 )
 def test_a_config_that_opens_doors_to_nobody_in_particular_is_refused(
-    make_config: Any, changes: dict[str, Any], complaint: str
+    changes: dict[str, Any], complaint: str
 ) -> None:
     with pytest.raises(ConfigError, match=complaint):
-        make_config(**changes)
+        small_config(**changes)
 
 
 def test_the_watch_notices_a_silent_client_by_itself_and_outlives_what_goes_wrong(
