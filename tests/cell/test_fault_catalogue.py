@@ -4,7 +4,6 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -13,8 +12,7 @@ import gripper
 import motion
 import recognition
 import tactile
-from cell.control.states import CellState
-from cell.errors import CellError, CellStopped, ConfigError, PartInGrip, error_text
+from cell.errors import CellError, CellStopped, ConfigError, PartInGrip
 from cell.fault_catalogue import CATALOGUE, Fault, fault_number, fault_of
 from cell.interfaces.plugin.worker import Job, JobFailed, JobOutcome, JobStatus
 from gripper.errors import BusTimeout, FingerSilent, GripperError, PartLost, ServoMissing
@@ -118,24 +116,3 @@ def test_an_error_that_reports_another_has_its_number() -> None:
     stopped = JobStatus(outcome=JobOutcome.CANCELED, progress={}, exception=CellStopped("x"))
     assert stopped.fault_number == 512
     assert JobStatus(outcome=JobOutcome.EXECUTING, progress={}).fault_number == 0
-
-
-def test_a_latched_fault_has_its_number_in_status_and_recording(make_bench, tmp_path: Path) -> None:
-    from cell.data.recording_reader import read_recording
-    from gripper.state import GripperPhase
-
-    bench = make_bench(folder=tmp_path).ready()
-    assert bench.controller.status.fault_number == 0
-    bench.once_in(GripperPhase.RAMPING, lambda: bench.simulated.inject("unit.off"))
-    with pytest.raises(Exception) as raised:  # noqa: PT011  which one, is what the number says
-        bench.grasp(6.0)
-    number = fault_number(raised.value)
-    assert number not in (0, 599)
-    status = bench.controller.status
-    assert (status.fault, status.fault_number) == (error_text(raised.value), number)
-    bench.controller.clear()
-    assert bench.controller.state is CellState.RESETTING
-    assert bench.controller.status.fault_number == 0
-    bench.cell.close()
-    events = read_recording(bench.cell.recording_path).events
-    assert [e["fault_number"] for e in events if e["kind"] == "fault"] == [number]

@@ -13,7 +13,6 @@ from cell.commissioning.law import GRAVITY_N_KG
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.pytest_plugin.process import CellProcess
-from gripper.dynamixel.serial_port import SerialStream
 from tactile.layout import pinch_layout
 from tests.cell.commissioning.hands import WIDE_M, Hands
 from tests.cell.commissioning.terminal import Answer, Person
@@ -122,54 +121,6 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     check = ["config", "check", "tactile-cell.yaml"]
     with contextlib.closing(Person(check, tmp_path / "box")) as person:
         assert person.meet({}) == 0, person.text
-
-
-def test_a_port_that_another_program_holds_is_named(cell: CellProcess, tmp_path: Path) -> None:
-    held = SerialStream(cell.servo_port, 57600)
-    command = ["commission", "box", "--servo-port", cell.servo_port]
-    with contextlib.closing(Person(command, tmp_path)) as person:
-        assert person.meet({"Ports failed": "2"}) == 1
-        held.close()
-        assert "is used by another program" in person.text
-    assert findings(tmp_path / "box")["ports"]["status"] == "fail"
-
-
-def test_servos_that_are_wrong_are_named_until_a_person_has_mended_them(
-    tmp_path: Path,
-) -> None:
-    wrong = {
-        "servos.off": "no servo answers at any baud rate",
-        "servos.delayed=0.016": "set the latency timer of the USB adapter to 1 ms",
-        "servo2.wrong=model_number:1060": "servo 2 is XL430-W250",
-        "servo2.supply=6": "servo 2 has 6.0 V",
-    }
-    faults = iter(wrong)
-    with contextlib.ExitStack() as undo:
-        cell = CellProcess(CellConfig())
-        undo.callback(cell.end)
-        present: list[str] = [next(faults)]
-        cell.inject(present[0])
-        command = ["commission", "box", "-c", str(cell.config_path)]
-        person = undo.enter_context(contextlib.closing(Person(command, tmp_path)))
-
-        def mend(_match: object) -> str:
-            assert present, "what is sound failed"
-            cell.ask(clear=present.pop())
-            fault = next(faults, None)
-            # At last the supply is switched off and on, as the wizard asks.
-            cell.inject(fault or "servo2.reboot")
-            present.extend([fault] if fault else [])
-            return "1"
-
-        answers: dict[str, Answer] = {
-            "Do this\\? y": "y",
-            "failed\\. Mend it": mend,
-            "close them by hand": "q",
-        }
-        assert person.meet(answers, timeout_s=120.0) == 1, person.text
-    for fault, said in wrong.items():
-        assert said in person.text, fault
-    assert findings(tmp_path / "box")["servos"]["status"] == "pass"
 
 
 def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(

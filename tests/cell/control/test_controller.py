@@ -12,18 +12,9 @@ from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
-from cell.errors import (
-    CellStopped,
-    NoPartFound,
-    PlanRefused,
-    PositionerError,
-)
+from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shapes import shape_reader
-from gripper.errors import (
-    GripContradicted,
-    GripperError,
-    LimitExceeded,
-)
+from gripper.errors import GripContradicted, GripperError, LimitExceeded
 from gripper.state import GraspResult, GripperPhase
 from tactile.errors import LinkFault
 from tests.cell.conftest import MakeBench, small_config

@@ -14,14 +14,7 @@ from cell.errors import HandLost
 from cell.hand import client
 from cell.hand.client import HandProcess, LoopProcess
 from cell.hand.interface import HandStatistics, Measured
-from cell.hand.messages import (
-    Alive,
-    Answer,
-    EndRamp,
-    Fault,
-    Progress,
-    Ready,
-)
+from cell.hand.messages import Alive, Answer, EndRamp, Fault, Progress, Ready
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.force.ramp import ForceRamp

@@ -16,26 +16,13 @@ import pytest
 from cell.errors import CellStopped, HostSilent
 from cell.hand import server
 from cell.hand.interface import HandStatistics, Measured
-from cell.hand.messages import (
-    COMMANDS,
-    Alive,
-    Answer,
-    EndRamp,
-    Fault,
-    Progress,
-    Request,
-    packed,
-)
+from cell.hand.messages import COMMANDS, Alive, Answer, EndRamp, Fault, Progress, Request, packed
 from cell.hand.server import HandServer, Outbox
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, ServoFault, ServoRejected, VerificationFailed
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import Distribution, LoopStatistics
-from gripper.state import (
-    GripperPhase,
-    VerificationReport,
-    VerificationRow,
-)
+from gripper.state import GripperPhase, VerificationReport, VerificationRow
 from tactile.errors import NodeEmergency
 from tactile.frames.assembler import FrameStatistics
 from tactile.frames.codec import TactileFrame

@@ -28,7 +28,6 @@ from cell.errors import ConfigError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.run import confusion_table, print_result
-from cell.interfaces.cli.signals import stopping
 from cell.interfaces.cli.terminal import (
     ask,
     percent,
@@ -850,18 +849,6 @@ def test_help_and_completion_load_nothing_heavy(
     assert not {name.partition(".")[0] for name in loaded} & HEAVY
     assert not any(name.startswith("cell.config.") for name in loaded)
     assert len(loaded) < 400
-
-
-def test_a_second_signal_ends_at_once() -> None:
-    cancelled: list[bool] = []
-    before = signal.getsignal(signal.SIGINT)
-    with stopping(lambda: cancelled.append(True)):
-        signal.raise_signal(signal.SIGINT)
-        assert cancelled == [True]
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert cancelled == [True]
-    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_an_interrupt_outside_a_sequence_is_one(monkeypatch: pytest.MonkeyPatch, fail: Any) -> None:

@@ -7,15 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from cell.commissioning.engine import (
-    Choice,
-    Finding,
-    Left,
-    Number,
-    Question,
-    Verdict,
-    Write,
-)
+from cell.commissioning.engine import Choice, Finding, Left, Number, Question, Verdict, Write
 from cell.commissioning.ports import PortsStep
 from cell.interfaces.cli import terminal
 from cell.interfaces.cli.dialog import TerminalDialog

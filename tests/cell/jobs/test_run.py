@@ -16,18 +16,13 @@ from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
 from cell.jobs.common import job_folder, progress_of
 from cell.jobs.run import BASELINE, _scores, baseline, score
 from cell.jobs.run_report import main_report
-from cell.jobs.teach import (
-    append_to_dataset,
-    labelled,
-    name_recorded,
-    teach_to_dataset,
-)
+from cell.jobs.teach import labelled, name_recorded, teach_to_dataset
 from cell.learning.collection import Collection, grasps_of
 from cell.learning.model import load_model
 from cell.learning.training import train
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
-from tests.cell.conftest import MakeBench, plain_grasp
+from tests.cell.conftest import MakeBench
 
 
 def test_each_object_is_taught_and_identified(taught: Any) -> None:
@@ -231,17 +226,6 @@ def test_training_on_too_little_says_what_is_missing(taught: Any) -> None:
         train([taught.grasps[0], taught.grasps[5]], "force_ramp")
     with pytest.raises(CellError, match="cannot be trained on these 0 grasps"):
         train([], "level_check")
-
-
-def test_a_data_set_grows_on_the_same_pads_only(tmp_path: Path) -> None:
-    path = tmp_path / "d.npz"
-    append_to_dataset(path, (), [plain_grasp("a")])
-    append_to_dataset(path, read_dataset(path), [plain_grasp("b")])
-    assert [grasp.label for grasp in read_dataset(path)] == ["a", "b"]
-    before = path.read_bytes()
-    with pytest.raises(CellError, match="on other pads"):
-        append_to_dataset(path, read_dataset(path), [plain_grasp("c", ((2, 2), (2, 2)))])
-    assert path.read_bytes() == before
 
 
 def test_folders_of_jobs_are_never_shared(tmp_path: Path) -> None:

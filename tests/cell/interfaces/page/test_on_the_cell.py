@@ -218,23 +218,6 @@ def test_a_page_that_slept_shows_now(serve: Any, line: Any, open_page: OpenPage)
     becomes(page, "#commander", "In command: PLC")
 
 
-def test_a_part_of_the_simulated_cell_is_named_and_let_go(serve: Any, open_page: OpenPage) -> None:
-    served = serve("http", cell={})
-    page = open_page(address(served), command=True)
-    becomes(page, "#state", "Ready")
-    page.select_option("#keep", "always")
-    page.click("#do_identify")
-    becomes(page, "#state", "Part held")
-    becomes(page, "#held_name", "ball|box")
-    assert served.grip_n > 1.0
-    page.click("#strip button >> nth=-1")
-    page.wait_for_selector("#grasp_pads", state="visible")
-    page.click("#grasp_close")
-    press(page, "#do_release", 1.3)
-    becomes(page, "#state", "Ready")
-    assert served.grip_n == 0.0
-
-
 def test_a_recording_is_replayed(taught: Any, open_page: OpenPage, tmp_path: Path) -> None:
     replay = Replay(taught.result.recording)
     doors = {"modbus_port": None, "xmlrpc_port": None, "http_port": 0}

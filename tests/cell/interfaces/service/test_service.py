@@ -11,13 +11,7 @@ import pytest
 
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
-from cell.errors import (
-    CellStateError,
-    ConfigError,
-    HeldByClient,
-    NotInCommand,
-    RequestRefused,
-)
+from cell.errors import CellStateError, ConfigError, HeldByClient, NotInCommand, RequestRefused
 from cell.interfaces.plugin import worker
 from cell.interfaces.service import service as service_module
 from cell.interfaces.service.doors import is_for_this_machine, may_connect
