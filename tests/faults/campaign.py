@@ -1,7 +1,7 @@
 """A row of the fault campaign, the simulated cell that it runs on, and what was observed."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState
 from cell.errors import CellError
+from cell.fault_catalogue import BY_NUMBER
 from cell.pytest_plugin.virtual import VirtualCell
 from gripper.errors import GripperError, fingers_left
 from tactile.errors import TactileError
@@ -35,6 +36,8 @@ LATER_S = 1.0
 """So many s after a fault the grip is looked at again, with no host."""
 CARRY_S = 3.0
 """A part is carried for so long in s."""
+_CHAIN = 3
+"""Faults in a row whose steps are taken: what is mended may show the next one."""
 OUTCOME_CHARACTERS = 160
 """Longest text of an error on the page."""
 PRODUCT_ERRORS = (CellError, GripperError, TactileError)
@@ -73,8 +76,12 @@ class FaultRow:
     """Brings the fault about; None for `grasp_with_fault`."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Changes of the config for it, see `campaign_config`."""
+    number: int = 0
+    """Number of the fault that is latched; 0 where none is required."""
     real_time: bool = False
     """Whether it runs real processes in real time."""
+    long: bool = False
+    """Whether it takes more than a second, and runs before a release alone."""
 
     @property
     def name(self) -> str:
@@ -199,14 +206,14 @@ def carry_with_fault(row: FaultRow) -> Observed:
         fault = cell.controller.fault
         if fault is not None and not fault.endswith(" s after the grip"):
             return replace(seen, reaction="NO TIME", outcome=fault)
-        return seen
+        return recovered(cell, row, seen)
 
 
 def grasp_with_fault(row: FaultRow, *, look_again: bool = True, force_n: float = 3.0) -> Observed:
     """Inject what a row names, grasp, and look again later: nobody may have let go.
 
     The detection of the first fault of the row counts. A fault that goes on without an end shows
-    nothing later: it is not looked at again.
+    nothing later: it is not looked at again. At last a person does what the catalogue says.
     """
     first, *more = row.injected.split(", ")
     with campaign_cell(row.changes) as cell:
@@ -214,7 +221,7 @@ def grasp_with_fault(row: FaultRow, *, look_again: bool = True, force_n: float =
         for text in more:
             cell.simulated.inject(text)
         seen = observe(cell, first, partial(grasp_job, force_n=force_n))
-        return later(cell, seen) if look_again else seen
+        return recovered(cell, row, later(cell, seen) if look_again else seen)
 
 
 def observe(
@@ -273,3 +280,40 @@ def later(cell: CampaignCell, seen: Observed) -> Observed:
         return seen
     cell.simulated.clock.sleep(LATER_S)
     return replace(seen, outcome=f"{seen.outcome}; {LATER_S:g} s later {cell.grip_n:.1f} N")
+
+
+def recovered(cell: CampaignCell, row: FaultRow, seen: Observed) -> Observed:
+    """Look at the number of the fault that is latched, and take its steps: they lead back to IDLE.
+
+    An encoder that leapt needs a person who pushes the finger: nobody does so here.
+    """
+    number = cell.controller.status.fault_number
+    if row.number not in (0, number):
+        return replace(seen, reaction=f"FAULT {number}")
+    if not number or ".jump=" in row.injected:
+        return seen
+    for _ in range(_CHAIN):
+        if number := cell.controller.status.fault_number:
+            with cell.monitor.release_asked(), suppress(*PRODUCT_ERRORS):
+                take_steps(cell, number)
+    if cell.controller.state is CellState.IDLE:
+        return seen
+    return replace(seen, reaction=f"STAYS {cell.controller.state}: {cell.controller.fault}")
+
+
+def take_steps(cell: VirtualCell, number: int) -> None:
+    """Do what the catalogue says after a fault; the cause of a simulated one can be mended."""
+    controller = cell.controller
+    for step in BY_NUMBER[number].steps:
+        match step:
+            case "mend" | "free_pads":
+                cell.simulated.injector.clear_all()
+            case "clear" | "clear_reboot":
+                controller.clear(reboot=step == "clear_reboot")
+            case "release" if controller.state is CellState.RESETTING:
+                controller.release_held()
+            case "release":
+                controller.release()
+            case "reset":
+                controller.reset()
+                controller.start()

@@ -1,4 +1,7 @@
-"""Each row of the fault campaign: the required reaction, within its limit, no invariant broken."""
+"""Each row of the fault campaign: the required reaction, within its limit, no invariant broken.
+
+After it the steps of the fault catalogue lead the cell back to IDLE.
+"""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -6,18 +9,17 @@ from typing import Any
 
 import pytest
 
-from tests.faults.campaign import FaultRow, Observed, campaign_cell
+from cell.control.plan import Pose
+from cell.control.states import CellState
+from cell.errors import CellStopped, PartInGrip
+from tests.faults.campaign import FaultRow, Observed, campaign_cell, take_steps
 from tests.faults.invariants import link_counters
 from tests.faults.table import REACTIONS, ROWS
 
-FIRST = {row.row: row for row in reversed(ROWS) if not row.real_time}
-"""One variant of each kind; `make test-long` and `make campaign` bring all."""
-
 
 def parameter(row: FaultRow) -> Any:
-    kind = "real_time" if row.real_time else "long"
-    marks = () if FIRST.get(row.row) is row else getattr(pytest.mark, kind)
-    return pytest.param(row, id=row.name, marks=marks)
+    kinds = [kind for kind in ("real_time", "long") if getattr(row, kind)]
+    return pytest.param(row, id=row.name, marks=[getattr(pytest.mark, kind) for kind in kinds])
 
 
 @pytest.mark.parametrize("row", [parameter(row) for row in ROWS])
@@ -54,3 +56,20 @@ def test_what_differs_from_what_is_required_is_named() -> None:
     assert row.complaint(Observed("HOLD", None, "")) == "never detected, the limit is 100 ms"
     assert row.complaint(Observed("NOTE", 0.0, "")) == "reaction NOTE, required is HOLD"
     assert row.complaint(Observed("HOLD", 0.01, "kept")) == ""
+
+
+def test_the_steps_after_a_stop_and_after_a_part_that_was_left_lead_back_to_idle() -> None:
+    with campaign_cell() as cell, cell.monitor.release_asked():
+        cell.start()
+        cell.clock.on_advance.append(lambda _now_s: cell.grip_n > 1.0 and cell.controller.cancel())
+        with pytest.raises(CellStopped):
+            cell.grasp(6.0)
+        cell.clock.on_advance.pop()
+        take_steps(cell, 512)
+        assert cell.controller.state is CellState.IDLE
+        cell.controller.grip(3.0, Pose())
+        cell.controller.shutdown()
+        with pytest.raises(PartInGrip):
+            cell.controller.start()
+        take_steps(cell, 506)
+        assert cell.controller.state is CellState.IDLE
