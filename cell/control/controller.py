@@ -21,7 +21,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, Positioner, in_thread
 from cell.control.records import GraspRecord
 from cell.control.self_zero import SelfZeros
-from cell.control.states import CellState, CellStatus, Command, Event, GraspState
+from cell.control.states import CellState, CellStatus, Command, Event, GraspState, named_states
 from cell.data.recorder import Recorder
 from cell.errors import (
     CellStateError,
@@ -128,9 +128,8 @@ class CellController:
     def status(self) -> CellStatus:
         """States of cell and grip with their numbers, and faults."""
         life = self._life
-        return CellStatus.of(
-            life.state,
-            life.grasp_state,
+        return CellStatus(
+            **named_states(life.state, life.grasp_state),
             holding=life.holding,
             fault=life.fault,
             fault_number=life.fault_number,

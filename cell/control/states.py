@@ -6,7 +6,7 @@ lifecycle walks this table; the page ``docs/reference/states.md`` and the tests 
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Self
+from typing import TypedDict
 
 from gripper.state import GraspResult, GripperPhase
 
@@ -282,6 +282,27 @@ def _path(state: CellState, event: Event, *, kept: bool = False) -> tuple[CellSt
     return tuple(path)
 
 
+class NamedStates(TypedDict):
+    """The fields of `CellStatus` that follow from the states of cell and grip."""
+
+    state: str
+    state_number: int
+    needs_reset: bool
+    grasp: str
+    grasp_number: int
+
+
+def named_states(state: CellState, grasp: GraspState) -> NamedStates:
+    """Return the names and numbers of both states, as a `CellStatus` has them."""
+    return NamedStates(
+        state=state.value,
+        state_number=state.number,
+        needs_reset=state.needs_reset,
+        grasp=grasp.value,
+        grasp_number=grasp.number,
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellStatus:
     """State of cell and grip at one moment, for hosts that show or forward it."""
@@ -306,15 +327,3 @@ class CellStatus:
     """Unix time in s at which the fault was latched; None where there is none."""
     n_faults: int = 0
     """Faults latched since the cell was opened."""
-
-    @classmethod
-    def of(cls, state: CellState, grasp: GraspState, **more: Any) -> Self:
-        """Return the status of two states; ``more`` are its other fields."""
-        return cls(
-            state=state.value,
-            state_number=state.number,
-            needs_reset=state.needs_reset,
-            grasp=grasp.value,
-            grasp_number=grasp.number,
-            **more,
-        )

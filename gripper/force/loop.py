@@ -239,7 +239,12 @@ class LoopRunner:
             return None
         dt_s = min(max(state.t_s - running.last_s, 0.0), _LONGEST_STEP * self._settings.period_s)
         running.last_s = state.t_s
-        action = running.step(Moment(now_s=state.t_s, dt_s=dt_s, state=state, sample=sample))
+        try:
+            action = running.step(Moment(now_s=state.t_s, dt_s=dt_s, state=state, sample=sample))
+        except LimitExceeded:
+            # More force than can be is above the cap first of all, where it is beyond that too.
+            self._servos.check_force(noise_excluded=True)
+            raise
         if action.goals is not None:
             self._servos.write_goals(action.goals, state)
         if self._settings.derates(state.temperature_c):

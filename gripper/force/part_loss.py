@@ -182,6 +182,7 @@ class PartWatch:
         self._before_n: deque[tuple[float, float]] = deque()
         self._motions: deque[_Motion] = deque()
         self._doubt: _Doubt | None = None
+        self._was_held = False
         self._empty_s = 0.0
         self._runaway: tuple[float, float, float] | None = None
         self._ahead: tuple[float, float] | None = None
@@ -264,6 +265,10 @@ class PartWatch:
 
     def _weigh(self, moment: Moment, sample: ForceSample, setpoint_n: float) -> None:
         """Begin, go on with or end the doubt whether the part is there, by the newest sample."""
+        self._was_held |= self.loaded or setpoint_n >= self._settings.contact_force_n
+        if not self._was_held:
+            # Noise has ended the approach a little early: nothing was there to be lost.
+            return
         empty = max(self.samples.finger_means_n) < self.empty_n
         sudden = self._suddenly_empty(setpoint_n)
         doubt = self._doubt

@@ -6,6 +6,7 @@ way back below them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from math import inf, sqrt
 
 from gripper.dynamixel.bus import ServoBus
@@ -28,6 +29,8 @@ _QUIET_N = 0.08
 """Noise in N of the mean force that is compared with the cap: noise alone must not trip it."""
 _LEAST_SAMPLES, _LONGEST_S = 3, 0.05
 """Samples of that mean where the sensor is too slow for it, and its longest time in s."""
+_SURE_SAMPLES = 2
+"""Newest samples whose mean is compared with the cap where something else excludes noise."""
 _SINGLE_SAMPLE = 3.0
 """A few samples, or one, trip the cap when they are above it by as many times ``force_noise_n`` as
 their noise is above that of the mean, and by no more than this."""
@@ -172,10 +175,19 @@ class GoalGuard:
         """Return whether the measured force is above the cap by more than noise."""
         return self._excess_n() > 0.0
 
-    def check_force(self) -> None:
-        """Raise ForceAboveCap while the measured force is above the cap."""
+    def check_force(self, *, noise_excluded: bool = False) -> None:
+        """Raise ForceAboveCap while the measured force is above the cap.
+
+        With ``noise_excluded`` something else has shown that the force is none: then nothing is
+        allowed for it.
+        """
         settings = self._settings
-        if self.force_is_too_high():
+        if noise_excluded:
+            newest = list(islice(self._forces, _SURE_SAMPLES))
+            too_high = sum(max(one.force_n) for one in newest) > settings.force_max_n * len(newest)
+        else:
+            too_high = self.force_is_too_high()
+        if too_high:
             raise ForceAboveCap(
                 f"the grip force is {max(self._forces.newest.force_n):.2f} N, force_max_n is "
                 f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): "

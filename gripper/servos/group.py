@@ -144,9 +144,9 @@ class ServoGroup:
         """Take the newest valid force sample into account in the limits of the next goals."""
         self._guard.note_force(sample)
 
-    def check_force(self) -> None:
-        """Raise ForceAboveCap while the measured force is above the cap."""
-        self._guard.check_force()
+    def check_force(self, *, noise_excluded: bool = False) -> None:
+        """Raise ForceAboveCap while the measured force is above the cap; see `GoalGuard`."""
+        self._guard.check_force(noise_excluded=noise_excluded)
 
     @property
     def fresh_force(self) -> ForceSample | None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from simulator.errors import SimulatorSettingsError, require_positive
 
 TABLE_STEP_M = 10e-6
-"""Spacing of the depths for which the force is worked out ahead, in m: 1/300 of the foam."""
+"""Spacing of the depths for which the force is worked out, in m: 1/300 of the foam."""
 
 _SERIES_POINTS = 601
 """Points of the law of two sheets in series: 5 µm of a sheet of 3 mm."""
@@ -104,7 +104,9 @@ class FoamPair:
 
 
 class ForceTable:
-    """Force over depth of one surface against foam, worked out ahead.
+    """Force over depth of one surface against foam; a depth is worked out when it is first reached.
+
+    So an object is placed at once: in real time the buses do not wait for its whole table.
 
     Parameters
     ----------
@@ -130,25 +132,27 @@ class ForceTable:
                 "the object lies beside the pad: nothing of it can be pressed"
             )
         self.reach_max_m = float(surface_m.max())
-        depth_m = np.arange(0.0, foam.thickness_m + TABLE_STEP_M, TABLE_STEP_M)
-        lag_m = self.reach_max_m - np.sort(surface_m)[::-1]
-        force_n = np.array(
-            [
-                foam.pressure_pa(d_m - lag_m[: np.searchsorted(lag_m, d_m, side="right")]).sum()
-                for d_m in depth_m
-            ]
-        )
-        force_n *= cell_area_m2
-        # Plain floats: looking one up costs a tenth of indexing an array.
-        self._force_n: list[float] = force_n.tolist()
-        self._stiffness_n_m: list[float] = (np.diff(force_n) / TABLE_STEP_M).tolist()
-        self._last = len(self._stiffness_n_m) - 1
+        self._foam = foam
+        self._lag_m = self.reach_max_m - np.sort(surface_m)[::-1]
+        self._cell_area_m2 = cell_area_m2
+        self._last = math.ceil(foam.thickness_m / TABLE_STEP_M) - 1
+        self._force_n: dict[int, float] = {}
 
     def lookup(self, depth_m: float) -> tuple[float, float]:
         """Return force in N and stiffness in N/m when the highest point is ``depth_m`` m deep."""
         if depth_m <= 0.0:
             return 0.0, 0.0
-        i = int(depth_m / TABLE_STEP_M)
-        i = min(i, self._last)
-        stiffness_n_m = self._stiffness_n_m[i]
-        return self._force_n[i] + stiffness_n_m * (depth_m - i * TABLE_STEP_M), stiffness_n_m
+        i = min(int(depth_m / TABLE_STEP_M), self._last)
+        force_n = self._at(i)
+        stiffness_n_m = (self._at(i + 1) - force_n) / TABLE_STEP_M
+        return force_n + stiffness_n_m * (depth_m - i * TABLE_STEP_M), stiffness_n_m
+
+    def _at(self, i: int) -> float:
+        """Return the force in N at a depth of ``i`` steps."""
+        found_n = self._force_n.get(i)
+        if found_n is None:
+            depth_m = i * TABLE_STEP_M
+            pressed = np.searchsorted(self._lag_m, depth_m, side="right")
+            pressure_pa = self._foam.pressure_pa(depth_m - self._lag_m[:pressed])
+            found_n = self._force_n[i] = float(pressure_pa.sum() * self._cell_area_m2)
+        return found_n

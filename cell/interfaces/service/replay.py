@@ -19,7 +19,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, layout_from_pads, make_calibration
 from cell.control.live import FRESH_S, LiveValues
 from cell.control.records import pad_array
-from cell.control.states import CellState, GraspState
+from cell.control.states import CellState, GraspState, named_states
 from cell.data.recording_reader import Recording, read_recording
 from cell.errors import RecordingError, RequestRefused
 from cell.fault_catalogue import BY_NUMBER
@@ -124,9 +124,8 @@ class Tape:
         n_faults = bisect_right(self._fault_stamps, t_s)
         fault = self._faults[n_faults - 1] if n_faults and state in _LATCHED else None
         n_results = self.results_until(t_s)
-        return HostStatus.of(
-            state,
-            grasp,
+        return HostStatus(
+            **named_states(state, grasp),
             holding=grasp in (GraspState.GRIPPING, GraspState.HOLDING, GraspState.ERROR),
             fault=None if fault is None else str(fault["text"]),
             fault_number=0 if fault is None else int(fault["fault_number"]),

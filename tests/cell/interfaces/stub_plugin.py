@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.control.live import LiveValues
-from cell.control.states import CellState, Command, GraspState, answer, refusal
+from cell.control.states import CellState, Command, GraspState, answer, named_states, refusal
 from cell.errors import CellStateError, CellStopped, error_text
 from cell.fault_catalogue import fault_number
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus, Verification
@@ -247,9 +247,8 @@ class StubPlugin:
         )
         if state in (CellState.ABORTED, CellState.STOPPED):
             live = LiveValues()
-        self._status = HostStatus.of(
-            state,
-            GraspState.HOLDING if holding else GraspState.IDLE,
+        self._status = HostStatus(
+            **named_states(state, GraspState.HOLDING if holding else GraspState.IDLE),
             holding=holding,
             fault=None if self._error is None else error_text(self._error),
             fault_number=fault_number(self._error),

@@ -7,7 +7,10 @@ from statistics import median
 
 import pytest
 
+from benchmarks.performance.force_ramps import PARTS
+from benchmarks.performance.touch import TouchRig
 from gripper.errors import (
+    ForceAboveCap,
     ForceSensorStale,
     GripContradicted,
     GripperError,
@@ -165,6 +168,25 @@ def test_pads_whose_zero_jumps_on_a_part_do_not_let_it_go(
     cell.clock.sleep(1.0)
     least_n.append(cell.force_n)
     assert min(least_n) > 0.8 * least_n[0] > 0.3
+
+
+@pytest.mark.parametrize("rate_hz", [None, 500.0])
+def test_a_force_that_jumps_above_the_cap_is_told_as_that(make_cell, rate_hz) -> None:
+    """It may be less above the cap than noise alone may be: the jump shows that it is none."""
+    cell = make_cell(rate_hz=rate_hz, noise_n=0.05, force_max_n=7.0, force_noise_n=2.0)
+
+    def jumped(sample: ForceSample) -> ForceSample:
+        shift_n = 4.0 if sample.t_s > pads.began_s else 0.0
+        return replace(sample, force_n=tuple(n + shift_n for n in sample.force_n))
+
+    pads = WrongPads(cell, jumped)
+    held(cell)
+
+    def observe(cycle) -> None:
+        pads.began_s = pads.began_s or cycle.t_s
+
+    with pytest.raises(ForceAboveCap, match="force_max_n is 7"):
+        cell.gripper.hold(1.5, observe)
 
 
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
@@ -329,6 +351,14 @@ def test_a_soft_part_that_yields_fast_is_not_lost(
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3))
     assert outcome.result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_soft_part_that_noise_shows_early_is_not_lost_before_it_is_held() -> None:
+    """The approach ends at 0.07 N; the pads are empty for the first tenth of a second."""
+    rig = TouchRig(PARTS["foam ball, 0.2 N/mm"], 200.0, 5033, approach_speed_m_s=0.012)
+    rig.gripper.start()
+    outcome = rig.gripper.grasp(ForceRamp.linear(3.0, rate_n_s=3.0))
+    assert outcome.result is GraspResult.FORCE_REACHED
 
 
 def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> None:
