@@ -37,6 +37,7 @@ from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive
 from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
+from tactile.frames.codec import TactileFrame
 from tactile.unit.link import LinkSettings, TactileLink
 from tests.faults.scenarios.axes import CHANGES
 
@@ -101,9 +102,10 @@ class Unit:
     node_id: int
     link: TactileLink
 
-    def frames(self, seconds: float) -> list:
+    def frames(self, seconds: float) -> list[TactileFrame]:
         """Poll for so long and return the frames that came."""
-        found, end_s = [], self.clock.monotonic() + seconds
+        found: list[TactileFrame] = []
+        end_s = self.clock.monotonic() + seconds
         while self.clock.monotonic() < end_s:
             found += self.link.poll()
             self.clock.sleep(0.001)
@@ -261,6 +263,8 @@ class Drive:
 @pytest.fixture
 def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
     """The first drive of the config; simulated: the x axis of the fault campaign."""
+    clock: Clock = time
+    bus: can.BusABC | None
     with ExitStack() as closing:
         if request.param == "simulator":
             config = changed_config(CellConfig(), CHANGES)
@@ -269,9 +273,10 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
             bus, clock = simulated.axes_can_bus, simulated.clock
             clock.sleep(POWER_UP_S)
         else:
-            config, clock = load_config(config_path(request.config)), time
+            config = load_config(config_path(request.config))
             bus = drive_bus(config)
             closing.callback(close_bus, bus)
+        assert bus is not None
         axis = config.positioner.drives[0]
         watch, loss_s = Watch(clock, 0.005), 1e-3 * config.positioner.can.heartbeat_loss_ms
         axes = Axes(drive_axes([axis], bus, watch, loss_s=loss_s), watch)
