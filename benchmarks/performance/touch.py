@@ -251,13 +251,17 @@ def slides(rate_hz: float | None, seed: int, *, force_n: float) -> float:
 
 
 def trapped(rate_hz: float | None, seed: int) -> float:
-    """Return the time in s from the cap to the fault, where something trapped pushes."""
+    """Return the time in s from the cap to the fault, where something trapped pushes.
+
+    NaN where it pushes the fingers open before the true force is above the cap.
+    """
     rig = TouchRig(STEEL, rate_hz, seed)
     rig.changed = lambda t_s: replace(
         STEEL, width_m=STEEL.width_m + min(_TRAPPED_M, _TRAPPED_M_S * t_s)
     )
     _held(rig, 12.0)
-    return _after_hold(rig, ForceAboveCap)
+    noticed_s = _after_hold(rig, ForceAboveCap)
+    return math.nan if rig.over_s == math.inf else noticed_s
 
 
 def quiet(rate_hz: float | None, seed: int) -> str:
@@ -322,10 +326,13 @@ IMPACTS: dict[str, Callable[[float | None, int], Impact]] = {
 
 
 def _times(found_s: Sequence[float]) -> str:
-    known = sorted(found_s)
-    missed = sum(t_s == math.inf for t_s in known)
-    text = f"{1e3 * median(known):6.1f}{1e3 * known[-1]:7.1f}"
-    return text + (f" ({missed} missed)" if missed else "")
+    happened = sorted(t_s for t_s in found_s if not math.isnan(t_s))
+    noticed = [t_s for t_s in happened if t_s < math.inf]
+    worst_s = max(noticed, default=math.inf)
+    text = f"{1e3 * median(happened):6.1f}{1e3 * worst_s:7.1f}"
+    if len(noticed) < len(found_s):
+        text += f" ({len(noticed)} of {len(happened)})"
+    return text
 
 
 def _impacts(found: Sequence[Impact]) -> str:
