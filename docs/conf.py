@@ -26,7 +26,6 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "sphinxcontrib.mermaid",
 ]
 exclude_patterns = ["examples"]
 html_theme = "furo"
@@ -36,7 +35,6 @@ html_math_renderer = "mathml"
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 4
-myst_fence_as_directive = ["mermaid"]
 
 default_role = (
     "py:obj"  # names in single backticks in docstrings become links where there is a target

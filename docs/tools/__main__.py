@@ -18,7 +18,7 @@ from docs.tools.faults_page import faults_page
 from docs.tools.modbus_page import commands_page, registers_page
 from docs.tools.opc_ua_page import opc_ua_page
 from docs.tools.recording_page import recording_page
-from docs.tools.states_page import states_page
+from docs.tools.states_page import states_page, states_picture
 from docs.tools.unit_page import objects_page, start_page, vectors_page
 from docs.tools.walk_page import walk_page
 from docs.tools.xml_rpc_page import xml_rpc_page
@@ -38,6 +38,7 @@ MAKERS: dict[str, Callable[[], str]] = {
     "opc-ua": opc_ua_page,
     "recording": recording_page,
     "states": states_page,
+    "states picture": states_picture,
     "unit objects": objects_page,
     "unit start": start_page,
     "unit vectors": vectors_page,
@@ -48,7 +49,7 @@ _TABLE = re.compile(r"(<!-- made: (.+?) -->\n).*?(<!-- end: \2 -->)", flags=re.S
 
 
 def filled(page: str) -> str:
-    """Return a page with its tables made anew."""
+    """Return a page, or a picture, with its tables made anew."""
     return _TABLE.sub(lambda found: f"{found[1]}\n{MAKERS[found[2]]().strip()}\n\n{found[3]}", page)
 
 
@@ -56,7 +57,7 @@ def main() -> None:
     """Write all pages whose tables have changed; with ``--check``, name them and exit with 1."""
     docs = Path(__file__).parents[1]
     stale = []
-    for path in sorted(docs.glob("*/*.md")):
+    for path in sorted((*docs.glob("*/*.md"), *docs.glob("images/*.svg"))):
         page = path.read_text(encoding="utf-8")
         if (new := filled(page)) != page:
             stale.append(str(path.relative_to(docs.parent)))

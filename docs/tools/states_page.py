@@ -11,6 +11,23 @@ from cell.control.states import (
     answer,
 )
 
+_BOX, _STEP = (112, 34), (225, 120)
+"""Width and height of a state in the picture, and from state to state, in its own units."""
+_PLACES = {
+    CellState.STOPPED: (0, 0),
+    CellState.STARTING: (1, 0),
+    CellState.IDLE: (2, 0),
+    CellState.EXECUTE: (3, 0),
+    CellState.COMPLETE: (4, 0.45),
+    CellState.STOPPING: (1.6, 1.1),
+    CellState.HELD: (3, 1.3),
+    CellState.HOLDING: (4, 1.3),
+    CellState.RESETTING: (0.5, 1.1),
+    CellState.CLEARING: (0, 2),
+    CellState.ABORTED: (1.2, 2),
+    CellState.ABORTING: (2.2, 2),
+}
+"""Column and row of each state in the picture."""
 DOES = {
     CellState.STOPPED: (
         "Nothing is commanded and the links are not supervised. A cell begins here.",
@@ -80,7 +97,7 @@ GRASP_DOES = {
 
 
 def states_page() -> str:
-    """Return the tables of states and commands, and the diagram, as Markdown."""
+    """Return the tables of states and commands as Markdown."""
     return "\n".join(
         (
             "## States of the cell\n",
@@ -92,10 +109,60 @@ def states_page() -> str:
             "that keeps the part goes from EXECUTE to COMPLETE. Any fault leads to ABORTING.\n",
             _commands(),
             "## Diagram\n",
-            _diagram(),
+            "![The states of the cell and what leads to the next one](../images/states.svg)\n",
+            "The cell goes the dashed ways by itself.\n",
             "## States of the grip\n",
             _grasp_states(),
         )
+    )
+
+
+def states_picture() -> str:
+    """Return the states and the ways between them as SVG; dashed: the cell goes it by itself."""
+    ways: dict[tuple[CellState, CellState], list[str]] = {}
+    for (state, event), target in TRANSITIONS.items():
+        if event is not Event.FAULT:
+            texts = ways.setdefault((state, target), [])
+            texts += [] if COMPLETIONS.get(state) is event else [event.value]
+    lines = [_way(*ends, ", ".join(texts)) for ends, texts in ways.items()]
+    for state in CellState:
+        x, y = _centre(state)
+        box = f'x="{x - _BOX[0] / 2:g}" y="{y - _BOX[1] / 2:g}" width="{_BOX[0]}"'
+        lines.append(f'<rect {box} height="{_BOX[1]}" rx="6"/>')
+        lines.append(f'<text class="s" x="{x:g}" y="{y + 5:g}">{state.value}</text>')
+    x, y = _centre(CellState.ABORTING)
+    note = "from every state but ABORTED, on any fault"
+    lines.append(f'<text class="n" x="{x + 70:g}" y="{y + 5:g}">{note}</text>')
+    return "\n".join(lines)
+
+
+def _centre(state: CellState) -> tuple[float, float]:
+    column, row = _PLACES[state]
+    return 75.0 + column * _STEP[0], 50.0 + row * _STEP[1]
+
+
+def _way(start: CellState, end: CellState, text: str) -> str:
+    """Return an arrow that bends to its right, so that the way back has a line of its own."""
+    (x, y), (to_x, to_y) = _centre(start), _centre(end)
+    bend_x, bend_y = (x + to_x) / 2 - 0.2 * (to_y - y), (y + to_y) / 2 + 0.2 * (to_x - x)
+    points = []
+    for step in range(101):
+        t = step / 100
+        at = tuple(
+            (1 - t) ** 2 * a + 2 * t * (1 - t) * b + t**2 * c
+            for a, b, c in ((x, bend_x, to_x), (y, bend_y, to_y))
+        )
+        free = all(
+            abs(at[0] - cx) > _BOX[0] / 2 + 2 or abs(at[1] - cy) > _BOX[1] / 2 + 2
+            for cx, cy in ((x, y), (to_x, to_y))
+        )
+        points += [at] if free else []
+    path = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
+    middle_x, middle_y = points[len(points) // 2]
+    dashed = "" if text else ' class="own"'
+    return (
+        f'<polyline{dashed} points="{path}" marker-end="url(#a)"/>'
+        f'<text class="e" x="{middle_x:.0f}" y="{middle_y + 4:.0f}">{text}</text>'
     )
 
 
@@ -134,22 +201,6 @@ def _commands() -> str:
             for state in sorted(CellState, key=lambda state: state.number)
         ],
     )
-
-
-def _diagram() -> str:
-    lines = ["```mermaid", "stateDiagram-v2", "    [*] --> STOPPED"]
-    done = set(COMPLETIONS.items())
-    for (state, event), target in TRANSITIONS.items():
-        if event is Event.FAULT:
-            continue
-        text = "" if (state, event) in done else f" : {event.value}"
-        lines.append(f"    {state.value} --> {target.value}{text}")
-    lines += [
-        "    note right of ABORTING : from every state but ABORTED, on any fault",
-        "```",
-        "",
-    ]
-    return "\n".join(lines)
 
 
 def _grasp_states() -> str:
