@@ -10,10 +10,9 @@ import logging
 import os
 import resource
 import signal
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from random import SystemRandom
@@ -113,23 +112,12 @@ def seed_of_run(usual: int) -> int:
     return SystemRandom().randrange(1 << 32) if INPUTS else usual
 
 
-@contextmanager
-def _folder() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory() as name:
-        yield Path(name)
-
-
-def bad_input(
-    *,
-    examples: int = 60,
-    limit_s: float = 0.5,
-    using: Mapping[str, Callable[[], AbstractContextManager[Any]]] | None = None,
-    **inputs: st.SearchStrategy[Any],
-) -> Any:
+def bad_input(*, examples: int = 60, limit_s: float = 0.5, **inputs: st.SearchStrategy[Any]) -> Any:
     """Make a property of a function that returns what became of its input, in a few words.
 
     It fails if any input breaks an assertion, takes more than ``limit_s`` s of processor time or
-    64 MB, and if the same became of all inputs: then they prove nothing.
+    64 MB, and if the same became of all inputs: then they prove nothing. Fixtures are made once
+    for all inputs.
 
     Parameters
     ----------
@@ -137,9 +125,6 @@ def bad_input(
         Inputs of a run that is no campaign.
     limit_s
         Processor time for one input in s.
-    using
-        What the function needs beside its inputs, by the name of its argument: opened once for all
-        of them. ``tmp_path`` needs no entry.
     inputs
         The strategy of Hypothesis for each input.
     """
@@ -151,31 +136,26 @@ def bad_input(
         suppress_health_check=list(HealthCheck),
     )
 
-    def decorate(test: Callable[..., str]) -> Callable[[], None]:
-        opening = dict(using or {})
-        if "tmp_path" in test.__code__.co_varnames[: test.__code__.co_argcount]:
-            opening["tmp_path"] = _folder
+    def decorate(test: Callable[..., str]) -> Callable[..., None]:
+        found: Counter[str] = Counter()
 
-        def check() -> None:
-            found: Counter[str] = Counter()
-            with ExitStack() as stack:
-                opened = {name: stack.enter_context(how()) for name, how in opening.items()}
+        @functools.wraps(test)
+        def once(**values: Any) -> None:
+            with limits(limit_s):
+                outcome = test(**values)
+            found[outcome] += 1
 
-                def once(**values: Any) -> None:
-                    with limits(limit_s):
-                        outcome = test(**opened, **values)
-                    found[outcome] += 1
+        given_inputs = chosen(given(**inputs)(once))
 
-                once.__name__ = test.__name__  # by which Hypothesis keeps what broke
-                logging.disable(logging.CRITICAL)  # libraries log each damage, pytest keeps it all
-                try:
-                    chosen(given(**inputs)(once))()
-                finally:
-                    logging.disable(logging.NOTSET)
+        @functools.wraps(given_inputs)
+        def check(**fixtures: Any) -> None:
+            logging.disable(logging.CRITICAL)  # libraries log each damage, pytest keeps it all
+            try:
+                given_inputs(**fixtures)
+            finally:
+                logging.disable(logging.NOTSET)
             assert len(found) > 1, f"the same became of all inputs: {dict(found)}"
 
-        for attribute in ("__module__", "__name__", "__qualname__", "__doc__"):
-            setattr(check, attribute, getattr(test, attribute))
         return check
 
     return decorate

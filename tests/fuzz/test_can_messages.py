@@ -3,7 +3,6 @@
 import functools
 import struct
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -119,19 +118,11 @@ class QuietBus(can.BusABC):
         self.on_send(bytes(msg.data))
 
 
-@contextmanager
-def quiet_bus() -> Iterator[QuietBus]:
-    bus = QuietBus()
-    try:
-        yield bus
-    finally:
-        bus.shutdown()
-
-
 @pytest.fixture
 def bus() -> Iterator[QuietBus]:
-    with quiet_bus() as opened:
-        yield opened
+    made = QuietBus()
+    yield made
+    made.shutdown()
 
 
 def message(can_id: int, data: bytes, kind: str = "data", dlc: int | None = None) -> can.Message:
@@ -162,7 +153,6 @@ strangers = st.builds(
     before=st.lists(strangers, max_size=4),
     harm=damages(),
     after=st.lists(strangers, max_size=4),
-    using={"bus": quiet_bus},
 )
 def test_a_link_in_operation_gives_frames_that_came_or_its_own_errors(bus, before, harm, after):
     sent = [message(0x180 + NODE, data) for data in disturbed(burst(PAPER, 9), harm)]
@@ -283,7 +273,6 @@ responses = st.tuples(damages(at_most=1), st.just([]) | st.lists(eight, max_size
 @bad_input(
     place=st.sampled_from(PLACES),
     script=st.lists(responses, max_size=8),
-    using={"bus": quiet_bus},
 )
 def test_an_object_is_read_as_it_came_or_not_at_all(bus, place, script):
     unit, rest, came = Unit(), iter(script), []

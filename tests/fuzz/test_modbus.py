@@ -3,7 +3,7 @@
 import socket
 import struct
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import ClassVar
 
 import pytest
@@ -78,13 +78,11 @@ def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
     return f"function {function}"
 
 
-@contextmanager
-def serving() -> Iterator[ModbusServer]:
+@pytest.fixture
+def server() -> Iterator[ModbusServer]:
     made = ModbusServer("127.0.0.1", 0, lambda _host: Memory(), request_timeout_s=5.0)
-    try:
-        yield made
-    finally:
-        made.close()
+    yield made
+    made.close()
 
 
 def frame(request: bytes, transaction: int = 7) -> bytes:
@@ -109,7 +107,6 @@ def exchange(port: int, data: bytes, *, end: bool) -> bytes:
     | st.binary(max_size=600),
     examples=60,
     limit_s=2.0,
-    using={"server": serving},
 )
 def test_a_stream_of_anything_ends_and_the_server_lives_on(server, data):
     found = exchange(server.port, data, end=True)
@@ -119,6 +116,5 @@ def test_a_stream_of_anything_ends_and_the_server_lives_on(server, data):
 
 
 @pytest.mark.parametrize("header", [b"\0\1\0\1\0\6\1", b"\0\1\0\0\0\1\1", b"\0\1\0\0\1\0\1"])
-def test_what_is_no_modbus_is_closed_at_once(header: bytes) -> None:
-    with serving() as server:
-        assert exchange(server.port, header + b"\3\0\0\0\1", end=False) == b""
+def test_what_is_no_modbus_is_closed_at_once(server: ModbusServer, header: bytes) -> None:
+    assert exchange(server.port, header + b"\3\0\0\0\1", end=False) == b""

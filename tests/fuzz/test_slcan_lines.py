@@ -56,9 +56,9 @@ def streams(others: tuple[bytes, ...]) -> st.SearchStrategy[bytes]:
 piece = st.integers(1, 60)
 
 
-@contextlib.contextmanager
-def opened_terminal() -> Iterator[tuple[int, BulkSlcanBus]]:
-    """Open the adapter's end of a pseudo-terminal, and the driver behind the other."""
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, BulkSlcanBus]]:
+    """The adapter's end of a pseudo-terminal, and the driver behind the other."""
     master, slave = os.openpty()
     bus = BulkSlcanBus(os.ttyname(slave), bitrate=1_000_000, tty_baudrate=1_000_000)
     os.set_blocking(master, False)
@@ -68,13 +68,6 @@ def opened_terminal() -> Iterator[tuple[int, BulkSlcanBus]]:
         bus.shutdown()
         os.close(slave)
         os.close(master)
-
-
-@pytest.fixture
-def terminal() -> Iterator[tuple[int, BulkSlcanBus]]:
-    """The adapter's end of a pseudo-terminal, and the driver behind the other."""
-    with opened_terminal() as opened:
-        yield opened
 
 
 def received(master: int, bus: BulkSlcanBus, parts: list[bytes]) -> list[Message]:
@@ -92,13 +85,7 @@ def received(master: int, bus: BulkSlcanBus, parts: list[bytes]) -> list[Message
     return found
 
 
-@bad_input(
-    stream=streams(REPLIES),
-    harm=damages(),
-    piece=piece,
-    using={"terminal": opened_terminal},
-    examples=120,
-)
+@bad_input(stream=streams(REPLIES), harm=damages(), piece=piece, examples=120)
 def test_the_driver_takes_whole_lines_only(terminal, stream, harm, piece):
     # The end of a line, so that nothing of this input belongs to the next one.
     wire = spoilt(stream, harm) + b"\r"

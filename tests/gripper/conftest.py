@@ -15,7 +15,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
-from gripper.state import ForceSample, GraspResult
+from gripper.state import Cycle, ForceSample, GraspResult
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
@@ -233,6 +233,7 @@ class Cell:
         self.force_n = 0.0
         self.peak_n = 0.0
         self.least_n = 1e9
+        self.acted_s: list[float] = []
         self.clock.on_advance.append(self._advance)
         self._now_s = 0.0
 
@@ -270,6 +271,22 @@ class Cell:
         """Start the gripper and grip the part."""
         self.gripper.start()
         assert self.gripper.grasp(ramp).result is GraspResult.FORCE_REACHED
+
+    def once(
+        self, act: Callable[[], object], *, at_n: float = 0.0, in_s: float = 0.0
+    ) -> Callable[[Cycle], None]:
+        """Return an observer that acts once: at a set-point in N, so long after now in s.
+
+        ``acted_s`` gets the time.
+        """
+        due_s = self.clock.monotonic() + in_s
+
+        def observe(cycle: Cycle) -> None:
+            if not self.acted_s and cycle.setpoint_n >= at_n and cycle.t_s >= due_s:
+                self.acted_s.append(self.clock.monotonic())
+                act()
+
+        return observe
 
     @property
     def torques(self) -> list[int]:

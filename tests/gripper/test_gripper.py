@@ -12,7 +12,6 @@ from gripper.errors import (
     GripContradicted,
     GripperStateError,
     LimitExceeded,
-    PartLost,
     VerificationFailed,
 )
 from gripper.force.ramp import ForceRamp
@@ -188,17 +187,6 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
     assert cell.gripper.release().opened == (1, 2)
 
 
-def test_a_carried_part_that_is_taken_away_is_lost(cell) -> None:
-    cell.hold_part(RAMP)
-    cell.gripper.carry(4.0)
-    ticks(cell, 0.5)
-    cell.part.present = False
-    with pytest.raises(PartLost):
-        ticks(cell, 0.5)
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
-    ticks(cell, 0.5)
-
-
 def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
     cell.hold_part(RAMP)
     cell.gripper.carry(4.0)
@@ -248,19 +236,6 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> 
     assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
     cell.gripper.clear_fault()
     cell.gripper.release()
-
-
-def test_a_part_that_is_taken_away_is_lost_not_pursued(cell) -> None:
-    cell.hold_part(RAMP)
-    closed_m = cell.mechanics.aperture_m
-
-    def take(_: Cycle) -> None:
-        cell.part.present = False
-
-    with pytest.raises(PartLost):
-        cell.gripper.hold(2.0, take)
-    assert closed_m - cell.mechanics.aperture_m < 0.02
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
 
 
 def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_cell) -> None:

@@ -25,37 +25,6 @@ from gripper.state import GripperPhase
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
-def after(cell, delay_s: float, act):
-    """Return an observer that acts once, so long after now, and the time at which it did."""
-    due_s = cell.clock.monotonic() + delay_s
-    done_s: list[float] = []
-
-    def observe(cycle) -> None:
-        if not done_s and cycle.t_s >= due_s:
-            done_s.append(cell.clock.monotonic())
-            act()
-
-    return observe, done_s
-
-
-def test_an_encoder_that_leaps_ends_in_limp_fingers_within_a_cycle(cell) -> None:
-    cell.hold_part(RAMP)
-    observe, done_s = after(cell, 0.5, lambda: leap(cell, 0.3))
-    with pytest.raises(FeedbackImplausible, match=r"servo 1: its position leapt by.*switched off"):
-        cell.gripper.hold(2.0, observe)
-    assert cell.clock.monotonic() - done_s[0] < 0.008
-    assert cell.torques == [0, 0]
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
-    cell.gripper.clear_fault()
-    assert cell.gripper.state is GripperPhase.OFF
-    assert cell.torques == [0, 0]
-
-
-def leap(cell, by_rad: float) -> None:
-    motor = cell.motors[0]
-    motor.stuck_at_rad = motor.angle_rad + by_rad
-
-
 def test_a_finger_that_creeps_out_of_its_range_ends_in_limp_fingers(cell) -> None:
     cell.hold_part(RAMP)
     motor = cell.motors[0]
@@ -77,7 +46,7 @@ def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch) -> Non
     def absurd(self, raw: int) -> float:
         return real(self, raw) * 12.0
 
-    observe, _ = after(cell, 0.3, lambda: monkeypatch.setattr(model, "current_a", absurd))
+    observe = cell.once(lambda: monkeypatch.setattr(model, "current_a", absurd), in_s=0.3)
     with pytest.raises(FeedbackImplausible, match=r"at most 1\.50 A are possible"):
         cell.gripper.hold(2.0, observe)
     assert cell.torques == [0, 0]
@@ -88,11 +57,11 @@ def test_too_much_force_is_answered_as_configured_and_never_pushed_on(make_cell,
     cell = make_cell(force_max_n=6.0, over_force=way, over_force_open_m=0.001)
     cell.hold_part(RAMP)
     before_m, force_n = cell.mechanics.aperture_m, cell.force_n
-    observe, done_s = after(cell, 0.5, lambda: swell(cell, 0.0012))
+    observe = cell.once(lambda: swell(cell, 0.0012), in_s=0.5)
     with pytest.raises(ForceAboveCap, match="force_max_n is 6"):
         cell.gripper.hold(2.0, observe)
     # One set of the sensor and its delay.
-    assert cell.clock.monotonic() - done_s[0] < 0.1
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.1
     peak_n = cell.peak_n
     cell.clock.sleep(1.0)
     assert cell.peak_n <= peak_n + 0.2
@@ -113,11 +82,11 @@ def swell(cell, more_m: float) -> None:
 
 def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> None:
     cell.hold_part(RAMP)
-    observe, done_s = after(cell, 0.5, cell.knobs[1].overload)
+    observe = cell.once(cell.knobs[1].overload, in_s=0.5)
     with pytest.raises(ServoFault, match="overload") as fault:
         cell.gripper.hold(2.0, observe)
     assert fault.value.torque_lost
-    assert cell.clock.monotonic() - done_s[0] < 0.02
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.02
     # The goal is where the finger was, not beyond: it pushes nothing ahead of itself.
     goal, present = cell.register(0, "goal_position"), cell.register(0, "present_position")
     assert abs(goal - present) < 12
@@ -127,44 +96,14 @@ def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> No
     assert abs(cell.mechanics.finger_position_m[0] - living_m) < 0.0008
 
 
-@pytest.mark.parametrize("silent", [1, 2])
-def test_a_finger_that_falls_silent_in_a_hold_freezes_the_other_one(cell, silent) -> None:
-    cell.hold_part(RAMP)
-    observe, done_s = after(cell, 0.5, lambda: cell.device.faults.silent.add(silent))
-    with pytest.raises(FingerSilent, match="the part may still be gripped"):
-        cell.gripper.hold(2.0, observe)
-    assert cell.clock.monotonic() - done_s[0] < 0.03
-    cell.clock.sleep(2.0)
-    assert cell.force_n > 1.5
-    assert cell.force_n < 4.5
-    assert torques_of(cell, 3 - silent) == 1
-    # Its watchdog is disarmed: its grip depends on nobody.
-    assert cell.register(2 - silent, "bus_watchdog") == 0
-
-
-def torques_of(cell, servo_id: int) -> int:
-    return cell.register(servo_id - 1, "torque_enable")
-
-
-def test_a_dip_of_the_supply_is_told_and_the_grip_kept(cell) -> None:
-    cell.hold_part(RAMP)
-    observe, done_s = after(cell, 0.5, lambda: cell.knobs[0].supply(9.0))
-    with pytest.raises(ServoFault, match=r"input voltage") as fault:
-        cell.gripper.hold(2.0, observe)
-    assert cell.clock.monotonic() - done_s[0] < 0.015
-    assert not fault.value.torque_lost
-    assert cell.torques == [1, 1]
-    assert cell.force_n > 3.0
-
-
 def test_a_restart_too_short_to_be_silent_is_seen_by_the_servos_clock(cell) -> None:
     cell.hold_part(RAMP)
     core = cell.servos[0].core
-    observe, done_s = after(cell, 0.5, lambda: core.boot(cell.clock.monotonic(), blackout_s=0.0))
+    observe = cell.once(lambda: core.boot(cell.clock.monotonic(), blackout_s=0.0), in_s=0.5)
     with pytest.raises(ServoFault, match="its torque is off") as fault:
         cell.gripper.hold(2.0, observe)
     assert fault.value.torque_lost
-    assert cell.clock.monotonic() - done_s[0] < 0.015
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.015
     cell.clock.sleep(1.0)
     assert cell.torques == [0, 1]
 

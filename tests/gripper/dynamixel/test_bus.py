@@ -6,14 +6,11 @@ import pytest
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
-    BUS_WATCHDOG,
     GOAL_CURRENT,
     GOAL_POSITION,
-    GOAL_VELOCITY,
     HARDWARE_ERROR_STATUS,
     PRESENT_CURRENT,
     PRESENT_POSITION,
-    TORQUE_ENABLE,
     RegisterBlock,
 )
 from gripper.errors import (
@@ -40,33 +37,6 @@ def test_a_scan_leaves_out_a_servo_that_refuses_the_ping(script, bus) -> None:
     refused = "FFFFFD00 01 0400 55 03"
     script.expect(PING_1, refused + crc_of(refused))
     assert bus.scan([1]) == ()
-
-
-def test_read_and_acknowledged_writes(script, bus) -> None:
-    script.expect(READ_132, IS_166)
-    script.expect("FFFFFD00 01 0900 03 7400 00020000 CA89", ACK)
-    script.expect("FFFFFD00 01 0600 03 4000 01 DB66", ACK)
-    script.expect("FFFFFD00 01 0600 03 6200 05 68E4", ACK)
-    script.expect("FFFFFD00 01 0600 03 6200 00 76E4", ACK)
-    script.expect("FFFFFD00 01 0300 08 2F4E", ACK)
-    assert bus.read(1, PRESENT_POSITION) == 166
-    bus.write(1, GOAL_POSITION, 512)
-    bus.write(1, TORQUE_ENABLE, 1)
-    bus.write(1, BUS_WATCHDOG, 5)
-    bus.write(1, BUS_WATCHDOG, 0)
-    bus.reboot(1)
-
-
-def test_sync_read_and_sync_write(script, bus) -> None:
-    script.expect(SYNC_132, IS_166, TWO_IS_2079)
-    script.expect("FFFFFD00 FE 1100 83 7400 0400 01 96000000 02 AA000000 8287")
-    script.expect("FFFFFD00 FE 0D00 83 6600 0200 01 6400 02 9CFF E1DB")
-    script.expect("FFFFFD00 FE 0F00 83 6600 0600 01 FFFFFDFDFFFFFF 67DC")
-    read = bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
-    assert read == {1: {"present_position": 166}, 2: {"present_position": 2079}}
-    bus.sync_write({1: (150,), 2: (170,)}, RegisterBlock(GOAL_POSITION))
-    bus.sync_write({1: (100,), 2: (-100,)}, RegisterBlock(GOAL_CURRENT))
-    bus.sync_write({1: (-1, -3)}, RegisterBlock(GOAL_CURRENT, GOAL_VELOCITY))
 
 
 def test_stuffed_answer_is_sign_extended(script, bus) -> None:

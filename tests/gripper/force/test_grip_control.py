@@ -15,10 +15,6 @@ from gripper.errors import (
     GripContradicted,
     GripperError,
     LimitExceeded,
-    PartLost,
-    PartSlipped,
-    PositionContradicted,
-    fingers_left,
 )
 from gripper.force.grip_control import StiffnessEstimate
 from gripper.force.loop import Moment
@@ -26,66 +22,6 @@ from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.state import ForceSample, GraspResult, GripperPhase
 from tests.values import make_state
-
-RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
-
-
-def drifting(cell, index: int, raw_s: float):
-    """Return an observer that lets the reported count of a servo drift from the first call on."""
-    began_s: list[float] = []
-
-    def observe(cycle) -> None:
-        began_s[:] = began_s or [cycle.t_s]
-        cell.knobs[index].offset_report(round(raw_s * (cycle.t_s - began_s[0])))
-
-    return observe
-
-
-def held(cell) -> None:
-    cell.hold_part(RAMP)
-    cell.least_n = cell.force_n
-
-
-def assert_grip_is_kept(cell, error: BaseException) -> None:
-    assert "dropped" not in f"{error} {fingers_left(error)}"
-    assert "nothing is held" not in f"{error} {fingers_left(error)}"
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
-    cell.clock.sleep(1.0)
-    assert cell.least_n > 2.5
-    assert cell.peak_n < 6.0
-    assert [cell.register(i, "torque_enable") for i in range(2)] == [1, 1]
-
-
-@pytest.mark.parametrize("index", [0, 1])
-@pytest.mark.parametrize(("outwards", "width_m"), [(1, 0.012), (-1, 0.003)])
-def test_a_drifting_position_neither_opens_the_fingers_nor_makes_the_part_lost(
-    make_cell, make_part, index, outwards, width_m
-) -> None:
-    cell = make_cell(part=make_part(width_m=width_m), slip_travel_m=0.02)
-    held(cell)
-    direction = cell.settings.servos[index].direction
-    with pytest.raises(PositionContradicted, match="while the pads measure") as error:
-        cell.gripper.hold(5.0, drifting(cell, index, outwards * direction * 400.0))
-    assert "the grip kept" in str(error.value)
-    assert_grip_is_kept(cell, error.value)
-    cell.knobs[index].offset_report(0)
-    cell.gripper.clear_fault()
-    cell.gripper.release()
-    assert cell.force_n == 0.0
-
-
-def test_a_position_that_drifts_to_closed_in_a_hold_may_be_a_slip(cell) -> None:
-    held(cell)
-    with pytest.raises(PartSlipped, match="unless a reported position drifts") as error:
-        cell.gripper.hold(5.0, drifting(cell, 0, -100.0))
-    assert_grip_is_kept(cell, error.value)
-
-
-def test_a_part_that_is_taken_is_lost_and_no_contradiction(cell) -> None:
-    held(cell)
-    cell.part.present = False
-    with pytest.raises(PartLost, match="slipped out or was taken"):
-        cell.gripper.hold(2.0)
 
 
 def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(

@@ -69,15 +69,6 @@ def told_by_motion(cell) -> str:
     return str(told.value)
 
 
-@pytest.mark.parametrize("aperture_m", [0.005, 0.018, 0.03])
-def test_a_wrong_direction_of_both_is_refused_at_rest(make_cell, make_part, aperture_m) -> None:
-    cell = make_cell(turned=(0, 1), aperture_m=aperture_m, part=make_part(present=False))
-    text = refused_at_rest(cell)
-    assert f"opening -{1e3 * aperture_m:.1f} mm" in text
-    assert "servo 1" in text
-    assert "servo 2" in text
-
-
 @pytest.mark.parametrize("aperture_m", [0.0, 0.0005, 0.0035])
 @pytest.mark.parametrize("friction_error", [LONG(-0.2), 0.0, LONG(0.2)])
 def test_a_wrong_direction_of_both_near_closed_is_told_by_the_first_motion(
@@ -142,40 +133,6 @@ def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
     with pytest.raises(MechanicsContradicted, match="free on its way back"):
         cell.gripper.open()
     assert cell.torques == [0]
-
-
-@pytest.mark.parametrize(
-    ("zero_off", "aperture_m"),
-    [((-452, -452), 0.018), ((-452, -452), 0.03), ((0, -452), 0.03), ((-100, -100), 0.005)],
-)
-def test_a_zero_that_reads_too_closed_is_refused_at_rest(
-    make_cell, make_part, zero_off, aperture_m
-) -> None:
-    cell = make_cell(zero_off=zero_off, aperture_m=aperture_m, part=make_part(present=False))
-    refused_at_rest(cell)
-
-
-@pytest.mark.parametrize("zero_off", [(-100, -100), (0, -100)])
-@pytest.mark.parametrize("aperture_m", [0.018, 0.03])
-def test_a_zero_that_reads_too_closed_is_no_missing_part(
-    make_cell, make_part, zero_off, aperture_m
-) -> None:
-    cell = make_cell(zero_off=zero_off, aperture_m=aperture_m, part=make_part(present=False))
-    cell.gripper.start()
-    cell.gripper.open()
-    with pytest.raises(MechanicsContradicted, match=rf"found nothing.*{KEYS}"):
-        cell.gripper.grasp(RAMP)
-    assert cell.torques == [0, 0]
-
-
-@pytest.mark.parametrize(
-    ("zero_off", "aperture_m"), [((452, 452), 0.018), ((452, 0), 0.018), ((452, 452), 0.03)]
-)
-def test_a_zero_that_reads_too_open_is_told_where_the_fingers_meet_on_their_way(
-    make_cell, make_part, zero_off, aperture_m
-) -> None:
-    cell = make_cell(zero_off=zero_off, aperture_m=aperture_m, part=make_part(present=False))
-    told_by_motion(cell)
 
 
 @pytest.mark.parametrize("aperture_m", [0.0, 0.018, 0.03])

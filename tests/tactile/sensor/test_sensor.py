@@ -230,14 +230,6 @@ def test_a_gap_starts_the_mean_anew(sensor, frames) -> None:
     assert [r.ok for r in readings(sensor, frames, 4)] == [False, False, True, True]
 
 
-def test_saturated_taxels_make_the_force_invalid(sensor, frames) -> None:
-    frames.press(100.0, "flat")
-    reading = readings(sensor, frames, 4)[-1]
-    assert not reading.ok
-    assert "saturated" in reading.reason
-    assert reading.saturated.sum() == 5
-
-
 def test_converter_fault_and_a_zero_of_the_unit_are_objections(sensor, frames) -> None:
     frames.status = FrameStatus.CONVERTER_FAULT
     assert "self-test" in readings(sensor, frames, 4)[-1].reason
@@ -266,18 +258,6 @@ def test_frozen_samples_are_a_fault_that_latches(sensor, frames) -> None:
         sensor.poll()
     sensor.start()
     assert readings(sensor, frames, 1)
-
-
-def test_without_noise_samples_are_frozen_when_the_wanted_force_changes_and_they_do_not() -> None:
-    sensor, frames = noiseless()
-    frames.press(2.0)
-    sensor.aim(2.0, 0.01)
-    readings(sensor, frames, 60)
-    sensor.aim(2.9, 0.01)
-    readings(sensor, frames, 20)
-    sensor.aim(3.1, 0.01)
-    with pytest.raises(FrameTimeout, match=r"while the force changed by 1\.1 N"):
-        readings(sensor, frames, 2)
 
 
 def test_without_noise_the_width_counts_only_while_something_is_touched() -> None:
@@ -344,18 +324,6 @@ def test_one_bad_taxel_of_a_small_pad_is_no_reason_to_refuse_a_zero() -> None:
 
 
 # --- drift ---------------------------------------------------------------------------------------
-
-
-def test_pads_that_nothing_grips_show_a_drift_while_gripping(sensor, frames) -> None:
-    frames.press(4.0)
-    assert readings(sensor, frames, 10)[-1].ok
-    frames.base = frames.base + 4.0
-    drifted = readings(sensor, frames, 5)[-1]
-    assert not drifted.ok
-    assert "drifted by +" in drifted.reason
-    assert "new zero" in drifted.reason
-    frames.base = frames.base - 3.0
-    assert readings(sensor, frames, 5)[-1].ok
 
 
 def test_the_zero_of_open_pads_is_checked_pad_by_pad(sensor, frames) -> None:
