@@ -116,7 +116,7 @@ def test_a_force_that_jumps_above_the_cap_is_told_as_that(make_cell, rate_hz) ->
         return replace(sample, force_n=tuple(n + shift_n for n in sample.force_n))
 
     pads = WrongPads(cell, jumped)
-    held(cell)
+    cell.hold_part(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2))
 
     def observe(cycle) -> None:
         pads.began_s = pads.began_s or cycle.t_s
