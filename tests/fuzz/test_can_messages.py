@@ -266,13 +266,14 @@ PLACES = (
 )
 
 
-responses = st.tuples(damages(at_most=1), st.just([]) | st.lists(eight, max_size=4))
+responses = st.tuples(damages(at_least=1, at_most=1), st.just([]) | st.lists(eight, max_size=4))
 """Damage of one response, and what comes before it."""
 
 
 @bad_input(
     place=st.sampled_from(PLACES),
-    script=st.lists(responses, max_size=8),
+    script=st.just([]) | st.lists(responses, min_size=3, max_size=8),
+    examples=120,
 )
 def test_an_object_is_read_as_it_came_or_not_at_all(bus, place, script):
     unit, rest, came = Unit(), iter(script), []
