@@ -241,6 +241,11 @@ def transmissions(
     )
 
 
+def mean_friction_n(paths: Sequence[Transmission]) -> float:
+    """Return half the width of the friction band in N, the mean of the servos."""
+    return sum(path.friction_n for path in paths) / len(paths)
+
+
 def motion_current_a(
     settings: GripperSettings, paths: Sequence[Transmission], force_n: float
 ) -> float:

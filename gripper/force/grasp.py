@@ -17,7 +17,7 @@ from gripper.force.motion import STALL_SPEED_M_S, Approach, ApproachEvent, Conta
 from gripper.force.part_loss import EmptyGrip
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.slip import LevelSlip
-from gripper.kinematics import Linkage, transmissions
+from gripper.kinematics import Linkage, mean_friction_n, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
@@ -419,7 +419,7 @@ class RampStep:
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
         """Return the control of a part; the fingers close: the drive is at the rising edge."""
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
-        friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
+        friction_n = self._friction_share * mean_friction_n(paths)
         return GripControl(
             self._settings,
             self._linkage,

@@ -11,7 +11,7 @@ from gripper.force.loop import Moment
 from gripper.force.part_loss import BREAKAWAY_SHARE, PartWatch
 from gripper.force.ramp_motion import ContactObserver, RampMotion
 from gripper.impact import impact_limit
-from gripper.kinematics import Linkage, Transmission, transmissions
+from gripper.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goals import (
     ServoGoal,
     closing_margin_rad,
@@ -251,7 +251,7 @@ class GripControl:
         self._check_position(moment.dt_s, state)
         self._check_balance(moment.dt_s)
         end_n = setpoint_n if arrival_n is None else arrival_n
-        friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
+        friction_n = self._friction_share * mean_friction_n(paths)
         drive_max_n = self._drive_max_n(state, paths)
         inertia_n = self._inertia_n_s_m * max(0.0, -state.aperture_velocity_m_s)
         young = moment.now_s - sample.measured_s <= _YOUNG_S
@@ -269,15 +269,15 @@ class GripControl:
             elif rises_n == 0.0 and arrival_n in (None, setpoint_n):
                 self._correct(moment, setpoint_n)
         if self._motion is not None:
-            drive_n = self._rise(
+            self._drive_n = self._rise(
                 moment,
                 sample,
                 end_n,
                 self._motion,
+                paths,
                 friction_n=friction_n,
                 drive_max_n=drive_max_n - inertia_n,
             )
-            self._drive_n = drive_n
             return self._servo_goals(state, paths)
         filtered_n = self._filter.step(moment.dt_s, setpoint_n, end_n)
         speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
@@ -355,14 +355,13 @@ class GripControl:
         sample: ForceSample,
         end_n: float,
         motion: RampMotion,
+        paths: Sequence[Transmission],
         *,
         friction_n: float,
         drive_max_n: float,
     ) -> float:
         """Return the driving force in N of one period of a fast rise."""
-        observer = self._observer
-        assert observer is not None
-        paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
+        observer = motion.observer
         measured_n = _driving_n(moment.state, paths)
         jumped = self._controller.jumps(
             sample, observer.unexplained_n(sample), self.setpoint_n, sticking_n=0.0
@@ -402,18 +401,14 @@ class GripControl:
     def part_lost(self, moment: Moment) -> bool:
         """Return whether the part is gone; see `PartWatch.lost`. Comes before `goals`."""
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
-        pressing_n = sum(
-            -servo.current_a * path.kt_nm_a / path.radius_m
-            - (1.0 + BREAKAWAY_SHARE) * self._friction_share * path.friction_n
-            for servo, path in zip(moment.state.servos, paths, strict=True)
-        ) / len(paths)
+        breakaway_n = (1.0 + BREAKAWAY_SHARE) * self._friction_share * mean_friction_n(paths)
         return self._watch.lost(
             moment,
             setpoint_n=self._filter.force_n,
             rate_n_s=self._filter.rate_n_s,
             stiffness_n_m=self._stiffness.stiffness_n_m,
             drive_n=self._controller.drive_n,
-            pressing_n=pressing_n,
+            pressing_n=_driving_n(moment.state, paths) - breakaway_n,
         )
 
     def _check_position(self, dt_s: float, state: GripperState) -> None:

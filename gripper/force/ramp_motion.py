@@ -287,6 +287,8 @@ class RampMotion:
 
     Attributes
     ----------
+    observer
+        As the parameter.
     over
         Whether the force has arrived and the fingers stand.
     """
@@ -304,7 +306,7 @@ class RampMotion:
         self._corrects = corrects
         self._late_s = 0.0
         self.plan = ForcePlan(observer.force_n)
-        self._observer = observer
+        self.observer = observer
         self._mass_kg = mass_kg
         self._setpoint_n = setpoint_n
         self._sign = -1.0 if falls else 1.0
@@ -338,7 +340,7 @@ class RampMotion:
         acting_n
             Driving force in N that acts until the new one does.
         """
-        observer, sign = self._observer, self._sign
+        observer, sign = self.observer, self._sign
         stiffness = observer.stiffness_n_m
         at_end = sign * (setpoint_n - end_n) >= 0.0
         if not self._corrects:
