@@ -1,27 +1,56 @@
-"""Servo bus: typed, checked transactions in DYNAMIXEL Protocol 2.0.
+"""Servo bus: typed, checked transactions in DYNAMIXEL Protocol 2.0, and retries of lost answers.
 
 Every status packet is checked: CRC, sender, length of its data, error number and Alert bit. A
 transaction either returns what was asked for or raises; it never returns a value that no servo
 has sent.
+
+An answer that comes late is the danger of a bus without sequence numbers: it passes for the
+answer to the next request. The answers of one servo come in the order of its requests, so an
+answered ping shows that nothing older of that servo is still on its way.
 """
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from gripper.dynamixel.control_table import PRESENT_BLOCK, Register, RegisterBlock
-from gripper.dynamixel.protocol2 import Instruction, StatusPacket
+from gripper.dynamixel.protocol2 import (
+    STATUS_OVERHEAD,
+    CheckedPacketHandler,
+    Instruction,
+    StatusPacket,
+)
+from gripper.dynamixel.serial_port import ByteStream, SdkPort
 from gripper.dynamixel.transactions import (
+    BETWEEN_COMMANDS,
+    BROADCAST_ID,
     HIGHEST_ID,
+    IN_LOOP,
+    PING_SIZE,
+    BusStatistics,
+    Heard,
+    NoAnswerError,
+    Precaution,
     Request,
-    Transactions,
+    accepted,
     check_id,
     checked,
+    given_up,
     ping_request,
 )
-from gripper.errors import BusCorrupt, BusTimeout, LimitExceeded
+from gripper.errors import BusBusy, BusCorrupt, BusTimeout, LimitExceeded, PortLost
+from gripper.state import Clock
 
 _COLLISION_READS = 3
 """Readings of a servo's present state that show whether another one answers with it."""
+_ALL_SILENT_MISSES = 3
+"""Lost answers in a row, of every servo asked, after which a sync read waits for a quiet line."""
+_LONGEST_QUIET_WAIT = 10.0
+"""Longest wait for a quiet line, in multiples of ``late_guard_s``: more than the answers that can
+be outstanding, so that only a line that never falls quiet reaches it."""
+_SLOT_MS = 3.0
+"""Time in ms that a servo may take for its answer to a broadcast ping, for each ID."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,11 +62,31 @@ class ServoIdentity:
     firmware: int
 
 
-class ServoBus(Transactions):
+class ServoBus:
     """Transactions with servos on one line; safe to use from several threads.
 
     A lost answer is asked for again behind a ping: once in `in_loop`, up to three times and
-    patiently outside of it. A late answer is never taken for a new one, see `Transactions`.
+    patiently outside of it. A late answer is never taken for a new one.
+
+    The line is CLEAN, OWING (inside a transaction whose answer is missing) or SUSPECT:
+
+    ======= ======================================= ======= ======================================
+    state   event                                   next    action
+    ======= ======================================= ======= ======================================
+    CLEAN   answer lost, damaged or refused (CRC)   OWING   ping, then ask again (`RetryPolicy`)
+    OWING   ping answered                           CLEAN   nothing older is outstanding
+    OWING   all repetitions lost                    SUSPECT BusTimeout or BusCorrupt
+    any     `expect_late_answer`                    SUSPECT none
+    SUSPECT next transaction, `Precaution.QUIET`    CLEAN   wait until the line is quiet
+    SUSPECT the same, where it never falls quiet    SUSPECT BusCorrupt, BusTimeout
+    SUSPECT next transaction, `Precaution.PING`     SUSPECT ping before the request
+    SUSPECT next transaction, `Precaution.NONE`     SUSPECT none
+    SUSPECT ``late_guard_s`` passed                 CLEAN   none
+    ======= ======================================= ======= ======================================
+
+    Each wait ends: for an answer at the time-out of the packet or after ``late_guard_s``, for a
+    quiet line after ten times that. In the loop a quiet line is not waited for: what has arrived
+    is dropped, and the transaction fails until nothing came for ``late_guard_s``.
 
     Parameters
     ----------
@@ -59,7 +108,99 @@ class ServoBus(Transactions):
         Longest wait in s for another thread's transaction.
     name
         Name of the line in error messages.
+
+    Attributes
+    ----------
+    alerts
+        IDs of the servos whose last answer had the Alert bit.
     """
+
+    def __init__(
+        self,
+        stream: ByteStream,
+        *,
+        baudrate: int,
+        clock: Clock,
+        period_s: float = 0.005,
+        return_delay_s: float = 0.0005,
+        allowance_s: float = 0.0015,
+        late_guard_s: float = 0.05,
+        lock_timeout_s: float = 1.0,
+        name: str = "the servo line",
+    ) -> None:
+        self.alerts: set[int] = set()
+        self.baudrate = baudrate
+        self._least_allowance_s = allowance_s
+        self._port = SdkPort(
+            stream,
+            clock,
+            baudrate=baudrate,
+            return_delay_s=return_delay_s,
+            allowance_s=allowance_s,
+        )
+        self._name = name
+        self._clock = clock
+        self._period_s = period_s
+        self._late_guard_s = late_guard_s
+        self._lock_timeout_s = lock_timeout_s
+        self._handler = CheckedPacketHandler()
+        self._policy = BETWEEN_COMMANDS
+        self._suspect = False
+        self._suspect_since_s = 0.0
+        self._quiet_since_s: float | None = None
+        self._outstanding = 0
+        self._heard = Heard()
+        self._last_error: BusTimeout | BusCorrupt | None = None
+        self._misses: dict[int, int] = {}
+        self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
+        self._lock = threading.RLock()
+        self._closed = False
+
+    @property
+    def lost(self) -> bool:
+        """Whether the line has failed since it was opened: then only `use` helps."""
+        return self._port.lost
+
+    def use(self, stream: ByteStream) -> None:
+        """Go on with a line that was opened anew."""
+        self._port.use(stream)
+
+    @property
+    def return_delay_s(self) -> float:
+        """Longest Return Delay Time of the servos in s; enters every time-out."""
+        return float(self._port.return_delay_s)
+
+    @return_delay_s.setter
+    def return_delay_s(self, delay_s: float) -> None:
+        self._port.return_delay_s = delay_s
+
+    def fit_allowance(self, wanted_s: float, most_s: float) -> None:
+        """Set the time for adapter and operating system in a time-out; never below the usual."""
+        self._port.allowance_s = max(self._least_allowance_s, min(wanted_s, most_s))
+
+    @property
+    def statistics(self) -> BusStatistics:
+        """Counts since the bus was opened."""
+        return BusStatistics(**self._counts)
+
+    def misses(self, servo_id: int) -> int:
+        """Return how many answers of a servo were lost in a row."""
+        return self._misses.get(servo_id, 0)
+
+    @contextmanager
+    def in_loop(self) -> Iterator[None]:
+        """Within the block no transaction waits longer than a period of the loop may take.
+
+        Outside of it a retry waits for ``late_guard_s``: at a start or between commands a servo,
+        or the machine that simulates it, may be slow once without being at fault. Within it a
+        sync read does not wait until the line is quiet: its caller reads Realtime Tick (register
+        120) along, which shows an old answer.
+        """
+        before, self._policy = self._policy, IN_LOOP
+        try:
+            yield
+        finally:
+            self._policy = before
 
     def alert(self, servo_id: int) -> bool:
         """Return whether the last answer of a servo had the Alert bit: register 70 is not zero."""
@@ -67,20 +208,41 @@ class ServoBus(Transactions):
 
     def ping(self, servo_id: int) -> ServoIdentity:
         """Ask a servo for its identity; BusTimeout when none has that ID."""
-        return _identity(self.ask(ping_request(servo_id)))
+        return _identity(self._ask(ping_request(servo_id)))
 
     def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
         """Ping each ID once, without patience, and return who answers; for finding a mistake."""
-        return tuple(_identity(status) for status in self.ping_each(ids))
+        found = []
+        with self.exclusive():
+            for servo_id in ids:
+                with suppress(NoAnswerError):
+                    status = self._exchange(ping_request(servo_id))
+                    if status.error == 0:  # a servo that refuses does not say which it is
+                        found.append(_identity(status))
+            self._mark_suspect()
+        return tuple(found)
 
     def scan_at_once(self) -> tuple[tuple[ServoIdentity, ...], bool]:
         """Ping all IDs with one broadcast; return who answers, and whether damaged bytes came.
 
         Takes about a second. Damaged bytes are of servos that share an ID, or of another device;
-        equal servos that share an ID may pass for one, see `shares_id`.
+        equal servos that share an ID may pass for one, see `shares_id`. Servos answer one after the
+        other, in the order of their IDs; the wait is that of the vendor's SDK
+        (`Protocol2PacketHandler.broadcastPing`).
         """
-        found, damaged = self.ping_all()
-        return tuple(_identity(status) for status in found), damaged
+        found: list[ServoIdentity] = []
+        damaged = False
+        with self.exclusive():
+            self._send(BROADCAST_ID, Instruction.PING, b"")
+            self._port.setPacketTimeout((STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1))
+            self._port.packet_timeout += _SLOT_MS * HIGHEST_ID
+            while (status := self._handler.receive(self._port)) is not None:
+                damaged |= self._handler.dropped_bytes > 0 or len(status.data) != PING_SIZE
+                if len(status.data) == PING_SIZE:
+                    found.append(_identity(status))
+            damaged |= self._handler.dropped_bytes > 0
+            self._mark_suspect()
+        return tuple(found), damaged
 
     def shares_id(self, servo_id: int) -> bool:
         """Return whether several servos answer to one ID.
@@ -94,7 +256,7 @@ class ServoBus(Transactions):
         lost = 0
         for _ in range(_COLLISION_READS):
             try:
-                checked(self.ask_once(request)[0], action)
+                checked(self._ask_once(request)[0], action)
             except BusCorrupt:
                 return True
             except BusTimeout:
@@ -103,14 +265,14 @@ class ServoBus(Transactions):
 
     def round_trip_s(self, servo_id: int) -> float:
         """Return the time in s that a ping takes, however late its answer comes."""
-        return self.ask_once(ping_request(servo_id), patient=True)[1]
+        return self._ask_once(ping_request(servo_id), patient=True)[1]
 
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""
         action = f"reading {register.name} of servo {servo_id}"
         params = _words(register.address, register.size)
         request = Request(servo_id, Instruction.READ, register.size, action, params)
-        return register.decode(self.ask(request).data)
+        return register.decode(self._ask(request).data)
 
     def write(self, servo_id: int, register: Register, raw: int) -> None:
         """Write the raw value of an item and wait for the servo's confirmation.
@@ -126,7 +288,7 @@ class ServoBus(Transactions):
             raise LimitExceeded(f"{register.name} is read-only")
         action = f"writing {register.name} = {raw} to servo {servo_id}"
         params = _words(register.address) + register.encode(raw)
-        self.ask(Request(servo_id, Instruction.WRITE, 0, action, params))
+        self._ask(Request(servo_id, Instruction.WRITE, 0, action, params))
 
     def sync_read(self, ids: Sequence[int], block: RegisterBlock) -> dict[int, dict[str, int]]:
         """Return the items of one block of several servos as raw values by name.
@@ -140,7 +302,7 @@ class ServoBus(Transactions):
         """
         action = f"reading {block} of servos {ids}"
         params = _words(block.address, block.size)
-        found = self.ask_all(ids, params, block.size, action)
+        found = self._ask_all(ids, params, block.size, action)
         return {servo_id: block.decode(status.data) for servo_id, status in found.items()}
 
     def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
@@ -163,7 +325,9 @@ class ServoBus(Transactions):
         for servo_id, raws in values.items():
             check_id(servo_id)
             params += bytes((servo_id,)) + block.encode(raws)
-        self.broadcast(Instruction.SYNC_WRITE, params)
+        # No servo answers: a late answer does no harm.
+        with self.exclusive(Precaution.NONE):
+            self._send(BROADCAST_ID, Instruction.SYNC_WRITE, params)
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo: torque off, RAM at its defaults; a part that it holds is let go.
@@ -171,9 +335,257 @@ class ServoBus(Transactions):
         Sent once only, because a repetition would restart it again.
         """
         request = Request(servo_id, Instruction.REBOOT, 0, f"reboot of servo {servo_id}")
-        status, _ = self.ask_once(request)
+        status, _ = self._ask_once(request)
         self.alerts.discard(servo_id)
         checked(status, request.action)
+
+    def expect_late_answer(self) -> None:
+        """Let the next transaction wait until the line is quiet: an answer came out of turn."""
+        self._mark_suspect()
+        self._outstanding += 1
+
+    def close(self) -> None:
+        """Close the line, the servos go on with their last goals; transactions raise PortLost."""
+        with self._lock:
+            self._closed = True
+            self._port.closePort()
+
+    @contextmanager
+    def exclusive(self, precaution: Precaution = Precaution.QUIET) -> Iterator[None]:
+        """Hold the line for one transaction, after the precaution that a suspect line needs.
+
+        Raises
+        ------
+        BusBusy
+            When another thread holds the line for more than ``lock_timeout_s``.
+        PortLost
+            After `close`.
+        BusCorrupt
+            When the line never falls quiet.
+        """
+        if not self._lock.acquire(timeout=self._lock_timeout_s):
+            raise BusBusy(
+                f"another thread holds the servo bus for more than {self._lock_timeout_s} s"
+            )
+        try:
+            if self._closed:
+                raise PortLost("the servo bus is closed: open it again")
+            self._counts["transactions"] += 1
+            if self._suspect and precaution is Precaution.QUIET:
+                self._wait_until_quiet()
+            elif (
+                self._suspect
+                and self._clock.monotonic() - self._suspect_since_s > self._late_guard_s
+            ):
+                self._mark_clean()
+            yield
+        finally:
+            self._port.is_using = False
+            self._lock.release()
+
+    def _ask(self, request: Request) -> StatusPacket:
+        """Send a request and return the checked answer; ask again when it is lost.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When no repetition was answered, or the line never fell quiet.
+        ServoRejected
+            When the servo refuses.
+        """
+        check_id(request.servo_id)
+        policy = self._policy
+        with self.exclusive(policy.before_one):
+            try:
+                if self._suspect and policy.before_one is Precaution.PING:
+                    self._ping(request.servo_id)
+                status = accepted(self._exchange(request))
+            except NoAnswerError as failure:
+                status = self._retry(request, failure)
+        return checked(status, request.action)
+
+    def _ask_all(
+        self, ids: Sequence[int], params: bytes, size: int, action: str
+    ) -> dict[int, StatusPacket]:
+        """Ask several servos for the same block with one sync read; return the answers by ID.
+
+        A servo that does not answer is asked alone. In the loop the servos are asked in the order
+        of their lost answers, so that a silent one does not hide one that answers.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt, ServoRejected
+            As `_ask` does, for the first servo without a right answer.
+        """
+        for servo_id in ids:
+            check_id(servo_id)
+        policy, precaution = self._policy, self._policy.before_several
+        if not policy.patient:
+            ids = sorted(ids, key=self.misses)
+        if min(map(self.misses, ids)) >= _ALL_SILENT_MISSES:
+            # Requests must not pile up in front of a machine that is slow to answer.
+            precaution = Precaution.QUIET
+        with self.exclusive(precaution):
+            deadline_s = None if policy.patient else self._clock.monotonic() + self._period_s
+            found, failure = self._sync_read(ids, params, size)
+            for servo_id in ids:
+                if servo_id not in found:
+                    request = Request(servo_id, Instruction.READ, size, action, params)
+                    found[servo_id] = self._retry(request, failure, deadline_s)
+        return {servo_id: checked(found[servo_id], action) for servo_id in ids}
+
+    def _ask_once(self, request: Request, *, patient: bool = False) -> tuple[StatusPacket, float]:
+        """Send a request that is never repeated; return the answer and the time in s it took."""
+        check_id(request.servo_id)
+        with self.exclusive():
+            sent_s = self._clock.monotonic()
+            try:
+                status = self._exchange(request, patient=patient)
+            except NoAnswerError as failure:
+                raise self._given_up(failure, request) from None
+            return status, self._clock.monotonic() - sent_s
+
+    def _mark_suspect(self) -> None:
+        self._suspect = True
+        self._suspect_since_s = self._clock.monotonic()
+        self._quiet_since_s = None
+
+    def _mark_clean(self) -> None:
+        self._suspect = False
+        self._outstanding = 0
+
+    def _retry(
+        self, request: Request, failure: NoAnswerError, deadline_s: float | None = None
+    ) -> StatusPacket:
+        """Ask again, each time behind a ping, as the policy allows; raise when nothing comes."""
+        for _ in range(self._policy.repetitions):
+            with suppress(NoAnswerError):
+                self._ping(request.servo_id, deadline_s)
+                self._counts["retries"] += 1
+                return accepted(self._exchange(request, patient=self._policy.patient))
+        raise self._given_up(failure, request) from None
+
+    def _given_up(self, failure: NoAnswerError, request: Request) -> BusTimeout | BusCorrupt:
+        """Return the error of a servo that is not asked again; the line is suspect from now on."""
+        self._mark_suspect()
+        self._last_error = given_up(failure, request, self._heard)
+        return self._last_error
+
+    def _ping(self, servo_id: int, deadline_s: float | None = None) -> None:
+        """Ping a servo, so that none of its earlier answers is outstanding any more.
+
+        The answer to a patient ping may have overtaken an earlier one: then the line is watched
+        until it is quiet.
+        """
+        if deadline_s is not None and self._clock.monotonic() >= deadline_s:
+            raise NoAnswerError(damaged=False)
+        self._exchange(ping_request(servo_id), patient=self._policy.patient)
+        if self._policy.patient and self._outstanding > 0:
+            self._wait_until_quiet()
+        self._outstanding = 0
+
+    def _sync_read(
+        self, ids: Sequence[int], params: bytes, size: int
+    ) -> tuple[dict[int, StatusPacket], NoAnswerError]:
+        """Send a sync read and collect the answers up to the first missing one.
+
+        The servos answer one after the other: behind a missing answer there is none.
+        """
+        self._send(BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
+        found: dict[int, StatusPacket] = {}
+        try:
+            for servo_id in ids:
+                found[servo_id] = accepted(self._receive(servo_id, size))
+        except NoAnswerError as failure:
+            return found, failure
+        return found, NoAnswerError(damaged=False)
+
+    def _exchange(self, request: Request, *, patient: bool = False) -> StatusPacket:
+        self._send(request.servo_id, request.instruction, request.params)
+        return self._receive(request.servo_id, request.size, patient=patient)
+
+    def _send(self, servo_id: int, instruction: Instruction, params: bytes) -> None:
+        """Drop what has arrived and send one request."""
+        self._port.is_using = False
+        self._handler.send(self._port, servo_id, instruction, params)
+
+    def _receive(self, servo_id: int, size: int, *, patient: bool = False) -> StatusPacket:
+        """Return the next right answer; drop what is damaged, late or of another servo."""
+        if patient:
+            self._port.setPacketTimeoutMillis(1000.0 * self._late_guard_s)
+        else:
+            self._port.setPacketTimeout(STATUS_OVERHEAD + size)
+        damaged = False
+        while True:
+            status = self._handler.receive(self._port)
+            self._heard.add(self._handler)
+            if status is None:
+                self._outstanding += 1
+                self._misses[servo_id] = self.misses(servo_id) + 1
+                damaged |= self._handler.dropped_bytes > 0
+                self._counts["corrupt" if damaged else "timeouts"] += 1
+                raise NoAnswerError(damaged)
+            if status.servo_id != servo_id:
+                self._counts["late"] += 1
+                self._heard.add_packet()
+            elif status.error == 0 and len(status.data) != size:
+                # A servo that refuses answers without data; any other length answers an earlier
+                # request.
+                damaged = True
+                self._outstanding = max(0, self._outstanding - 1)
+                self._counts["late"] += 1
+                self._heard.add_packet()
+            else:
+                self._counts["corrupt"] += self._handler.dropped_bytes > 0
+                self._misses[servo_id] = 0
+                self._heard.forget()
+                (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
+                return status
+
+    def _wait_until_quiet(self) -> None:
+        """Drop late answers until all came or the line was quiet for ``late_guard_s``.
+
+        Raises
+        ------
+        BusCorrupt
+            When bytes still come after ten times ``late_guard_s``; in the loop when they do now.
+        BusTimeout
+            In the loop, while late answers of servos that fell silent may still come.
+        """
+        now_s = self._clock.monotonic()
+        if self._quiet_since_s is None:
+            self._quiet_since_s = now_s
+        patience_s = _LONGEST_QUIET_WAIT * self._late_guard_s if self._policy.patient else 0.0
+        deadline_s = now_s + patience_s
+        while self._outstanding > 0:
+            left_s = self._quiet_since_s + self._late_guard_s - now_s
+            if left_s <= 0.0:
+                break
+            self._port.setPacketTimeoutMillis(1000.0 * min(left_s, max(0.0, deadline_s - now_s)))
+            status = self._handler.receive(self._port)
+            self._heard.add(self._handler)
+            now_s = self._clock.monotonic()
+            if status is not None:
+                self._outstanding -= 1
+                self._counts["late"] += 1
+                self._heard.add_packet()
+            if status is not None or self._handler.dropped_bytes:
+                self._quiet_since_s = now_s
+            if self._outstanding > 0 and now_s >= deadline_s:
+                self._suspect_since_s = now_s
+                raise self._not_quiet(patience_s)
+        self._quiet_since_s = None
+        self._mark_clean()
+
+    def _not_quiet(self, patience_s: float) -> BusTimeout | BusCorrupt:
+        if not self._heard and self._last_error is not None:
+            return type(self._last_error)(*self._last_error.args)
+        within = f"within {patience_s:.2g} s" if patience_s else "yet"
+        return BusCorrupt(
+            f"{self._name} did not fall quiet {within}: {self._heard}. Another program or device "
+            f"sends on the line, or it picks up noise: disconnect other hosts, check cable, "
+            f"ground, termination and baud rate"
+        )
 
 
 def _words(*values: int) -> bytes:
