@@ -282,10 +282,13 @@ def later(cell: CampaignCell, seen: Observed) -> Observed:
     return replace(seen, outcome=f"{seen.outcome}; {LATER_S:g} s later {cell.grip_n:.1f} N")
 
 
-def recovered(cell: CampaignCell, row: FaultRow, seen: Observed) -> Observed:
+def recovered(
+    cell: CampaignCell, row: FaultRow, seen: Observed, next_job: Callable[[], Any] = int
+) -> Observed:
     """Look at the number of the fault that is latched, and take its steps: they lead back to IDLE.
 
-    An encoder that leapt needs a person who pushes the finger: nobody does so here.
+    An encoder that leapt needs a person who pushes the finger: nobody does so here. At last the
+    next job is done.
     """
     number = cell.controller.status.fault_number
     if row.number not in (0, number):
@@ -297,6 +300,7 @@ def recovered(cell: CampaignCell, row: FaultRow, seen: Observed) -> Observed:
             with cell.monitor.release_asked(), suppress(*PRODUCT_ERRORS):
                 take_steps(cell, number)
     if cell.controller.state is CellState.IDLE:
+        next_job()
         return seen
     return replace(seen, reaction=f"STAYS {cell.controller.state}: {cell.controller.fault}")
 

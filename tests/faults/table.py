@@ -157,12 +157,14 @@ CAN_BUS = _near((
              "can.unplugged@contact+0.2s", "HOLD", 0.1, number=311),
     FaultRow(8, "back again",
              "the CAN adapter is out for 50 ms; no silent reconnect, but by clear and reset",
-             "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1, can.adapter_comes_back),
+             "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1, can.adapter_comes_back,
+             number=311),
 ))
 
 CONTROL_UNIT = _near((
     FaultRow(9, "", "the unit reboots in the ramp; the limit counts its boot of 20 ms",
-             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots),
+             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots,
+             number=308),
     FaultRow(10, "heartbeat lost", "the heartbeat stops",
              "unit.heartbeat_off@contact+0.1s", "HOLD", 0.25 + LOOP_S, number=305),
     FaultRow(10, "never appears", "the unit is not there at the start",
@@ -329,7 +331,7 @@ SERVO_BUS = (
     FaultRow(19, "cable back",
              "the cable is out for 0.2 s; no silent reconnect, but by clear and reset",
              "servos.unplugged@contact+0.2s..contact+0.4s", "HOLD", BUS_LOST_S,
-             can.adapter_comes_back),
+             can.adapter_comes_back, number=101),
     FaultRow(19, "dead bus", "no servo answers any more in the ramp",
              "servos.off@contact+0.2s", "HOLD", BUS_LOST_S, number=102),
     FaultRow(19, "dead bus in the approach", "no servo answers any more while the fingers close",

@@ -1,14 +1,14 @@
 """Faults of the axes that carry the part: the motion stops, the grip is not touched."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from cell.control.plan import GraspStep, Pose
-from cell.control.states import CellState
 from motion.object_dictionary import State
 from simulator.can.drive import SimulatedDrive
 from tests.cell.conftest import once
-from tests.faults.campaign import CampaignCell, FaultRow, Observed, campaign_cell, observe
+from tests.faults.campaign import FaultRow, Observed, campaign_cell, observe, recovered
 
 X_AXIS = {
     "kind": "cia402", "moves": "x", "node_id": 11, "increments": 1000.0, "low": -6.0,
@@ -33,7 +33,7 @@ STEP = GraspStep(pose=Pose(x_m=2e-3, rotation_rad=1.0, roll_rad=1.0), force_n=3.
 
 
 def axis_fails(row: FaultRow) -> Observed:
-    """Inject while the axes move to the second pose; then clear, reset and grasp again.
+    """Inject while the axes move to the second pose; then take the steps of the fault.
 
     It is detected when another drive is in its quick stop.
     """
@@ -58,7 +58,8 @@ def axis_fails(row: FaultRow) -> Observed:
         if any(axis.moving for axis in axes.values() if axis not in silent):
             return replace(observed, reaction="MOVES")
         cell.simulated.injector.clear_all()
-        return _goes_on(cell, replace(observed, detected_after_s=known_s[0] - began_s[0]))
+        seen = replace(observed, detected_after_s=known_s[0] - began_s[0])
+        return recovered(cell, row, seen, partial(cell.controller.grasp, STEP))
 
 
 def drive_fails_in_a_hold(row: FaultRow) -> Observed:
@@ -68,15 +69,4 @@ def drive_fails_in_a_hold(row: FaultRow) -> Observed:
         if observed.reaction != "NOTHING":
             return observed
         refused = observe(cell, job=lambda one: one.controller.grasp(STEP))
-        return _goes_on(cell, refused)
-
-
-def _goes_on(cell: CampaignCell, observed: Observed) -> Observed:
-    """Clear the fault as a person does, and grasp again; a cell that cannot is no good."""
-    if cell.controller.state is not CellState.ABORTED:
-        return observed
-    cell.controller.clear()
-    cell.controller.reset()
-    cell.controller.start()
-    cell.controller.grasp(STEP)
-    return replace(observed, outcome=f"{observed.outcome}; cleared, homed and grasped again")
+        return recovered(cell, row, refused, partial(cell.controller.grasp, STEP))

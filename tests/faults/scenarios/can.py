@@ -3,11 +3,17 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from cell.control.states import CellState
 from gripper.force.ramp import ForceRamp
 from simulator.faults.injector import InjectedFault
 from tactile.errors import TareRefused
-from tests.faults.campaign import CampaignCell, FaultRow, Observed, campaign_cell, observe
+from tests.faults.campaign import (
+    CampaignCell,
+    FaultRow,
+    Observed,
+    campaign_cell,
+    observe,
+    recovered,
+)
 
 _SYNC_ID = 0x80
 """COB-ID of SYNC, CiA 301."""
@@ -58,26 +64,13 @@ def adapter_comes_back(row: FaultRow) -> Observed:
         cell.controller.tick()
         if cell.controller.state is not state:
             return replace(observed, reaction=f"went from {state} to {cell.controller.state}")
-        return _next_job(cell, observed)
+        return recovered(cell, row, observed, cell.grasp)
 
 
 def unit_reboots(row: FaultRow) -> Observed:
-    """Reboot in a grasp; after clear and reset the next job sets up and zeroes anew."""
+    """Reboot in a grasp; the next job sets up and zeroes anew."""
     with campaign_cell(row.changes) as cell:
-        return _next_job(cell, observe(cell, row.injected))
-
-
-def _next_job(cell: CampaignCell, observed: Observed) -> Observed:
-    """Clear, reset, release and do the next job; add whether it was done."""
-    controller = cell.controller
-    controller.clear()
-    controller.reset()
-    with cell.monitor.release_asked():
-        controller.release_held()
-    controller.start()
-    cell.grasp()
-    again = controller.state is CellState.IDLE
-    return replace(observed, outcome=f"{observed.outcome}; next job {'done' if again else 'not'}")
+        return recovered(cell, row, observe(cell, row.injected), cell.grasp)
 
 
 def drifts_between_grasps(row: FaultRow) -> Observed:

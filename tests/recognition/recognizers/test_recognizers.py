@@ -14,7 +14,6 @@ from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
 from recognition.features.footprint import pad_grid
-from recognition.grasp import SelfZero
 from recognition.ramp.levels import load_levels
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import (
@@ -334,41 +333,6 @@ def test_objects_that_only_their_size_tells_apart_have_no_name_on_another_day(fa
     assert wrong <= 0.05 * len(names)
     assert others > alike + 0.2
     assert all(taught.posterior(grasp).name == grasp.label for grasp in grasps)
-
-
-def test_a_self_zero_of_each_day_takes_its_drift_off(train, fresh):
-    def zeroed(grasps, opening_m, log_gain, minutes):
-        zero = SelfZero(
-            opening_m=opening_m,
-            opening_sd_m=5e-5,
-            log_gain_ratio=0.0,
-            log_gain_ratio_sd=0.02,
-            log_scale=log_gain,
-            log_scale_sd=0.05,
-            log_stiffness=log_gain,
-            log_stiffness_sd=0.05,
-        )
-        return [
-            dataclasses.replace(g, zero=zero, start_ms=g.start_ms + 60_000 * minutes)
-            for g in grasps
-        ]
-
-    taught = make_trainer("force_ramp").fit(zeroed(train, 2e-3, 8.0, 0))
-    taught = type(taught).from_arrays(taught.to_arrays())
-    drift = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
-    today = zeroed(map(drift.apply, fresh), -2e-3, 8.0 + np.log(0.7), 1440)
-    plain = [dataclasses.replace(g, zero=None) for g in today]
-    told, untold = (
-        np.mean([taught.posterior(g).name == g.label for g in some]) for some in (today, plain)
-    )
-    assert told >= 0.85
-    assert told > untold
-    followed = taught.follow(today[0]).follow(today[1])
-    assert followed.grid.n_followed == 2
-    assert abs(followed.grid.drift.aperture_offset_m) < 0.3e-3
-    assert followed.grid_at(zeroed(fresh[:1], 1e-3, 8.0, 2880)[0]).n_followed == 0
-    both = make_trainer("force_ramp").fit([*zeroed(train, 2e-3, 8.0, 0), *today])
-    assert accuracy(both, today) >= 0.96
 
 
 def test_a_size_between_two_taught_ones_is_no_taught_object(train, fresh):
