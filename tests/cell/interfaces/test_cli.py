@@ -586,48 +586,23 @@ def test_doctor_passes_and_fails(tmp_path: Path, config: Path, fail: Any) -> Non
     assert "checks failed" in said
 
 
-def test_simulate_announces_one_line_and_a_ready_config_without_its_faults(
+def test_simulate_prints_one_line_and_adds_to_the_faults_of_the_config(
     config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from cell.jobs import simulate as simulating
+    served: list[tuple[CellConfig, Any]] = []
 
-    served: list[Any] = []
+    def serve(config: CellConfig, *, announce: Callable[..., None], **options: Any) -> None:
+        served.append((config, options))
+        announce({"servo_port": "/dev/pts/7"})
 
-    def serve(
-        settings: Any,
-        announce: Callable[[dict[str, Any]], None],
-        *,
-        folder: Path,
-        until_parent_ends: bool,
-    ) -> None:
-        served.append(settings)
-        assert not until_parent_ends
-        announce(
-            {
-                "servo_port": "/dev/pts/7",
-                "can_interface": "slcan",
-                "can_channel": "/dev/pts/8",
-                "positioner_socket": str(folder / "positioner.sock"),
-                "config": None,
-            }
-        )
-
-    monkeypatch.setattr(simulating, "serve", serve)
+    monkeypatch.setattr("cell.jobs.simulate.serve_simulated_cell", serve)
     config.write_text(config.read_text().replace("faults: []", "faults: [unit.stuck@9s]"))
     fault = ("--fault", "can.loss=0.05@2s")
     output = call("simulate", "-c", config, "--out", tmp_path / "sim", "--seed", 11, *fault)
-    (line,) = output.splitlines()
-    hello = json.loads(line)
-    assert hello["config"] == str(tmp_path / "sim" / "cell.yaml")
-    assert served[0].seed == 11
-    assert served[0].faults == ("unit.stuck@9s", "can.loss=0.05@2s")
-    ready = load_config(Path(hello["config"]))
-    assert ready.gripper.port == "/dev/pts/7"
-    assert (ready.tactile.interface, ready.tactile.channel) == ("slcan", "/dev/pts/8")
-    assert ready.positioner.socket == hello["positioner_socket"]
-    assert ready.tactile.tare_frames == 25
-    assert ready.seed == 11
-    assert (ready.simulator.faults, ready.simulated) == ((), False)
+    assert output == '{"servo_port": "/dev/pts/7"}\n'
+    ((found, options),) = served
+    assert (found.seed, found.simulator.faults) == (11, ("unit.stuck@9s", "can.loss=0.05@2s"))
+    assert options == {"frames": None, "folder": tmp_path / "sim", "until_parent_ends": False}
 
 
 def test_simulate_plays_records_that_fit(

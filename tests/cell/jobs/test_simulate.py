@@ -13,6 +13,16 @@ from simulator.settings import SimulatorSettings
 from tests.cell.conftest import small_config
 from tests.faults.scenarios.axes import CHANGES
 
+FOUND = {
+    "servo_port": "servos",
+    "can_interface": "slcan",
+    "can_channel": "can",
+    "axes_can_channel": "drives",
+    "axes_ports": {"roll": "wrist"},
+    "positioner_socket": "socket",
+}
+"""Ports of a simulated cell that is served."""
+
 
 def test_a_folder_serves_one_simulated_cell_at_a_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -25,8 +35,9 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(
             small_config(), frames=None, folder=folder, announce=lambda _line: None
         )
 
-    def serve(_settings: Any, _announce: Any, *, folder: Path, **_options: Any) -> None:
+    def serve(_settings: Any, announce: Any, *, folder: Path, **_options: Any) -> None:
         served.append(folder)
+        announce(FOUND)
         if len(served) == 1:
             with pytest.raises(CellError, match="name another folder with --out"):
                 serve_here()
@@ -35,25 +46,19 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(
     serve_here()
     serve_here()
     assert served == [folder, folder]
+    positioner = load_config(folder / "cell.yaml").positioner
+    assert (positioner.kind, positioner.socket) == ("simulated", "socket")
 
 
 def test_a_client_gets_the_axes_at_their_ports_and_more_patience(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = changed_config(small_config(), CHANGES)
-    found = {
-        "servo_port": "servos",
-        "can_interface": "slcan",
-        "can_channel": "can",
-        "axes_can_channel": "drives",
-        "axes_ports": {"roll": "wrist"},
-        "positioner_socket": "socket",
-    }
+    config = changed_config(small_config(simulator__faults=["unit.stuck@9s"]), CHANGES)
     announced: list[dict[str, Any]] = []
 
     def serve(settings: SimulatorSettings, announce: Any, **_options: Any) -> None:
         assert list(settings.axes) == ["x", "rotation", "roll"]
-        announce(found)
+        announce(FOUND)
 
     monkeypatch.setattr(simulate, "serve", serve)
     simulate.serve_simulated_cell(config, frames=None, folder=tmp_path, announce=announced.append)
@@ -67,3 +72,6 @@ def test_a_client_gets_the_axes_at_their_ports_and_more_patience(
     assert positioner.can.heartbeat_loss_ms == 400.0
     assert [axis.bus_loss_ms for axis in positioner.axes if axis.kind == "dynamixel"] == [400.0]
     assert client.brings_objects
+    assert (client.gripper.port, client.simulator.faults, client.simulated) == ("servos", (), False)
+    assert (client.tactile.interface, client.tactile.channel) == ("slcan", "can")
+    assert client.tactile.tare_frames == config.tactile.tare_frames
