@@ -33,12 +33,18 @@ _RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
 """Shares of the grip force at which the eigenvalue along the ramp is drawn."""
 
 
-@one_blas_thread()
 def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) -> Path:
     """Write the page and return its path. Raises cell.errors.ReportError."""
+    write_report(path, report_data(result, config, cell))
+    return path
+
+
+@one_blas_thread()
+def report_data(result: MainResult, config: CellConfig, cell: Cell) -> ReportData:
+    """Return what the page shows of a run."""
     hand = cell.controller.hand
     statistics = hand.statistics
-    data = ReportData(
+    return ReportData(
         title="What the cell held",
         subtitle=f"{config.name}: {result.n_taught} grasps taught, "
         f"{len(result.trials)} identifications",
@@ -66,8 +72,6 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         ),
         notes=(*result.remarks, *_notes(config)),
     )
-    write_report(path, data)
-    return path
 
 
 def _key_figures(result: MainResult) -> tuple[KeyFigure, ...]:

@@ -15,7 +15,7 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
 from cell.jobs.common import job_folder, progress_of
 from cell.jobs.run import BASELINE, _scores, baseline, score
-from cell.jobs.run_report import main_report
+from cell.jobs.run_report import report_data
 from cell.jobs.teach import labelled, name_recorded, teach_to_dataset
 from cell.learning.collection import Collection, grasps_of
 from cell.learning.model import load_model
@@ -99,30 +99,27 @@ def test_json_has_what_was_promised(taught: Any) -> None:
     assert data["report"] is None
 
 
-def test_the_baseline_as_default_is_trained_once(
-    make_bench: MakeBench, taught: Any, tmp_path: Path
-) -> None:
+def test_the_baseline_as_default_is_trained_once(make_bench: MakeBench, taught: Any) -> None:
     bench, model = make_bench(taught.config), Mock(trainer_name=BASELINE)
     assert baseline(model, ()) == {}
     scores = {f"{BASELINE}{kind}": taught.result.scores[BASELINE] for kind in ("", "_one_grasp")}
     result = replace(taught.result, default=BASELINE, scores=scores)
-    page = main_report(result, taught.config, bench.cell, tmp_path / "report.html").read_text()
-    assert "right by the paper&#39;s method" not in page
+    captions = [
+        [figure.caption for figure in report_data(one, taught.config, bench.cell).key_figures]
+        for one in (taught.result, result)
+    ]
+    assert captions == [
+        ["right", "right with one grasp", "right by the paper's method", "grasps until sure"],
+        ["right", "right with one grasp", "grasps until sure"],
+    ]
 
 
-def test_the_page_shows_objects_figures_and_files(
-    make_bench: MakeBench, taught: Any, tmp_path: Path
-) -> None:
-    bench = make_bench(taught.config)
-    path = main_report(taught.result, taught.config, bench.cell, tmp_path / "report.html")
-    page = path.read_text(encoding="utf-8")
-    assert "10 grasps taught, 2 identifications" in page
-    assert "right by the paper&#39;s method" in page
-    assert "This cell, as many grasps as it takes" in page
-    assert "XM430-W350 (id 1)" in page
-    assert str(taught.result.recording) in page
-    assert "Simulated cell" in page
-    assert page.count("<svg") + page.count("data:image/png") > 3
+def test_the_page_shows_figures_and_files(make_bench: MakeBench, taught: Any) -> None:
+    data = report_data(taught.result, taught.config, make_bench(taught.config).cell)
+    assert "10 grasps taught, 2 identifications" in data.subtitle
+    assert "XM430-W350 (id 1)" in dict(data.facts)["Servos"]
+    assert ("Recording", str(taught.result.recording)) in data.files
+    assert "Simulated cell" in data.notes[-1]
 
 
 # -- scores ------------------------------------------------------------------------------------
