@@ -14,7 +14,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
+from cell.errors import CellStopped, ConfigError, PositionerError
 from cell.hand.local import LocalHand
 from cell.learning.model import load_model
 from gripper.errors import PartLost, PartSlipped
@@ -111,24 +111,6 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
     assert bench.controller.live == LiveValues()
 
 
-def test_a_named_part_is_held_for_the_host_until_it_is_released(bench: Any) -> None:
-    bench.ready()
-    found = identify(bench, Scripted(SURE), Keep.WHEN_NAMED)
-    assert found.kept
-    assert bench.controller.state is CellState.COMPLETE
-    assert bench.controller.grasp_state is GraspState.HOLDING
-    idle(bench, 2.0)
-    assert bench.grip_n == pytest.approx(CARRY_N, abs=TOLERANCE_N)
-    bench.controller.cancel()
-    idle(bench, 0.1)
-    assert bench.controller.state is CellState.COMPLETE
-    assert bench.controller.release().opened == (1, 2)
-    assert bench.grip_n == 0.0
-    assert bench.controller.state is CellState.IDLE
-    assert not identify(bench, Scripted(SURE), Keep.NEVER).kept
-    assert bench.controller.state is CellState.IDLE
-
-
 @pytest.mark.parametrize(("keep", "kept"), [(Keep.WHEN_NAMED, False), (Keep.ALWAYS, True)])
 def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, kept: bool) -> None:
     bench.ready()
@@ -205,15 +187,6 @@ def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) ->
         identify(bench, Scripted(), Keep.ALWAYS)
     assert bench.controller.state is CellState.ABORTED
     assert bench.grip_n > 1.0
-
-
-def test_a_grip_without_a_part_is_no_part(bench: Any) -> None:
-    bench.controller.start()
-    bench.simulated.devices.physical.remove()
-    with pytest.raises(NoPartFound):
-        bench.controller.grip(3.0)
-    assert bench.controller.state is CellState.IDLE
-    assert bench.controller.grasp_state is GraspState.NO_PART_FOUND
 
 
 # -- one grip --------------------------------------------------------------------------------
@@ -365,23 +338,6 @@ def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
 
 
 TO_BIN = Destination(label="ball", place="bin 1")
-
-
-def test_a_kept_part_is_carried_to_its_place(make_bench: MakeBench) -> None:
-    brought: list[Destination] = []
-    held_n: list[float] = []
-
-    def places(destination: Destination) -> None:
-        brought.append(destination)
-        held_n.append(bench.grip_n)
-
-    bench = make_bench(places=places)
-    bench.ready()
-    bench.controller.grip(3.0, Pose())
-    bench.controller.carry_to(TO_BIN)
-    assert brought == [TO_BIN]
-    assert held_n == pytest.approx([CARRY_N], abs=TOLERANCE_N)
-    assert bench.controller.state is CellState.COMPLETE
 
 
 @pytest.mark.parametrize("answer", [False, "there"])

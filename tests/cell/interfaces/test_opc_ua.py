@@ -43,6 +43,7 @@ from cell.interfaces.opc_ua.door import (
     SHUTDOWN_EVENT,
     OpcUaDoor,
 )
+from cell.interfaces.service.host_values import VALUES
 from cell.interfaces.service.service import RELEASE_KEY
 from cell.interfaces.service.serving import open_doors
 from tactile.errors import FrameTimeout
@@ -301,37 +302,21 @@ async def test_without_a_folder_the_door_is_read_only(serve: Any, plc: Identity)
 # -- commands and values -----------------------------------------------------------------------
 
 
-async def test_a_trusted_client_walks_a_simulated_cell_through_all_commands(
-    open_cell: Any, plc: Identity
-) -> None:
-    served = open_cell(cell={})
-
+async def test_a_trusted_client_commands_and_reads_all(open_cell: Any, plc: Identity) -> None:
+    served = open_cell()
     async with linked(served, plc) as link:
         with pytest.raises(BadNoData):
             await link.read("LastAnswer.Label")
         lease = await link.call("acquire", "plc")
         await link.until("State.Commander", lambda name: name == "plc")
-        assert await link.call("identify", lease, 1, 0.0, True, 1) == 1
-        assert await link.call("identify", lease, 1, 0.0, True, 1) == 1  # not done twice
+        for _ in range(2):
+            assert await link.call("identify", lease, 1, 0.0, True, 1) == 1  # not done twice
         await link.ended(1)
-        shown = {path: await link.read(path) for path in NODES}
-        job = served.service.job(1)
-        assert shown["Job.Label"] == await link.call("label", 1) == job.label == "ball"
-        assert shown["Job.LabelId"] == await link.call("label_id", 1) == 1
-        assert shown["Job.Probability"] == await link.call("probability", 1) > 0.5
-        assert shown["Job.Shape"] == job.shape == "sphere"
-        assert shown["Job.Size"] == job.size_mm > 1.0
-        assert shown["Job.Kept"]
-        assert (shown["State.Number"], shown["State.Name"]) == (17, "COMPLETE")
-        assert shown["Grip.Holding"]
-        assert shown["Grip.Force"] > 1.0
-        assert (shown["Grip.ForceAge"] < 0.1, shown["FrameAge"] < 0.1) == (True, True)
-        answer = [shown[f"LastAnswer.{name}"] for name in ("Job", "Label", "LabelId", "Kept")]
-        assert answer == [1, "ball", 1, True]
-        assert shown["LastAnswer.Probability"] == job.probability
-        assert len(shown["Taxels"]) == served.service.info()["n_taxels"]
-        assert max(shown["Taxels"]) > 0
-        assert shown["FaultNumber"] == 0
+        now = served.service.snapshot()
+        for value in VALUES:
+            assert await link.read(value.node) == value.of(now), value.node
+        assert await link.read("LastAnswer.Label") == await link.call("label", 1) == "ball"
+        assert await link.read("Taxels") == now.status.live.counts.tolist()
         assert await link.call("release", lease, 0) == -513
         assert await link.call("release", lease + 1, RELEASE_KEY) < 0
         assert await link.call("release", lease) == -501  # an argument is missing

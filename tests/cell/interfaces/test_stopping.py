@@ -170,25 +170,6 @@ def test_a_stop_does_not_wait_for_whoever_moves_the_object(make_bench: Any) -> N
     bench.controller.present("ball")
 
 
-def test_a_stop_while_the_object_is_moved_for_a_grasp_holds(make_bench: Any) -> None:
-    moving, go_on = threading.Event(), threading.Event()
-
-    def ask(_text: str) -> str:
-        moving.set()
-        go_on.wait(LIMIT_S)
-        return ""
-
-    bench = make_bench(small_config(positioner__kind="operator"), ask=ask)
-    bench.controller.start()
-    bench.simulated.clock.on_advance.append(
-        lambda _now_s: bench.controller.cancel() if moving.is_set() else None
-    )
-    with pytest.raises(CellStopped, match="nothing is held"):
-        bench.grasp()
-    go_on.set()
-    assert bench.controller.state is CellState.HELD
-
-
 def test_what_supervision_raises_comes_at_once_and_what_the_call_raises_too() -> None:
     caller = PatientCaller(time, 0.001)
     blocked = threading.Event()

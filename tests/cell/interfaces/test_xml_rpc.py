@@ -6,7 +6,6 @@ import math
 import shutil
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -25,9 +24,6 @@ from cell.interfaces.service.service import RELEASE_KEY
 from gripper.errors import PartSlipped, ServoFault
 from tests.cell.interfaces.conftest import LIMIT_S, Served, until
 from tests.cell.interfaces.ur_script import Robot
-
-LONGEST_CALL_S = 0.1
-"""No call may wait longer: a robot program stands still meanwhile."""
 
 
 @pytest.fixture
@@ -156,33 +152,6 @@ def test_a_fault_has_its_number_and_clear_restarts_servos_where_that_is_asked_fo
         assert served.plugin.asked[-1] == (Command.CLEAR, reboot)
         assert (cell.fault_number(), cell.needs_reset()) == (0, True)
         served.plugin.fail(ServoFault(1, 0x20, "overload"))
-
-
-def test_no_call_waits_while_the_cell_is_busy(connect: Any) -> None:
-    served, cell = connect()
-    lease = cell.acquire("robot")
-    served.plugin.pause()
-    job = cell.identify(lease, 1, 0.0, False)
-    took_s = []
-    for call in (
-        cell.state,
-        lambda: cell.job_state(job),
-        lambda: cell.identify(lease, 1, 0.0, False),
-        lambda: cell.release(lease, RELEASE_KEY),
-        lambda: cell.reset(lease),
-        cell.next_pose,
-        cell.hold,
-        lambda: cell.alive(lease),
-    ):
-        each_s = []
-        for _ in range(5):
-            begin_s = time.perf_counter()
-            call()
-            each_s.append(time.perf_counter() - begin_s)
-        took_s.append(min(each_s))  # the machine may be another's for a moment
-    assert max(took_s) < LONGEST_CALL_S
-    assert served.ended().outcome == "CANCELED"
-    assert cell.state() == 11
 
 
 def test_poses_are_those_of_ur(connect: Any) -> None:

@@ -84,12 +84,6 @@ def test_replayed_grasps_come_back_bit_for_bit_and_are_named(taught: Any, tmp_pa
     assert json.loads(json_bytes(result.as_json()))["frames_equal"] is True
 
 
-def test_a_limit_spreads_over_the_rest(taught: Any) -> None:
-    result = play(taught.grasps, limit=2, recognizer="level_check")
-    assert result.n_grasps == 2
-    assert result.recognizer == "level_check"
-
-
 def test_grasps_without_labels_are_replayed_and_not_named(taught: Any) -> None:
     nameless = [replace(grasp, label="") for grasp in taught.grasps[:2]]
     result = play(nameless, limit=1)
@@ -158,22 +152,6 @@ def loaded(taught: Any) -> LoadedModel:
 def test_grasps_on_other_pads_are_refused(taught: Any) -> None:
     with pytest.raises(ModelError, match=r"taught on 408 taxels in 10 pads, these .* 24 in 2"):
         identify_recorded(loaded(taught), [plain_grasp("a")])
-
-
-def test_the_cell_names_what_it_holds(make_bench: MakeBench, taught: Any) -> None:
-    bench = make_bench(taught.config)
-    bench.controller.start()
-    told: list[int] = []
-    found, truth = identify_on_cell(
-        bench.cell,
-        taught.config,
-        TaughtModel(taught.config, loaded(taught)),
-        held=None,
-        progress=lambda _task, done, _total: told.append(done),
-    )
-    assert truth in ("ball", "box")
-    assert found.label == truth
-    assert told == list(range(1, len(found.records) + 1))
 
 
 def test_a_real_cell_is_not_told_what_it_holds(make_bench: MakeBench, taught: Any) -> None:

@@ -112,21 +112,3 @@ def test_grasps_without_poses_cannot_be_chosen_by(taught: Any) -> None:
     grasps = [replace(grasp, command=None) for grasp in taught.grasps]
     with pytest.raises(CellError, match="none of the grasps has a commanded pose"):
         train(grasps, "shrinkage_lda", poses=True)
-
-
-def test_the_controller_takes_the_chosen_steps(bench: Any) -> None:
-    class Unsure:
-        labels = LABELS
-
-        def posterior(self, grasp: Any) -> Posterior:
-            return Posterior(labels=LABELS, probability=np.array([0.5, 0.5]), unknown=0.1)
-
-    class Counting:
-        def next_step(self, posteriors: Any, planned: GraspStep, /) -> GraspStep:
-            return GraspStep(pose=planned.pose, force_n=2.0 + len(posteriors))
-
-    bench.ready()
-    planned = [GraspStep(pose=Pose(), force_n=7.0)] * 2
-    found = bench.controller.identify(Unsure(), planned, chooser=Counting())
-    assert [record.step.force_n for record in found.records] == [2.0, 3.0]
-    assert found.records[1].grasp.force_n[-1] == 3.0

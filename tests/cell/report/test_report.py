@@ -19,13 +19,7 @@ from cell.control.records import GraspRecord
 from cell.errors import ReportError
 from cell.jobs.run_report import report_data
 from cell.report.build import link_health, loop_health, paper_table, servo_health, windows
-from cell.report.data import (
-    ConfusionTable,
-    HealthGroup,
-    HealthState,
-    HeldAndFound,
-    ReportData,
-)
+from cell.report.data import ConfusionTable, HealthGroup, HealthState, HeldAndFound, ReportData
 from cell.report.pad_pictures import level_pictures, pressure_levels
 from cell.report.page import (
     drawn_sequences,
@@ -44,12 +38,7 @@ from recognition.shape.answer import ShapeAnswer
 from tactile.frames.assembler import FrameStatistics
 from tactile.layout import TaxelLayout, paper_layout
 from tests.cell.conftest import plain_grasp
-from tests.values import (
-    make_identification,
-    make_link_statistics,
-    make_record,
-    make_shape,
-)
+from tests.values import make_identification, make_link_statistics, make_record, make_shape
 
 LAYOUT = paper_layout()
 RECORD = make_record(plain_grasp(""))
