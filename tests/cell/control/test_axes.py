@@ -14,7 +14,7 @@ from cell.control.positioner import Destination
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
 from gripper.state import GripperPhase
-from tests.cell.conftest import MakeBench, small_config
+from tests.cell.conftest import MakeBench, once, small_config
 from tests.faults.scenarios.axes import CHANGES
 
 NEAR_M, NEAR_RAD = 1e-4, radians(1.0)
@@ -163,13 +163,7 @@ def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(bench: Any) -
 def test_a_cancel_stops_the_axes_on_their_way(bench: Any) -> None:
     bench.ready().grasp(3.0, Pose(x_m=-5e-3))
     axes = bench.simulated.devices.axes
-
-    def look(_now_s: float) -> None:
-        if axes["x"].moving:
-            bench.simulated.clock.on_advance.remove(look)
-            bench.controller.cancel()
-
-    bench.simulated.clock.on_advance.append(look)
+    once(bench.clock, lambda: axes["x"].moving, bench.controller.cancel)
     with pytest.raises(CellStopped):
         bench.grasp(3.0, Pose(x_m=5e-3))
     assert not any(axis.moving for axis in axes.values())
@@ -196,13 +190,7 @@ def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
     """A servo of the gripper that falls silent on the way stops the axes as well."""
     bench.ready().grasp(3.0, Pose(x_m=-5e-3))
     axes = bench.simulated.devices.axes
-
-    def look(_now_s: float) -> None:
-        if axes["x"].moving:
-            bench.simulated.clock.on_advance.remove(look)
-            bench.simulated.inject("servo2.off")
-
-    bench.simulated.clock.on_advance.append(look)
+    once(bench.clock, lambda: axes["x"].moving, lambda: bench.inject("servo2.off"))
     with pytest.raises(Exception, match="servo"):
         bench.controller.grasp(GraspStep(pose=Pose(x_m=5e-3), force_n=3.0))
     assert bench.controller.state is CellState.ABORTED

@@ -185,9 +185,7 @@ def test_cancelling_keeps_the_grip_until_it_is_released(
     assert bench.controller.state is CellState.HELD
     assert bench.controller.holding
     assert bench.grip_n >= least_n
-    for _ in range(200):
-        bench.sleep(0.005)
-        bench.controller.tick()
+    bench.idle(1.0)
     assert least_n <= bench.grip_n < 6.0
     bench.controller.release()
     assert bench.controller.state is CellState.IDLE

@@ -55,15 +55,6 @@ class Scripted:
 SURE, UNSURE, STRANGE = (0.9999, 0.001), (0.6, 0.01), (0.9, 0.999)
 
 
-def idle(bench: Any, seconds: float) -> None:
-    """Let time pass while the host ticks."""
-    clock = bench.simulated.clock
-    end_s = clock.monotonic() + seconds
-    while clock.monotonic() < end_s:
-        bench.sleep(bench.controller.hand.period_s)
-        bench.controller.tick()
-
-
 def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1]) -> Any:
     return bench.controller.identify(recognizer, steps, keep=keep)
 
@@ -73,14 +64,14 @@ def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1
 
 def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench: Any) -> None:
     bench.ready()
-    idle(bench, 0.05)
+    bench.idle(0.05)
     live = bench.controller.live
     assert live.force_n == pytest.approx(0.0, abs=0.1)
     assert live.opening_mm == pytest.approx(18.0, abs=0.1)
     identify(bench, Scripted(SURE), Keep.ALWAYS)
     shown = []
     for _ in range(100):
-        idle(bench, 0.01)
+        bench.idle(0.01)
         live = bench.controller.live
         shown.append(live.force_n)
         # The noise of one sample is 0.26 N.
@@ -91,7 +82,7 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench:
     assert np.mean(shown) == pytest.approx(bench.grip_n, abs=0.1)
     assert len(set(shown)) > 80  # of 100: no stale value
     counts = live.counts
-    idle(bench, 0.05)
+    bench.idle(0.05)
     assert np.any(bench.controller.live.counts != counts)
 
 
@@ -106,7 +97,7 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
     assert none == (None,) * 5
     bench.simulated.inject("unit.off")
     with pytest.raises(TactileError):
-        idle(bench, 1.0)
+        bench.idle(1.0)
     assert bench.controller.state is CellState.ABORTED
     assert bench.controller.live == LiveValues()
 
@@ -253,10 +244,10 @@ def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(
 ) -> None:
     bench.ready()
     identify(bench, Scripted(SURE), Keep.ALWAYS)
-    idle(bench, 3.0)
+    bench.idle(3.0)
     bench.simulated.inject(fault)
     with pytest.raises((PartLost, PartSlipped)):
-        idle(bench, 1.0)
+        bench.idle(1.0)
     assert bench.controller.state is CellState.ABORTED
     assert bench.controller.grasp_state is GraspState.PART_LOST
     text = bench.controller.fault
@@ -282,7 +273,7 @@ def test_a_look_at_a_kept_part_finds_it_unchanged(make_bench: MakeBench, tmp_pat
     bench = make_bench(folder=tmp_path)
     bench.ready()
     bench.controller.grip(6.0, Pose())
-    idle(bench, 5.0)
+    bench.idle(5.0)
     check = bench.controller.verify()
     assert check.held
     assert check.same
@@ -328,7 +319,7 @@ def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     for step in range(1, 41):
         bench.simulated.devices.physical.swell(step * 2e-5)
-        idle(bench, 0.05)
+        bench.idle(0.05)
     check = bench.controller.verify()
     assert check.same is False
     assert any("mm of difference are allowed" in reason for reason in check.reasons)

@@ -25,7 +25,7 @@ from cell.errors import CellStateError, CellStopped
 from docs.tools.states_page import DOES, GRASP_DOES, states_page
 from gripper.state import GraspResult, GripperPhase
 from tactile.errors import BusOff
-from tests.cell.conftest import MakeBench
+from tests.cell.conftest import MakeBench, once
 
 IDLE = (CellState.STARTING, CellState.IDLE)
 HELD = (*IDLE, CellState.EXECUTE, CellState.HOLDING, CellState.HELD)
@@ -63,17 +63,9 @@ class Walk:
             self._wait_in(state)
             act()
             return
-        done: list[bool] = []
-
-        def look(_now_s: float) -> None:
-            if self.controller.state is state and not done:
-                done.append(True)
-                act()
-
-        self.bench.simulated.clock.on_advance.append(look)
+        done_s = once(self.bench.clock, lambda: self.controller.state is state, act)
         self._pass_through(state)
-        self.bench.simulated.clock.on_advance.remove(look)
-        assert done, f"{state} was not seen"
+        assert done_s, f"{state} was not seen"
 
     def _wait_in(self, state: CellState) -> None:
         if state is not CellState.STOPPED:

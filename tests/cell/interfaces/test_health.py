@@ -29,9 +29,7 @@ def test_lost_frames_are_judged_by_their_limit(make_bench: Any) -> None:
     bench = make_bench(small_config(tactile__loss_max_share=0.5)).ready()
     assert health_values(bench.config, bench.cell, None)["can"]["level"] == "ok"
     bench.simulated.inject("can.lose_next=12")
-    for _ in range(50):
-        bench.simulated.clock.sleep(0.005)
-        bench.controller.tick()
+    bench.idle(0.25)
     can = health_values(bench.config, bench.cell, None)["can"]
     assert can["level"] == "watch"
     strict = small_config(tactile__loss_max_share=0.001)

@@ -231,6 +231,7 @@ def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(make_plugin:
         plugin.clear()
     assert plugin.state() == "ABORTED"
     plugin.clear(reboot=True)
+    assert (plugin.fault(), plugin.status().fault_number) == (None, 0)
     assert str(plugin.release(LIMIT_S)) == "the fingers are open"
     plugin.reset(LIMIT_S)
     assert plugin.state() == "IDLE"

@@ -19,7 +19,7 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.jobs.doctor import Finding, _boards, examine
 from cell.simulation import simulated_cell
-from tests.cell.conftest import small_config
+from tests.cell.conftest import once, small_config
 from tests.faults.scenarios.axes import CHANGES
 
 REAL = {
@@ -194,17 +194,12 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
 
 def test_lost_frames_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
     def disturb(simulated: Any) -> None:
-        running_s: list[float] = []
-        dropped: list[bool] = []
-
-        def drop(now_s: float) -> None:
-            if simulated.unit.state == "OPERATIONAL":
-                running_s.append(now_s)
-                if not dropped and now_s - running_s[0] > 0.1:
-                    simulated.inject("can.lose_next=5")
-                    dropped.append(True)
-
-        simulated.clock.on_advance.append(drop)
+        once(
+            simulated.clock,
+            lambda: simulated.unit.state == "OPERATIONAL",
+            lambda: simulated.inject("can.lose_next=5"),
+            after_s=0.1,
+        )
 
     finding = by_name(altered(disturb))["tactile frames"]
     assert finding.verdict is Verdict.WARN

@@ -12,13 +12,14 @@ from cell.control.plan import GraspStep, Pose, plan
 from cell.errors import CellError, ModelError
 from cell.jobs.common import silent
 from cell.jobs.identify import identify_on_cell
-from cell.learning.model import LoadedModel, load_model, save_model
+from cell.learning.model import LoadedModel, load_model
 from cell.learning.next_grasp import ActiveChooser
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import MEMORY_SECTION, load_pose_memory, train
 from recognition.recognizer import Posterior
 from recognition.statistics.next_grasp import PoseMemory
 from tests.cell.conftest import small_config
+from tests.cell.learning.test_early import resaved
 
 LABELS = ("ball", "box")
 CONFIG = SequenceConfig(kind="active", candidates=16)
@@ -67,14 +68,7 @@ def test_a_model_with_poses_is_chosen_by_and_one_without_is_refused(
     known, path = memory(), tmp_path / "poses.npz"
 
     def model(sections: Any) -> LoadedModel:
-        save_model(
-            path,
-            bare.recognizer,
-            trainer_name=bare.trainer_name,
-            pads=bare.pads,
-            sections=sections,
-        )
-        return load_model(path)
+        return load_model(resaved(bare, path, sections))
 
     kept = load_pose_memory(model({MEMORY_SECTION: known.to_arrays()}), CONFIG)
     assert kept is not None
@@ -90,15 +84,9 @@ def test_a_model_with_poses_is_chosen_by_and_one_without_is_refused(
 def test_identify_chooses_by_the_memory_in_the_model(
     taught: Any, make_bench: Any, tmp_path: Path
 ) -> None:
-    bare, path = load_model(taught.result.model), tmp_path / "poses.npz"
+    bare = load_model(taught.result.model)
+    path = resaved(bare, tmp_path / "poses.npz", {MEMORY_SECTION: memory().to_arrays()})
     config = small_config(sequence__kind="active", sequence__max_grasps=1)
-    save_model(
-        path,
-        bare.recognizer,
-        trainer_name=bare.trainer_name,
-        pads=bare.pads,
-        sections={MEMORY_SECTION: memory().to_arrays()},
-    )
     bench = make_bench(config)
     with pytest.raises(CellError, match="--poses"):
         TaughtModel(config, bare)
