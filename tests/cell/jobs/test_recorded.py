@@ -170,6 +170,11 @@ def test_a_real_cell_is_not_told_what_it_holds(make_bench: MakeBench, taught: An
     assert "the object to identify" in asked[0]
 
 
+def test_a_model_of_other_pads_is_refused_before_the_cell_is_built(taught: Any) -> None:
+    with pytest.raises(ModelError, match="teach on these pads"):
+        TaughtModel(small_config(tactile__layout="pinch"), loaded(taught))
+
+
 def test_an_unknown_object_has_the_probability_of_being_unknown(taught: Any) -> None:
     grasp = taught.grasps[0]
     untouched = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, 0))
