@@ -11,7 +11,7 @@ from typing import Self
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_POSITION
-from gripper.dynamixel.latency import LinkTiming, check_link
+from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
     BusTimeout,
@@ -35,7 +35,7 @@ from gripper.lifecycle import Lifecycle, bus_is_lost
 from gripper.servos.goals import OPENING_MARGIN_RAD
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
-from gripper.servos.watchdog_proof import WatchdogProof, prove_watchdog
+from gripper.servos.watchdog_proof import prove_watchdog
 from gripper.settings import GripperSettings
 from gripper.state import (
     Clock,
@@ -110,8 +110,8 @@ class Gripper:
         self._grasping = GraspRun(
             self._runner, self._servos, linkage, settings, self._life.set_phase
         )
-        self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
-        self._link_timing: LinkTiming | None = None
+        self._watchdog_proven = False
+        self._link_checked = False
         self._one_finger: Gripper | None = None
         self._carried: Running | None = None
 
@@ -135,11 +135,6 @@ class Gripper:
         return self._bus
 
     @property
-    def link_timing(self) -> LinkTiming | None:
-        """Round trips on the bus, measured by the last start; None before one."""
-        return self._link_timing
-
-    @property
     def state(self) -> GripperPhase:
         """Phase of the gripper."""
         return self._life.phase
@@ -158,11 +153,6 @@ class Gripper:
     def settings(self) -> GripperSettings:
         """Limits and tuning."""
         return self._settings
-
-    @property
-    def watchdog_proofs(self) -> tuple[WatchdogProof, ...]:
-        """Results of the self-test of the bus watchdog, one for each servo; empty before it."""
-        return self._watchdog_proofs
 
     @property
     def statistics(self) -> LoopStatistics:
@@ -196,7 +186,8 @@ class Gripper:
                 f"clear the fault with a reboot"
             )
         report = self._verify()
-        self._link_timing = check_link(self._bus, self._ids, self.period_s)
+        check_link(self._bus, self._ids, self.period_s)
+        self._link_checked = True
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:
@@ -299,10 +290,11 @@ class Gripper:
                 standing = StandStill(self._settings, self._servos.read_patiently())
                 self._runner.run(standing.step, needs_force=False)
             state = self._move_to(target_m, first=was_limp)
-            if self._settings.watchdog_self_test and not self._watchdog_proofs:
-                self._watchdog_proofs = prove_watchdog(
+            if self._settings.watchdog_self_test and not self._watchdog_proven:
+                prove_watchdog(
                     self._servos, self._health, self._linkage, self._settings, self._clock
                 )
+                self._watchdog_proven = True
                 state = self._move_to(target_m)
         self._life.phase = GripperPhase.IDLE
         return state
@@ -580,7 +572,7 @@ class Gripper:
     ) -> GraspOutcome:
         """Close with one of the runs of a grasp, and keep what is held after it."""
         self._life.check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)
-        if self._settings.watchdog_self_test and not self._watchdog_proofs:
+        if self._settings.watchdog_self_test and not self._watchdog_proven:
             raise GripperStateError(
                 "grasp is not possible before the bus watchdog has proven to stop the motors: "
                 "open the gripper, its self-test follows (watchdog_self_test is on)"
@@ -645,8 +637,9 @@ class Gripper:
         able = [condition.servo_id for condition in conditions if condition.able]
         if not able:
             raise _nothing_to_open(conditions)
-        if self._link_timing is None:
-            self._link_timing = check_link(self._bus, able, self.period_s)
+        if not self._link_checked:
+            check_link(self._bus, able, self.period_s)
+            self._link_checked = True
         self._life.part_possible |= any(c.torque_on or not c.answers for c in conditions)
         return [condition for condition in conditions if not condition.able]
 
@@ -661,7 +654,7 @@ class Gripper:
             clock=self._clock,
             force_sensor=self._force_sensor,
         )
-        finger._link_timing = self._link_timing
+        finger._link_checked = self._link_checked
         self._servos.forget()
         self._one_finger = finger
         try:

@@ -335,8 +335,6 @@ class VerificationReport:
 
     rows: tuple[VerificationRow, ...]
     """One for each servo and item."""
-    torque_was_on: bool = False
-    """True when a servo had its torque on: it may hold a part, and nothing was changed."""
 
     @property
     def ok(self) -> bool:

@@ -5,7 +5,6 @@ otherwise show as lost answers in the middle of a grasp.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import median
 
 from gripper.dynamixel.bus import ServoBus
@@ -34,21 +33,7 @@ _WRITE_BYTES, _WRITE_BYTES_ONE = 10 + 4, 1 + 18
 """Sync write of registers 102 to 119: the request, and for each servo its ID and its data."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkTiming:
-    """Round trips of single pings."""
-
-    median_s: float
-    high_s: float
-    worst_s: float
-    """Median, nine tenths and longest of the round trips in s."""
-    slow_share: float
-    """Share of them that were lost or took longer than a period of the loop."""
-    work_s: float
-    """What one period needs of the bus in s: reading all servos and writing their goals."""
-
-
-def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> LinkTiming:
+def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> None:
     """Measure the round trips, fit the time-outs to them, and refuse a link that is too slow.
 
     Parameters
@@ -71,31 +56,25 @@ def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> LinkTiming
     typical_s = median(trips_s)
     high_s = trips_s[int(_HIGH_QUANTILE * (len(trips_s) - 1))]
     waiting_s = max(0.0, typical_s - _PING_BYTES * byte_s)
-    timing = LinkTiming(
-        median_s=typical_s,
-        high_s=high_s,
-        worst_s=trips_s[-1],
-        slow_share=sum(trip_s > period_s for trip_s in trips_s) / len(trips_s),
-        work_s=wire_s + waiting_s,
-    )
-    if timing.work_s > _WORK_SHARE * period_s:
-        rate_hz = int(_WORK_SHARE / timing.work_s)
+    slow_share = sum(trip_s > period_s for trip_s in trips_s) / len(trips_s)
+    work_s = wire_s + waiting_s
+    if work_s > _WORK_SHARE * period_s:
+        rate_hz = int(_WORK_SHARE / work_s)
         raise LinkTooSlow(
             f"a servo answers after {typical_s * 1e3:.1f} ms (median), reading and writing all of "
-            f"them takes {timing.work_s * 1e3:.1f} ms of a period of {period_s * 1e3:.1f} ms, at "
+            f"them takes {work_s * 1e3:.1f} ms of a period of {period_s * 1e3:.1f} ms, at "
             f"most {_WORK_SHARE * period_s * 1e3:.1f} ms are allowed: set the latency timer of the "
             f"USB adapter to 1 ms (/sys/bus/usb-serial/devices/*/latency_timer), raise the baud "
             f"rate, or lower loop_rate_hz to {max(1, rate_hz)}. Nothing has moved"
         )
-    if timing.slow_share > _SLOW_SHARE:
+    if slow_share > _SLOW_SHARE:
         raise LinkTooSlow(
-            f"{timing.slow_share:.0%} of {len(trips_s)} answers were lost or took longer than a "
-            f"period of {period_s * 1e3:.1f} ms, the longest {timing.worst_s * 1e3:.1f} ms; the "
+            f"{slow_share:.0%} of {len(trips_s)} answers were lost or took longer than a "
+            f"period of {period_s * 1e3:.1f} ms, the longest {trips_s[-1] * 1e3:.1f} ms; the "
             f"median is {typical_s * 1e3:.1f} ms. This machine is too busy for the loop, or the "
             f"cable is bad: end other programs or lower loop_rate_hz. Nothing has moved"
         )
     bus.fit_allowance(_ALLOWANCE_REACH * high_s, _ALLOWANCE_SHARE * period_s)
-    return timing
 
 
 def _trip_s(bus: ServoBus, servo_id: int) -> float:

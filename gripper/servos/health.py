@@ -136,7 +136,7 @@ class ServoHealth:
             rows += self._verify_one(servo, correct=correct)
         if correct:
             self._bus.return_delay_s = 0.0
-        report = VerificationReport(rows=tuple(rows), torque_was_on=not correct)
+        report = VerificationReport(rows=tuple(rows))
         if refuse and not report.ok:
             errors = [row for row in report.failed if row.item == HARDWARE_ERROR_STATUS.name]
             if len(errors) < len(report.failed):

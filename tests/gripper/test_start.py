@@ -71,16 +71,6 @@ def test_the_gain_that_the_goals_count_on_is_put_right(cell) -> None:
     assert {row.item for row in report.rows if row.corrected} >= {"operating_mode"}
 
 
-def test_the_round_trip_is_measured_at_each_start(cell) -> None:
-    assert cell.gripper.link_timing is None
-    cell.gripper.start()
-    timing = cell.gripper.link_timing
-    assert timing is not None
-    assert timing.median_s == pytest.approx(24e-5, rel=0.05)
-    assert timing.slow_share == 0.0
-    assert timing.work_s < 0.002
-
-
 def test_an_adapter_with_a_latency_of_16_ms_is_refused_with_the_remedy(make_cell) -> None:
     cell = make_cell()
     late(cell, 0.016)
