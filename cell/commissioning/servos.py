@@ -157,8 +157,8 @@ class ServosStep(Step):
             _set_up(bench, bus, dialog, fingers, notes)
             try:
                 period_s = 1.0 / bench.gripper().loop_rate_hz
-                timing = check_link(bus, [one.servo_id for one in fingers], period_s)
-                notes.fact(f"round trip of a ping: {timing.median_s * 1e3:.2f} ms (median)")
+                median_s = check_link(bus, [one.servo_id for one in fingers], period_s)
+                notes.fact(f"round trip of a ping: {1e3 * median_s:.2f} ms (median)")
             except LinkTooSlow as error:
                 notes.fail(str(error))
         for other in others:

@@ -33,8 +33,10 @@ _WRITE_BYTES, _WRITE_BYTES_ONE = 10 + 4, 1 + 18
 """Sync write of registers 102 to 119: the request, and for each servo its ID and its data."""
 
 
-def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> None:
-    """Measure the round trips, fit the time-outs to them, and refuse a link that is too slow.
+def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> float:
+    """Fit the time-outs to the measured round trips, and refuse a link that is too slow.
+
+    Returns the median of the round trips in s.
 
     Parameters
     ----------
@@ -75,6 +77,7 @@ def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> None:
             f"cable is bad: end other programs or lower loop_rate_hz. Nothing has moved"
         )
     bus.fit_allowance(_ALLOWANCE_REACH * high_s, _ALLOWANCE_SHARE * period_s)
+    return typical_s
 
 
 def _trip_s(bus: ServoBus, servo_id: int) -> float:
