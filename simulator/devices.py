@@ -175,6 +175,6 @@ class CellDevices:
         for axis in self.axes.values():
             axis.advance(now_s)
         if self.axes and self.stage is not None:
-            self.stage.advance(now_s)
+            self.stage.advance()
         self.world.advance_to(now_s)
         self.servo_bus.advance_to(now_s)

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -23,7 +23,7 @@ from simulator.world.shapes import (
 )
 
 MAX_FACES = 200_000
-"""More triangles than this are refused: a placement would take minutes."""
+"""More triangles than this are refused: a placement would take seconds."""
 _MAX_BYTES = 300 * MAX_FACES
 """Largest file in bytes: 300 for each triangle as text, 50 as binary."""
 _LARGEST = 1e6
@@ -36,6 +36,10 @@ _EDGE_ON_M2 = 1e-18
 """Twice the area in m² below which a triangle is seen edge-on."""
 _ON_EDGE = 1e-9
 """Allowance of barycentric coordinates, so that points on an edge belong to a triangle."""
+_ROUNDING_M = 1e-12
+"""Allowance in m for rounding where a point lies at the end of a triangle."""
+_PAIRS = 500_000
+"""Pairs of triangle and point that are worked out at once: 40 MB."""
 _FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _NUMBER = rb"[+-]?(?:[0-9]{1,20}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?"
 _VERTEX = re.compile(rb"(?i)vertex[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (_NUMBER, _NUMBER, _NUMBER))
@@ -80,43 +84,67 @@ class MeshShape:
         """Take the lowest and the highest triangle over each point; see `Shape.heights`."""
         c, s = math.cos(roll_rad), math.sin(roll_rad)
         roll = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-        low_m = np.full(x_m.size, np.inf)
-        high_m = np.full(x_m.size, -np.inf)
+        corners_m = self.triangles_m @ roll.T
+        edges_m = corners_m[:, 1:, :2] - corners_m[:, :1, :2]
+        area_m2 = edges_m[:, 0, 0] * edges_m[:, 1, 1] - edges_m[:, 0, 1] * edges_m[:, 1, 0]
+        # Of one seen edge-on its neighbours cover the same points.
+        seen = np.abs(area_m2) >= _EDGE_ON_M2
+        corners_m, edges_m, area_m2 = corners_m[seen], edges_m[seen], area_m2[seen]
         points_m = np.column_stack([x_m.ravel(), y_m.ravel()])
-        # Points sorted by x: a triangle then looks only at its own stripe.
-        order = np.argsort(points_m[:, 0], kind="stable")
-        sorted_m = points_m[order]
-        triangles_m = self.triangles_m @ roll.T
-        first = np.searchsorted(sorted_m[:, 0], triangles_m[:, :, 0].min(axis=1), side="left")
-        last = np.searchsorted(sorted_m[:, 0], triangles_m[:, :, 0].max(axis=1), side="right")
-        for triangle_m, begin, end in zip(triangles_m, first, last, strict=True):
-            _rasterise(triangle_m, sorted_m[begin:end], low_m[begin:end], high_m[begin:end])
-        reach_0 = np.empty_like(low_m)
-        reach_1 = np.empty_like(high_m)
-        reach_0[order] = -low_m
-        reach_1[order] = high_m
-        return reach_0.reshape(x_m.shape), reach_1.reshape(x_m.shape)
+        low_m = np.full(len(points_m), np.inf)
+        high_m = np.full(len(points_m), -np.inf)
+        for triangle, point in _near(corners_m, points_m):
+            offset_m = points_m[point] - corners_m[triangle, 0, :2]
+            b_m, c_m, area = edges_m[triangle, 0], edges_m[triangle, 1], area_m2[triangle]
+            u = (offset_m[:, 0] * c_m[:, 1] - offset_m[:, 1] * c_m[:, 0]) / area
+            v = (offset_m[:, 1] * b_m[:, 0] - offset_m[:, 0] * b_m[:, 1]) / area
+            hit = (u >= -_ON_EDGE) & (v >= -_ON_EDGE) & (u + v <= 1.0 + _ON_EDGE)
+            a_m, b_m, c_m = corners_m[triangle[hit], :, 2].T
+            z_m = a_m + u[hit] * (b_m - a_m) + v[hit] * (c_m - a_m)
+            np.minimum.at(low_m, point[hit], z_m)
+            np.maximum.at(high_m, point[hit], z_m)
+        return -low_m.reshape(x_m.shape), high_m.reshape(x_m.shape)
 
 
-def _rasterise(
-    triangle_m: NDArray[np.float64],
-    points_m: NDArray[np.float64],
-    low_m: NDArray[np.float64],
-    high_m: NDArray[np.float64],
-) -> None:
-    """Widen the range of heights at the points that lie under or over one triangle."""
-    a, b, c = triangle_m
-    edge_b, edge_c = b[:2] - a[:2], c[:2] - a[:2]
-    area = edge_b[0] * edge_c[1] - edge_b[1] * edge_c[0]
-    if abs(area) < _EDGE_ON_M2 or len(points_m) == 0:
-        return  # seen edge-on: its neighbours cover the same points
-    offset_m = points_m - a[:2]
-    u = (offset_m[:, 0] * edge_c[1] - offset_m[:, 1] * edge_c[0]) / area
-    v = (offset_m[:, 1] * edge_b[0] - offset_m[:, 0] * edge_b[1]) / area
-    hit = (u >= -_ON_EDGE) & (v >= -_ON_EDGE) & (u + v <= 1.0 + _ON_EDGE)
-    z_m = a[2] + u[hit] * (b[2] - a[2]) + v[hit] * (c[2] - a[2])
-    low_m[hit] = np.minimum(low_m[hit], z_m)
-    high_m[hit] = np.maximum(high_m[hit], z_m)
+def _near(
+    corners_m: NDArray[np.float64], points_m: NDArray[np.float64]
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Give triangles and points that may lie over each other, as pairs of their indices.
+
+    The points are sorted by stripes along x, and in each by x: a triangle looks only at its part
+    of its own stripes.
+    """
+    n_stripes = max(1, math.isqrt(len(points_m)))
+    first_m, last_m = points_m[:, 1].min(), points_m[:, 1].max()
+    per_m = (n_stripes - 1) / max(last_m - first_m, _SMALLEST_M)
+
+    def stripe(y_m: NDArray[np.float64]) -> NDArray[np.intp]:
+        found: NDArray[np.intp] = ((y_m - first_m) * per_m).clip(0, n_stripes - 1).astype(np.intp)
+        return found
+
+    longest_m = 4.0 * max(np.abs(points_m[:, 0]).max(), np.abs(corners_m[:, :, 0]).max(initial=0.0))
+    place_m = longest_m * stripe(points_m[:, 1]) + points_m[:, 0]
+    order = np.argsort(place_m)
+    place_m = place_m[order]
+    lowest, highest = stripe(corners_m[:, :, 1].min(axis=1)), stripe(corners_m[:, :, 1].max(axis=1))
+    triangle, stripes = _ranges(lowest, highest + 1)
+    begin_m, end_m = corners_m[:, :, 0].min(axis=1), corners_m[:, :, 0].max(axis=1)
+    begin = np.searchsorted(place_m, longest_m * stripes + begin_m[triangle] - _ROUNDING_M)
+    end = np.searchsorted(place_m, longest_m * stripes + end_m[triangle] + _ROUNDING_M)
+    pieces = np.array_split(np.arange(len(triangle)), 1 + int((end - begin).sum()) // _PAIRS)
+    for piece in pieces:
+        which, at = _ranges(begin[piece], end[piece])
+        yield triangle[piece[which]], order[at]
+
+
+def _ranges(
+    begin: NDArray[np.intp], end: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return all integers of several ranges in a row: the index of the range, and the integer."""
+    lengths = end - begin
+    which = np.repeat(np.arange(len(lengths)), lengths)
+    before = np.cumsum(lengths) - lengths
+    return which, np.arange(len(which)) - before[which] + begin[which]
 
 
 def load_mesh(path: Path) -> MeshShape:
