@@ -18,6 +18,7 @@ from cell.jobs.run import MainResult, teach_and_identify
 from cell.pytest_plugin.virtual import VirtualCell
 from gripper.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
+from recognition.recognizer import Posterior
 from simulator.clock import VirtualClock
 
 
@@ -188,3 +189,41 @@ def plain_grasp(
         "label": label,
     }
     return Grasp(**(values | changes))
+
+
+class Scripted:
+    """A recogniser that gives these answers, the last one again and again, and notes what it sees.
+
+    Each answer is the share of the first label, and the probability of an unknown object.
+    """
+
+    name, labels, uses_aperture = "scripted", ("ball", "box"), False
+
+    def __init__(
+        self,
+        *answers: tuple[float, float],
+        drawn_m: tuple[float, ...] = (),
+        look: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._answers = list(answers)
+        self._drawn_m = drawn_m
+        self._look = look
+        self.grasps: list[Grasp] = []
+        self.seen: list[Any] = []
+        """What ``look`` has returned at each."""
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        assert grasp.label == ""
+        self.grasps.append(grasp)
+        self.seen.append(self._look())
+        share, unknown = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
+        return Posterior(
+            labels=self.labels,
+            probability=np.array([share, 1.0 - share]),
+            unknown=unknown,
+            drawn_m=self._drawn_m,
+        )
+
+
+SURE, UNSURE, STRANGE = (0.9999, 0.001), (0.6, 0.01), (0.9, 0.999)
+"""Answers: the first label, either, and neither."""

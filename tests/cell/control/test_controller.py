@@ -10,14 +10,13 @@ import pytest
 
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose, plan
-from cell.control.states import CellState
+from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shapes import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
 from gripper.state import GraspResult, GripperPhase
-from tests.cell.conftest import MakeBench, small_config
-from tests.cell.control.test_identification import Sure
+from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, small_config
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
 APPROACHING, RELEASING = GripperPhase.APPROACHING, GripperPhase.RELEASING
@@ -80,6 +79,7 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
     with pytest.raises(NoPartFound, match=r"no contact at pose x \+0\.0 mm.*is the object in"):
         bench.grasp()
     assert bench.controller.state is CellState.IDLE
+    assert bench.controller.grasp_state is GraspState.NO_PART_FOUND
     assert bench.controller.fault is None
     assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
@@ -96,7 +96,7 @@ def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path
         raise RuntimeError("window closed")
 
     found = bench.controller.identify(
-        Sure(1),
+        Scripted(SURE),
         [GraspStep(pose=Pose(), force_n=3.0)],
         read_shape=shape_reader(bench.config),
         on_grasp=broken,
@@ -133,12 +133,12 @@ def test_a_force_that_is_not_allowed_is_refused_before_anything_moves(
     bench: Any, force_n: float, complaint: str
 ) -> None:
     bench.ready()
-    bad = GraspStep(pose=Pose(), force_n=force_n)
+    good, bad = (GraspStep(pose=Pose(), force_n=one_n) for one_n in (3.0, force_n))
     began_s = bench.simulated.clock.monotonic()
     for ask in (
         lambda: bench.controller.grasp(bad),
-        lambda: bench.controller.collect("ball", [GraspStep(pose=Pose(), force_n=3.0), bad]),
-        lambda: bench.controller.identify(Sure(2), [GraspStep(pose=Pose(), force_n=3.0), bad]),
+        lambda: bench.controller.collect("ball", [good, bad]),
+        lambda: bench.controller.identify(Scripted(UNSURE), [good, bad]),
     ):
         with pytest.raises(LimitExceeded, match=complaint):
             ask()
@@ -159,7 +159,7 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
         (lambda: bench.controller.collect("ball", []), "the plan is empty"),
         (lambda: bench.controller.collect(nothing, [step]), "None is no label"),
         (lambda: bench.controller.collect("UNKNOWN", [step]), "is UNKNOWN, the answer for what"),
-        (lambda: bench.controller.identify(Sure(1), []), "the plan is empty"),
+        (lambda: bench.controller.identify(Scripted(SURE), []), "the plan is empty"),
     ):
         with pytest.raises(PlanRefused, match=complaint):
             ask()
@@ -211,7 +211,7 @@ def test_a_cancel_between_two_parts_of_a_job_is_not_lost(bench: Any) -> None:
     bench.grasp()
     bench.controller.cancel()
     with pytest.raises(CellStopped):
-        bench.controller.identify(Sure(1), [GraspStep(pose=Pose(), force_n=3.0)])
+        bench.controller.identify(Scripted(SURE), [GraspStep(pose=Pose(), force_n=3.0)])
     bench.controller.cancel()
     bench.controller.forget_cancel()
     bench.grasp()

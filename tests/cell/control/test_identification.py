@@ -3,7 +3,6 @@
 from dataclasses import replace
 from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from cell.control.identification import Identification, grasp_and_classify
@@ -15,30 +14,7 @@ from cell.learning.shapes import in_words, shape_reader
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.foam import FoamModel
 from recognition.statistics.fusion import DecisionKind
-from tests.cell.conftest import small_config
-
-
-class Sure:
-    """A recogniser that is sure of its first label after so many grasps."""
-
-    name, labels, uses_aperture = "sure", ("ball", "box"), False
-
-    def __init__(self, after: int, drawn_m: tuple[float, ...] = ()) -> None:
-        self.left = after
-        self.drawn_m = drawn_m
-        self.seen = 0
-
-    def posterior(self, grasp: Any) -> Any:
-        assert grasp.label == ""
-        self.seen += 1
-        self.left -= 1
-        share = 0.55 if self.left > 0 else 1.0 - 1e-9
-        return Posterior(
-            labels=self.labels,
-            probability=np.array([share, 1 - share]),
-            unknown=0.01,
-            drawn_m=self.drawn_m,
-        )
+from tests.cell.conftest import SURE, UNSURE, Scripted, small_config
 
 
 @pytest.fixture
@@ -49,14 +25,19 @@ def record(taught: Any) -> GraspRecord:
 
 
 def identified(
-    record: GraspRecord, recognizer: Sure, n_steps: int = 2, **options: Any
+    record: GraspRecord,
+    *answers: tuple[float, float],
+    drawn_m: tuple[float, ...] = (),
+    n_steps: int = 2,
+    **options: Any,
 ) -> Identification:
-    """Identify with a hand whose grasps are all the same."""
+    """Identify with a hand whose grasps are all the same; sure at the second one by default."""
 
     def grasp(_step: object, _looks: object, judge: Judge) -> tuple[GraspRecord, bool]:
         judge.begin(record)
         return record, False
 
+    recognizer = Scripted(*(answers or (UNSURE, SURE)), drawn_m=drawn_m)
     return grasp_and_classify(
         grasp, recognizer, [record.step] * n_steps, error_rate=0.02, **options
     )
@@ -64,13 +45,13 @@ def identified(
 
 def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRecord) -> None:
     told: list[int] = []
-    found = identified(record, Sure(2), 5, on_grasp=lambda number, *_told: told.append(number))
+    found = identified(record, n_steps=5, on_grasp=lambda number, *_told: told.append(number))
     assert (found.label, found.decision.kind) == ("ball", DecisionKind.DECIDED)
     assert told == [1, 2]
     assert len(found.records) == len(found.posteriors) == 2
     assert found.probability == pytest.approx(float(found.fused.probability.max()), abs=1e-6)
     assert found.probability > 0.98
-    found = identified(record, Sure(99))
+    found = identified(record, UNSURE)
     assert len(found.records) == 2
     assert found.decision.kind is not DecisionKind.CONTINUE
 
@@ -79,7 +60,6 @@ def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     told: list[Any] = []
     found = identified(
         record,
-        Sure(2),
         read_shape=shape_reader(small_config()),
         on_grasp=lambda *parts: told.append(parts[3]),
     )
@@ -109,11 +89,14 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
             "shape of all grasps: ValueError: a fused shape",
         ),
     ):
-        found = identified(record, Sure(2), **options)
+        found = identified(record, **options)
         assert (found.label, found.shape) == ("ball", None)
         assert len(found.posteriors) == 2
         assert found.complaints[0].startswith(complaint)
-    assert identified(record, Sure(2), read_shape=lambda _grasp: None).shapes == (None, None)
+    assert identified(record, read_shape=lambda _grasp: None).shapes == (
+        None,
+        None,
+    )
 
 
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
@@ -123,7 +106,7 @@ def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(
     told: list[Posterior] = []
     found = identified(
         record,
-        Sure(2, drawn_m),
+        drawn_m=drawn_m,
         read_shape=shape_reader(small_config()),
         on_grasp=lambda *parts: told.append(parts[2]),
     )

@@ -21,7 +21,7 @@ from gripper.errors import PartLost, PartSlipped
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from tactile.errors import TactileError
-from tests.cell.conftest import MakeBench, small_config
+from tests.cell.conftest import STRANGE, SURE, UNSURE, MakeBench, Scripted, small_config
 
 CARRY_N = 4.0
 """Default of `sequence.carry_force_n`."""
@@ -30,29 +30,6 @@ STEPS = tuple(
     GraspStep(pose=Pose(x_m=1e-3 * x), force_n=force_n)
     for x, force_n in ((0.0, 6.0), (1.0, 3.0), (-1.0, 5.0))
 )
-
-
-class Scripted:
-    """A recogniser that answers what it was given, and notes what is so meanwhile."""
-
-    name, labels, uses_aperture = "scripted", ("ball", "box"), False
-
-    def __init__(
-        self, *answers: tuple[float, float], look: Callable[[], object] = lambda: None
-    ) -> None:
-        self._answers = list(answers)
-        self._look = look
-        self.seen: list[Any] = []
-
-    def posterior(self, _grasp: Any) -> Posterior:
-        self.seen.append(self._look())
-        ball, unknown = self._answers.pop(0)
-        return Posterior(
-            labels=self.labels, probability=np.array([ball, 1.0 - ball]), unknown=unknown
-        )
-
-
-SURE, UNSURE, STRANGE = (0.9999, 0.001), (0.6, 0.01), (0.9, 0.999)
 
 
 def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1]) -> Any:

@@ -14,7 +14,7 @@ from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
 from cell.jobs.identify import identify_on_cell, identify_recorded
 from cell.jobs.replay import replay_grasps
-from cell.learning.model import LoadedModel
+from cell.learning.model import load_model
 from cell.learning.taught_model import TaughtModel
 from tests.cell.conftest import MakeBench, plain_grasp, small_config
 
@@ -123,7 +123,7 @@ def test_what_cannot_be_replayed_says_why(taught: Any, tmp_path: Path) -> None:
 
 
 def test_recorded_grasps_are_answered_one_by_one(taught: Any) -> None:
-    model = loaded(taught)
+    model = load_model(taught.result.model)
     grasps = [taught.grasps[0], replace(taught.grasps[9], label="")]
     answers = identify_recorded(model, grasps)
     assert [answer.number for answer in answers] == [0, 1]
@@ -140,18 +140,9 @@ def test_recorded_grasps_are_answered_one_by_one(taught: Any) -> None:
     }
 
 
-def loaded(taught: Any) -> LoadedModel:
-    return LoadedModel(
-        recognizer=taught.result.recognizers["force_ramp"],
-        trainer_name="force_ramp",
-        labels=("ball", "box"),
-        pads=taught.grasps[0].pads,
-    )
-
-
 def test_grasps_on_other_pads_are_refused(taught: Any) -> None:
     with pytest.raises(ModelError, match=r"taught on 408 taxels in 10 pads, these .* 24 in 2"):
-        identify_recorded(loaded(taught), [plain_grasp("a")])
+        identify_recorded(load_model(taught.result.model), [plain_grasp("a")])
 
 
 def test_a_real_cell_is_not_told_what_it_holds(make_bench: MakeBench, taught: Any) -> None:
@@ -164,7 +155,7 @@ def test_a_real_cell_is_not_told_what_it_holds(make_bench: MakeBench, taught: An
     config = small_config(positioner__kind="operator")
     bench = make_bench(config, ask=ask)
     bench.controller.start()
-    model = TaughtModel(config, loaded(taught))
+    model = TaughtModel(config, load_model(taught.result.model))
     with pytest.raises(PositionerError, match="operator stopped"):
         identify_on_cell(bench.cell, config, model, held=None, progress=silent)
     assert "the object to identify" in asked[0]
@@ -172,13 +163,13 @@ def test_a_real_cell_is_not_told_what_it_holds(make_bench: MakeBench, taught: An
 
 def test_a_model_of_other_pads_is_refused_before_the_cell_is_built(taught: Any) -> None:
     with pytest.raises(ModelError, match="teach on these pads"):
-        TaughtModel(small_config(tactile__layout="pinch"), loaded(taught))
+        TaughtModel(small_config(tactile__layout="pinch"), load_model(taught.result.model))
 
 
 def test_an_unknown_object_has_the_probability_of_being_unknown(taught: Any) -> None:
     grasp = taught.grasps[0]
     untouched = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, 0))
-    (answer,) = identify_recorded(loaded(taught), [untouched])
+    (answer,) = identify_recorded(load_model(taught.result.model), [untouched])
     assert (answer.label, answer.probability, answer.unknown) == ("UNKNOWN", 1.0, 1.0)
 
 
@@ -189,4 +180,4 @@ def test_pads_that_differ_in_full_scale_or_place_are_told_apart(taught: Any) -> 
     moved = replace(pads, taxel_xy_m=1.1 * pads.taxel_xy_m)
     for other, text in ((finer, "a full scale of 4095 instead of 255"), (moved, "at other places")):
         with pytest.raises(ModelError, match=text):
-            identify_recorded(loaded(taught), [replace(grasp, pads=other)])
+            identify_recorded(load_model(taught.result.model), [replace(grasp, pads=other)])

@@ -1,7 +1,5 @@
 """Ramps that end as soon as they have told enough: in virtual time, and with model files."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,46 +19,15 @@ from cell.learning.training import EARLY_SECTION, load_early, train
 from gripper.errors import ServoFault
 from recognition.errors import ContactError
 from recognition.ramp.ramp import learn_rest
-from recognition.recognizer import UNKNOWN, Posterior
+from recognition.recognizer import UNKNOWN
 from recognition.recognizers.early_classifiers import EarlyClassifiers
-from tests.cell.conftest import MakeBench, small_config
+from tests.cell.conftest import UNSURE, MakeBench, Scripted, small_config
 
 STEP = GraspStep(pose=Pose(), force_n=6.0)
+LIKELY = (0.999, 0.01)
 
 
-@dataclass
-class Saying:
-    """A recogniser that says the same of each grasp, and does something meanwhile."""
-
-    share: float
-    unknown: float = 0.01
-    drawn_m: tuple[float, ...] = ()
-    act: Callable[[], object] = lambda: None
-    labels: tuple[str, ...] = ("ball", "box")
-    asked: list[int] = field(default_factory=list)
-    contacts: list[int | None] = field(default_factory=list)
-
-    def posterior(self, grasp: Any) -> Posterior:
-        self.asked.append(grasp.n_frames)
-        self.contacts.append(grasp.contact_frame)
-        self.act()
-        probability = np.array([self.share, 1.0 - self.share])
-        return Posterior(
-            labels=self.labels,
-            probability=probability,
-            unknown=self.unknown,
-            drawn_m=self.drawn_m,
-        )
-
-    def to_arrays(self) -> Any:
-        raise NotImplementedError
-
-    @classmethod
-    def from_arrays(cls, _arrays: Any) -> Any:
-        raise NotImplementedError
-
-
-def heads_of(taught: Any, *heads: Saying) -> EarlyClassifiers:
+def heads_of(taught: Any, *heads: Scripted) -> EarlyClassifiers:
     """Heads that are asked at quarters of what the ball's hardest taught grasp reads."""
     rest = learn_rest(taught.grasps)
     full = max(
@@ -76,7 +43,7 @@ def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
     make_bench: MakeBench, taught: Any, tmp_path: Path
 ) -> None:
     bench = make_bench(folder=tmp_path).ready()
-    unsure, sure, whole = Saying(0.6), Saying(0.999), Saying(0.001)
+    unsure, sure, whole = Scripted(UNSURE), Scripted(LIKELY), Scripted((0.001, 0.01))
     early = heads_of(taught, unsure, sure)
     found = bench.controller.identify(whole, [STEP], early=early)
     (record,) = found.records
@@ -84,9 +51,10 @@ def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
     assert record.early.looks == 2
     assert found.label == "ball"
     assert found.posteriors == (record.early.posterior,)
-    assert whole.asked == []
-    assert unsure.asked[0] < sure.asked[0] == record.early.n_frames <= record.grasp.n_frames
-    assert unsure.contacts == sure.contacts == [record.grasp.contact_frame]
+    assert whole.grasps == []
+    (first,), (last,) = unsure.grasps, sure.grasps
+    assert first.n_frames < last.n_frames == record.early.n_frames <= record.grasp.n_frames
+    assert first.contact_frame == last.contact_frame == record.grasp.contact_frame
     assert record.grasp.contact_frame is not None
     assert record.cycles[-1].setpoint_n < 5.0
     assert record.outcome.final_force_n == pytest.approx(record.cycles[-1].setpoint_n, abs=0.5)
@@ -107,16 +75,16 @@ def test_nothing_but_a_sure_name_ends_a_ramp(bench: Any, taught: Any) -> None:
     def refuse() -> None:
         raise ContactError("no contact yet")
 
-    whole = Saying(0.9, unknown=0.97)
-    strange = Saying(0.999, unknown=0.05)  # enough for the end of a sequence
-    drawn = Saying(0.999, drawn_m=(9.5e-3,))  # the size of a whole ramp is compared with it
-    early = heads_of(taught, Saying(0.999, act=refuse), strange, drawn, Saying(0.9))
+    whole = Scripted((0.9, 0.97))
+    strange = Scripted((0.999, 0.05))  # enough for the end of a sequence
+    drawn = Scripted(LIKELY, drawn_m=(9.5e-3,))  # the size of a whole ramp is compared with it
+    early = heads_of(taught, Scripted(LIKELY, look=refuse), strange, drawn, Scripted((0.9, 0.01)))
     found = bench.controller.identify(whole, [STEP], early=early)
     assert found.records[0].early is None
     assert not found.records[0].outcome.ended_early
     assert found.records[0].cycles[-1].setpoint_n == 6.0
-    assert len(whole.asked) == 1
-    assert [len(head.asked) for head in early.recognizers] == [1, 1, 1, 1]
+    assert len(whole.grasps) == 1
+    assert [len(head.grasps) for head in early.recognizers] == [1, 1, 1, 1]
 
 
 def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench: Any, taught: Any) -> None:
@@ -125,20 +93,20 @@ def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench: Any, taugh
     def fail() -> None:
         raise ValueError("a broken model")
 
-    early = heads_of(taught, Saying(0.999, act=fail), Saying(0.9))
-    found = bench.controller.identify(Saying(0.999), [STEP], early=early)
+    early = heads_of(taught, Scripted(LIKELY, look=fail), Scripted((0.9, 0.01)))
+    found = bench.controller.identify(Scripted(LIKELY), [STEP], early=early)
     assert (found.label, found.records[0].early) == ("ball", None)
     assert found.complaints == ("looks at the ramp of grasp 1: ValueError: a broken model",)
-    assert [len(head.asked) for head in early.recognizers] == [1, 1]
+    assert [len(head.grasps) for head in early.recognizers] == [1, 1]
     assert bench.controller.fault is None
 
 
 def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench: Any, taught: Any) -> None:
     bench.ready()
-    head = Saying(0.999, act=lambda: bench.simulated.inject("servo2.overload"))
+    head = Scripted(LIKELY, look=lambda: bench.simulated.inject("servo2.overload"))
     with pytest.raises(ServoFault):
-        bench.controller.identify(Saying(0.5), [STEP], early=heads_of(taught, head))
-    assert len(head.asked) == 1
+        bench.controller.identify(Scripted((0.5, 0.01)), [STEP], early=heads_of(taught, head))
+    assert len(head.grasps) == 1
     assert bench.controller.state is CellState.ABORTED
     assert bench.controller.holding
     assert bench.grip_n > 0.5
@@ -149,7 +117,7 @@ def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(
 ) -> None:
     bench.ready()
     found = bench.controller.identify(
-        Saying(0.5), [STEP], early=heads_of(taught, Saying(0.999)), keep=Keep.ALWAYS
+        Scripted((0.5, 0.01)), [STEP], early=heads_of(taught, Scripted(LIKELY)), keep=Keep.ALWAYS
     )
     (record,) = found.records
     carry_n = bench.config.sequence.carry_force_n
@@ -162,9 +130,9 @@ def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(
 
 def test_a_stop_comes_before_the_end_of_the_ramp(bench: Any, taught: Any) -> None:
     bench.ready()
-    head = Saying(0.999, act=bench.controller.cancel)
+    head = Scripted(LIKELY, look=bench.controller.cancel)
     with pytest.raises(CellStopped, match="the grip is kept"):
-        bench.controller.identify(Saying(0.5), [STEP], early=heads_of(taught, head))
+        bench.controller.identify(Scripted((0.5, 0.01)), [STEP], early=heads_of(taught, head))
     assert bench.controller.state is CellState.HELD
     assert bench.grip_n > 0.5
 
