@@ -28,7 +28,7 @@ from benchmarks.paper.level_trials import (
     name_by_threshold,
     one_frame,
 )
-from benchmarks.paper.study import one_touch, study
+from benchmarks.paper.study import one_touch
 from cell.errors import CellError
 from cell.report.paper_table import FIGURE_2
 from recognition.quadric.thresholds import find_thresholds
@@ -210,23 +210,3 @@ def test_what_cannot_be_taught_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(job, "study", refuse)
     with pytest.raises(CellError, match="comparators"):
         job.reproduce_paper(tmp_path, effort=EFFORT)
-
-
-def test_several_processes_share_the_trials(monkeypatch):
-    class Pool:
-        def __init__(self, workers, mp_context):
-            assert workers == 2
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *args):
-            return None
-
-        def map(self, work, tasks):
-            raise ValueError(work.__name__)
-
-    monkeypatch.setattr("benchmarks.paper.study.ProcessPoolExecutor", Pool)
-    with pytest.raises(ValueError, match="repeated_levels"):
-        study(Effort().scaled(EFFORT), workers=2)
-    assert command.main.__module__ == "benchmarks.paper.reproduction"

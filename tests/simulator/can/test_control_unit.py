@@ -36,8 +36,6 @@ class Line:
         self,
         layout: TaxelLayout | None = None,
         settings: ControlUnitSettings | None = None,
-        *,
-        boot: bool = True,
     ) -> None:
         self.layout = layout or paper_layout()
         self.skin = Skin(self.layout)
@@ -50,9 +48,8 @@ class Line:
         self.unit.connect(self._hear)
         self.client = SdoClient(SDO_IN, SDO_OUT, od.of_node(5))
         self.client.network = self
-        if boot:
-            self.wait(0.05)
-            self.take()
+        self.wait(0.05)
+        self.take()
 
     def _hear(self, ready_s: float, can_id: int, messages: list[bytes]) -> float:
         self.heard.extend((ready_s, can_id, message) for message in messages)
