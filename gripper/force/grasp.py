@@ -116,20 +116,10 @@ class GraspRun:
                 self._end.request()
             return self._press(ramp, reached)
 
-    def _press(self, ramp: ForceRamp, reached: "_Reached") -> GraspOutcome:
+    def _press(self, ramp: ForceRamp, reached: "Reached") -> GraspOutcome:
         """Follow a ramp on what was touched; a part that was lost on it is forgotten."""
         self._set_phase(GripperPhase.RAMPING)
-        self._ramp_step = step = RampStep(
-            reached.settings,
-            self._linkage,
-            ramp,
-            reached.state,
-            braked_s=reached.braked_s,
-            touch_m=reached.touch_m,
-            stiffness=reached.stiffness,
-            friction_share=reached.friction_share,
-            end=self._end,
-        )
+        self._ramp_step = step = RampStep(self._linkage, ramp, reached, self._end)
         final = self._runner.run(step.step)
         if step.lost:
             ran = step.control is not None and step.control.ran
@@ -174,7 +164,7 @@ class GraspRun:
         """Follow a change of the held force to its end and until the force has settled."""
         return self._runner.run(BackOffStep(self._settings, control, ramp).step)
 
-    def _approach(self, settings: GripperSettings) -> "_Reached":
+    def _approach(self, settings: GripperSettings) -> "Reached":
         """Close until the contact, or the end of the way, and feed the estimates."""
         # Fingers that are to meet find no part on their way.
         known = settings is self._settings and self._touched > 0
@@ -195,7 +185,7 @@ class GraspRun:
         state = self._runner.run(step)
         if friction.measured:
             self._friction_share = friction.friction_share()
-        return _Reached(
+        return Reached(
             settings=settings,
             event=approach.event,
             state=state,
@@ -210,7 +200,7 @@ class GraspRun:
         """Opening in m at which the next part may begin, by those touched so far."""
         return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
-    def _closed(self) -> "_Reached":
+    def _closed(self) -> "Reached":
         """Close until the pads meet; MechanicsContradicted where nothing stops the fingers."""
         reached = self._approach(meeting_settings(self._settings))
         if reached.event is ApproachEvent.LIMIT:
@@ -225,19 +215,21 @@ class GraspRun:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Reached:
-    """How an approach ended: event, feedback, first touch, its opening, estimates on the way.
-
-    ``settings`` are those of the gripper, or those with which empty fingers meet.
-    """
+class Reached:
+    """End of an approach, and what it has shown of the part."""
 
     settings: GripperSettings
+    """Those of the gripper, or those with which empty fingers meet."""
     event: ApproachEvent
     state: GripperState
+    """What has ended it, and the feedback then."""
     braked_s: float
+    """Monotonic time in s at which a finger was braked at its first touch."""
     touch_m: float
+    """Opening in m at which both pads were first loaded."""
     stiffness: StiffnessEstimate
     friction_share: float
+    """Stiffness of the part so far, and friction as a share of the model's."""
 
 
 class RampTime:
@@ -307,18 +299,12 @@ class RampStep:
 
     Parameters
     ----------
-    settings, linkage
+    linkage
         Of the gripper.
     ramp
         Set-point of the grip force; it begins at the force that is measured at the contact.
-    contact
-        Feedback at the contact.
-    braked_s
-        Monotonic time in s at which a finger was braked at its first touch.
-    touch_m
-        Opening in m at which both pads were first loaded.
-    stiffness, friction_share
-        Stiffness of the part, and friction as a share of the model's, from the approach.
+    reached
+        How the approach ended.
     end
         Request to end the ramp early.
 
@@ -330,41 +316,26 @@ class RampStep:
         True when the part was lost; then the fingers hold their positions.
     """
 
-    def __init__(
-        self,
-        settings: GripperSettings,
-        linkage: Linkage,
-        ramp: ForceRamp,
-        contact: GripperState,
-        *,
-        braked_s: float,
-        touch_m: float,
-        stiffness: StiffnessEstimate,
-        friction_share: float,
-        end: RampEnd,
-    ) -> None:
+    def __init__(self, linkage: Linkage, ramp: ForceRamp, reached: "Reached", end: RampEnd) -> None:
         self.control: GripControl | None = None
         self.lost = False
-        self._settings = settings
+        self._settings = reached.settings
         self._linkage = linkage
-        self._time = RampTime(settings, ramp)
-        self._contact = contact
-        self._touch_m = touch_m
-        self._stiffness = stiffness
-        self._friction_share = friction_share
+        self._time = RampTime(reached.settings, ramp)
+        self._reached = reached
         self._end = end
         self._rest = ContactRest(
-            contact.t_s + _REST_S,
-            hard_n=settings.contact_force_n,
-            hard_until_s=braked_s + _TOUCH_S,
+            reached.state.t_s + _REST_S,
+            hard_n=reached.settings.contact_force_n,
+            hard_until_s=reached.braked_s + _TOUCH_S,
         )
-        self._slip = LevelSlip(settings)
+        self._slip = LevelSlip(reached.settings)
         self._peak_n = 0.0
         self._ended = False
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartSlipped when a held part slips."""
-        self._stiffness.push(moment)
+        self._reached.stiffness.push(moment)
         if self._rest.goes_on(moment):
             return Action()
         control = self._advance(moment)
@@ -396,7 +367,7 @@ class RampStep:
             self.control,
             self._time.ramp,
             final,
-            contact=self._contact,
+            contact=self._reached.state,
             peak_n=self._peak_n,
             lost=self.lost,
             ended_early=self._ended,
@@ -419,17 +390,18 @@ class RampStep:
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
         """Return the control of a part; the fingers close: the drive is at the rising edge."""
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
-        friction_n = self._friction_share * mean_friction_n(paths)
+        reached = self._reached
+        friction_n = reached.friction_share * mean_friction_n(paths)
         return GripControl(
             self._settings,
             self._linkage,
-            self._contact,
-            touch_m=self._touch_m,
+            reached.state,
+            touch_m=reached.touch_m,
             force_n=force_n,
             drive_n=force_n + _CONTACT_SHARE * friction_n,
             now_s=moment.now_s,
-            stiffness=self._stiffness,
-            friction_share=self._friction_share,
+            stiffness=reached.stiffness,
+            friction_share=reached.friction_share,
         )
 
     def _ends_early(self) -> bool:

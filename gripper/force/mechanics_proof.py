@@ -65,9 +65,9 @@ _STIFF = 1.6
 """Current over the least one for a gearing that is stiffer than its data."""
 _LEAD_RAD = 0.04
 """How far in rad a goal is ahead of its finger at most: enough that the current is at its limit."""
-_REACHED_RAD = 2.0 * RAD_PER_PULSE
+REACHED_RAD = 2.0 * RAD_PER_PULSE
 """Distance in rad at which a finger has reached its goal: two counts of the encoder."""
-_OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
+OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
 """How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
 _STILL_RAD_S = 0.06
 """Speed in rad/s below which a finger stands: two counts of its velocity and some noise."""
@@ -329,13 +329,13 @@ class _Finger:
     def goal_rad(self, servo: ServoState, dt_s: float, *, back: bool) -> float:
         """Return the goal of one period in rad."""
         left_rad = self._sign * (self._target_rad - servo.angle_rad)
-        self.there = not back and left_rad <= _REACHED_RAD
+        self.there = not back and left_rad <= REACHED_RAD
         if self.there:
             self._still_s = 0.0
             self._goal_rad = servo.angle_rad
             return servo.angle_rad
         sign = -self._sign if back else self._sign
-        most_rad = _LEAD_RAD if back else min(_LEAD_RAD, left_rad + _OVERRUN_RAD)
+        most_rad = _LEAD_RAD if back else min(_LEAD_RAD, left_rad + OVERRUN_RAD)
         ahead_rad = sign * (self._goal_rad - servo.angle_rad) + self._rate_rad_s * dt_s
         if back:
             ahead_rad = most_rad

@@ -6,16 +6,20 @@ from dataclasses import dataclass
 from enum import Enum
 from math import inf, sqrt
 
-from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
+from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
-from gripper.force.mechanics_proof import ForceRise, mechanics_text
+from gripper.force.mechanics_proof import (
+    OVERRUN_RAD,
+    REACHED_RAD,
+    ForceRise,
+    mechanics_text,
+)
 from gripper.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.recent import RecentForce
 from gripper.servos.goals import (
-    OPENING_MARGIN_RAD,
     ServoGoal,
     closing_margin_rad,
     running_lead_rad,
@@ -24,10 +28,6 @@ from gripper.settings import GripperSettings
 from gripper.state import ForceSample, GripperState
 
 # Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
-_REACHED_RAD = 2.0 * RAD_PER_PULSE
-"""Distance in rad at which a finger has reached its goal: two counts of the encoder."""
-_OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
-"""How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
 _MOVE_PATIENCE_S = 2.0
 """Time in s beyond that of the motion after which a finger counts as stuck."""
 _STANDING_S = 0.2
@@ -232,10 +232,10 @@ class MoveTo:
             moment.state.servos, self._start_rad, self._target_rad, strict=True
         ):
             sign = 1.0 if target_rad >= start_rad else -1.0
-            there = sign * (target_rad - servo.angle_rad) <= _REACHED_RAD
+            there = sign * (target_rad - servo.angle_rad) <= REACHED_RAD
             there = there or (self._only_open and start_rad >= target_rad)
             arrived = arrived and there
-            end_rad = target_rad + sign * _OVERRUN_RAD
+            end_rad = target_rad + sign * OVERRUN_RAD
             angle_rad = (
                 servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
             )
