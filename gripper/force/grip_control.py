@@ -177,11 +177,10 @@ class GripControl:
         # Both pads yield by what the opening shrinks.
         way_m = max(touch_m - state.aperture_m, 0.0) + _WAY_DOUBT_M
         self._pad_n_m = 2.0 * _HARDENS * max(force_n, self._watch.empty_n) / way_m
-        self._observer: ContactObserver | None = None
         self._motion: RampMotion | None = None
+        self._last_motion: RampMotion | None = None
         self._moved_s = now_s
         self._measured_n = drive_n
-        self._falls = False
         self._lacking_n: dict[bool, float] = {}
 
     @property
@@ -325,12 +324,11 @@ class GripControl:
         """Begin a motion of the force from what it is now."""
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
         self._measured_n = _driving_n(moment.state, paths)
-        before = self._observer
+        before = self._last_motion
         if before is not None:
-            self._pad_n_m = before.stiffness_n_m
-            self._lacking_n[self._falls] = before.lacking_n
-        self._falls = falls
-        self._observer = ContactObserver(
+            self._pad_n_m = before.observer.stiffness_n_m
+            self._lacking_n[before.falls] = before.observer.lacking_n
+        observer = ContactObserver(
             mass_kg=self._mass_kg,
             now_s=moment.now_s - moment.dt_s,
             force_n=max(0.0, force_n),
@@ -341,12 +339,8 @@ class GripControl:
             ),
             stiffness_n_m=self._pad_n_m,
         )
-        self._motion = RampMotion(
-            self._observer,
-            mass_kg=self._mass_kg,
-            setpoint_n=setpoint_n,
-            falls=falls,
-            corrects=corrects,
+        self._motion = self._last_motion = RampMotion(
+            observer, setpoint_n=setpoint_n, falls=falls, corrects=corrects
         )
 
     def _rise(

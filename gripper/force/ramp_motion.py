@@ -144,7 +144,7 @@ class ContactObserver:
         stiffness_n_m: float,
         lacking_n: float = 0.0,
     ) -> None:
-        self._mass_kg = mass_kg
+        self.mass_kg = mass_kg
         self.force_n = force_n
         self.speed_m_s = 0.0
         self.lacking_n = lacking_n
@@ -173,12 +173,12 @@ class ContactObserver:
         """Return the speed in m/s after ``dt_s`` s under a drive; 0 where friction locks."""
         push_n = drive_n - self.lacking_n - self.force_n
         speed = self.speed_m_s
-        after = speed + (push_n - copysign(friction_n, speed)) * dt_s / self._mass_kg
+        after = speed + (push_n - copysign(friction_n, speed)) * dt_s / self.mass_kg
         if speed * after > 0.0:
             return after
         if abs(push_n) <= STICTION * friction_n:
             return 0.0
-        return (push_n - copysign(friction_n, push_n)) * dt_s / self._mass_kg
+        return (push_n - copysign(friction_n, push_n)) * dt_s / self.mass_kg
 
     def step(
         self,
@@ -222,7 +222,7 @@ class ContactObserver:
         return sample.grip_n - self._history.at(sample.measured_s)
 
     def _predict(self, dt_s: float, drive_n: float, friction_n: float) -> None:
-        stiffness, mass = self.stiffness_n_m, self._mass_kg
+        stiffness, mass = self.stiffness_n_m, self.mass_kg
         speed = self.speed_m_s
         after = self.speed_after_m_s(dt_s, drive_n, friction_n)
         self.force_n = max(0.0, self.force_n + 0.5 * (speed + after) * stiffness * dt_s)
@@ -275,8 +275,6 @@ class RampMotion:
     ----------
     observer
         Of the contact.
-    mass_kg
-        Moving mass of a finger, as it is at the pad.
     setpoint_n
         Set-point before the motion in N.
     falls
@@ -287,8 +285,8 @@ class RampMotion:
 
     Attributes
     ----------
-    observer
-        As the parameter.
+    observer, falls
+        As the parameters.
     over
         Whether the force has arrived and the fingers stand.
     """
@@ -297,7 +295,6 @@ class RampMotion:
         self,
         observer: ContactObserver,
         *,
-        mass_kg: float,
         setpoint_n: float,
         falls: bool = False,
         corrects: bool = False,
@@ -306,8 +303,7 @@ class RampMotion:
         self._corrects = corrects
         self._late_s = 0.0
         self.plan = ForcePlan(observer.force_n)
-        self.observer = observer
-        self._mass_kg = mass_kg
+        self.observer, self.falls = observer, falls
         self._setpoint_n = setpoint_n
         self._sign = -1.0 if falls else 1.0
         self._rates: deque[float] = deque(maxlen=3)
@@ -350,7 +346,7 @@ class RampMotion:
         self._setpoint_n = setpoint_n
         ramp_n_s = max(0.0, *self._rates) if len(self._rates) > 1 else max(0.0, sum(self._rates))
         change_n_s2 = min(
-            max(ramp_n_s, _LEAST_RATE_N_S) / _RATE_S, _INERTIA_N * stiffness / self._mass_kg
+            max(ramp_n_s, _LEAST_RATE_N_S) / _RATE_S, _INERTIA_N * stiffness / observer.mass_kg
         )
         plan = self.plan
         plan.step(
@@ -372,7 +368,7 @@ class RampMotion:
         wanted = sign * min(wanted_m_s, speed_max_m_s)
         accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / _SPEED_S
         # What the force still grows by while friction alone brakes the fingers.
-        stopping_n = 0.5 * self._mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
+        stopping_n = 0.5 * observer.mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
         arrived = sign * (end_n - force_n) <= _NEAR_N + stopping_n
         if at_end and wanted_m_s < speed_max_m_s:
             self._late_s += dt_s
@@ -380,7 +376,7 @@ class RampMotion:
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
         centre_n = force_n + observer.lacking_n
         band_n = _LOCKED_SHARE * friction_n
-        push_n = sign * (friction_n + sign * self._mass_kg * accelerates)
+        push_n = sign * (friction_n + sign * observer.mass_kg * accelerates)
         if observer.speed_m_s == 0.0:
             push_n = sign * max(sign * push_n, STICTION * friction_n + _BREAKAWAY_N)
         if arrived:
