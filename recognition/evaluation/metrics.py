@@ -29,16 +29,16 @@ def confusion_matrix(
     return table
 
 
-def wilson_interval(successes: int, n: int, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the Wilson score interval of a proportion; (0, 1) where n is 0.
+def wilson_interval(successes: int, n: int) -> tuple[float, float]:
+    """Return the Wilson score interval of a proportion at 95 %; (0, 1) where n is 0.
 
-    Raises ValueError where successes are not from 0 to n or confidence not between 0 and 1.
+    Raises ValueError where successes are not from 0 to n.
     """
-    if not 0 <= successes <= n or not 0.0 < confidence < 1.0:
-        raise ValueError(f"{successes} of {n} at confidence {confidence} is no proportion")
+    if not 0 <= successes <= n:
+        raise ValueError(f"{successes} of {n} is no proportion")
     if n == 0:
         return 0.0, 1.0
-    z = float(ndtri(0.5 + confidence / 2))
+    z = float(ndtri(0.975))
     p = successes / n
     centre = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * float(np.sqrt(p * (1 - p) / n + z * z / (4 * n * n)))

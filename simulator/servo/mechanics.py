@@ -142,8 +142,6 @@ class FingerMechanics:
         One or two motors; their angles are set to the start aperture.
     half_opening_min_m
         Closed end stop in m; below 0 a finger may pass the middle, until the other one stops it.
-    stiction_ratio
-        Torque that sets an axis at rest in motion, over its Coulomb friction; at least 1.
     """
 
     def __init__(
@@ -154,7 +152,6 @@ class FingerMechanics:
         *,
         aperture_m: float,
         half_opening_min_m: float = 0.0,
-        stiction_ratio: float = STICTION_RATIO,
     ) -> None:
         if len(motors) not in {1, 2} or len(mounts) != len(motors):
             raise SimulatorSettingsError(
@@ -166,10 +163,7 @@ class FingerMechanics:
             raise SimulatorSettingsError(
                 f"half_opening_min_m is {half_opening_min_m}, must be from {low_m} to {high_m}"
             )
-        if not 1.0 <= stiction_ratio < math.inf:
-            raise SimulatorSettingsError(f"stiction_ratio is at least 1, got {stiction_ratio}")
         self.motors = tuple(motors)
-        self._stiction_ratio = stiction_ratio
         self._linkage = linkage
         self._axes = tuple((m.direction, m.zero_raw * RAD_PER_PULSE) for m in mounts)
         self._lower_m = half_opening_min_m
@@ -357,7 +351,7 @@ class FingerMechanics:
         Torques times the step's length in N.m s, damping in the unit of the inertia.
         """
         if velocity == 0.0:
-            if abs(push) <= self._stiction_ratio * friction:
+            if abs(push) <= STICTION_RATIO * friction:
                 return 0.0
             push -= math.copysign(friction, push)
         else:

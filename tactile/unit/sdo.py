@@ -12,21 +12,16 @@ from tactile.errors import NodeMissing
 
 _NO_OBJECT = 0x0602_0000
 """SDO abort code: the object does not exist (CiA 301, 7.2.4.3.17)."""
+_ATTEMPTS = 3
+"""How often a transfer is tried when no response comes."""
 
 
 class ObjectAccess:
-    """Reads and writes objects by index; repeats what got lost; errors name object and unit.
+    """Reads and writes objects by index; repeats what got lost; errors name object and unit."""
 
-    Parameters
-    ----------
-    attempts
-        How often a transfer is tried when no response comes.
-    """
-
-    def __init__(self, client: PolledSdoClient, *, name: str, attempts: int = 3) -> None:
+    def __init__(self, client: PolledSdoClient, *, name: str) -> None:
         self._client = client
         self._name = name
-        self._attempts = attempts
 
     def read(self, index: int, subindex: int = 0) -> bytes:
         """Return the bytes of an object."""
@@ -69,7 +64,7 @@ class ObjectAccess:
     ) -> Any:
         what = f"{verb} of object 0x{index:04X}:{subindex:02X} of {self._name}"
         failure: Exception | None = None
-        for _ in range(self._attempts):
+        for _ in range(_ATTEMPTS):
             try:
                 return transfer(index, subindex, *arguments)
             except SdoCommunicationError as error:
@@ -82,5 +77,5 @@ class ObjectAccess:
             except (can.CanError, OSError) as error:
                 raise interface_failed(error) from error
         raise NodeMissing(
-            f"{what} failed {self._attempts} times: {failure}; check supply, CAN cable and node-ID"
+            f"{what} failed {_ATTEMPTS} times: {failure}; check supply, CAN cable and node-ID"
         ) from failure

@@ -36,7 +36,6 @@ class ScriptedStream:
     script: deque[tuple[bytes, list[tuple[float, bytes]]]] = field(default_factory=deque)
     arriving: list[tuple[float, bytes]] = field(default_factory=list)
     closed: bool = False
-    reads: int = 0
     chatter: bytes = b""
     """Bytes that come without an end, one piece each 0.1 ms."""
 
@@ -54,7 +53,6 @@ class ScriptedStream:
         self.arriving.sort(key=lambda entry: entry[0])
 
     def read(self, size: int, timeout_s: float, /) -> bytes:
-        self.reads += 1
         if self.chatter:
             self.clock.sleep(1e-4)
             return self.chatter
@@ -99,7 +97,6 @@ class Part:
 
     width_m: float = 0.012
     stiffness_n_m: float = 20_000.0
-    offset_m: float = 0.0
     present: bool = True
 
     def force_n(self, first_m: float, second_m: float) -> tuple[float, float]:
