@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Step, carry_out
+from cell.commissioning.engine import Finding, Step, Verdict, carry_out
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
@@ -55,6 +55,12 @@ class Stand:
         self.person.script.leave_at = list(leave_at)
         self.person.script.moment = moment or self.person.script.moment
         return carry_out(step, self.bench, self.person.script)
+
+    def passes(self, step: Step, **options: Any) -> Finding:
+        """Carry a step out as `run`; fail where it does not pass."""
+        finding = self.run(step, **options)
+        assert finding.status is Verdict.PASS, finding.lines
+        return finding
 
     def knows(self, **settings: Any) -> None:
         """Let the steps have found other values, ``__`` for the point."""

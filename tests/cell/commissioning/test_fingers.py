@@ -101,7 +101,7 @@ def limp(stand: MakeStand) -> MakeStand:
 
     def make(*faults: str) -> Stand:
         one = stand(*faults, aperture_m=0.03)
-        assert one.run(ServosStep()).status is Verdict.PASS
+        one.passes(ServosStep())
         return one
 
     return make
@@ -114,8 +114,7 @@ def test_one_servo_with_a_pinion(stand: MakeStand) -> None:
     )
     servos = one.run(ServosStep(), servos__count="1").settings
     one.bench.settings = {**one.bench.settings, **servos}
-    found = one.run(STEP)
-    assert found.status is Verdict.PASS, found.lines
+    found = one.passes(STEP)
     assert "fingers.open_second" not in one.person.script.asked
     assert found.settings["gripper.servos"][0]["direction"] == -1
     linkage = found.settings["gripper.linkage"]
@@ -125,8 +124,7 @@ def test_one_servo_with_a_pinion(stand: MakeStand) -> None:
 
 def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: MakeStand) -> None:
     one = limp("servo2.turned", "servo1.horn=164")
-    found = one.run(STEP, **Hands(one.cell, first=2).replies())
-    assert found.status is Verdict.PASS, found.lines
+    found = one.passes(STEP, **Hands(one.cell, first=2).replies())
     first, second = found.settings["gripper.servos"]
     assert (first["id"], first["direction"]) == (2, -1)
     assert (second["id"], second["direction"]) == (1, 1)
@@ -159,8 +157,7 @@ def test_a_first_motion_begins_with_room_on_both_sides(limp: MakeStand, place: s
     one = limp()
     hands = Hands(one.cell)
     tight = hands.close if place == "near" else lambda: hands.all_to(0.05)
-    found = one.run(STEP, fingers__free=[tight, hands.free])
-    assert found.status is Verdict.PASS, found.lines
+    one.passes(STEP, fingers__free=[tight, hands.free])
     assert one.person.script.asked.count("fingers.free") == 2
 
 

@@ -17,8 +17,7 @@ def one(stand: MakeStand) -> Stand:
 
 
 def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(one: Stand) -> None:
-    finding = one.run(STEP)
-    assert finding.status is Verdict.PASS, finding.lines
+    finding = one.passes(STEP)
     (first, four) = finding.values["asked_held_peak_n"]
     assert first[:2] == pytest.approx([1.0, 1.0], abs=0.1)
     assert four == pytest.approx([4.0, 4.0, 4.0], abs=0.4)

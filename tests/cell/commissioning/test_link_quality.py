@@ -1,6 +1,5 @@
 """Quality of the lines: sound ones pass, with and without pads."""
 
-from cell.commissioning.engine import Verdict
 from cell.commissioning.link_quality import LinkQualityStep
 from tests.cell.commissioning.conftest import MakeStand
 
@@ -8,8 +7,7 @@ STEP = LinkQualityStep(duration_s=2.5)
 
 
 def test_sound_lines_pass(stand: MakeStand) -> None:
-    finding = stand().run(STEP)
-    assert finding.status is Verdict.PASS, finding.lines
+    finding = stand().passes(STEP)
     assert finding.values["periods"] == 500
     assert finding.values["lost_frames"] == finding.values["retries"] == 0
     assert finding.values["forces"] > 450
@@ -21,6 +19,5 @@ def test_sound_lines_pass(stand: MakeStand) -> None:
 def test_a_gripper_without_pads_has_one_line(stand: MakeStand) -> None:
     one = stand("unit.off")
     one.bench.found = {"unit": {"gripper_alone": True}}
-    finding = one.run(STEP)
-    assert finding.status is Verdict.PASS, finding.lines
+    finding = one.passes(STEP)
     assert len(finding.lines) == 2

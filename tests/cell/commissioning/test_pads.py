@@ -28,8 +28,7 @@ REST, PRESSED = PadsAtRestStep(), PadsPressedStep()
 def test_sound_pads_at_rest_pass_without_a_word(stand: MakeStand, layout: Any) -> None:
     one = stand(layout=layout)
     one.knows(tactile__layout=layout.name)
-    finding = one.run(REST)
-    assert finding.status is Verdict.PASS, finding.lines
+    finding = one.passes(REST)
     assert len(finding.lines) == 1
     assert finding.settings == {"tactile.board_serial_numbers": [1, 2]}
     assert set(finding.figures) == {"zero", "noise"}
@@ -43,8 +42,7 @@ def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand: Make
 
 
 def test_pads_where_the_layout_has_them_pass(stand: MakeStand) -> None:
-    finding = stand().run(PRESSED)
-    assert finding.status is Verdict.PASS, finding.lines
+    finding = stand().passes(PRESSED)
     assert finding.settings == {"tactile.mounting": []}
 
 
@@ -112,8 +110,7 @@ def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand: MakeStand) -> Non
         if "Press finger1.inner with" in last and len(wrong) > 1 and looks > 4:
             one.cell.devices.physical.press(wrong.pop(), 0.0, 0.0, 2.0)
 
-    finding = one.run(PRESSED, moment=moment)
-    assert finding.status is Verdict.PASS, finding.lines
+    one.passes(PRESSED, moment=moment)
 
 
 def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: MakeStand) -> None:

@@ -9,7 +9,7 @@ import pytest
 from cell.commissioning import backup
 from cell.commissioning.backup import restore
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Left, Verdict
+from cell.commissioning.engine import Left
 from cell.commissioning.servos import ServosStep
 from cell.errors import CellError
 from tests.cell.commissioning.conftest import MakeStand, Stand
@@ -32,8 +32,8 @@ def eeproms(one: Stand) -> list[bytes]:
 
 
 def test_factory_new_servos_are_numbered_one_at_a_time(new: Stand, tmp_path: Path) -> None:
-    found, script = new.run(STEP), new.person.script
-    assert found.status is Verdict.PASS, found.lines
+    new.passes(STEP)
+    script = new.person.script
     assert script.asked == ["servos.connect_one", "servos.connect_next"]
     for name, values in {
         "id": [1, 2],
@@ -60,7 +60,7 @@ def test_restore_brings_the_servos_back_as_they_came(new: Stand, tmp_path: Path)
     assert ("id (7)", "2", "1") in {(w.what, w.before, w.after) for w in script.writes}
     # Restored servos are left alone, and are brought up again from there.
     assert restore(new.bench, Script(), PORT) == ("all servos are as they were found",)
-    assert new.run(STEP).status is Verdict.PASS
+    new.passes(STEP)
     with pytest.raises(CellError, match="no backup"):
         restore(Bench(tmp_path / "other", new.lines), Script(), PORT)
 
@@ -103,8 +103,7 @@ def test_nothing_is_written_that_was_refused(new: Stand, tmp_path: Path) -> None
 
 def test_wrong_registers_are_shown_then_set_and_read_back(stand: MakeStand) -> None:
     one = stand("servo1.wrong=homing_offset:100", "servo2.wrong=drive_mode:1")
-    found = one.run(STEP)
-    assert found.status is Verdict.PASS, found.lines
+    one.passes(STEP)
     shown = {(w.where, w.what, w.before, w.after) for w in one.person.script.writes}
     assert ("servo 1", "homing_offset (20)", "100", "0") in shown
     assert ("servo 2", "drive_mode (10)", "1", "0") in shown

@@ -23,8 +23,7 @@ STEP = UnitStep()
 
 def test_a_unit_is_found_and_set_up_and_named(stand: MakeStand) -> None:
     one = stand(node_id=17, serial_number=4711)
-    finding, script = one.run(STEP), one.person.script
-    assert finding.status is Verdict.PASS, finding.lines
+    finding, script = one.passes(STEP), one.person.script
     assert finding.settings == {
         "tactile.interface": "socketcan",
         "tactile.channel": "can0",
@@ -58,8 +57,7 @@ def test_nothing_is_written_that_is_refused(stand: MakeStand) -> None:
 
 @pytest.mark.parametrize("bitrate", [500_000, 250_000])
 def test_another_bit_rate_is_found_and_the_period_fits_it(stand: MakeStand, bitrate: int) -> None:
-    finding = stand(f"can.bit_rate={bitrate}").run(STEP)
-    assert finding.status is Verdict.PASS, finding.lines
+    finding = stand(f"can.bit_rate={bitrate}").passes(STEP)
     assert finding.settings["tactile.bitrate"] == bitrate
     assert f"{bitrate:,} bit/s" in finding.lines[0]
     assert ("tactile.sync_period_ms" in finding.settings) == (bitrate == 250_000)
@@ -85,8 +83,7 @@ def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand: MakeStand) -> 
     one = stand()
     mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
     one.cell.devices.can_devices.add(SimulatedDrive(mount))
-    finding = one.run(STEP)
-    assert finding.status is Verdict.PASS, finding.lines
+    finding = one.passes(STEP)
     assert finding.settings["tactile.node_id"] == 5
     assert "Beside it, node 3 is another device" in "\n".join(finding.lines)
 

@@ -21,7 +21,7 @@ from gripper.errors import PartLost, PartSlipped
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from tactile.errors import TactileError
-from tests.cell.conftest import STRANGE, SURE, UNSURE, MakeBench, Scripted, small_config
+from tests.cell.conftest import STRANGE, SURE, UNSURE, Bench, MakeBench, Scripted, small_config
 
 CARRY_N = 4.0
 """Default of `sequence.carry_force_n`."""
@@ -32,6 +32,12 @@ STEPS = tuple(
 )
 
 
+@pytest.fixture
+def bench(bench: Bench) -> Bench:
+    """A cell that is ready, with the ball at its place."""
+    return bench.ready()
+
+
 def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1]) -> Any:
     return bench.controller.identify(recognizer, steps, keep=keep)
 
@@ -40,7 +46,6 @@ def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1
 
 
 def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench: Any) -> None:
-    bench.ready()
     bench.idle(0.05)
     live = bench.controller.live
     assert live.force_n == pytest.approx(0.0, abs=0.1)
@@ -64,7 +69,6 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench:
 
 
 def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None:
-    bench.ready()
     identify(bench, Scripted(SURE), Keep.ALWAYS)
     bench.sleep(2.0)  # nobody ticks
     live = bench.controller.live
@@ -81,7 +85,6 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
 
 @pytest.mark.parametrize(("keep", "kept"), [(Keep.WHEN_NAMED, False), (Keep.ALWAYS, True)])
 def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, kept: bool) -> None:
-    bench.ready()
     found = identify(bench, Scripted(STRANGE), keep)
     assert found.label == UNKNOWN
     assert found.kept is kept
@@ -91,7 +94,6 @@ def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, k
 
 @pytest.mark.parametrize("keep", Keep)
 def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, keep: Keep) -> None:
-    bench.ready()
     recognizer = Scripted(UNSURE, SURE, look=lambda: bench.grip_n)
     found = identify(bench, recognizer, keep, STEPS)
     assert len(found.records) == 2
@@ -115,7 +117,6 @@ def test_a_hand_in_a_process_of_its_own_moves_on_while_the_answer_is_computed(
     bench: Any, monkeypatch: pytest.MonkeyPatch, keep: Keep, phase: GripperPhase
 ) -> None:
     monkeypatch.setattr(LocalHand, "own_process", True)
-    bench.ready()
     reached = until(bench, lambda: bench.controller.hand.phase is phase)
     recognizer = Scripted(SURE, look=reached)
     found = identify(bench, recognizer, keep)
@@ -129,7 +130,6 @@ def test_neither_a_stop_nor_a_fault_waits_for_the_answer_and_the_part_is_kept(
     bench: Any, monkeypatch: pytest.MonkeyPatch, stopped: bool
 ) -> None:
     monkeypatch.setattr(LocalHand, "own_process", True)
-    bench.ready()
     over = threading.Event()
     act = bench.controller.cancel if stopped else lambda: bench.simulated.inject("can.unplugged")
     bench.once_in(GripperPhase.BACKING_OFF, act)
@@ -142,7 +142,6 @@ def test_neither_a_stop_nor_a_fault_waits_for_the_answer_and_the_part_is_kept(
 
 
 def test_a_stop_while_it_is_named_holds_the_part(bench: Any) -> None:
-    bench.ready()
     with pytest.raises(CellStopped, match="the grip is kept"):
         identify(bench, Scripted(SURE, look=bench.controller.cancel), Keep.ALWAYS)
     assert bench.controller.state is CellState.HELD
@@ -150,7 +149,6 @@ def test_a_stop_while_it_is_named_holds_the_part(bench: Any) -> None:
 
 
 def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) -> None:
-    bench.ready()
     with pytest.raises(IndexError):
         identify(bench, Scripted(), Keep.ALWAYS)
     assert bench.controller.state is CellState.ABORTED
@@ -219,7 +217,6 @@ def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
 def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(
     bench: Any, fault: str, limit_s: float
 ) -> None:
-    bench.ready()
     identify(bench, Scripted(SURE), Keep.ALWAYS)
     bench.idle(3.0)
     bench.simulated.inject(fault)
@@ -279,7 +276,6 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
 
 
 def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
-    bench.ready()
     bench.controller.grip(4.0, Pose())
     # Between two looks of the slip detector: what is seen is where the part is now.
     bench.simulated.devices.physical.slide(2.5e-3)
@@ -292,7 +288,6 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
 
 
 def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
-    bench.ready()
     bench.controller.grip(4.0, Pose())
     for step in range(1, 41):
         bench.simulated.devices.physical.swell(step * 2e-5)
@@ -339,7 +334,6 @@ def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
         bench.simulated.devices.physical.remove()
         arrived.wait(30.0)
 
-    bench.ready()
     bench.controller.grip(3.0, Pose())
     moves = HostPlaces(OperatorPositioner(lambda _text: ""), places)
     bench.controller._positioner = bench.controller._grasper._positioner = moves
