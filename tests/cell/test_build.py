@@ -16,16 +16,11 @@ from gripper.errors import PortLost
 from gripper.state import GraspResult
 from tactile.errors import BusNotOpened, TactileError
 from tests.cell.conftest import MakeBench, small_config
+from tests.cell.jobs.test_doctor import REAL
 from tests.fuzz.harness import Clock
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 SLOW_RACK = {"gripper__linkage": RACK, "gripper__approach_speed_mm_s": 5.0}
-REAL = {
-    "gripper__port": "/dev/serial-that-is-not-there",
-    "tactile__interface": "slcan",
-    "tactile__channel": "/dev/can-that-is-not-there",
-    "positioner__kind": "operator",
-}
 
 
 def positioner(bench: Any) -> Any:

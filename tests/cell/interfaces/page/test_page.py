@@ -272,12 +272,17 @@ def test_health_is_one_line_until_something_is_not_well(
     becomes(page, "#health", "No figures")
 
 
-def test_what_is_not_measured_is_a_dash(open_page: OpenPage, cell: FakeCell) -> None:
+def test_what_is_not_measured_is_a_dash_and_an_old_frame_is_not_shown(
+    open_page: OpenPage, cell: FakeCell
+) -> None:
     cell.working()
-    cell.plugin.show_live(LiveValues())
     page = open_page()
     becomes(page, "#state", "Working")
+    page.wait_for_selector("#pads", state="visible")
+    cell.plugin.show_live(LiveValues())
     becomes(page, "#felt_force", "–")
+    page.wait_for_selector("#pads_none", state="visible")
+    becomes(page, "#pads_none", "No frames of the pads")
 
 
 @pytest.mark.long
@@ -311,16 +316,6 @@ def test_no_dialog_stands_in_front_of_hold(open_page: OpenPage, cell: FakeCell, 
     page.keyboard.press("Escape")
     until(lambda: len(cell.holds) == 3)
     page.wait_for_selector("#grasp", state="hidden")
-
-
-@pytest.mark.long
-def test_an_old_frame_is_not_shown(open_page: OpenPage, cell: FakeCell) -> None:
-    page = open_page()
-    becomes(page, "#state", "Ready")
-    page.wait_for_selector("#pads", state="visible")
-    cell.plugin.show_live(LiveValues())
-    page.wait_for_selector("#pads_none", state="visible")
-    becomes(page, "#pads_none", "No frames of the pads")
 
 
 @pytest.mark.long
