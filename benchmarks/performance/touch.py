@@ -328,8 +328,9 @@ IMPACTS: dict[str, Callable[[float | None, int], Impact]] = {
 def _times(found_s: Sequence[float]) -> str:
     happened = sorted(t_s for t_s in found_s if not math.isnan(t_s))
     noticed = [t_s for t_s in happened if t_s < math.inf]
-    worst_s = max(noticed, default=math.inf)
-    text = f"{1e3 * median(happened):6.1f}{1e3 * worst_s:7.1f}"
+    if not noticed:
+        return f"none of {len(happened)}"
+    text = f"{1e3 * median(happened):6.1f}{1e3 * noticed[-1]:7.1f}"
     if len(noticed) < len(found_s):
         text += f" ({len(noticed)} of {len(happened)})"
     return text

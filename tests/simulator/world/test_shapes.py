@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from simulator.errors import SimulatorSettingsError
+from simulator.world import shape_files
 from simulator.world.shape_files import MeshShape, load_mesh, parse_shape
 from simulator.world.shapes import (
     PAPER_OBJECTS,
@@ -210,6 +211,23 @@ def test_a_mesh_of_a_ball_is_round(tmp_path: Path) -> None:
     low, high = load_mesh(path).heights(np.array([0.0, 3e-3, 6e-3]), np.zeros(3), 0.0)
     assert low == pytest.approx([5e-3, 4e-3, -math.inf], abs=0.05e-3)
     assert high == pytest.approx(low)
+
+
+def test_a_mesh_is_the_same_whole_and_in_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "ball.stl"
+    path.write_bytes(trimesh.creation.icosphere(radius=5.0).export(file_type="stl"))
+    mesh = load_mesh(path)
+    whole = mesh.heights(*GRID, 0.3)
+    exact = Ellipsoid(length_m=10e-3, width_m=10e-3, height_m=10e-3).heights(*GRID, 0.3)
+    within = np.hypot(*GRID) < 4.5e-3
+    assert np.isfinite(whole[0][within]).all()
+    for found, right in zip(whole, exact, strict=True):
+        assert found[within] == pytest.approx(right[within], abs=0.1e-3)
+    monkeypatch.setattr(shape_files, "_PAIRS", 100)
+    assert np.array_equal(mesh.heights(*GRID, 0.3), whole)
 
 
 def test_a_mesh_as_programs_export_it_is_read(tmp_path: Path) -> None:
