@@ -13,6 +13,9 @@ from recognition.statistics.calibration import blocked_folds
 
 _ENOUGH_GRASPS = 10
 """Grasps of an object from which names are sure enough within a series."""
+_FEW_UNKNOWN, _FEW_NAMED = "one in six", "one in six"
+"""Answers to single grasps where two to eight alike objects were taught three or four grasps each
+(docs/decisions/0006-parts-of-the-recogniser.md)."""
 _FOLDS = 2
 """Parts of the grasps that are left out in turn: as few as there can be, for each costs a training.
 """
@@ -61,8 +64,8 @@ class TeachingSummary:
         if not needs:
             return ""
         return (
-            f"teach {'; '.join(needs)}. Until then taught objects are often UNKNOWN, and others "
-            "are not, unless their size differs"
+            f"teach {'; '.join(needs)}. Until then expect {_FEW_UNKNOWN} of taught objects to be "
+            f"UNKNOWN, and {_FEW_NAMED} of others that are like them to get a name (simulated cell)"
         )
 
     @property

@@ -14,6 +14,10 @@ _PRIOR_MM = (0.5, 0.2)
 the full load, which depends on the force, and of that at the first touch."""
 _PRIOR_GRASPS = 4.0
 """Weight of that expectation, in grasps: the units come from the grasps where there are more."""
+_WITHOUT_LARGEST = 2.0
+"""About how many times the mean square of these distances is that of all but the largest of each
+object, where neighbours lie at random. Of few grasps of a box the only one on another side lies
+millimetres from all others, and as a usual distance would hide that other objects differ."""
 _OUTER_SHARE = 0.1
 """Share of the grasps of an object, the loneliest, near which a size is new all the same: of many
 grasps, as of a drawing on all foams that may be, some lie where another object does."""
@@ -65,14 +69,15 @@ class TaughtSizes:
 def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> TaughtSizes:
     """Return the sizes (n, k) of grasps with classes (n,), of which each has at least two.
 
-    The units are root mean squares of the distances, drawn towards the expected ones.
+    The units are root mean squares of the usual distances, drawn towards the expected ones.
     """
     off_mm = np.abs(sizes_mm[:, None] - sizes_mm)
     off_mm[(classes[:, None] != classes) | np.eye(len(classes), dtype=np.bool_)] = np.inf
     nearest_mm2 = off_mm.min(axis=1) ** 2
+    usual_mm2 = [np.sort(nearest_mm2[classes == c], axis=0)[:-1] for c in np.unique(classes)]
     total_mm2 = _PRIOR_GRASPS * np.array(_PRIOR_MM[: sizes_mm.shape[1]]) ** 2
-    total_mm2 = total_mm2 + nearest_mm2.sum(axis=0)
-    unit_mm = np.sqrt(total_mm2 / (_PRIOR_GRASPS + len(sizes_mm)))
+    total_mm2 = total_mm2 + _WITHOUT_LARGEST * np.concatenate(usual_mm2).sum(axis=0)
+    unit_mm = np.sqrt(total_mm2 / (_PRIOR_GRASPS + sum(map(len, usual_mm2))))
     kept = np.concatenate([_inner(sizes_mm / unit_mm, classes == c) for c in np.unique(classes)])
     return TaughtSizes(sizes_mm=sizes_mm[kept], classes=classes[kept], unit_mm=unit_mm)
 

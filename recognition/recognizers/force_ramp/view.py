@@ -61,14 +61,19 @@ _BLOCKS = 3
 """Blocks in time, held out in turn: few large ones, as grasps in use lie far in time."""
 _PARTS = 4
 """Parts of each block, each with a made-up drift of its own."""
-_KEPT = (0.95, 0.96)
+_KEPT = (0.97, 0.95)
 """Shares of held-out grasps of taught objects whose novelty, without the size and with it, is no
 new object's."""
-_USUAL_LIMIT = (4.0, 6.5)
-_PRIOR_GRASPS = 30.0
-"""Novelties that are expected there, and their weight in grasps: held
-out of few grasps, one lies far off, and nearer to the whole teaching. Chosen on one to twelve
-objects with four to eighteen grasps each, recorded and simulated."""
+_USUAL_NOVELTY = 3.0
+"""Novelty that is expected of held-out grasps in the mean, without the size."""
+_USUAL_BEYOND = (0.8, 1.9)
+"""How far the limits, without the size and with it, are expected beyond that mean and about one
+standard deviation of the logarithm of chi squared: the fewer axes separate the classes, the more
+grasps of one object stray."""
+_PRIOR_GRASPS = 100.0
+"""Weight of these expectations, in grasps. Chosen on two to thirty objects with three to twenty
+grasps each, recorded and simulated, by the strangers that get a name and the taught ones that get
+none."""
 _NOVELTY_SLOPE = 2.0
 """Log odds of a new object for each unit of the novelty."""
 _NEW_QUANTILE = 0.05
@@ -344,10 +349,11 @@ def fit_view(
     row = np.concatenate(rows)[order]
     score = np.concatenate(scores)[order]
     temperature = fit_temperature(score, classes[row])
+    whole = teach(np.ones(len(classes), dtype=np.bool_))
     return View(
-        model=teach(np.ones(len(classes), dtype=np.bool_)),
+        model=whole,
         temperature=temperature,
-        limit=_limit(np.concatenate(novelty)),
+        limit=_limit(np.concatenate(novelty), whole.taught.shape[1]),
         log_new=float(np.quantile(logsumexp(score / temperature, axis=1), _NEW_QUANTILE)),
         placing_mm=_placing_mm(levels, classes) if opening else 0.0,
         dependence=fit_dependence(
@@ -404,11 +410,16 @@ def _doubt(
     return float(np.clip((limit - 0.5) / max(limit - even, 1e-9), 0.0, 1.0))
 
 
-def _limit(novelty: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return novelties with even odds, from those of held-out grasps (n, 2) and what is usual."""
+def _limit(novelty: NDArray[np.float64], n_axes: int) -> NDArray[np.float64]:
+    """Return novelties with even odds (2,), from those of held-out grasps (n, 2) and what is usual.
+
+    ``n_axes`` separate the classes. A quantile of few grasps is hardly known, their mean sooner.
+    """
     share = len(novelty) / (len(novelty) + _PRIOR_GRASPS)
+    mean = share * novelty[:, 0].mean() + (1.0 - share) * _USUAL_NOVELTY
+    usual = mean + np.sqrt(2.0 / (1 + n_axes)) + np.array(_USUAL_BEYOND)
     held = [np.quantile(novelty[:, k], q) for k, q in enumerate(_KEPT)]
-    return np.asarray(share * np.array(held) + (1.0 - share) * np.array(_USUAL_LIMIT))
+    return np.asarray(share * np.array(held) + (1.0 - share) * usual)
 
 
 def _placing_mm(levels: Levels, classes: NDArray[np.int64]) -> float:

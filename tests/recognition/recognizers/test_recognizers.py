@@ -14,6 +14,7 @@ from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
 from recognition.features.footprint import pad_grid
+from recognition.grasp import by_label
 from recognition.ramp.levels import load_levels
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import (
@@ -351,6 +352,15 @@ def test_two_objects_with_three_grasps_are_named_and_the_others_are_unknown(trai
     named = [(g.label, taught.posterior(g).name) for g in fresh]
     assert np.mean([name == label for label, name in named if label in labels]) >= 0.9
     assert {name for label, name in named if label not in labels} == {UNKNOWN}
+
+
+def test_the_fewer_objects_are_taught_the_farther_off_their_own_grasps_are_expected(train):
+    few = [grasp for group in by_label(train).values() for grasp in group[:6]]
+    five, two = (
+        make_trainer("force_ramp").fit([g for g in few if g.label in labels]).both.limit[0]
+        for labels in (("bar", "block", "disc", "egg", "pin"), ("bar", "disc"))
+    )
+    assert two > five + 0.35
 
 
 def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(train, fresh):

@@ -47,6 +47,14 @@ def test_few_grasps_keep_the_unit_near_the_expected_one():
     assert np.all(many.unit_mm < 0.5 * few.unit_mm)
 
 
+def test_the_only_grasp_on_another_side_hides_no_other_object():
+    of_two = np.array([10.0, 10.1, 15.9, 6.0, 6.1, 6.2])[:, None] + np.array([0.0, 2.0])
+    found = fit_sizes(of_two, np.repeat([0, 1], 3))
+    on_a_side, on_the_other, other_object = novelty(found, [[10.05, 12.05], [15.9, 17.9], [8, 10]])
+    assert max(on_a_side, on_the_other) < 0.5
+    assert other_object > 50.0
+
+
 def test_a_lonely_one_of_many_grasps_teaches_no_size():
     many = np.append(np.linspace(9.5, 10.5, 59), 14.0)[:, None] + np.array([0.0, 2.0])
     (at_the_lonely,) = novelty(fit_sizes(many, np.zeros(60, dtype=np.int64)), [many[-1].tolist()])
