@@ -10,13 +10,12 @@ import pytest
 from cell.config.sequence import SequenceConfig
 from cell.control.plan import GraspStep, Pose, plan
 from cell.errors import CellError, ModelError
-from cell.jobs.common import silent
 from cell.jobs.identify import identify_on_cell
 from cell.learning.model import LoadedModel, load_model
 from cell.learning.next_grasp import ActiveChooser
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import MEMORY_SECTION, load_pose_memory, train
-from recognition.recognizer import Posterior
+from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.next_grasp import PoseMemory
 from tests.cell.conftest import small_config
 from tests.cell.learning.test_early import resaved
@@ -92,8 +91,14 @@ def test_identify_chooses_by_the_memory_in_the_model(
         TaughtModel(config, bare)
     bench.controller.start()
     model = TaughtModel.load(config, path)
-    found, _ = identify_on_cell(bench.cell, config, model, held="ball", progress=silent)
+    told: list[int] = []
+    found, held = identify_on_cell(
+        bench.cell, config, model, held=None, progress=lambda _task, done, _n: told.append(done)
+    )
     assert found.records[0].step.force_n > 6.5
+    assert held in ("ball", "box")
+    assert found.label in (held, UNKNOWN)
+    assert told == [1]
 
 
 def test_grasps_without_poses_cannot_be_chosen_by(taught: Any) -> None:
