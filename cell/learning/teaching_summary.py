@@ -13,9 +13,10 @@ from recognition.statistics.calibration import blocked_folds
 
 _ENOUGH_GRASPS = 10
 """Grasps of an object from which names are sure enough within a series."""
-_FEW_UNKNOWN, _FEW_NAMED = "one in six", "one in six"
-"""Answers to single grasps where two to eight alike objects were taught three or four grasps each
-(docs/decisions/0006-parts-of-the-recogniser.md)."""
+_MISSED = "one in six"
+"""Single grasps of taught objects that are UNKNOWN, and of others that get a name, where two to
+eight alike objects were taught with three or four (docs/decisions/0006-parts-of-the-recogniser.md).
+"""
 _FOLDS = 2
 """Parts of the grasps that are left out in turn: as few as there can be, for each costs a training.
 """
@@ -64,8 +65,8 @@ class TeachingSummary:
         if not needs:
             return ""
         return (
-            f"teach {'; '.join(needs)}. Until then expect {_FEW_UNKNOWN} of taught objects to be "
-            f"UNKNOWN, and {_FEW_NAMED} of others that are like them to get a name (simulated cell)"
+            f"teach {'; '.join(needs)}. Until then expect {_MISSED} of taught objects to be "
+            f"UNKNOWN, and {_MISSED} of others that are like them to get a name (simulated cell)"
         )
 
     @property
