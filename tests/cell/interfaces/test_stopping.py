@@ -18,7 +18,7 @@ from cell.interfaces.cli import terminal as asking
 from cell.interfaces.cli.signals import stopping
 from tests.cell.conftest import small_config
 
-LIMIT_S = 10.0
+LIMIT_S = 60.0
 
 
 def run(program: str) -> subprocess.CompletedProcess[bytes]:
