@@ -35,7 +35,7 @@ serve(
     lambda line: print(json.dumps(line), flush=True),
 )
 """
-LIMIT_S = 10.0
+LIMIT_S = 60.0
 
 
 class Stepped:
