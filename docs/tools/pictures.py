@@ -97,7 +97,10 @@ def draw_page() -> None:
             browser = playwright.chromium.launch(
                 executable_path=shutil.which(_BROWSER), args=["--no-sandbox", "--disable-gpu"]
             )
-            page = browser.new_page(viewport={"width": 1400, "height": 900}, locale="en-GB")
+            # Without motion no bar is still on its way.
+            page = browser.new_page(
+                viewport={"width": 1400, "height": 900}, locale="en-GB", reduced_motion="reduce"
+            )
             page.set_default_timeout(_WAIT_MS)
             page.goto(f"http://127.0.0.1:{door['http_port']}/#token={door['token']}")
             page.get_by_text("Nobody is in command").wait_for()
