@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.performance._force_plant import Rig, Truth
 from benchmarks.performance.force_ramps import PARTS
-from gripper.errors import ForceImbalance, PartSlipped
+from gripper.errors import ForceImbalance, PartLost, PartSlipped
 from gripper.force.controller import SetpointFilter
 from gripper.force.ramp import ForceRamp
 from gripper.force.ramp_motion import ContactObserver
@@ -168,6 +168,27 @@ def test_the_noisier_the_centre_the_farther_is_a_slide() -> None:
 
 def test_a_slow_slide_is_reported_at_the_largest_way_that_is_allowed() -> None:
     assert 0.0014 < slid_m(0.02, 0.0001, speed_m_s=0.001) < 0.0017
+
+
+def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> None:
+    cell.gripper.start()
+    take = cell.once(lambda: setattr(cell.part, "present", False), at_n=3.0)
+    outcome = cell.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
+    assert outcome.result is GraspResult.PART_LOST
+    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.09
+    stopped_m = cell.mechanics.aperture_m
+    cell.clock.sleep(1.0)
+    assert stopped_m - cell.mechanics.aperture_m < 0.003
+
+
+@pytest.mark.parametrize("final_n", [3.0, 8.0])
+def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
+    cell = make_cell(rate_hz=333.0, noise_n=0.3)
+    cell.hold_part(ForceRamp.linear(final_n, rate_n_s=10.0))
+    with pytest.raises(PartLost):
+        cell.gripper.hold(1.0, cell.once(lambda: setattr(cell.part, "present", False), in_s=0.4))
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.017
 
 
 @pytest.mark.parametrize("force_n", [0.7, 1.5])
