@@ -13,7 +13,8 @@ def campaign_page() -> str:
         f"{len(ROWS)} variants of {len({row.row for row in ROWS})} kinds of fault, "
         f"{sum(row.real_time for row in ROWS)} of them between real processes in real time, "
         f"{sum(row.limit_s is not None for row in ROWS)} with a limit for the time until the fault "
-        f"is detected. `make campaign` runs all of them, `make test` {_soon()}; both run random "
+        "is detected. `make campaign` runs all of them, `make test` "
+        f"{sum(not row.long and not row.real_time for row in ROWS)}; both run random "
         "commands and faults. After each fault of a grasp the steps of the "
         "[fault catalogue](fault-numbers.md) lead back to IDLE.\n",
         "| what fails | kinds | variants | required reactions |\n|---|---|--:|---|",
@@ -25,10 +26,6 @@ def campaign_page() -> str:
         *(f"| {name} | {meaning} |" for name, meaning in REACTIONS.items()),
     ]
     return "\n".join(lines)
-
-
-def _soon() -> int:
-    return sum(not row.long and not row.real_time for row in ROWS)
 
 
 def _counted(rows: Sequence[FaultRow]) -> str:

@@ -142,27 +142,30 @@ def _centre(state: CellState) -> tuple[float, float]:
 
 
 def _way(start: CellState, end: CellState, text: str) -> str:
-    """Return an arrow that bends to its right, so that the way back has a line of its own."""
+    """Return an arrow that bends to its right, so that the way back has a line of its own.
+
+    It begins behind the box of its start and ends at the border of the other.
+    """
     (x, y), (to_x, to_y) = _centre(start), _centre(end)
     bend_x, bend_y = (x + to_x) / 2 - 0.2 * (to_y - y), (y + to_y) / 2 + 0.2 * (to_x - x)
-    points = []
-    for step in range(101):
-        t = step / 100
-        at = tuple(
-            (1 - t) ** 2 * a + 2 * t * (1 - t) * b + t**2 * c
-            for a, b, c in ((x, bend_x, to_x), (y, bend_y, to_y))
-        )
-        free = all(
-            abs(at[0] - cx) > _BOX[0] / 2 + 2 or abs(at[1] - cy) > _BOX[1] / 2 + 2
-            for cx, cy in ((x, y), (to_x, to_y))
-        )
-        points += [at] if free else []
-    path = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
-    middle_x, middle_y = points[len(points) // 2]
+
+    def at(t: float) -> tuple[float, float]:
+        weights = ((1 - t) ** 2, 2 * t * (1 - t), t**2)
+        ends = ((x, bend_x, to_x), (y, bend_y, to_y))
+        along, down = (sum(w * a for w, a in zip(weights, one, strict=True)) for one in ends)
+        return along, down
+
+    def is_free(t: float) -> bool:
+        a, b = at(t)
+        return abs(a - to_x) > _BOX[0] / 2 + 2 or abs(b - to_y) > _BOX[1] / 2 + 2
+
+    last = max(filter(is_free, (step / 100 for step in range(101))))
+    (end_x, end_y), (text_x, text_y) = at(last), at(0.5)
+    by = f"{x + last * (bend_x - x):.1f},{y + last * (bend_y - y):.1f}"
     dashed = "" if text else ' class="own"'
     return (
-        f'<polyline{dashed} points="{path}" marker-end="url(#a)"/>'
-        f'<text class="e" x="{middle_x:.0f}" y="{middle_y + 4:.0f}">{text}</text>'
+        f'<path{dashed} d="M{x:g},{y:g} Q{by} {end_x:.1f},{end_y:.1f}" marker-end="url(#a)"/>'
+        f'<text class="e" x="{text_x:.0f}" y="{text_y + 4:.0f}">{text}</text>'
     )
 
 
