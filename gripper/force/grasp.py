@@ -316,7 +316,7 @@ class RampStep:
         True when the part was lost; then the fingers hold their positions.
     """
 
-    def __init__(self, linkage: Linkage, ramp: ForceRamp, reached: "Reached", end: RampEnd) -> None:
+    def __init__(self, linkage: Linkage, ramp: ForceRamp, reached: Reached, end: RampEnd) -> None:
         self.control: GripControl | None = None
         self.lost = False
         self._settings = reached.settings

@@ -283,7 +283,7 @@ def later(cell: CampaignCell, seen: Observed) -> Observed:
 
 
 def recovered(
-    cell: CampaignCell, row: FaultRow, seen: Observed, next_job: Callable[[], Any] = int
+    cell: CampaignCell, row: FaultRow, seen: Observed, next_job: Callable[[], Any] = lambda: None
 ) -> Observed:
     """Look at the number of the fault that is latched, and take its steps: they lead back to IDLE.
 
