@@ -12,9 +12,9 @@ import canopen
 import numpy as np
 
 from simulator import simulated_cell
+from simulator.can.messages import BurstFormat, force_bytes
 from tactile import open_sensor
-from tactile.frames.codec import FrameFormat, encode_frame
-from tactile.frames.force_message import ForceMessage, ForceStatus, encode_force_message
+from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import paper_layout
 from tactile.unit import object_dictionary as od
 
@@ -59,9 +59,9 @@ def objects_page() -> str:
 
 def vectors_page() -> str:
     """Return frame and force messages with known content, to test a firmware with."""
-    form = FrameFormat.of(paper_layout())
+    form = BurstFormat(paper_layout().n_taxels, sample_bytes=1)
     taxels = (np.arange(form.n_taxels) & 0xFF).astype(np.uint16)
-    burst = encode_frame(form, taxels, 0x1235, 0)
+    burst = form.burst(taxels, 0x1235, 0)
     force = ForceMessage(
         t_s=0.0,
         counter=3,
@@ -73,10 +73,10 @@ def vectors_page() -> str:
         f"frame of {form.n_taxels} taxels of 8 bit, taxel i = i modulo 256, counter 1235h, status "
         "0: messages 0, 1, 57 and 58": [burst[i] for i in (0, 1, 57, 58)],
         "all taxels 0, counter 0, status 0: message 58": [
-            encode_frame(form, np.zeros_like(taxels), 0, 0)[-1]
+            form.burst(np.zeros_like(taxels), 0, 0)[-1]
         ],
         "force message: counter 3, status 1, 1.5 N and 1.25 N, centre half a pitch along and two "
-        "pitches back across": [encode_force_message(force)],
+        "pitches back across": [force_bytes(force)],
     }
     rows = (
         f"| {text} | {'<br>'.join(f'`{_hex(one)}`' for one in messages)} |"

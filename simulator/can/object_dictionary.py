@@ -11,8 +11,8 @@ from typing import Any
 import canopen
 from canopen.objectdictionary import ODVariable
 
+from simulator.can.messages import DamagedObject
 from simulator.can.scanner import Scanner
-from tactile.errors import FrameError
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary as unit_od
 
@@ -86,7 +86,7 @@ class UnitDictionary:
         """Error codes of 0x1003, the newest first."""
         self.error_register = 0
         """Object 0x1001."""
-        form = scanner.frame_format
+        form = scanner.format
         scale = layout.adc_max / _EDS_FULL_SCALE
         shapes = bytes(size for pad in layout.pads for size in (pad.rows, pad.columns))
         self._constants: dict[tuple[int, int], int | str | bytes] = {
@@ -244,7 +244,7 @@ class UnitDictionary:
         if take is not None:
             try:
                 take(bytes(data))
-            except FrameError as error:
+            except DamagedObject as error:
                 raise canopen.SdoAbortedError(VALUE_RANGE) from error
         if (index, subindex) != (unit_od.TARE, unit_od.TARE_COMMAND):
             return

@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from tactile.frames.force_message import (
-    COUNTERS,
+from simulator.can.messages import (
+    FORCE_COUNTERS,
     TABLE_NODES,
-    ForceMessage,
-    ForceStatus,
-    decode_table,
-    decode_zero,
-    encode_force_message,
+    force_bytes,
+    read_table,
+    read_zero,
 )
+from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import TaxelLayout
 
 _MEAN_SCANS = 4
@@ -72,12 +71,12 @@ class PadForces:
         self._mean = np.zeros(len(self._place))
 
     def take_table(self, data: bytes) -> None:
-        """Take object 0x2141; FrameError for a damaged one, then the table before it stays."""
-        self._table_n = decode_table(data)
+        """Take object 0x2141; DamagedObject for a damaged one, then the table before it stays."""
+        self._table_n = read_table(data)
 
     def take_zero(self, data: bytes) -> None:
-        """Take object 0x2142; FrameError for a damaged one, then the zero before it stays."""
-        decoded = decode_zero(data, len(self._place), self._adc_max)
+        """Take object 0x2142; DamagedObject for a damaged one, then the zero before it stays."""
+        decoded = read_zero(data, len(self._place), self._adc_max)
         self._touch_counts, self._zero_counts, self._bad = decoded
         self._active = np.zeros(len(self._place), dtype=np.bool_)
         self._mean = np.zeros(len(self._place))
@@ -109,7 +108,7 @@ class PadForces:
         if (total_n := float(np.add.reduce(force_n))) > 0.0:
             x, y = force_n @ self._place / total_n
             centre = (float(x), float(y))
-        self._counter = (self._counter + 1) % COUNTERS
+        self._counter = (self._counter + 1) % FORCE_COUNTERS
         n = self._n_first
         message = ForceMessage(
             t_s=0.0,
@@ -118,7 +117,7 @@ class PadForces:
             force_n=(float(np.add.reduce(force_n[:n])), float(np.add.reduce(force_n[n:]))),
             centre_taxels=centre,
         )
-        return encode_force_message(spoil(message))
+        return force_bytes(spoil(message))
 
     def _force_n(
         self, tared: NDArray[np.float64], tables_n: NDArray[np.float64]

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.can.faults import ControlUnitFaults
+from simulator.can.messages import MESSAGE_BYTES, BurstFormat
 from simulator.can.pad_forces import PadForces
-from tactile.frames.codec import MESSAGE_BYTES, FrameFormat, FrameStatus, encode_frame
+from tactile.frames.codec import FrameStatus
 from tactile.frames.force_message import ForceStatus
 from tactile.layout import TaxelLayout
 from tactile.unit.object_dictionary import TareResult
@@ -43,8 +44,8 @@ class Scanner:
         self._world = world
         self._layout = layout
         self._faults = faults
-        self.frame_format = FrameFormat.of(layout)
-        """How frames are cut into messages."""
+        self.format = BurstFormat(layout.n_taxels, layout.sample_bytes)
+        """How scans are cut into messages."""
         self.forces = PadForces(layout)
         """The sum of the force on the gripping pads."""
         self._grip = np.concatenate(
@@ -97,7 +98,7 @@ class Scanner:
         if self.overrun:
             status |= FrameStatus.OVERRUN
             self.overrun = False
-        return encode_frame(self.frame_format, self._latched(), self.counter, int(status))
+        return self.format.burst(self._latched(), self.counter, status)
 
     def force_message(self) -> bytes:
         """Scan the gripping pads and return their force message."""
@@ -120,7 +121,7 @@ class Scanner:
         if self._counts is None:
             return None
         self.read_counter = self.counter
-        return self._counts.astype("<u1" if self._layout.sample_bytes == 1 else "<u2").tobytes()
+        return self.format.samples(self._counts)
 
     def start_tare(self, n_frames: int, touch_counts: int, spread_counts: int) -> None:
         """Take a zero from the next ``n_frames`` scans, unless they are touched or uneven."""

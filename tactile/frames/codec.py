@@ -1,4 +1,4 @@
-"""The codec of the tactile transport: one frame of samples <-> one burst of 8-byte messages. Pure.
+"""The format of the tactile transport: one frame of samples in one burst of 8-byte messages. Pure.
 
 A message is a header and data. The header carries the frame's phase (counter modulo 4) in the two
 top bits and the message's index in the burst below: one byte while 64 messages are enough, else two
@@ -15,7 +15,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.errors import FrameError, LayoutError
+from tactile.errors import LayoutError
 from tactile.layout import TaxelLayout
 
 MESSAGE_BYTES = 8
@@ -126,36 +126,3 @@ class TactileFrame:
 def crc16(data: bytes) -> int:
     """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF."""
     return binascii.crc_hqx(data, CRC_START)
-
-
-def encode_frame(
-    frame_format: FrameFormat, counts: NDArray[np.uint16], counter: int, status: int
-) -> list[bytes]:
-    """Return the messages of one frame in the order of sending, 8 bytes each.
-
-    Raises FrameError for counts of another shape or beyond the sample size, and for a counter or
-    a status out of range.
-    """
-    values = np.asarray(counts)
-    limit = (1 << 8 * frame_format.sample_bytes) - 1
-    if values.shape != (frame_format.n_taxels,):
-        raise FrameError(f"counts have shape {values.shape}, expected ({frame_format.n_taxels},)")
-    if not np.issubdtype(values.dtype, np.integer):
-        raise FrameError(f"counts are {values.dtype}, expected integers")
-    if int(values.min()) < 0 or int(values.max()) > limit:
-        raise FrameError(f"counts span {values.min()} to {values.max()}, allowed are 0 to {limit}")
-    if not 0 <= counter <= 0xFFFF:
-        raise FrameError(f"counter is {counter}, allowed are 0 to 65535")
-    if not 0 <= status <= 0xFF:
-        raise FrameError(f"status is {status}, allowed are 0 to 255")
-    payload = bytearray(values.astype("<u1" if frame_format.sample_bytes == 1 else "<u2").tobytes())
-    payload.extend(bytes(frame_format.payload_bytes - len(payload) - TRAILER.size))
-    payload.extend(TRAILER.pack(counter, status, 0)[:-CRC_BYTES])
-    payload.extend(crc16(bytes(payload)).to_bytes(CRC_BYTES, "little"))
-    phase_bits = (counter % PHASES) << PHASE_SHIFT
-    step = frame_format.data_bytes
-    if frame_format.header_bytes == 1:
-        headers = [bytes((phase_bits | i,)) for i in range(frame_format.n_messages)]
-    else:
-        headers = [bytes((phase_bits | i >> 8, i & 0xFF)) for i in range(frame_format.n_messages)]
-    return [header + bytes(payload[i * step : (i + 1) * step]) for i, header in enumerate(headers)]

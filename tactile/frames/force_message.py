@@ -14,6 +14,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,23 +95,6 @@ class ForceMessage:
     pitches of the taxels; None where nothing touches."""
 
 
-def encode_force_message(message: ForceMessage) -> bytes:
-    """Return the 8 bytes of a message; what does not fit stays at the end of its range."""
-    centre = message.centre_taxels
-    along, across = (
-        (_NO_CENTRE, _NO_CENTRE)
-        if centre is None
-        else tuple(_clipped(value / CENTRE_TAXELS, 0x7F) for value in centre)
-    )
-    body = _BODY.pack(
-        message.status << _STATUS_SHIFT | message.counter % COUNTERS,
-        *(_clipped(force_n / FORCE_N, 0x7FFF) for force_n in message.force_n),
-        along,
-        across,
-    )
-    return body + bytes((crc8(body),))
-
-
 def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage:
     """Return the message in 8 bytes received at ``t_s`` s; FrameError for damaged ones."""
     if len(data) != MESSAGE_BYTES:
@@ -162,11 +146,6 @@ def encode_table(force_n: NDArray[np.float64]) -> bytes:
     return _with_crc(np.clip(np.rint(force_n / TABLE_N), 0, 0xFFFF))
 
 
-def decode_table(data: bytes) -> NDArray[np.float64]:
-    """Return the tables in N, shape (2, TABLE_NODES); FrameError for a damaged object."""
-    return _numbers(data, 2 * TABLE_NODES).reshape(2, TABLE_NODES) * TABLE_N
-
-
 def encode_zero(
     touch_counts: float, zero_counts: NDArray[np.float64], bad: NDArray[np.bool_], adc_max: int
 ) -> bytes:
@@ -189,28 +168,13 @@ def encode_zero(
     return _with_crc(steps)
 
 
-def decode_zero(
-    data: bytes, n_taxels: int, adc_max: int
-) -> tuple[float, NDArray[np.float64], NDArray[np.bool_]]:
-    """Return threshold, zeros (n,) in counts and bad taxels (n,); FrameError for a damaged one."""
-    steps = _numbers(data, 1 + n_taxels)
-    counts = steps * (adc_max / ZERO_STEPS)
-    return float(counts[0]), counts[1:], steps[1:] == BAD_TAXEL
+def reordered_zero(zero: bytes, place: NDArray[np.intp]) -> bytes:
+    """Return the object of a zero with taxel i at ``place[i]``, (n,)."""
+    steps = np.frombuffer(zero, "<u2", 1 + len(place)).copy()
+    steps[1:][place] = steps[1:].copy()
+    return _with_crc(steps)
 
 
-def _clipped(value: float, largest: int) -> int:
-    return max(-largest, min(largest, round(value)))
-
-
-def _with_crc(numbers: NDArray[np.float64]) -> bytes:
+def _with_crc(numbers: NDArray[Any]) -> bytes:
     content = numbers.astype("<u2").tobytes()
     return content + crc16(content).to_bytes(CRC_BYTES, "little")
-
-
-def _numbers(data: bytes, n: int) -> NDArray[np.float64]:
-    if len(data) != 2 * n + CRC_BYTES:
-        raise FrameError(f"the object has {len(data)} bytes, expected {2 * n + CRC_BYTES}")
-    content, crc = data[:-CRC_BYTES], int.from_bytes(data[-CRC_BYTES:], "little")
-    if crc16(content) != crc:
-        raise FrameError(f"the object's CRC is 0x{crc:04X}, computed 0x{crc16(content):04X}")
-    return np.frombuffer(content, dtype="<u2").astype(np.float64)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.frames.codec import TactileFrame
-from tactile.frames.force_message import ForceMessage, decode_zero, encode_zero
+from tactile.frames.force_message import ForceMessage, reordered_zero
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 
 
@@ -34,7 +34,6 @@ class Mounting:
     """
 
     def __init__(self, layout: TaxelLayout, mounts: Sequence[PadMount]) -> None:
-        self._adc_max = layout.adc_max
         self._order = taxel_order(layout, mounts) if mounts else None
         gripping = layout.gripping_pads
         by_pad = {mount.pad: mount for mount in mounts}
@@ -81,7 +80,4 @@ class Mounting:
         """Return object 0x2142 for the unit, given in the order of the layout."""
         if self._order is None:
             return zero
-        touch, counts, bad = decode_zero(zero, len(self._zero_order), self._adc_max)
-        sent, sent_bad = np.empty_like(counts), np.empty_like(bad)
-        sent[self._zero_order], sent_bad[self._zero_order] = counts, bad
-        return encode_zero(touch, sent, sent_bad, self._adc_max)
+        return reordered_zero(zero, self._zero_order)

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from simulator.can.messages import BurstFormat, force_bytes
 from simulator.devices import CellDevices
 from simulator.settings import SimulatorSettings
 from tactile.can.sdo_client import MAX_OBJECT_BYTES, PolledSdoClient
 from tactile.errors import NodeMissing, TactileError
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, TactileFrame, encode_frame
-from tactile.frames.force_message import ForceMessage, ForceStatus, encode_force_message
+from tactile.frames.codec import FrameFormat, TactileFrame
+from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.frames.force_stream import ForceStream
 from tactile.layout import paper_layout
 from tactile.unit import object_dictionary as od
@@ -33,14 +34,18 @@ SMALL = FrameFormat(n_taxels=8, sample_bytes=2)
 PAPER = FrameFormat.of(paper_layout())
 
 
+def sent_as(frame_format: FrameFormat) -> BurstFormat:
+    return BurstFormat(frame_format.n_taxels, frame_format.sample_bytes)
+
+
 def burst(frame_format: FrameFormat, counter: int) -> list[bytes]:
     counts = np.arange(frame_format.n_taxels) * (counter + 1) % 256
-    return encode_frame(frame_format, counts, counter & 0xFFFF, counter & 0xFF)
+    return sent_as(frame_format).burst(counts, counter & 0xFFFF, counter & 0xFF)
 
 
 def assert_came(frame: TactileFrame, frame_format: FrameFormat, messages: Iterable[bytes]) -> None:
     """Fail if a frame holds anything but messages that came, under the checksum that came."""
-    parts = encode_frame(frame_format, frame.counts, frame.counter, frame.status)
+    parts = sent_as(frame_format).burst(frame.counts, frame.counter, frame.status)
     assert set(parts) <= set(messages)
 
 
@@ -75,7 +80,7 @@ forces = st.builds(
     status=st.integers(0, 15).map(ForceStatus),
     force_n=st.tuples(newtons, newtons),
     centre_taxels=st.none() | st.tuples(st.floats(-9.0, 9.0), st.just(0.0)),
-).map(encode_force_message)
+).map(force_bytes)
 eight = st.binary(min_size=8, max_size=8)
 
 
@@ -84,7 +89,7 @@ def test_force_messages_are_those_that_came_each_once(sent, harm):
     messages = disturbed(sent, harm)
     stream = ForceStream(0.003)
     found = [stream.push(data, 0.003 * n) for n, data in enumerate(messages)]
-    taken = [encode_force_message(message) for message in found if message is not None]
+    taken = [force_bytes(message) for message in found if message is not None]
     assert all(data in messages for data in taken)
     assert all(before != after for before, after in pairwise(taken))
     statistics = stream.statistics

@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 
 from cell.config.file import config_text
 from cell.interfaces.cli.app import app
-from tactile.frames.codec import FrameFormat, crc16, encode_frame
-from tactile.frames.force_message import ForceMessage, ForceStatus, encode_force_message
+from simulator.can.messages import BurstFormat, force_bytes
+from tactile.frames.codec import FrameFormat, crc16
+from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import Pad, TaxelLayout, paper_layout, pinch_layout
 from tactile.unit.dbc import dbc_text
 from tests.cell.conftest import small_config
@@ -118,7 +119,7 @@ def test_any_samples_decode_and_carry_their_checksum(layout: TaxelLayout) -> Non
     rng = np.random.default_rng(7)
     for counter, status in ((0, 0), (0xFFFE, 3), (0x1235, 255)):
         counts = rng.integers(0, layout.adc_max + 1, layout.n_taxels).astype(np.uint16)
-        messages = encode_frame(form, counts, counter, status)
+        messages = BurstFormat(form.n_taxels, form.sample_bytes).burst(counts, counter, status)
         *before, found = [listener.take(data) for data in messages]
         assert before == [None] * (form.n_messages - 1)
         assert found is not None
@@ -155,7 +156,7 @@ def test_the_other_messages_say_what_they_mean() -> None:
 
 
 def test_a_force_message_decodes() -> None:
-    data = encode_force_message(
+    data = force_bytes(
         ForceMessage(
             t_s=0.0,
             counter=9,

@@ -5,12 +5,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from simulator.can.messages import BurstFormat
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import PHASE_SHIFT, FrameFormat, TactileFrame, encode_frame
+from tactile.frames.codec import PHASE_SHIFT, FrameFormat, TactileFrame
 
 N_FRAMES = 6
 N_MESSAGES = 59
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
+SENT = BurstFormat(n_taxels=408, sample_bytes=1)
 RUNS = 120
 
 Stream = list[bytes]
@@ -23,9 +25,7 @@ def sent_frames(rng: np.random.Generator, n: int = N_FRAMES) -> dict[int, np.nda
 
 
 def stream_of(frames: dict[int, np.ndarray]) -> Stream:
-    return [
-        m for counter, counts in frames.items() for m in encode_frame(PAPER, counts, counter, 0)
-    ]
+    return [m for counter, counts in frames.items() for m in SENT.burst(counts, counter, 0)]
 
 
 def received(assembler: FrameAssembler, stream: Stream) -> list[TactileFrame]:
@@ -63,7 +63,7 @@ def test_every_frame_that_lost_nothing_is_handed_out(damage: Damage) -> None:
         whole = [
             counter
             for counter, counts in sent.items()
-            if left.issuperset(encode_frame(PAPER, counts, counter, 0))
+            if left.issuperset(SENT.burst(counts, counter, 0))
         ]
         assert [f.counter for f in received(FrameAssembler(PAPER), stream)] == whole
 
@@ -79,7 +79,7 @@ def test_undamaged_stream_is_all_there_across_the_counters_turn() -> None:
 
 
 def test_lost_and_torn_are_counted() -> None:
-    messages = [encode_frame(PAPER, np.full(408, c), c, 0) for c in range(8)]
+    messages = [SENT.burst(np.full(408, c), c, 0) for c in range(8)]
     del messages[2][17]
     stream = [m for c in (0, 1, 2, 3, 6, 7) for m in messages[c]]
     assembler = FrameAssembler(PAPER)
@@ -89,7 +89,7 @@ def test_lost_and_torn_are_counted() -> None:
 
 
 def test_a_late_message_completes_its_own_frame_while_the_next_one_arrives() -> None:
-    first, second = (encode_frame(PAPER, np.full(408, c), c, 0) for c in (0, 1))
+    first, second = (SENT.burst(np.full(408, c), c, 0) for c in (0, 1))
     late = first.pop(40)
     stream = first + second[:20] + [late] + second[20:]
     assembler = FrameAssembler(PAPER)
@@ -99,7 +99,7 @@ def test_a_late_message_completes_its_own_frame_while_the_next_one_arrives() -> 
 
 
 def test_a_message_later_than_the_next_frame_does_not_bring_back_an_older_frame() -> None:
-    first, second, third = (encode_frame(PAPER, np.full(408, c), c, 0) for c in (0, 1, 2))
+    first, second, third = (SENT.burst(np.full(408, c), c, 0) for c in (0, 1, 2))
     late = first.pop(40)
     assembler = FrameAssembler(PAPER)
     counters = [frame.counter for frame in received(assembler, first + second + [late] + third)]
@@ -107,7 +107,7 @@ def test_a_message_later_than_the_next_frame_does_not_bring_back_an_older_frame(
 
 
 def test_duplicates_and_swaps_are_counted_and_harmless() -> None:
-    messages = encode_frame(PAPER, np.arange(408) & 255, 9, 0)
+    messages = SENT.burst(np.arange(408) & 255, 9, 0)
     swapped = [messages[1], messages[0], messages[0], *messages[2:], messages[58], messages[3]]
     assembler = FrameAssembler(PAPER)
     assert len(received(assembler, swapped)) == 1
@@ -116,8 +116,8 @@ def test_duplicates_and_swaps_are_counted_and_harmless() -> None:
 
 
 def test_repeated_and_older_frames_are_stale() -> None:
-    newer, older = (encode_frame(PAPER, np.full(408, c), c, 0) for c in (9, 8))
-    other = encode_frame(PAPER, np.full(408, 77), 9, 0)
+    newer, older = (SENT.burst(np.full(408, c), c, 0) for c in (9, 8))
+    other = SENT.burst(np.full(408, 77), 9, 0)
     assembler = FrameAssembler(PAPER)
     assert len(received(assembler, newer + older + other)) == 1
     assert assembler.statistics.stale == 2
@@ -125,7 +125,7 @@ def test_repeated_and_older_frames_are_stale() -> None:
 
 @pytest.mark.parametrize("length", [0, 1, 3, 7])
 def test_short_messages_are_dropped_even_if_the_dlc_says_eight(length: int) -> None:
-    messages = encode_frame(PAPER, np.zeros(408, int), 0, 0)
+    messages = SENT.burst(np.zeros(408, int), 0, 0)
     assembler = FrameAssembler(PAPER)
     assert assembler.push(messages[0][:length], 8, 0.0) is None
     assert assembler.push(messages[0], length, 0.0) is None
@@ -140,7 +140,7 @@ def test_index_beyond_the_burst_is_refused() -> None:
 
 
 def test_wrong_crc_is_refused_and_the_next_frame_is_taken() -> None:
-    first, second = (encode_frame(PAPER, np.full(408, c), c, 0) for c in (4, 5))
+    first, second = (SENT.burst(np.full(408, c), c, 0) for c in (4, 5))
     first[58] = first[58][:-1] + bytes([first[58][-1] ^ 1])
     assembler = FrameAssembler(PAPER)
     assert [frame.counter for frame in received(assembler, first + second)] == [5]
@@ -158,7 +158,7 @@ def test_a_buffer_that_the_caller_reuses_does_no_harm() -> None:
     assembler = FrameAssembler(PAPER)
     buffer = bytearray(8)
     frame = None
-    for message in encode_frame(PAPER, np.arange(408) & 255, 1, 0):
+    for message in SENT.burst(np.arange(408) & 255, 1, 0):
         buffer[:] = message
         frame = assembler.push(buffer, 8, 0.0)
     assert frame is not None

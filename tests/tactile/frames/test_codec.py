@@ -1,16 +1,16 @@
-"""The transport: exact vectors, round trips, refusals."""
+"""The transport's format: sizes, refusals, and what the simulated unit sends read back."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tactile.errors import FrameError, LayoutError
+from simulator.can.messages import BurstFormat
+from tactile.errors import LayoutError
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, crc16, encode_frame
-from tactile.layout import paper_layout, pinch_layout
+from tactile.frames.codec import FrameFormat, crc16
+from tactile.layout import paper_layout
 
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
-RAMP = np.arange(408) & 0xFF
 
 
 def test_crc_check_value() -> None:
@@ -21,27 +21,6 @@ def test_paper_format_fills_59_messages_without_padding() -> None:
     assert (PAPER.n_messages, PAPER.header_bytes, PAPER.data_bytes) == (59, 1, 7)
     assert PAPER.payload_bytes == 408 + 5
     assert FrameFormat.of(paper_layout()) == PAPER
-
-
-@pytest.mark.parametrize(
-    ("counts", "counter", "status", "last"),
-    [
-        (np.zeros(408, int), 0, 0, "3A 00 00 00 00 00 74 87"),
-        (np.full(408, 255), 0xFFFF, 1, "FA FF FF FF FF 01 A4 36"),
-        (RAMP, 0x1234, 0, "3A 96 97 34 12 00 31 1D"),
-        (RAMP, 0x1235, 0, "7A 96 97 35 12 00 01 2A"),
-    ],
-)
-def test_last_message_vectors(counts: np.ndarray, counter: int, status: int, last: str) -> None:
-    assert encode_frame(PAPER, counts, counter, status)[58] == bytes.fromhex(last)
-
-
-def test_message_vectors() -> None:
-    messages = encode_frame(PAPER, RAMP, 0x1235, 0)
-    assert len(messages) == 59
-    assert messages[0] == bytes.fromhex("40 00 01 02 03 04 05 06")
-    assert messages[1] == bytes.fromhex("41 07 08 09 0A 0B 0C 0D")
-    assert messages[57] == bytes.fromhex("79 8F 90 91 92 93 94 95")
 
 
 @pytest.mark.parametrize(
@@ -60,25 +39,8 @@ def test_message_vectors() -> None:
 def test_sizes(n_taxels: int, sample_bytes: int, messages: int, header: int) -> None:
     frame_format = FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes)
     assert (frame_format.n_messages, frame_format.header_bytes) == (messages, header)
-
-
-def test_pinch_layout_sends_16_bit_little_endian_and_zero_padding() -> None:
-    frame_format = FrameFormat.of(pinch_layout())
-    counts = np.full(156, 0x0ABC)
-    messages = encode_frame(frame_format, counts, 2, 0)
-    assert messages[0] == bytes.fromhex("80 BC 0A BC 0A BC 0A BC")
-    # 312 sample bytes + 5 of padding + 5 of trailer = 46 x 7
-    payload = b"".join(message[1:] for message in messages)
-    assert payload[312:317] == bytes(5)
-    assert payload[317:320] == bytes.fromhex("02 00 00")
-    assert int.from_bytes(payload[320:], "little") == crc16(payload[:320])
-
-
-def test_long_header_is_phase_and_index_high_then_low() -> None:
-    frame_format = FrameFormat(n_taxels=2000, sample_bytes=1)
-    messages = encode_frame(frame_format, np.arange(2000) % 251, 3, 0)
-    assert messages[0][:2] == bytes([0xC0, 0x00])
-    assert messages[300][:2] == bytes([0xC1, 0x2C])
+    sent = BurstFormat(n_taxels, sample_bytes)
+    assert (sent.n_messages, sent.header_bytes) == (messages, header)
 
 
 @pytest.mark.parametrize(
@@ -87,24 +49,6 @@ def test_long_header_is_phase_and_index_high_then_low() -> None:
 def test_impossible_formats_are_refused(n_taxels: int, sample_bytes: int) -> None:
     with pytest.raises(LayoutError):
         FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes)
-
-
-@pytest.mark.parametrize(
-    ("counts", "counter", "status", "says"),
-    [
-        (np.zeros(407, int), 0, 0, "407"),
-        (np.full(408, 256), 0, 0, "256"),
-        (np.full(408, -1), 0, 0, "-1"),
-        (np.zeros(408), 0, 0, "float64"),
-        (np.zeros(408, int), 65536, 0, "65536"),
-        (np.zeros(408, int), 0, 256, "256"),
-    ],
-)
-def test_values_that_do_not_fit_are_refused(
-    counts: np.ndarray, counter: int, status: int, says: str
-) -> None:
-    with pytest.raises(FrameError, match=says):
-        encode_frame(PAPER, counts, counter, status)
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
@@ -122,7 +66,7 @@ def test_round_trip(
     rng = np.random.default_rng(seed)
     frame_format = FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes)
     counts = rng.integers(0, 1 << 8 * sample_bytes, n_taxels)
-    messages = encode_frame(frame_format, counts, counter, status)
+    messages = BurstFormat(n_taxels, sample_bytes).burst(counts, counter, status)
     assert all(len(message) == 8 for message in messages)
     if shuffle:
         rng.shuffle(messages)

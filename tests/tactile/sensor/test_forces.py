@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simulator.can.messages import read_table, read_zero
 from tactile.errors import ForceContradicted
 from tactile.frames.force_message import (
     TABLE_NODES,
     ForceMessage,
     ForceStatus,
-    decode_table,
-    decode_zero,
 )
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces, force_table
@@ -67,7 +66,7 @@ def tared() -> tuple[TactileSensor, Forces]:
 
 
 def test_the_table_is_that_of_the_calibration() -> None:
-    table_n = decode_table(force_table(LAYOUT, FoamCalibration(255, gain=1.5)))
+    table_n = read_table(force_table(LAYOUT, FoamCalibration(255, gain=1.5)))
     counts = np.linspace(0.0, 255.0, TABLE_NODES)
     np.testing.assert_allclose(
         table_n[0], FoamCalibration(255, gain=1.5).force_n(counts), atol=3e-4
@@ -80,7 +79,7 @@ def test_a_tare_gives_the_unit_its_zero_and_a_threshold_above_the_noise() -> Non
     assert len(repr(sensor.tare_result)) < 200
     assert sensor.has_forces
     assert sensor.tare_result is not None
-    touch_counts, zero_counts, bad = decode_zero(link.zeros[-1], 128, 255)
+    touch_counts, zero_counts, bad = read_zero(link.zeros[-1], 128, 255)
     first, second = LAYOUT.gripping_pads
     expected = np.concatenate(
         [sensor.tare_result.offset_counts[LAYOUT.taxels_of(pad)] for pad in (first, second)]
@@ -100,7 +99,7 @@ def test_a_taxel_that_fails_in_a_grip_sends_the_force_back_to_the_frames_until_i
     assert len(link.zeros) == 1
     sensor.check_zero()
     assert sensor.has_forces
-    bad = decode_zero(link.zeros[-1], 128, 255)[2]
+    bad = read_zero(link.zeros[-1], 128, 255)[2]
     assert np.flatnonzero(bad).tolist() == [64 + 7]
 
 

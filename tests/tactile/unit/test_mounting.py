@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from simulator.can.messages import read_zero
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
@@ -10,7 +11,6 @@ from tactile.errors import LayoutError
 from tactile.frames.force_message import (
     ForceMessage,
     ForceStatus,
-    decode_zero,
     encode_zero,
 )
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
@@ -63,7 +63,7 @@ def test_forces_and_zero_of_exchanged_and_turned_pads_go_both_ways() -> None:
     bad = zeros == 5
     for mounting in (exchanged, turned):
         sent = mounting.zero(encode_zero(9.0, zeros, bad, PINCH.adc_max))
-        _, found, found_bad = decode_zero(sent, 156, PINCH.adc_max)
+        _, found, found_bad = read_zero(sent, 156, PINCH.adc_max)
         order = taxel_order(PINCH, EXCHANGED if mounting is exchanged else TURNED)
         assert found[order][~bad] == pytest.approx(zeros[~bad], abs=0.1)
         assert found_bad[order].tolist() == bad.tolist()
