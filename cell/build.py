@@ -40,9 +40,10 @@ from cell.simulation import (
     open_servo_port,
     simulated_cell,
 )
+from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
-from gripper.state import Clock, GripperPhase
+from gripper.state import GripperPhase
 from motion.axes import Axes
 from motion.bus import Watch
 from simulator.cell import SimulatedCell

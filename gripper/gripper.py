@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from typing import Self
 
+from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_POSITION
 from gripper.dynamixel.latency import check_link
@@ -23,34 +24,24 @@ from gripper.errors import (
     VerificationFailed,
 )
 from gripper.force.by_current import ForceByCurrent, cap_by_current_n
+from gripper.force.free_motion import MoveTo, StandStill
 from gripper.force.grasp import GraspRun
 from gripper.force.grip_control import GripControl
 from gripper.force.loop import LoopRunner, Running
 from gripper.force.mechanics_proof import FirstMotion, standing_rows
-from gripper.force.motion import MoveTo, StandStill
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
+from gripper.force_sensor import ForceSensor
 from gripper.kinematics import Linkage, OneFinger, ParallelLinkage
 from gripper.lifecycle import Lifecycle, bus_is_lost
+from gripper.outcome import GraspOutcome, GraspResult, ReleaseReport
+from gripper.servo_checks import ServoCondition, VerificationReport, VerificationRow
 from gripper.servos.goals import OPENING_MARGIN_RAD
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.servos.watchdog_proof import prove_watchdog
 from gripper.settings import GripperSettings
-from gripper.state import (
-    Clock,
-    Cycle,
-    ForceSensor,
-    GraspOutcome,
-    GraspResult,
-    GripperPhase,
-    GripperState,
-    Observer,
-    ReleaseReport,
-    ServoCondition,
-    VerificationReport,
-    VerificationRow,
-)
+from gripper.state import Cycle, GripperPhase, GripperState, Observer
 
 CARRY_RATE_N_S = 20.0
 """Rate in N/s at which a held force goes to that of the carry: a host waits for the answer."""

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterator
 from math import sqrt
 
-from gripper.state import ForceSample
+from gripper.force_sensor import ForceSample
 
 
 class RecentForce:

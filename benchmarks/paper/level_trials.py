@@ -17,7 +17,7 @@ from recognition.errors import ContactError, QuadricError
 from recognition.grasp import Grasp
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.level import DEFAULT_LEVEL, grip_level, grip_surfaces
-from recognition.quadric.thresholds import Levels, check_level, find_thresholds
+from recognition.quadric.thresholds import LevelBands, check_level, find_thresholds
 
 LABELS = TABLE_1_LABELS
 READINGS = (Reading.SMALLEST_MAGNITUDE, Reading.ALGEBRAIC_MINIMUM)
@@ -143,7 +143,7 @@ def noise_patch_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float6
     return values
 
 
-def name_by_threshold(levels: Levels, values: NDArray[np.float64]) -> NDArray[np.int64]:
+def name_by_threshold(levels: LevelBands, values: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return for each value the object between whose thresholds it falls; -1 for NaN."""
     ascending = np.maximum.accumulate(levels.threshold)
     named = levels.order[np.searchsorted(ascending, values)]

@@ -11,10 +11,12 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import PartLost
 from gripper.force.ramp import ForceRamp
+from gripper.force_sensor import ForceSample
 from gripper.gripper import Gripper
 from gripper.kinematics import ParallelLinkage
+from gripper.outcome import GraspResult
 from gripper.settings import HARD_FORCE_CAP_N, ForceLoopSettings, GripperSettings, ServoSettings
-from gripper.state import Cycle, ForceSample, GraspResult, GripperPhase
+from gripper.state import Cycle, GripperPhase
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo

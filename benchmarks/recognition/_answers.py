@@ -11,7 +11,7 @@ from cell.config.sequence import SequenceConfig
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
-from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import UNCLEAR, ShapeAnswer
 from recognition.statistics.fusion import StopRule
 
@@ -60,11 +60,11 @@ def _when_sure(early: EarlyClassifiers, grasp: Grasp) -> Posterior | None:
 
 
 def followed(
-    recognizer: ForceRamp,
+    recognizer: ForceRampRecognizer,
     grasps: Sequence[Grasp],
     seed: int,
     early: EarlyClassifiers | None = None,
-) -> tuple[list[Answer], ForceRamp]:
+) -> tuple[list[Answer], ForceRampRecognizer]:
     """Answer the grasps of a shift in a mixed order, each after those before it.
 
     Ramps that ``early`` ends are not followed. Returns the answers, and the recogniser after the
@@ -78,7 +78,9 @@ def followed(
     return answers, recognizer
 
 
-def gauged(recognizer: ForceRamp, grasps: Sequence[Grasp], labels: Sequence[str]) -> list[Answer]:
+def gauged(
+    recognizer: ForceRampRecognizer, grasps: Sequence[Grasp], labels: Sequence[str]
+) -> list[Answer]:
     """Gauge with the first grasps of each label and answer all others."""
     taken: list[Grasp] = []
     for label in labels:

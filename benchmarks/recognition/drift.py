@@ -20,21 +20,25 @@ from recognition.drift.drift import Drift
 from recognition.evaluation.splits import a_day_later, chronological_split
 from recognition.grasp import Grasp
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyTrainer
-from recognition.recognizers.force_ramp.recognizer import ForceRamp, ForceRampTrainer
+from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer, ForceRampTrainer
 
 DRIFT = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
 _SHIFTS = 5
 """Orders of the grasps of a shift."""
 
 
-def teach(grasps: Sequence[Grasp]) -> tuple[ForceRamp, EarlyClassifiers]:
+def teach(grasps: Sequence[Grasp]) -> tuple[ForceRampRecognizer, EarlyClassifiers]:
     """Return the recogniser of whole ramps, and those of ramps cut short."""
     whole = ForceRampTrainer().fit(grasps)
     return whole, EarlyTrainer(base=ForceRampTrainer()).fit_classifiers(grasps, whole)
 
 
 def day(
-    title: str, taught: ForceRamp, early: EarlyClassifiers, grasps: Sequence[Grasp], effort: float
+    title: str,
+    taught: ForceRampRecognizer,
+    early: EarlyClassifiers,
+    grasps: Sequence[Grasp],
+    effort: float,
 ) -> None:
     """Print the figures of one day."""
     line(f"  {title}", f"alone: {figures(asked(taught, grasps))}")

@@ -12,9 +12,9 @@ from cell.config.file import changed_config, load_config
 from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
+from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream, serial_candidates
-from gripper.state import Clock
 from tactile.can.bus import CanBus, close_bus, open_bus
 
 _Section = TypeVar("_Section", bound=BaseModel)

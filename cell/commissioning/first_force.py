@@ -29,17 +29,13 @@ from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.hand.lines import Lines
+from gripper.clock import Clock
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
+from gripper.outcome import GraspOutcome, GraspResult
 from gripper.settings import largest_setpoint_n
-from gripper.state import (
-    Clock,
-    Cycle,
-    GraspOutcome,
-    GraspResult,
-    GripperPhase,
-)
+from gripper.state import Cycle, GripperPhase
 from tactile.can.bus import MissingBus
 
 FIRST_FORCE_N = 1.0

@@ -11,12 +11,12 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Finding, Step
 from cell.commissioning.figures import curves
 from cell.commissioning.unit import unit_sensor
+from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusCorrupt, BusTimeout
-from gripper.state import Clock
 from tactile.sensor.sensor import TactileSensor
 from tactile.unit.settings import LinkStatistics
 

@@ -33,8 +33,10 @@ from cell.errors import (
 )
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
+from gripper.clock import Clock
 from gripper.gripper import Gripper
-from gripper.state import Clock, GripperPhase, ReleaseReport, shows_nothing
+from gripper.outcome import ReleaseReport
+from gripper.state import GripperPhase, shows_nothing
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import PadArray, SelfZero
 from recognition.recognizer import Recognizer

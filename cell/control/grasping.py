@@ -35,11 +35,13 @@ from cell.control.self_zero import (
 from cell.data.dataset import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, Watch
+from gripper.clock import Clock
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
 from gripper.kinematics import Linkage
-from gripper.state import Clock, Cycle, GraspOutcome, GraspResult
+from gripper.outcome import GraspOutcome, GraspResult
+from gripper.state import Cycle
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
 from recognition.grasp import CELL_SOURCE, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyDecider

@@ -20,6 +20,7 @@ from cell.control.states import (
 from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, error_text
 from cell.fault_catalogue import fault_number
 from cell.hand.interface import Hand
+from gripper.clock import Clock
 from gripper.errors import (
     GraspStopped,
     GripperError,
@@ -28,7 +29,8 @@ from gripper.errors import (
     ServoFault,
     fingers_left,
 )
-from gripper.state import Clock, GraspResult, GripperPhase
+from gripper.outcome import GraspResult
+from gripper.state import GripperPhase
 
 _HOLDING = (
     GripperPhase.APPROACHING,

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.hand.interface import Measured
-from gripper.state import Cycle, ForceSample
+from gripper.force_sensor import ForceSample
+from gripper.state import Cycle
 from tactile.frames.codec import TactileFrame
 
 FRESH_S = 0.5

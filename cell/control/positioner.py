@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 from cell.control.plan import Pose
 from cell.errors import PositionerError
-from gripper.state import Clock
+from gripper.clock import Clock
 
 _T = TypeVar("_T")
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.control.plan import GraspStep, Pose
-from gripper.state import Cycle, GraspOutcome
+from gripper.outcome import GraspOutcome
+from gripper.state import Cycle
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyAnswer
 from tactile.frames.codec import TactileFrame

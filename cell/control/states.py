@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypedDict
 
-from gripper.state import GraspResult, GripperPhase
+from gripper.outcome import GraspResult
+from gripper.state import GripperPhase
 
 
 class GraspState(StrEnum):

@@ -22,7 +22,7 @@ from cell.data.recording_values import (
     to_ns,
 )
 from cell.errors import RecordingError
-from gripper.state import Clock
+from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
 
 if TYPE_CHECKING:

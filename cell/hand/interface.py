@@ -11,15 +11,10 @@ from typing import Protocol
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
-from gripper.state import (
-    Cycle,
-    ForceSample,
-    GraspOutcome,
-    GripperPhase,
-    ReleaseReport,
-    ServoCondition,
-    VerificationReport,
-)
+from gripper.force_sensor import ForceSample
+from gripper.outcome import GraspOutcome, ReleaseReport
+from gripper.servo_checks import ServoCondition, VerificationReport
+from gripper.state import Cycle, GripperPhase
 from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import SensorStatistics, TactileReading

@@ -7,7 +7,7 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.model import LoadedModel, check_pads
 from cell.learning.training import gaugeable
 from recognition.grasp import Grasp
-from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 
 GAUGE_GRASPS = 3
 """Grasps of each gauge object at the start of a shift."""
@@ -17,7 +17,9 @@ MIN_GRASPS = 5
 
 
 @one_blas_thread()
-def calibrate_model(model: LoadedModel, grasps: Mapping[str, Sequence[Grasp]]) -> ForceRamp:
+def calibrate_model(
+    model: LoadedModel, grasps: Mapping[str, Sequence[Grasp]]
+) -> ForceRampRecognizer:
     """Return a copy of the taught recogniser after gauges.
 
     Parameters
@@ -46,7 +48,7 @@ def calibrate_model(model: LoadedModel, grasps: Mapping[str, Sequence[Grasp]]) -
 
 
 @one_blas_thread()
-def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRamp:
+def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecognizer:
     """Return a copy that keeps what the grasps of a shift, named by nobody, show of the drift.
 
     Raises

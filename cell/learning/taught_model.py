@@ -37,7 +37,7 @@ from cell.learning.training import (
     train,
     with_caution,
 )
-from gripper.state import GraspResult
+from gripper.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.errors import RecognitionError
@@ -45,7 +45,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers
-from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import ShapeAnswer
 from recognition.statistics.next_grasp import PoseMemory
 
@@ -250,7 +250,7 @@ class TaughtModel:
             self._recognizer = recognizer
             self.revision += 1
 
-    def check_gauge(self, label: str) -> ForceRamp:
+    def check_gauge(self, label: str) -> ForceRampRecognizer:
         """Return the recogniser, without a gauged or followed drift, that can be gauged.
 
         Raises
@@ -485,7 +485,7 @@ class TaughtModel:
     def _lacks(self, records: Sequence[GraspRecord]) -> Iterator[str]:
         """Yield what the model lacks of what the cell would use."""
         recognizer = self.recognizer
-        if not isinstance(recognizer, ForceRamp):
+        if not isinstance(recognizer, ForceRampRecognizer):
             return
         if recognizer.zero is None and any(one.grasp.zero is not None for one in records):
             yield (

@@ -16,7 +16,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyTrainer
-from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.statistics.next_grasp import PoseMemory, build_pose_memory
 
 EARLY_SECTION = "early"
@@ -28,7 +28,7 @@ MEMORY_SECTION = "memory"
 
 def with_caution(recognizer: Recognizer, config: RecognitionConfig) -> Recognizer:
     """Return the recogniser with the caution of the config, where it is of a kind that has one."""
-    if isinstance(recognizer, ForceRamp):
+    if isinstance(recognizer, ForceRampRecognizer):
         return replace(recognizer, caution=config.caution)
     return recognizer
 
@@ -38,12 +38,12 @@ def may_end_early(recognizer: Recognizer) -> bool:
 
     By touch alone that is not shown, and little is gained (docs/explanations/sequences.md).
     """
-    return isinstance(recognizer, ForceRamp) and recognizer.both is not None
+    return isinstance(recognizer, ForceRampRecognizer) and recognizer.both is not None
 
 
-def gaugeable(recognizer: Recognizer, trainer_name: str) -> ForceRamp:
+def gaugeable(recognizer: Recognizer, trainer_name: str) -> ForceRampRecognizer:
     """Return a recogniser that can be gauged. Raises ModelError for one of another kind."""
-    if not isinstance(recognizer, ForceRamp):
+    if not isinstance(recognizer, ForceRampRecognizer):
         raise ModelError(f"a model of {trainer_name} cannot be gauged; train one of force_ramp")
     return recognizer
 

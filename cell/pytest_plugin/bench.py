@@ -9,9 +9,9 @@ from cell.pytest_plugin.configs import simulated_config
 from cell.pytest_plugin.faults import FaultRegistry
 from cell.pytest_plugin.options import HardwareOptions
 from cell.simulation import simulator_settings
+from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, open_line
-from gripper.state import Clock
 from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus, close_bus, open_bus
 

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from cell.pytest_plugin.bench import LinkBench
     from cell.pytest_plugin.process import CellProcess
     from cell.pytest_plugin.virtual import VirtualCell
+    from gripper.clock import Clock
     from gripper.dynamixel.bus import ServoBus
     from gripper.dynamixel.serial_port import ByteStream
-    from gripper.state import Clock
     from tactile.can.bus import CanBus
 
 

@@ -13,7 +13,7 @@ from cell.report.data import (
     Window,
 )
 from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
-from recognition.quadric.thresholds import Levels
+from recognition.quadric.thresholds import LevelBands
 
 if TYPE_CHECKING:
     from gripper.dynamixel.transactions import BusStatistics
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tactile.unit.settings import LinkStatistics
 
 
-def windows(levels: Levels, labels: Sequence[str]) -> tuple[Window, ...]:
+def windows(levels: LevelBands, labels: Sequence[str]) -> tuple[Window, ...]:
     """Name the windows between the levels A, B, C, ... from the lowest upwards."""
     return tuple(
         Window(

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
+from gripper.clock import Clock
 from gripper.dynamixel.control_table import PRESENT_BLOCK, Register, RegisterBlock
 from gripper.dynamixel.protocol2 import (
     STATUS_OVERHEAD,
@@ -40,7 +41,6 @@ from gripper.dynamixel.transactions import (
     ping_request,
 )
 from gripper.errors import BusBusy, BusCorrupt, BusTimeout, LimitExceeded, PortLost
-from gripper.state import Clock
 
 _COLLISION_READS = 3
 """Readings of a servo's present state that show whether another one answers with it."""

@@ -20,8 +20,8 @@ import serial
 from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
+from gripper.clock import Clock
 from gripper.errors import LimitExceeded, PortLost
-from gripper.state import Clock
 
 BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 """Baud rates that both the servos (register 8) and the SDK support."""

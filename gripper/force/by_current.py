@@ -5,10 +5,11 @@ from math import hypot
 from gripper.errors import LimitExceeded
 from gripper.force.grip_control import FrictionEstimate
 from gripper.force.loop import Moment
+from gripper.force_sensor import ForceSample
 from gripper.kinematics import Linkage, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings, largest_setpoint_n
-from gripper.state import ForceSample, GripperState
+from gripper.state import GripperState
 
 _TORQUE_SHARE, _FRICTION_SHARE = 0.05, 0.15
 """Standard deviation of the torque constant, and of the friction once it was measured on the

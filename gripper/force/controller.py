@@ -22,8 +22,8 @@ from collections import deque
 from math import sqrt
 
 from gripper.errors import LimitExceeded
+from gripper.force_sensor import ForceSample
 from gripper.settings import ForceLoopSettings
-from gripper.state import ForceSample
 
 _ARRIVED_N = 0.02
 """Distance in N from the end of a change at which the filter follows the set-point itself."""

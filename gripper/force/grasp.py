@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from gripper.errors import GripContradicted, PartLost
+from gripper.force.approach import STALL_SPEED_M_S, Approach, ApproachEvent
+from gripper.force.contact import ContactRest
 from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.mechanics_proof import (
@@ -13,14 +15,14 @@ from gripper.force.mechanics_proof import (
     meeting_settings,
     not_met,
 )
-from gripper.force.motion import STALL_SPEED_M_S, Approach, ApproachEvent, ContactRest
 from gripper.force.part_loss import EmptyGrip
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.slip import LevelSlip
 from gripper.kinematics import Linkage, mean_friction_n, transmissions
+from gripper.outcome import GraspOutcome, GraspResult
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
-from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
+from gripper.state import GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact: at its rising edge, with a reserve."""
@@ -243,13 +245,6 @@ class RampTime:
         Of the gripper.
     ramp
         The ramp.
-
-    Attributes
-    ----------
-    ramp
-        As the parameter.
-    elapsed_s
-        Time since the beginning of the ramp in s.
     """
 
     def __init__(self, settings: GripperSettings, ramp: ForceRamp) -> None:
@@ -257,6 +252,7 @@ class RampTime:
         self._waited_s: float | None = None
         self.ramp = ramp
         self.elapsed_s = 0.0
+        """Time since the beginning of the ramp in s."""
 
     @property
     def setpoint_n(self) -> float:
@@ -307,18 +303,13 @@ class RampStep:
         How the approach ended.
     end
         Request to end the ramp early.
-
-    Attributes
-    ----------
-    control
-        Control of the grip force; None during the rest at the contact.
-    lost
-        True when the part was lost; then the fingers hold their positions.
     """
 
     def __init__(self, linkage: Linkage, ramp: ForceRamp, reached: Reached, end: RampEnd) -> None:
         self.control: GripControl | None = None
+        """Control of the grip force; None during the rest at the contact."""
         self.lost = False
+        """True when the part was lost; then the fingers hold their positions."""
         self._settings = reached.settings
         self._linkage = linkage
         self._time = RampTime(reached.settings, ramp)

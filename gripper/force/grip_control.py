@@ -10,6 +10,7 @@ from gripper.force.controller import ForceController, History, SetpointFilter
 from gripper.force.loop import Moment
 from gripper.force.part_loss import BREAKAWAY_SHARE, PartWatch
 from gripper.force.ramp_motion import ContactObserver, RampMotion
+from gripper.force_sensor import ForceSample
 from gripper.impact import impact_limit
 from gripper.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goals import (
@@ -19,7 +20,7 @@ from gripper.servos.goals import (
     pressing_speed_m_s,
 )
 from gripper.settings import GripperSettings
-from gripper.state import ForceSample, GripperState
+from gripper.state import GripperState
 
 # Figures without another source are tuned in the simulated cell.
 _MEAN_SAMPLES = 3
@@ -121,11 +122,6 @@ class GripControl:
         Stiffness of the part.
     friction_share
         Friction of the gearing as a share of the model's.
-
-    Attributes
-    ----------
-    setpoint_n
-        Last set-point of the grip force in N.
     """
 
     def __init__(
@@ -143,6 +139,7 @@ class GripControl:
     ) -> None:
         tuning = settings.force_loop
         self.setpoint_n = force_n
+        """Last set-point of the grip force in N."""
         self._settings = settings
         self._linkage = linkage
         self._friction_share = friction_share

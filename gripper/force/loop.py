@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
 
+from gripper.clock import Clock
 from gripper.errors import (
     BusCorrupt,
     BusTimeout,
@@ -18,19 +19,12 @@ from gripper.errors import (
     LimitExceeded,
 )
 from gripper.force.timing import LoopStatistics, LoopTimer
+from gripper.force_sensor import ForceSample, ForceSensor
 from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import (
-    Clock,
-    Cycle,
-    ForceSample,
-    ForceSensor,
-    GripperPhase,
-    GripperState,
-    Observer,
-)
+from gripper.state import Cycle, GripperPhase, GripperState, Observer
 
 _FREEZE_AT = 2
 """Period without feedback, counted in a row, in which the stop goals are written."""
@@ -95,13 +89,6 @@ class LoopRunner:
     ----------
     servos, health, sensor, settings, clock
         Of the gripper.
-
-    Attributes
-    ----------
-    phase
-        Phase of the gripper.
-    observer
-        Called once a period of the command that runs; None without one.
     """
 
     def __init__(
@@ -121,6 +108,7 @@ class LoopRunner:
         self._stop = threading.Event()
         self.phase = GripperPhase.OFF
         self.observer: Observer | None = None
+        """Called once a period of the command that runs; None without one."""
         self._due_s = clock.monotonic()
         self._bus_loss = BusLossMonitor(servos, settings)
         self._cycles = 0

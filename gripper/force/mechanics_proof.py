@@ -48,9 +48,10 @@ from gripper.errors import LimitExceeded, MechanicsContradicted
 from gripper.force.loop import Action, Moment
 from gripper.kinematics import Linkage, OneFinger, motion_current_a, transmissions
 from gripper.recent import RecentForce
+from gripper.servo_checks import VerificationRow
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, most_closed_rad
 from gripper.settings import GripperSettings
-from gripper.state import GripperState, ServoState, VerificationRow
+from gripper.state import GripperState, ServoState
 
 # Tuned in the simulated cell, with friction up to 20 % off.
 POSITION_ITEM = "present_position"

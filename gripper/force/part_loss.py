@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from gripper.errors import GripContradicted
+from gripper.force.approach import BOOST_PER_S, LARGEST_BOOST, LEAD_M
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
-from gripper.force.motion import BOOST_PER_S, LARGEST_BOOST, LEAD_M
+from gripper.force_sensor import ForceSample
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.recent import RecentForce
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
-from gripper.state import ForceSample, GripperState
+from gripper.state import GripperState
 
 # Figures without another source are tuned in the simulated cell.
 _QUIET_N = 0.08
@@ -153,15 +154,6 @@ class PartWatch:
         Opening of the last periods in m; its owner adds to it.
     contact_n_m
         Stiffness in N/m that the first touch showed; None where it did not.
-
-    Attributes
-    ----------
-    samples
-        Newest force samples, as many as a decision needs.
-    empty_n
-        Force in N below which a pad is empty.
-    ran
-        Whether the fingers have run together as they do on no part.
     """
 
     def __init__(
@@ -172,8 +164,11 @@ class PartWatch:
         contact_n_m: float | None,
     ) -> None:
         self.samples = RecentForce(_QUIET_N, least=_LEAST_SAMPLES, longest_s=_LONGEST_S)
+        """Newest force samples, as many as a decision needs."""
         self.empty_n = _EMPTY_SHARE * settings.contact_force_n
+        """Force in N below which a pad is empty."""
         self.ran = False
+        """Whether the fingers have run together as they do on no part."""
         self._loaded_n = _LOADED_SHARE * settings.contact_force_n
         self._settings = settings
         self._linkage = linkage

@@ -10,8 +10,8 @@ from collections import deque
 from math import copysign, exp, log, sqrt
 
 from gripper.force.controller import History
+from gripper.force_sensor import ForceSample
 from gripper.servos.goals import STICTION
-from gripper.state import ForceSample
 
 # Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
 _CURRENT_S, _WRITE_S = 0.003, 0.001
@@ -282,13 +282,6 @@ class RampMotion:
     corrects
         True where the force is held and an error is made up for: it is known well, so that the
         motion ends at the set-point itself.
-
-    Attributes
-    ----------
-    observer, falls
-        As the parameters.
-    over
-        Whether the force has arrived and the fingers stand.
     """
 
     def __init__(
@@ -300,6 +293,7 @@ class RampMotion:
         corrects: bool = False,
     ) -> None:
         self.over = False
+        """Whether the force has arrived and the fingers stand."""
         self._corrects = corrects
         self._late_s = 0.0
         self.plan = ForcePlan(observer.force_n)

@@ -8,9 +8,9 @@ from math import exp, hypot, sqrt
 
 from gripper.errors import PartSlipped
 from gripper.force.loop import Moment
+from gripper.force_sensor import ForceSample
 from gripper.recent import RecentForce
 from gripper.settings import GripperSettings
-from gripper.state import ForceSample
 
 # Figures are tuned in the simulated cell: no alarm with noise of 0.3 N, an alarm within 0.1 s.
 _SETTLING_S = 0.3

@@ -101,13 +101,6 @@ class LoopTimer:
     ----------
     period_s
         Period of the loop in s.
-
-    Attributes
-    ----------
-    missed_reads, derated
-        As in `LoopStatistics`.
-    overruns_in_row
-        Overruns since the last period whose work was done in time.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -121,7 +114,9 @@ class LoopTimer:
         self._worst_s = 0.0
         self.missed_reads = 0
         self.derated = 0
+        """As in `LoopStatistics`."""
         self.overruns_in_row = 0
+        """Overruns since the last period whose work was done in time."""
 
     def transaction(self, duration_s: float) -> None:
         """Count how long it took to read the feedback, in s."""

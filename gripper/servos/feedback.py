@@ -3,6 +3,7 @@
 from math import pi
 from typing import NamedTuple
 
+from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     PRESENT_BLOCK,
@@ -22,7 +23,7 @@ from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
 from gripper.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import Clock, GripperState, ServoState
+from gripper.state import GripperState, ServoState
 
 _TICK_S = 1e-3
 """One count of Realtime Tick (register 120) in s."""

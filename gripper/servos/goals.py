@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from math import inf, sqrt
 
+from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     GOAL_CURRENT,
@@ -19,11 +20,12 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
+from gripper.force_sensor import ForceSample
 from gripper.impact import ImpactLimit, closing_current_max_a, impact_limit
 from gripper.kinematics import Linkage, Transmission
 from gripper.recent import RecentForce
 from gripper.settings import GripperSettings, OverForce, ServoSettings
-from gripper.state import Clock, ForceSample, GripperState, ServoState
+from gripper.state import GripperState, ServoState
 
 _QUIET_N = 0.08
 """Noise in N of the mean force that is compared with the cap: noise alone must not trip it."""

@@ -7,6 +7,7 @@ stays silent until the watchdog must have tripped, and the positions are compare
 
 from dataclasses import dataclass
 
+from gripper.clock import Clock
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
 from gripper.errors import LimitExceeded, WatchdogUnproven
 from gripper.kinematics import Linkage, motion_current_a, transmissions
@@ -14,7 +15,7 @@ from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import Clock, GripperState
+from gripper.state import GripperState
 
 _SPEED_RAW = 4
 """Profile Velocity (register 112) of the test motion: 0.1 rad/s."""

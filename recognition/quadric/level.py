@@ -16,7 +16,7 @@ from recognition.grasp import Grasp, PadArray
 from recognition.quadric.contact import Baseline, estimate_baseline, main_patch, noise_threshold
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import fit_height_field
-from recognition.quadric.thresholds import Levels
+from recognition.quadric.thresholds import LevelBands
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -361,7 +361,7 @@ def level_or_none(grasp: Grasp, settings: LevelSettings) -> float | None:
     return value if value != 0.0 else None
 
 
-def level_novelty(levels: Levels, value: float) -> float:
+def level_novelty(levels: LevelBands, value: float) -> float:
     """Return 0 inside a band, 1/2 at the edge of its margin, towards 1 beyond."""
     edge = np.where(value < levels.low, np.abs(levels.low), np.abs(levels.high))
     outside = levels.distance(value) / (levels.margin * edge)

@@ -18,7 +18,7 @@ NOISE_SHARE = 0.08
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Levels:
+class LevelBands:
     """Bands of the taught objects and what lies between them."""
 
     low: NDArray[np.float64]
@@ -59,7 +59,7 @@ class Levels:
         )
 
 
-def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE) -> Levels:
+def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE) -> LevelBands:
     """Turn the values of each object into bands, thresholds and windows.
 
     Parameters
@@ -68,7 +68,7 @@ def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE)
         For each object its values, any number; NaN is left out. An object without any has no level
         and is never named.
     margin
-        See `Levels`.
+        See `LevelBands`.
 
     Raises
     ------
@@ -96,10 +96,10 @@ def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE)
 
 def _levels(
     low: NDArray[np.float64], high: NDArray[np.float64], order: NDArray[np.int64], margin: float
-) -> Levels:
+) -> LevelBands:
     """Return what lies between bands."""
     below, above = order[:-1], order[1:]
-    return Levels(
+    return LevelBands(
         low=low,
         high=high,
         order=order,
@@ -109,7 +109,7 @@ def _levels(
     )
 
 
-def with_noise(levels: Levels, noise_share: float) -> Levels:
+def with_noise(levels: LevelBands, noise_share: float) -> LevelBands:
     """Adjust bands and windows to the noise seen, as the paper's windows A to D are to be.
 
     Parameters
@@ -121,7 +121,7 @@ def with_noise(levels: Levels, noise_share: float) -> Levels:
 
     Returns
     -------
-    Levels
+    LevelBands
         Every band reaches that much further, every window is as much narrower, and closed where
         nothing is left of it. The margin grows to the noise where that is larger.
 
@@ -137,7 +137,7 @@ def with_noise(levels: Levels, noise_share: float) -> Levels:
     return _levels(low, high, levels.order, max(levels.margin, noise_share))
 
 
-def check_level(levels: Levels, value: float) -> int | None:
+def check_level(levels: LevelBands, value: float) -> int | None:
     """Return the object whose band contains a value.
 
     Inside one band it is that object, inside several (a closed window) none. Between bands it is

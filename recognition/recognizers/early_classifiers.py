@@ -12,7 +12,7 @@ from recognition.grasp import Grasp
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior, Recognizer, Trainer
-from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.statistics.fusion import StopRule, fuse
 
 SHARES = (0.5, 0.75)
@@ -64,11 +64,11 @@ class EarlyClassifiers:
 
     def as_wary_as(self, whole: Recognizer) -> Self:
         """Return early classifiers with drift and caution of the recogniser of whole ramps."""
-        if not isinstance(whole, ForceRamp):
+        if not isinstance(whole, ForceRampRecognizer):
             return self
         early = tuple(
             replace(one, grid=whole.grid, caution=whole.caution)
-            if isinstance(one, ForceRamp)
+            if isinstance(one, ForceRampRecognizer)
             else one
             for one in self.recognizers
         )

@@ -23,7 +23,7 @@ from recognition.quadric.level import (
     log_statistics,
     usual_noise,
 )
-from recognition.quadric.thresholds import Levels, check_level, find_thresholds, with_noise
+from recognition.quadric.thresholds import LevelBands, check_level, find_thresholds, with_noise
 from recognition.recognizer import UNKNOWN, Posterior
 
 NAME = "level_check"
@@ -71,7 +71,7 @@ class LevelCheckRecognizer:
             object.__setattr__(self, name, array)
 
     @property
-    def levels(self) -> Levels:
+    def levels(self) -> LevelBands:
         """Bands, thresholds and windows of the taught objects."""
         bands = list(np.stack([self.low, self.high], axis=1))
         return find_thresholds(bands, margin=self.margin)
@@ -132,7 +132,7 @@ class LevelCheckRecognizer:
             unknown=level_novelty(adjusted, value),
         )
 
-    def _adjusted(self, more_noise: float) -> Levels | None:
+    def _adjusted(self, more_noise: float) -> LevelBands | None:
         """Return the bands for a grasp; None where nothing would be outside of them."""
         share = _BAND_SIGMAS * more_noise
         return with_noise(self.levels, share) if share < 1.0 else None

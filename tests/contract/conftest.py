@@ -27,10 +27,10 @@ from cell.pytest_plugin.bench import LinkBench
 from cell.pytest_plugin.faults import FaultRegistry
 from cell.pytest_plugin.options import HardwareOptions, config_path
 from cell.simulation import simulated_cell
+from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
 from gripper.dynamixel.serial_port import ByteStream
-from gripper.state import Clock
 from motion import object_dictionary as od
 from motion.axes import Axes
 from motion.bus import DriveBus, Watch

@@ -16,8 +16,9 @@ from gripper.errors import (
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.kinematics import ParallelLinkage
+from gripper.outcome import GraspResult
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import Cycle, GraspResult, GripperPhase
+from gripper.state import Cycle, GripperPhase
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 

@@ -14,9 +14,11 @@ from gripper.errors import (
     ServoFault,
 )
 from gripper.force.ramp import ForceRamp
+from gripper.force_sensor import ForceSample
+from gripper.outcome import GraspResult
 from gripper.servos.feedback import TickWatch
 from gripper.servos.goals import GoalGuard, ServoGoal
-from gripper.state import ForceSample, GraspResult, GripperPhase
+from gripper.state import GripperPhase
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 

@@ -13,11 +13,12 @@ from cell.config.model import CellConfig
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
 from gripper.force import motion
+from gripper.force_sensor import ForceSample
 from gripper.impact import approach_speed_m_s, check_approach, impact_limit
 from gripper.kinematics import ParallelLinkage
 from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import ForceSample, GripperState
+from gripper.state import GripperState
 from tests.values import make_servo, make_state
 
 LINKAGE = ParallelLinkage(link_m=0.06)

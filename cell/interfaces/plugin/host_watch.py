@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from gripper.state import Clock
+from gripper.clock import Clock
 
 _LOOKS = 10
 """Checks within one time-out: a silence is noticed at most a tenth of it late."""

@@ -55,7 +55,8 @@ if TYPE_CHECKING:
     from cell.data.recorder import Tap
     from cell.interfaces.plugin.part_report import OnPart
     from cell.jobs.sort import Places as SortPlaces
-    from gripper.state import Clock, ReleaseReport
+    from gripper.clock import Clock
+    from gripper.outcome import ReleaseReport
     from tactile.layout import TaxelLayout
 
 __all__ = [

@@ -8,7 +8,7 @@ from threading import RLock
 from typing import Any
 
 from cell.errors import NotInCommand
-from gripper.state import Clock
+from gripper.clock import Clock
 
 
 class Lease:

@@ -27,7 +27,7 @@ from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus
 from cell.interfaces.plugin.part_report import OnPart, PartReport, thinned_curves
 from cell.interfaces.plugin.plugin import cell_values
 from cell.interfaces.service.shift import Shift
-from gripper.state import Clock
+from gripper.clock import Clock
 from recognition.recognizer import UNKNOWN
 from tactile.errors import TactileError
 from tactile.sensor.filters import Neighbourhood

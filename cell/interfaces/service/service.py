@@ -40,7 +40,7 @@ from cell.interfaces.service.photos import Photos
 from cell.interfaces.service.pose_handshake import PoseHandshake
 from cell.interfaces.service.replay import NOTHING_RUNS, Replay
 from cell.interfaces.service.shift import Shift
-from gripper.state import Clock
+from gripper.clock import Clock
 
 RELEASE_KEY = 0x4F50
 """Key of a release ("OP"): zeroed or repeated outputs of a controller let nothing go."""

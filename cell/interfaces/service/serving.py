@@ -16,7 +16,7 @@ from cell.errors import CellError, ConfigError
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.service.pose_handshake import PoseHandshake
 from cell.interfaces.service.service import Service
-from gripper.state import Clock
+from gripper.clock import Clock
 
 _DOORS = (
     ("modbus_port", "--modbus", "serve", "cell.interfaces.modbus.registers", "ModbusDoor"),

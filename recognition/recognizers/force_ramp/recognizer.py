@@ -64,7 +64,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForceRamp:
+class ForceRampRecognizer:
     """A taught recogniser with two views: touch and opening, and touch alone."""
 
     labels: tuple[str, ...]
@@ -277,7 +277,7 @@ class ForceRampTrainer:
         """Whether the opening between the fingers is used."""
         return self.use_aperture
 
-    def fit(self, grasps: Sequence[Grasp]) -> ForceRamp:
+    def fit(self, grasps: Sequence[Grasp]) -> ForceRampRecognizer:
         """Teach the recogniser with labelled grasps.
 
         Grasps that never touched both pads are left out. A single object is taught to be separated
@@ -306,7 +306,7 @@ class ForceRampTrainer:
             np.bincount(classes[known], minlength=len(labels)) >= MIN_GRASPS
         ):
             both = fit_view(levels.take(known), grids, classes[known], opening=True)
-        return ForceRamp(
+        return ForceRampRecognizer(
             labels=tuple(labels.tolist()),
             rest=rest,
             touch=fit_view(levels, grids, classes, opening=False),

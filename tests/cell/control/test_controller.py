@@ -15,7 +15,8 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shapes import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
-from gripper.state import GraspResult, GripperPhase
+from gripper.outcome import GraspResult
+from gripper.state import GripperPhase
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, small_config
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING

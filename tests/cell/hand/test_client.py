@@ -19,7 +19,8 @@ from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
-from gripper.state import ForceSample, GripperPhase
+from gripper.force_sensor import ForceSample
+from gripper.state import GripperPhase
 from tactile.errors import HeartbeatLost
 from tactile.frames.codec import TactileFrame
 from tests.values import make_cycle, make_link_statistics

@@ -22,7 +22,8 @@ from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, ServoFault, ServoRejected, VerificationFailed
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import Distribution, LoopStatistics
-from gripper.state import GripperPhase, VerificationReport, VerificationRow
+from gripper.servo_checks import VerificationReport, VerificationRow
+from gripper.state import GripperPhase
 from tactile.errors import NodeEmergency
 from tactile.frames.assembler import FrameStatistics
 from tactile.frames.codec import TactileFrame

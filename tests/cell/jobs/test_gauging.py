@@ -19,7 +19,7 @@ from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
 from cell.learning.model import load_model
 from cell.learning.taught_model import TaughtModel
-from gripper.state import GraspResult
+from gripper.outcome import GraspResult
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.recognizers import make_trainer
 from tests.cell.conftest import call

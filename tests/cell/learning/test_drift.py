@@ -23,7 +23,7 @@ from cell.jobs.identify import identify_recorded
 from cell.learning.model import load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import Trained
-from gripper.state import GraspResult
+from gripper.outcome import GraspResult
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid
 from recognition.grasp import Grasp

@@ -19,8 +19,10 @@ from gripper.errors import (
 from gripper.force.grip_control import StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
+from gripper.force_sensor import ForceSample
+from gripper.outcome import GraspResult
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import ForceSample, GraspResult, GripperPhase
+from gripper.state import GripperPhase
 from tests.values import make_state
 
 

@@ -11,10 +11,12 @@ from gripper.force.controller import SetpointFilter
 from gripper.force.ramp import ForceRamp
 from gripper.force.ramp_motion import ContactObserver
 from gripper.force.slip import SlipWatch
+from gripper.force_sensor import ForceSample
 from gripper.kinematics import ParallelLinkage
+from gripper.outcome import GraspResult
 from gripper.servos.goals import GoalGuard
 from gripper.settings import ForceLoopSettings, GripperSettings, ServoSettings
-from gripper.state import ForceSample, GraspResult, GripperPhase
+from gripper.state import GripperPhase
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))

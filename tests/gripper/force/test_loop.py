@@ -6,8 +6,8 @@ import pytest
 
 from gripper.errors import LimitExceeded
 from gripper.force.controller import ForceController
+from gripper.force_sensor import ForceSample
 from gripper.settings import ForceLoopSettings
-from gripper.state import ForceSample
 
 PERIOD_S = 0.005
 FRICTION_N = 3.7

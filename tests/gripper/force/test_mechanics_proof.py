@@ -14,7 +14,8 @@ from gripper.errors import (
 )
 from gripper.force.mechanics_proof import POSITION_ITEM
 from gripper.force.ramp import ForceRamp
-from gripper.state import GraspResult, GripperPhase
+from gripper.outcome import GraspResult
+from gripper.state import GripperPhase
 
 LONG = partial(pytest.param, marks=pytest.mark.long)
 RAMP = ForceRamp.linear(4.0, rate_n_s=10.0)

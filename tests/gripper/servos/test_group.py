@@ -4,7 +4,8 @@ import pytest
 
 from gripper.errors import BusTimeout, ServoFault
 from gripper.force.ramp import ForceRamp
-from gripper.state import GraspResult, GripperPhase
+from gripper.outcome import GraspResult
+from gripper.state import GripperPhase
 
 
 @pytest.fixture

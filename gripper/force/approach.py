@@ -1,50 +1,25 @@
-"""Motions of the fingers without a part: to an opening, and closing until the pads are touched."""
+"""Closing of both fingers until the pads are touched."""
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from math import inf, sqrt
+from math import inf
 
 from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
-from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
+from gripper.force.contact import YOUNG_S, ContactDetector, FirstTouch
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
-from gripper.force.mechanics_proof import (
-    OVERRUN_RAD,
-    REACHED_RAD,
-    ForceRise,
-    mechanics_text,
-)
 from gripper.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
 from gripper.kinematics import Linkage, motion_current_a, transmissions
-from gripper.recent import RecentForce
 from gripper.servos.goals import (
     ServoGoal,
     closing_margin_rad,
     running_lead_rad,
 )
 from gripper.settings import GripperSettings
-from gripper.state import ForceSample, GripperState
+from gripper.state import GripperState
 
 # Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
-_MOVE_PATIENCE_S = 2.0
-"""Time in s beyond that of the motion after which a finger counts as stuck."""
-_STANDING_S = 0.2
-"""Time in s for which empty fingers must stand after their torque has come on: friction at rest
-makes a motor slow to start."""
-_STANDING_RAD = 0.03
-"""Way in rad in that time that is no standing any more: 2 mm of a finger of 60 mm."""
-_SHORTEST_TRAVEL_M = 1e-3
-"""Way in m that a motion is planned for at least."""
-_OPENING_FORCE_N = 3.0
-"""Force in N beside friction that the current of an opening allows: pads may stick to a part."""
-_RISING_S = 0.25
-"""Time in s in which it rises to that from what moves the fingers: where they close instead, the
-pads show it before."""
-_AGAINST_REST = 1.4
-"""Current of a motion over that which moves the fingers freely: friction at rest is larger."""
-
 STALL_SPEED_M_S = 0.002
 """Rate of the opening in m/s below which the fingers stand still."""
 _STALL_CURRENT_SHARE = 0.8
@@ -68,17 +43,6 @@ LARGEST_BOOST = 1.6
 """Largest factor on the current of fingers that stand still untouched."""
 BOOST_PER_S = 2.0
 """Growth of that factor in 1/s; it falls twice as fast."""
-_YOUNG_S = 0.015
-"""Age in s up to which a first touch is still worth braking for; later the part itself and friction
-have stopped the finger."""
-_TOUCH_N = 0.12
-"""Least force in N on a pad that shows a first touch, however quiet the empty pad is."""
-_TOUCH_SIGMAS = 3.5
-"""A first touch stands out of the noise of the empty pad by so many standard deviations."""
-_EMPTY_SAMPLES = 20
-"""Samples over which the noise of an empty pad is taken."""
-_TOUCH_SAMPLES = 8
-"""Newest samples, at most, whose mean is compared with it; older ones are of the empty pad."""
 _BRAKED_S = 0.01
 """Time in s for which a braked finger is stopped before it goes on slowly."""
 _DOUBT_S = 0.05
@@ -94,8 +58,6 @@ of a contact is soft, and no impact is to be feared."""
 _SURE_SHARE = 0.5
 """Share of the force of a contact from which on the mean on the pad of a braked finger is one: it
 has stopped at what it touched."""
-_WRONG_FACTOR = 1.5
-"""Factor on the force of a first touch after each one that was none."""
 _LEAD_SHARE = 0.75
 """Share of its lead with which the goal of a finger runs on, so that the finger does not shoot."""
 _CREEP_START_N = 0.2
@@ -104,160 +66,6 @@ _CREEP_RAD_S = 1.5 * RAD_S_PER_VELOCITY_UNIT
 """Speed in rad/s above which a braked finger has lost what it touched, and is stopped again."""
 _FREE_TIME_S = 0.05
 """Time constant in s of the current that moves an empty finger."""
-_CONTACT_QUIET_N, _CONTACT_LONGEST_S = 0.1, 0.018
-"""Noise in N of the mean that shows a contact, and its longest time in s: one frame at 50 Hz."""
-_REST_QUIET_N, _REST_QUIET_YOUNG_N = 0.08, 0.12
-"""Noise in N of the mean that is the force at the contact; it ends the rest. Where the samples are
-young the force is soon known better."""
-_REST_SAMPLES, _REST_LONGEST_S = 4, 0.07
-"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
-_REST_SETTLING_S = 0.01
-"""Time in s after the contact from which on its samples count."""
-
-
-class StandStill:
-    """Step of control that watches empty fingers whose torque has just come on: none may move.
-
-    A servo that goes by another position than it reports runs to a goal made of the reported one.
-
-    Parameters
-    ----------
-    settings
-        Of the gripper.
-    state
-        Feedback at the start; the goals are these positions.
-    """
-
-    def __init__(self, settings: GripperSettings, state: GripperState) -> None:
-        self._start_rad = state.angles_rad
-        self._periods = round(_STANDING_S / settings.period_s)
-
-    def step(self, moment: Moment) -> Action:
-        """Return no goals; FeedbackImplausible when a finger leaves its place."""
-        self._periods -= 1
-        for servo, start_rad in zip(moment.state.servos, self._start_rad, strict=True):
-            moved_rad = servo.angle_rad - start_rad
-            if abs(moved_rad) > _STANDING_RAD:
-                raise FeedbackImplausible(
-                    f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although the "
-                    f"position that it reported is its goal: it goes by another position than it "
-                    f"reports, or something drives it, so the torque is switched off. Restart the "
-                    f"servo, check its encoder and who else writes to it"
-                )
-        return Action(done=self._periods <= 0)
-
-
-class MoveTo:
-    """Step of control that moves all servos evenly to an opening.
-
-    Parameters
-    ----------
-    settings, linkage
-        Of the gripper.
-    state
-        Feedback at the start.
-    aperture_m
-        Opening to reach in m.
-    only_open
-        True where no finger may close, as a release: one that is more open stays there, and none
-        is driven back where something pushes it open.
-    """
-
-    def __init__(
-        self,
-        settings: GripperSettings,
-        linkage: Linkage,
-        state: GripperState,
-        *,
-        aperture_m: float,
-        only_open: bool = False,
-    ) -> None:
-        self._settings = settings
-        self._linkage = linkage
-        self._only_open = only_open
-        self._rise = ForceRise()
-        self._start_rad = state.angles_rad
-        self._target_rad = linkage.angles_rad(aperture_m)
-        if only_open:
-            self._target_rad = tuple(map(max, self._target_rad, self._start_rad))
-            aperture_m = linkage.aperture_m(self._target_rad)
-        travel_m = max(abs(aperture_m - state.aperture_m), _SHORTEST_TRAVEL_M)
-        opening = aperture_m >= state.aperture_m
-        speed_m_s = (
-            settings.open_speed_m_s
-            if opening
-            else approach_speed_m_s(settings, linkage, state.angles_rad)
-        )
-        force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
-        paths = transmissions(settings, linkage, state.angles_rad)
-        self._current_a = min(
-            _AGAINST_REST * motion_current_a(settings, paths, force_n),
-            # The wider the fingers stand, the more force a current makes.
-            settings.current_max_a if opening else closing_current_max_a(settings, paths),
-        )
-        self._rising_s = _RISING_S if opening else 0.0
-        self._least_a = motion_current_a(settings, paths, 0.0)
-        self._passed_s = 0.0
-        self._share_per_s = speed_m_s / travel_m
-        self._share = 0.0
-        self._aperture_m = aperture_m
-        self._deadline_s = state.t_s + travel_m / speed_m_s + _MOVE_PATIENCE_S
-
-    def step(self, moment: Moment) -> Action:
-        """Return the goals of one period.
-
-        Raises
-        ------
-        PositionContradicted
-            When the pads are pressed more and more though the fingers only open.
-        ServoFault
-            When a finger does not arrive in time.
-        """
-        pressed = self._rise.found(moment) if self._only_open else ""
-        if pressed:
-            raise PositionContradicted(
-                f"{pressed} while the fingers let go: they close, or something pushes them "
-                f"together. They stand still; take the part out by hand, then check "
-                f"{mechanics_text(self._settings, self._linkage)}"
-            )
-        self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
-        self._passed_s += moment.dt_s
-        current_a = self._current_a
-        if self._passed_s < self._rising_s:
-            more = self._passed_s / self._rising_s
-            current_a = min(current_a, self._least_a + more * (current_a - self._least_a))
-        goals = []
-        arrived = True
-        for servo, start_rad, target_rad in zip(
-            moment.state.servos, self._start_rad, self._target_rad, strict=True
-        ):
-            sign = 1.0 if target_rad >= start_rad else -1.0
-            there = sign * (target_rad - servo.angle_rad) <= REACHED_RAD
-            there = there or (self._only_open and start_rad >= target_rad)
-            arrived = arrived and there
-            end_rad = target_rad + sign * OVERRUN_RAD
-            angle_rad = (
-                servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
-            )
-            if self._only_open:
-                angle_rad = max(angle_rad, servo.angle_rad)
-            goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
-        if not arrived and moment.now_s > self._deadline_s:
-            raise self._stuck(moment.state)
-        return Action(goals=goals, done=arrived)
-
-    def _stuck(self, state: GripperState) -> ServoFault:
-        slowest = max(
-            zip(state.servos, self._target_rad, strict=True),
-            key=lambda pair: abs(pair[1] - pair[0].angle_rad),
-        )[0]
-        return ServoFault(
-            slowest.servo_id,
-            0,
-            f"its finger is stuck: the gripper stands at {state.aperture_m * 1e3:.1f} mm on its "
-            f"way to {self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "
-            f"{mechanics_text(self._settings, self._linkage)}",
-        )
 
 
 class ApproachEvent(Enum):
@@ -287,14 +95,6 @@ class Approach:
         Feedback at the start.
     widest_m
         Opening in m above which no part begins; None where that is not known.
-
-    Attributes
-    ----------
-    event
-        Result of the last step.
-    braked_s
-        Monotonic time in s of the newest first touch that braked a finger; that of the start
-        before one.
     """
 
     def __init__(
@@ -306,7 +106,10 @@ class Approach:
         widest_m: float | None = None,
     ) -> None:
         self.event = ApproachEvent.CLOSING
+        """Result of the last step."""
         self.braked_s = state.t_s
+        """Monotonic time in s of the newest first touch that braked a finger; that of the start
+        before one."""
         self._settings = settings
         self._linkage = linkage
         paths = transmissions(settings, linkage, state.angles_rad)
@@ -467,7 +270,7 @@ class Approach:
                 if -servo.velocity_rad_s >= _RUNNING_SHARE * self._nominal_rad_s(state):
                     share = min(1.0, moment.dt_s / _FREE_TIME_S)
                     self._free_a[finger] -= share * (servo.current_a + self._free_a[finger])
-                young = moment.now_s - sample.measured_s <= _YOUNG_S
+                young = moment.now_s - sample.measured_s <= YOUNG_S
                 if shows[finger] and young and not self._soft[finger]:
                     lead_m = state.aperture_m - self._aperture_m
                     self._brakes[finger] = _Brake(moment.now_s, servo.angle_rad, lead_m)
@@ -576,144 +379,3 @@ class _Brake:
     angle_rad: float
     lead_m: float
     drive_n: float = _CREEP_START_N
-
-
-class FirstTouch:
-    """Detector of the first force on a pad, as soon as it stands out of what the empty pad shows.
-
-    It may be wrong now and then: what it starts goes on without it.
-    """
-
-    def __init__(self) -> None:
-        self._factor = 1.0
-        self._empty_n2: list[float] = []
-        self._recent: deque[ForceSample] = deque(maxlen=_TOUCH_SAMPLES)
-
-    @property
-    def shows(self) -> tuple[bool, bool]:
-        """Whether the newest samples show a touch of finger 0 and of finger 1."""
-        return self._stands_out(0), self._stands_out(1)
-
-    @property
-    def lasts(self) -> tuple[bool, bool]:
-        """Whether the mean of the last samples still shows a touch of finger 0 and of finger 1."""
-        sums_n = [sum(sample.force_n[finger] for sample in self._recent) for finger in (0, 1)]
-        least_n = _TOUCH_N * len(self._recent)
-        return sums_n[0] > least_n, sums_n[1] > least_n
-
-    def means_n(self, samples: int) -> tuple[float, float]:
-        """Return the mean force in N on finger 0 and finger 1 in so many of the newest samples.
-
-        0 where there are fewer.
-        """
-        newest = list(self._recent)[-min(samples, _TOUCH_SAMPLES) :]
-        if len(newest) < min(samples, _TOUCH_SAMPLES):
-            return 0.0, 0.0
-        n = len(newest)
-        return sum(s.force_n[0] for s in newest) / n, sum(s.force_n[1] for s in newest) / n
-
-    def was_wrong(self) -> None:
-        """Show a touch only at a larger force from now on: the last one was none."""
-        self._factor *= _WRONG_FACTOR
-
-    def push(self, sample: ForceSample, *, empty: bool) -> None:
-        """Add a sample, which may be the same as before; ``empty`` where no finger is braked."""
-        if self._recent and sample.t_s <= self._recent[-1].t_s:
-            return
-        if not self._empty_n2:
-            self._empty_n2 = [2.0 * sample.noise_n**2] * 2
-        elif empty and len(self._recent) == _TOUCH_SAMPLES:
-            for finger, force_n in enumerate(self._recent[0].force_n):
-                self._empty_n2[finger] += (force_n**2 - self._empty_n2[finger]) / _EMPTY_SAMPLES
-        self._recent.append(sample)
-
-    def _stands_out(self, finger: int) -> bool:
-        sum_n = 0.0
-        for n, sample in enumerate(reversed(self._recent), 1):
-            sum_n += sample.force_n[finger]
-            noise_n = sqrt(self._empty_n2[finger] / n)
-            if sum_n > n * self._factor * max(_TOUCH_N, _TOUCH_SIGMAS * noise_n):
-                return True
-        return False
-
-
-class ContactDetector:
-    """Detector of a contact: enough new samples in a row above a threshold, for each finger.
-
-    Of a fast sensor each counts with those shortly before it, whose mean has less noise.
-
-    Parameters
-    ----------
-    threshold_n
-        Force on a pad in N that counts.
-    samples
-        New samples in a row that confirm.
-    """
-
-    def __init__(self, threshold_n: float, samples: int) -> None:
-        self._threshold_n = threshold_n
-        self._samples = samples
-        self._counts = [0, 0]
-        self._first_s = [0.0, 0.0]
-        self._recent = RecentForce(_CONTACT_QUIET_N, least=1, longest_s=_CONTACT_LONGEST_S)
-
-    @property
-    def touched(self) -> tuple[bool, bool]:
-        """Contact of finger 0 and finger 1."""
-        return self._counts[0] >= self._samples, self._counts[1] >= self._samples
-
-    @property
-    def first_s(self) -> float:
-        """Time in s at which the finger that touched last was loaded."""
-        return max(self._first_s)
-
-    def push(self, sample: ForceSample) -> None:
-        """Add a sample, which may be the same as before."""
-        if self._recent.push(sample) is None:
-            return
-        for finger, force_n in enumerate(self._recent.finger_means_n):
-            above = force_n >= self._threshold_n
-            if self._counts[finger] == 0:
-                self._first_s[finger] = self._recent.oldest.measured_s
-            self._counts[finger] = self._counts[finger] + 1 if above else 0
-
-
-class ContactRest:
-    """Rest of the fingers on the part, and the force that the pads measure in it.
-
-    Parameters
-    ----------
-    until_s
-        Monotonic time in s at which the rest ends, or before where the force is known.
-    hard_n, hard_until_s
-        Force in N from which on a part was met hard, and when the rest ends then at the earliest.
-    """
-
-    def __init__(self, until_s: float, *, hard_n: float, hard_until_s: float) -> None:
-        self._until_s = until_s
-        self._hard_n, self._hard_until_s = hard_n, hard_until_s
-        self._begun_s: float | None = None
-        self._settled = False
-        self._samples = RecentForce(_REST_QUIET_N, least=_REST_SAMPLES, longest_s=_REST_LONGEST_S)
-
-    @property
-    def force_n(self) -> float:
-        """Mean grip force in N of the last samples, at least 0; 0 without any."""
-        return max(0.0, self._samples.grip_n) if self._samples else 0.0
-
-    def goes_on(self, moment: Moment) -> bool:
-        """Add the newest sample and return whether the fingers still rest."""
-        if self._begun_s is None:
-            self._begun_s = moment.now_s
-        sample = moment.sample
-        if sample is not None and sample.valid:
-            if not self._settled:
-                self._samples.clear()
-                self._settled = sample.measured_s >= self._begun_s + _REST_SETTLING_S
-            self._samples.push(sample)
-        young = sample is not None and moment.now_s - sample.measured_s <= _YOUNG_S
-        known = self._settled and (
-            self._samples.noise_n <= (_REST_QUIET_YOUNG_N if young else _REST_QUIET_N)
-        )
-        hard = self.force_n >= self._hard_n and moment.now_s < self._hard_until_s
-        return moment.now_s < self._until_s and (hard or not known)

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+from gripper.force.approach import Approach, ApproachEvent
+from gripper.force.contact import ContactDetector, ContactRest
 from gripper.force.loop import Moment
-from gripper.force.motion import Approach, ApproachEvent, ContactDetector, ContactRest
 from gripper.force.ramp import ForceRamp
+from gripper.force_sensor import ForceSample
 from gripper.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import Cycle, ForceSample, GripperPhase, GripperState
+from gripper.state import Cycle, GripperPhase, GripperState
 from tests.values import make_servo, make_state
 
 LINKAGE = ParallelLinkage(link_m=0.06)

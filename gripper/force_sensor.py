@@ -1,0 +1,50 @@
+"""Force on the fingers as the gripper takes it: a sample, and the sensor that gives it."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceSample:
+    """Normal force on both fingers, tared and calibrated."""
+
+    t_s: float
+    """Monotonic time of the measurement in s."""
+    force_n: tuple[float, float]
+    """Normal force on finger 0 and on finger 1 in N."""
+    valid: bool = True
+    """False when the value must not be used for control (saturated pad, too many bad taxels)."""
+    reason: str = ""
+    """Why it is not valid; empty where it is."""
+    centre_m: tuple[float, float] | None = None
+    """Centre of the grip force in the grip frame in m, along the fingers and across them: the mean
+    of both pads' centres; None where it is not known, or nothing touches."""
+    centre_noise_m: float = 0.0
+    """Standard deviation of each coordinate of ``centre_m``, as ``noise_n`` is of the force."""
+    lag_s: float = 0.02
+    """How much older than ``t_s`` the force is in the mean, in s: filters, transmission."""
+    noise_n: float = 0.3
+    """Standard deviation of `grip_n` in N, on top of that of the samples before it."""
+    frame_s: float | None = None
+    """Monotonic time in s at which the newest whole frame was scanned: a second measurement; None
+    where the samples come from frames themselves."""
+    frame_n: tuple[float, float] = (0.0, 0.0)
+    """Normal force on finger 0 and on finger 1 in N in that frame alone."""
+
+    @property
+    def measured_s(self) -> float:
+        """Monotonic time in s at which the force was as it is here."""
+        return self.t_s - self.lag_s
+
+    @property
+    def grip_n(self) -> float:
+        """Grip force in N: the mean of both fingers, which are equal in equilibrium."""
+        return 0.5 * (self.force_n[0] + self.force_n[1])
+
+
+class ForceSensor(Protocol):
+    """Source of force samples; called once every period of the force loop, must not block."""
+
+    def latest_force(self) -> ForceSample | None:
+        """Return the newest sample, None while there is none; the caller judges its age."""
+        ...

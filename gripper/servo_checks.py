@@ -1,0 +1,88 @@
+"""What checks of servos find: torque and errors, and registers against what they must hold."""
+
+from dataclasses import dataclass
+
+_HARDWARE_ERROR_BITS = {
+    0: "input voltage",
+    2: "overheating",
+    3: "encoder",
+    4: "electrical shock",
+    5: "overload",
+}
+"""Bits of Hardware Error Status (e-Manual, Control Table, register 70)."""
+
+
+def hardware_error_names(bits: int) -> tuple[str, ...]:
+    """Return the names of the bits of Hardware Error Status (register 70), lowest bit first."""
+    return tuple(
+        _HARDWARE_ERROR_BITS.get(bit, f"undefined bit {bit}") for bit in range(8) if bits >> bit & 1
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoCondition:
+    """Torque and errors of one servo, as read one by one: a silent servo hides no other."""
+
+    servo_id: int
+    """The servo."""
+    answers: bool = True
+    """False where it did not answer; its torque is then unknown, and the rest False and 0."""
+    torque_on: bool = False
+    """Whether its torque is on."""
+    error_bits: int = 0
+    """Hardware Error Status (register 70)."""
+    shut_down: bool = False
+    """Whether one of these errors keeps the torque off until a reboot (register 63)."""
+    strayed: str = ""
+    """Why its position is not to be used until a reboot; empty where it is."""
+
+    @property
+    def able(self) -> bool:
+        """True when the servo can be moved, by switching its torque on where that is off."""
+        return self.answers and not self.shut_down and not self.strayed
+
+    def __str__(self) -> str:
+        if not self.answers:
+            return f"servo {self.servo_id} does not answer"
+        torque = "its torque on" if self.torque_on else "no torque"
+        errors = ", ".join(hardware_error_names(self.error_bits))
+        strayed = f", and where its finger is, is unknown: {self.strayed}" if self.strayed else ""
+        return f"servo {self.servo_id} has {torque}" + (f" ({errors})" if errors else "") + strayed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationRow:
+    """Comparison of one register of a servo with its requirement."""
+
+    servo_id: int
+    """The servo."""
+    item: str
+    """Name of the register."""
+    expected: str
+    found: str
+    """As text, in raw units of the register."""
+    ok: bool
+    """True when they agree, or were made to agree."""
+    corrected: bool = False
+    """True when the register was rewritten to agree."""
+
+    def __str__(self) -> str:
+        return f"servo {self.servo_id} {self.item}: expected {self.expected}, found {self.found}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationReport:
+    """All comparisons of a start."""
+
+    rows: tuple[VerificationRow, ...]
+    """One for each servo and item."""
+
+    @property
+    def ok(self) -> bool:
+        """True when every row agrees."""
+        return all(row.ok for row in self.rows)
+
+    @property
+    def failed(self) -> tuple[VerificationRow, ...]:
+        """The rows that do not agree."""
+        return tuple(row for row in self.rows if not row.ok)
