@@ -61,6 +61,9 @@ FORMAT = "tactile-cell-model/1"
 DEFAULT_LIMIT_BYTES = 256 << 20
 """Largest unpacked size in bytes of a model file that is read; real ones have a few MB."""
 
+_NAMED_BEFORE = {"ForceRamp": "ForceRampRecognizer"}
+"""Names of classes today, by those that stand in the headers of older model files."""
+
 Arrays = Mapping[str, NDArray[Any]]
 """Plain arrays by name."""
 
@@ -210,7 +213,8 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
             "teach again on these pads, or name the right layout in the config"
         )
     trainer_name = str(header.get("trainer"))
-    kind = _class_of(path, trainer_name, str(header.get("class")))
+    class_name = str(header.get("class"))
+    kind = _class_of(path, trainer_name, _NAMED_BEFORE.get(class_name, class_name))
     learnt = _section(arrays, _PREFIX)
 
     def rehearsed() -> tuple[Recognizer, tuple[str, ...]]:

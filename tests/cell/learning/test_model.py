@@ -14,6 +14,7 @@ from cell.errors import ModelError
 from cell.learning.model import layout_hash, load_model, save_model
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Posterior
+from recognition.recognizers import make_trainer
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.cell.conftest import plain_pads
 
@@ -118,6 +119,15 @@ def rewrite(
     header = json.loads(str(arrays.pop("model")))
     change(header, arrays)
     np.savez(path, model=np.array(json.dumps(header)), **arrays)
+
+
+def test_a_model_that_names_its_class_as_it_was_called_before_is_read(tmp_path: Path) -> None:
+    grasps = [press("ball", height=90, width_m=8e-3, seed=s) for s in range(4)]
+    grasps += [press("box", height=200, width_m=11e-3, seed=s) for s in range(4, 8)]
+    taught = make_trainer("force_ramp").fit(grasps)
+    save_model(tmp_path / "new.npz", taught, trainer_name="force_ramp", pads=PADS)
+    rewrite(tmp_path / "new.npz", tmp_path / "m.npz", lambda h, _: h.update({"class": "ForceRamp"}))
+    assert type(load_model(tmp_path / "m.npz").recognizer) is type(taught)
 
 
 @pytest.mark.parametrize(
