@@ -46,8 +46,10 @@ _COLLISION_READS = 3
 """Readings of a servo's present state that show whether another one answers with it."""
 _ALL_SILENT_MISSES = 3
 """Lost answers in a row, of every servo asked, after which a sync read waits for a quiet line."""
+_LATE_GUARD_S = 0.05
+"""Quiet time in s after which nothing late is expected any more."""
 _LONGEST_QUIET_WAIT = 10.0
-"""Longest wait for a quiet line, in multiples of ``late_guard_s``: more than the answers that can
+"""Longest wait for a quiet line, in multiples of `_LATE_GUARD_S`: more than the answers that can
 be outstanding, so that only a line that never falls quiet reaches it."""
 _SLOT_MS = 3.0
 """Time in ms that a servo may take for its answer to a broadcast ping, for each ID."""
@@ -81,12 +83,12 @@ class ServoBus:
     SUSPECT the same, where it never falls quiet    SUSPECT BusCorrupt, BusTimeout
     SUSPECT next transaction, `Precaution.PING`     SUSPECT ping before the request
     SUSPECT next transaction, `Precaution.NONE`     SUSPECT none
-    SUSPECT ``late_guard_s`` passed                 CLEAN   none
+    SUSPECT ``_LATE_GUARD_S`` passed               CLEAN   none
     ======= ======================================= ======= ======================================
 
-    Each wait ends: for an answer at the time-out of the packet or after ``late_guard_s``, for a
+    Each wait ends: for an answer at the time-out of the packet or after ``_LATE_GUARD_S``, for a
     quiet line after ten times that. In the loop a quiet line is not waited for: what has arrived
-    is dropped, and the transaction fails until nothing came for ``late_guard_s``.
+    is dropped, and the transaction fails until nothing came for ``_LATE_GUARD_S``.
 
     Parameters
     ----------
@@ -102,8 +104,6 @@ class ServoBus:
         Longest Return Delay Time of the servos in s (register 9; the factory value is 0.5 ms).
     allowance_s
         Time for adapter and operating system in s.
-    late_guard_s
-        Quiet time in s after which nothing late is expected any more.
     lock_timeout_s
         Longest wait in s for another thread's transaction.
     name
@@ -124,7 +124,6 @@ class ServoBus:
         period_s: float = 0.005,
         return_delay_s: float = 0.0005,
         allowance_s: float = 0.0015,
-        late_guard_s: float = 0.05,
         lock_timeout_s: float = 1.0,
         name: str = "the servo line",
     ) -> None:
@@ -141,7 +140,6 @@ class ServoBus:
         self._name = name
         self._clock = clock
         self._period_s = period_s
-        self._late_guard_s = late_guard_s
         self._lock_timeout_s = lock_timeout_s
         self._handler = CheckedPacketHandler()
         self._policy = BETWEEN_COMMANDS
@@ -191,7 +189,7 @@ class ServoBus:
     def in_loop(self) -> Iterator[None]:
         """Within the block no transaction waits longer than a period of the loop may take.
 
-        Outside of it a retry waits for ``late_guard_s``: at a start or between commands a servo,
+        Outside of it a retry waits for ``_LATE_GUARD_S``: at a start or between commands a servo,
         or the machine that simulates it, may be slow once without being at fault. Within it a
         sync read does not wait until the line is quiet: its caller reads Realtime Tick (register
         120) along, which shows an old answer.
@@ -373,10 +371,7 @@ class ServoBus:
             self._counts["transactions"] += 1
             if self._suspect and precaution is Precaution.QUIET:
                 self._wait_until_quiet()
-            elif (
-                self._suspect
-                and self._clock.monotonic() - self._suspect_since_s > self._late_guard_s
-            ):
+            elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
                 self._mark_clean()
             yield
         finally:
@@ -512,7 +507,7 @@ class ServoBus:
     def _receive(self, servo_id: int, size: int, *, patient: bool = False) -> StatusPacket:
         """Return the next right answer; drop what is damaged, late or of another servo."""
         if patient:
-            self._port.setPacketTimeoutMillis(1000.0 * self._late_guard_s)
+            self._port.setPacketTimeoutMillis(1000.0 * _LATE_GUARD_S)
         else:
             self._port.setPacketTimeout(STATUS_OVERHEAD + size)
         damaged = False
@@ -543,22 +538,22 @@ class ServoBus:
                 return status
 
     def _wait_until_quiet(self) -> None:
-        """Drop late answers until all came or the line was quiet for ``late_guard_s``.
+        """Drop late answers until all came or the line was quiet for ``_LATE_GUARD_S``.
 
         Raises
         ------
         BusCorrupt
-            When bytes still come after ten times ``late_guard_s``; in the loop when they do now.
+            When bytes still come after ten times ``_LATE_GUARD_S``; in the loop when they do now.
         BusTimeout
             In the loop, while late answers of servos that fell silent may still come.
         """
         now_s = self._clock.monotonic()
         if self._quiet_since_s is None:
             self._quiet_since_s = now_s
-        patience_s = _LONGEST_QUIET_WAIT * self._late_guard_s if self._policy.patient else 0.0
+        patience_s = _LONGEST_QUIET_WAIT * _LATE_GUARD_S if self._policy.patient else 0.0
         deadline_s = now_s + patience_s
         while self._outstanding > 0:
-            left_s = self._quiet_since_s + self._late_guard_s - now_s
+            left_s = self._quiet_since_s + _LATE_GUARD_S - now_s
             if left_s <= 0.0:
                 break
             self._port.setPacketTimeoutMillis(1000.0 * min(left_s, max(0.0, deadline_s - now_s)))

@@ -43,7 +43,7 @@ class RetryPolicy:
     repetitions: int
     """How often a lost answer is asked for again, each time behind a ping."""
     patient: bool
-    """True where ping and repetition wait ``late_guard_s`` for their answers, and a quiet line is
+    """True where ping and repetition wait 50 ms for their answers, and a quiet line is
     waited for. False where they wait for the time-out of a packet, a sync read starts none after
     its period, and on a line that is not quiet yet a transaction fails at once."""
 
