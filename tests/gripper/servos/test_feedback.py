@@ -3,7 +3,7 @@
 import pytest
 
 from gripper.dynamixel.control_table import TORQUE_ENABLE
-from gripper.errors import FeedbackImplausible
+from gripper.errors import FeedbackImplausible, ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.state import GripperPhase
 
@@ -39,3 +39,23 @@ def test_no_goal_is_made_of_a_position_far_from_the_one_in_force(cell, offset_ra
         cell.new_gripper().release()
     assert cell.register(0, "goal_position") == goal_raw
     assert cell.bus.read(1, TORQUE_ENABLE) == 0
+
+
+@pytest.mark.parametrize("servo", [0, 1])
+def test_a_servo_that_has_restarted_between_two_readings_is_a_fault_at_once(cell, servo) -> None:
+    """No silence tells of it, only its tick; a goal would move the other finger alone."""
+    cell.hold_part(RAMP)
+    cell.gripper.hold(0.5)
+    core = cell.servos[servo].core
+    restart = cell.once(lambda: core.boot(cell.clock.monotonic(), blackout_s=0.0), in_s=0.2)
+    goals_s: list[float] = []
+
+    def observe(cycle) -> None:
+        goals_s.append(cycle.t_s)
+        restart(cycle)
+
+    with pytest.raises(ServoFault, match="its torque is off although") as error:
+        cell.gripper.hold(2.0, observe)
+    assert error.value.servo_id == servo + 1
+    assert goals_s[-1] <= cell.acted_s[0]
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
