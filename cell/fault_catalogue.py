@@ -23,7 +23,7 @@ UNMOVED = "As it was; nothing has moved."
 APART = "Not concerned."
 AXES_STOP = "As it was; all axes are stopped."
 
-Step = Literal[
+RecoveryStep = Literal[
     "look", "support_part", "free_pads", "mend", "correct", "clear", "clear_reboot", "release",
     "reset", "repeat", "restart", "wait",
 ]  # fmt: skip
@@ -33,20 +33,34 @@ fall; ``free_pads`` of everything that touches them; ``mend`` the cause that the
 ``release`` and ``reset`` are commands; ``repeat`` the job; ``restart`` the program; ``wait`` until
 another client has let go."""
 
-LET_GO: tuple[Step, ...] = ("look", "clear", "support_part", "release", "reset")
-MEND: tuple[Step, ...] = ("look", "mend", "clear", "support_part", "release", "reset")
-LET_GO_FIRST: tuple[Step, ...] = ("look", "clear", "support_part", "release", "mend", "reset")
-REBOOT: tuple[Step, ...] = ("support_part", "look", "mend", "clear_reboot", "release", "reset")
-START: tuple[Step, ...] = ("mend", "clear", "reset")
-CONFIG: tuple[Step, ...] = ("look", "correct", "restart")
-EMPTY: tuple[Step, ...] = ("look", "clear", "release", "reset")
-STOPPED: tuple[Step, ...] = ("support_part", "release")
-OPEN: tuple[Step, ...] = ("mend", "restart")
-FREE: tuple[Step, ...] = ("free_pads", "clear", "reset")
-ZERO: tuple[Step, ...] = ("look", "clear", "support_part", "release", "free_pads", "reset")
-REQUEST: tuple[Step, ...] = ("correct", "repeat")
-AGAIN: tuple[Step, ...] = ("look", "repeat")
-ON_HOLD: tuple[Step, ...] = ("wait", "clear", "repeat")
+LET_GO: tuple[RecoveryStep, ...] = ("look", "clear", "support_part", "release", "reset")
+MEND: tuple[RecoveryStep, ...] = ("look", "mend", "clear", "support_part", "release", "reset")
+LET_GO_FIRST: tuple[RecoveryStep, ...] = (
+    "look",
+    "clear",
+    "support_part",
+    "release",
+    "mend",
+    "reset",
+)
+REBOOT: tuple[RecoveryStep, ...] = (
+    "support_part",
+    "look",
+    "mend",
+    "clear_reboot",
+    "release",
+    "reset",
+)
+START: tuple[RecoveryStep, ...] = ("mend", "clear", "reset")
+CONFIG: tuple[RecoveryStep, ...] = ("look", "correct", "restart")
+EMPTY: tuple[RecoveryStep, ...] = ("look", "clear", "release", "reset")
+STOPPED: tuple[RecoveryStep, ...] = ("support_part", "release")
+OPEN: tuple[RecoveryStep, ...] = ("mend", "restart")
+FREE: tuple[RecoveryStep, ...] = ("free_pads", "clear", "reset")
+ZERO: tuple[RecoveryStep, ...] = ("look", "clear", "support_part", "release", "free_pads", "reset")
+REQUEST: tuple[RecoveryStep, ...] = ("correct", "repeat")
+AGAIN: tuple[RecoveryStep, ...] = ("look", "repeat")
+ON_HOLD: tuple[RecoveryStep, ...] = ("wait", "clear", "repeat")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +76,7 @@ class Fault:
     """What usually causes it, and what to do."""
     grip: str
     """What the grip does."""
-    steps: tuple[Step, ...]
+    steps: tuple[RecoveryStep, ...]
     """What a person does until the cell is ready again, in order."""
 
 

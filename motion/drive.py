@@ -24,7 +24,7 @@ from motion.errors import (
     HomingFailed,
     LimitSwitchReached,
 )
-from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
+from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
 from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE, PolledSdoClient
 
 HEARTBEAT_S = 0.05
@@ -137,9 +137,9 @@ class Cia402Drive:
                 f"{self.name} has device type {kind:08X}h, which is no CiA 402 drive: correct the "
                 "node-ID"
             )
-        needed = [OperatingMode.PROFILE_POSITION]
+        needed = [ModeOfOperation.PROFILE_POSITION]
         if self._settings.homing is not None:
-            needed.append(OperatingMode.HOMING)
+            needed.append(ModeOfOperation.HOMING)
         for mode in needed:
             if not modes >> (mode - 1) & 1:
                 raise AxisMissing(
@@ -180,7 +180,7 @@ class Cia402Drive:
         self._enable()
         if self._settings.homing is not None:
             self._home(self._settings.homing)
-        self._set_mode(OperatingMode.PROFILE_POSITION)
+        self._set_mode(ModeOfOperation.PROFILE_POSITION)
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Clear the fault of the drive; it needs no restart, and is neither enabled nor moved.
@@ -356,7 +356,7 @@ class Cia402Drive:
     def _home(self, method: HomingMethod) -> None:
         wanted = self._settings
         slow = max(1, wanted.homing_velocity // _ZERO_SPEED_SHARE)
-        self._set_mode(OperatingMode.HOMING)
+        self._set_mode(ModeOfOperation.HOMING)
         self._write(od.HOMING_METHOD, 0, method)
         self._write(od.HOME_OFFSET, 0, wanted.home)
         self._write(od.HOMING_SPEEDS, 1, wanted.homing_velocity)
@@ -377,7 +377,7 @@ class Cia402Drive:
         self._until(attained, longest_s, "has not found its home: check its switch", HomingFailed)
         self._write(od.CONTROLWORD, 0, Control.ENABLE_OPERATION)
 
-    def _set_mode(self, mode: OperatingMode) -> None:
+    def _set_mode(self, mode: ModeOfOperation) -> None:
         self._write(od.MODE, 0, mode)
         self._until(
             lambda: self._read(od.MODE_DISPLAY) == mode, _STATE_S, f"does not take mode {mode.name}"

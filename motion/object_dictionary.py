@@ -58,7 +58,7 @@ DIGITAL_INPUTS = 0x60FD
 SUPPORTED_MODES = 0x6502
 
 
-class OperatingMode(IntEnum):
+class ModeOfOperation(IntEnum):
     """Values of Modes of operation (6060h) that are used here."""
 
     NONE = 0

@@ -18,7 +18,7 @@ from simulator.world.shapes import PAPER_OBJECTS, Box, ObjectPose, posed_heights
 from simulator.world.taxels import (
     RESISTANCE_AT_REST_MOHM,
     NoiseModel,
-    PadGrid,
+    PressureGrid,
     ideal_counts,
     resistance_mohm,
 )
@@ -43,7 +43,7 @@ _APERTURE_SD_M = 0.2e-3
 
 _LAYOUT = paper_layout()
 _FOAM = Foam()
-_GRIDS = tuple(PadGrid(_LAYOUT.pads[pad], _FOAM) for pad in _LAYOUT.gripping_pads)
+_GRIDS = tuple(PressureGrid(_LAYOUT.pads[pad], _FOAM) for pad in _LAYOUT.gripping_pads)
 
 
 def gripping_pads() -> PadArray:

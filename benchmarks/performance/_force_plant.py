@@ -162,7 +162,7 @@ class FrameSensor:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Quality:
+class RampQuality:
     """Overshoot in N, time to settle after the ramp in s, largest error while holding in N.
 
     ``lost`` is True where the gripper took the part for lost: then it is not held.
@@ -277,7 +277,7 @@ class Rig:
         self._sensor.measure(now_s, self.force_n)
         self._trace.append((now_s, self.force_n))
 
-    def grasp(self, final_n: float, rate_n_s: float) -> Quality:
+    def grasp(self, final_n: float, rate_n_s: float) -> RampQuality:
         """Grasp and hold, and judge the true force."""
         ends_s: list[float] = []
 
@@ -297,12 +297,12 @@ class Rig:
                 self.gripper.hold(_HOLD_S, observe)
                 lost = False
         if lost:
-            return Quality(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n, lost=True)
+            return RampQuality(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n, lost=True)
         tolerance_n = max(0.2, 0.05 * final_n)
         ramped = [entry for entry in self._trace if entry[0] >= outcome.contact_t_s]
         after = [(t_s - ends_s[0], n - final_n) for t_s, n in ramped if t_s >= ends_s[0]]
         outside = [t_s for t_s, error_n in after if abs(error_n) > tolerance_n]
-        return Quality(
+        return RampQuality(
             overshoot_n=max(0.0, *(force_n - final_n for _, force_n in ramped)),
             settling_s=max(outside, default=0.0),
             holding_n=max(abs(error_n) for t_s, error_n in after if t_s >= _SETTLED_S),

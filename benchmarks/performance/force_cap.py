@@ -81,7 +81,7 @@ def drawn_changes(seed: int) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class CapTrial:
     """Grasp under one config."""
 
     seed: int
@@ -113,7 +113,7 @@ class Trial:
         )
 
 
-def trial(seed: int, changes: Mapping[str, Any] | None = None) -> Trial:
+def trial(seed: int, changes: Mapping[str, Any] | None = None) -> CapTrial:
     """Grasp once with a config that is drawn, and some values changed."""
     draw = random.Random(-seed)
     drawn = drawn_changes(seed) | dict(changes or {})
@@ -121,7 +121,7 @@ def trial(seed: int, changes: Mapping[str, Any] | None = None) -> Trial:
     try:
         config = changed_config(CellConfig(), drawn)
     except CellError as error:
-        return Trial(seed=seed, part=part, cap_n=cap_n, error=error, refused=True)
+        return CapTrial(seed=seed, part=part, cap_n=cap_n, error=error, refused=True)
     most: tuple[float, str] = (0.0, "")
     error: Exception | None = None
     with simulated_cell(config) as simulated:
@@ -145,7 +145,7 @@ def trial(seed: int, changes: Mapping[str, Any] | None = None) -> Trial:
             error = caught
         finally:
             cell.close()
-    return Trial(
+    return CapTrial(
         seed=seed,
         part=part,
         cap_n=cap_n,

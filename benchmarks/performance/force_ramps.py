@@ -21,7 +21,14 @@ from typing import Any
 from unittest import mock
 
 from benchmarks._measure import in_turns, line, repeats
-from benchmarks.performance._force_plant import Part, PlainFeedForward, PlainPi, Quality, Rig, Truth
+from benchmarks.performance._force_plant import (
+    Part,
+    PlainFeedForward,
+    PlainPi,
+    RampQuality,
+    Rig,
+    Truth,
+)
 from gripper.force import grip_control
 from gripper.settings import ForceLoopSettings
 
@@ -114,7 +121,7 @@ CASES = tuple(
 )
 
 
-def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> Quality:
+def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> RampQuality:
     """Return the worst of one ramp, over how the gripper may differ."""
     truths, noise_n = (HARD_TRUTHS, HARD_NOISE_N) if setup.hard else (TRUTHS, NOISE_N)
     with setup.tuning() as tuning:
@@ -133,9 +140,9 @@ def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> Quality:
         return worst([rig.grasp(case.final_n, case.rate_n_s) for rig in rigs])
 
 
-def worst(runs: Sequence[Quality]) -> Quality:
+def worst(runs: Sequence[RampQuality]) -> RampQuality:
     """Return the worst of each figure."""
-    return Quality(
+    return RampQuality(
         overshoot_n=max(run.overshoot_n for run in runs),
         settling_s=max(run.settling_s for run in runs),
         holding_n=max(run.holding_n for run in runs),
@@ -143,7 +150,7 @@ def worst(runs: Sequence[Quality]) -> Quality:
     )
 
 
-def met(quality: Quality, final_n: float) -> tuple[bool, bool, bool]:
+def met(quality: RampQuality, final_n: float) -> tuple[bool, bool, bool]:
     """Return which aims are met: overshoot of 5 % or 0.2 N, 0.3 s to settle, 0.15 N in the hold."""
     if quality.lost:
         return False, False, False
@@ -154,14 +161,14 @@ def met(quality: Quality, final_n: float) -> tuple[bool, bool, bool]:
     )
 
 
-def _counts(found: Mapping[Case, Quality]) -> tuple[int, int, int]:
+def _counts(found: Mapping[Case, RampQuality]) -> tuple[int, int, int]:
     """Return how many ramps meet the aims of overshoot, settling and holding."""
     marks = [met(quality, case.final_n) for case, quality in found.items()]
     overshoot, settling, holding = (sum(one) for one in zip(*marks, strict=True))
     return overshoot, settling, holding
 
 
-def _mean_n(found: Mapping[Case, Quality]) -> float:
+def _mean_n(found: Mapping[Case, RampQuality]) -> float:
     return sum(quality.holding_n for quality in found.values()) / len(found)
 
 
@@ -170,7 +177,7 @@ def main(effort: float = 1.0, *, page: bool = False) -> None:
     n_truths = repeats(len(TRUTHS), effort)
     cases = CASES[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else CASES
     line("compared", f"{len(cases)} ramps x {n_truths} truths x {len(SETUPS)} laws and plants")
-    found: dict[str, dict[Case, Quality]] = {name: {} for name in SETUPS}
+    found: dict[str, dict[Case, RampQuality]] = {name: {} for name in SETUPS}
     for case in cases:
         turns = {name: partial(run, setup, case, n_truths) for name, setup in SETUPS.items()}
         for name, (quality,) in in_turns(turns, 1).items():
@@ -181,17 +188,17 @@ def main(effort: float = 1.0, *, page: bool = False) -> None:
         write_page(lines)
 
 
-def _missed(case: Case, quality: Quality) -> str:
+def _missed(case: Case, quality: RampQuality) -> str:
     """Return the initials of the aims that are missed: overshoot, settling, hold."""
     marks = zip("OSH", met(quality, case.final_n), strict=True)
     return "".join(mark for mark, ok in marks if not ok)
 
 
-def _lost(qualities: Mapping[Case, Quality]) -> int:
+def _lost(qualities: Mapping[Case, RampQuality]) -> int:
     return sum(quality.lost for quality in qualities.values())
 
 
-def row(case: Case, plain: Quality, further: Quality) -> str:
+def row(case: Case, plain: RampQuality, further: RampQuality) -> str:
     """Return the line of one ramp in the table of the page, without and with further truths."""
     figures = " | ".join(
         ("part lost |  | " if q.lost else f"{q.overshoot_n:.2f} | {q.settling_s:.2f} | ")
@@ -202,7 +209,7 @@ def row(case: Case, plain: Quality, further: Quality) -> str:
     return f"| {case.part} | {case.final_n:g} N | {case.rate_n_s:g} N/s | {figures} |"
 
 
-def tables(found: Mapping[str, Mapping[Case, Quality]]) -> list[str]:
+def tables(found: Mapping[str, Mapping[Case, RampQuality]]) -> list[str]:
     """Return the figures of all laws as the lines of the page."""
     own, further = found[OWN], found[OWN_TRUTHS]
     return [

@@ -20,7 +20,7 @@ GAUGE_GRASPS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class JudgedAnswer:
     """The answer to one grasp or sequence, and the truth."""
 
     truth: str
@@ -40,14 +40,14 @@ class Answer:
 
 def asked(
     recognizer: Recognizer, grasps: Sequence[Grasp], early: EarlyClassifiers | None = None
-) -> list[Answer]:
+) -> list[JudgedAnswer]:
     """Answer each grasp by itself; with ``early`` by as much of its ramp as a cell would take."""
     heads = None if early is None else early.as_wary_as(recognizer)
     answers = []
     for grasp in grasps:
         ended = None if heads is None else _when_sure(heads, grasp)
         found = recognizer.posterior(grasp) if ended is None else ended
-        answers.append(Answer.of(grasp.label, found, early=ended is not None))
+        answers.append(JudgedAnswer.of(grasp.label, found, early=ended is not None))
     return answers
 
 
@@ -64,7 +64,7 @@ def followed(
     grasps: Sequence[Grasp],
     seed: int,
     early: EarlyClassifiers | None = None,
-) -> tuple[list[Answer], ForceRampRecognizer]:
+) -> tuple[list[JudgedAnswer], ForceRampRecognizer]:
     """Answer the grasps of a shift in a mixed order, each after those before it.
 
     Ramps that ``early`` ends are not followed. Returns the answers, and the recogniser after the
@@ -80,7 +80,7 @@ def followed(
 
 def gauged(
     recognizer: ForceRampRecognizer, grasps: Sequence[Grasp], labels: Sequence[str]
-) -> list[Answer]:
+) -> list[JudgedAnswer]:
     """Gauge with the first grasps of each label and answer all others."""
     taken: list[Grasp] = []
     for label in labels:
@@ -90,7 +90,7 @@ def gauged(
     return asked(recognizer, [g for g in grasps if not any(g is one for one in taken)])
 
 
-def figures(answers: Sequence[Answer], *, times: int = 1) -> str:
+def figures(answers: Sequence[JudgedAnswer], *, times: int = 1) -> str:
     """Return the shares of right, wrong and missing names, of taught objects and of new ones.
 
     Each grasp was answered several ``times``: for the intervals it counts as one.

@@ -91,7 +91,7 @@ class Sensed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trial:
+class PressedObject:
     """An object pressed into one pad deeper and deeper; K depths, the first of them 0."""
 
     label: str
@@ -115,7 +115,7 @@ def _grid(pad: ElasticPad, shape: tuple[int, int]) -> ElasticGrid:
 
 def pressed(
     label: str, shape: str, command: GraspCommand, material: Material, layout: LayoutName = "paper"
-) -> Trial:
+) -> PressedObject:
     """Press an object into a pad until it carries the force of the command, and some to spare."""
     largest_n = 1.15 * command.force_n
     thing = parse_shape(shape)
@@ -161,7 +161,7 @@ def pressed(
         stress_pa = grid.stress_pa(pressure_pa)
         taxels_n.append((along @ stress_pa @ across.T).ravel() * _CELL_M**2)
         depth_m *= _DEEPER
-    return Trial(
+    return PressedObject(
         label=label,
         command=command,
         material=material,
@@ -173,7 +173,7 @@ def pressed(
     )
 
 
-def elastic_grasp(trial: Trial, sensed: Sensed, seed: int) -> Grasp:
+def elastic_grasp(trial: PressedObject, sensed: Sensed, seed: int) -> Grasp:
     """Return one grasp: 0.3 s of rest, a ramp of 5 N/s, 0.4 s of hold, 50 frames a second."""
     rng = np.random.default_rng(seed)
     command, material, layout = trial.command, trial.material, trial.layout

@@ -11,7 +11,7 @@ from simulator.world.foam import Foam
 from simulator.world.press import Press
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import ObjectPose, resting_pose
-from simulator.world.taxels import NoiseModel, PadGrid, ideal_counts
+from simulator.world.taxels import NoiseModel, PressureGrid, ideal_counts
 from tactile.layout import paper_layout
 
 FRAME_S = 0.02
@@ -22,7 +22,7 @@ _APPROACH_M = 1e-3
 _BISECTIONS = 30
 _LAYOUT = paper_layout()
 _FOAM = Foam()
-_GRIDS = tuple(PadGrid(_LAYOUT.pads[pad], _FOAM) for pad in _LAYOUT.gripping_pads)
+_GRIDS = tuple(PressureGrid(_LAYOUT.pads[pad], _FOAM) for pad in _LAYOUT.gripping_pads)
 PADS = pad_array(_LAYOUT)
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks._measure import line, repeats, some
-from benchmarks.recognition._answers import Answer, figures
+from benchmarks.recognition._answers import JudgedAnswer, figures
 from benchmarks.recognition._cell_grasps import cell_grasps
 from benchmarks.recognition._grasps import PAPER, recorded, simulated
 from benchmarks.recognition.drift import DRIFT
@@ -47,8 +47,8 @@ def show_few(
     """Print the answers where random groups are taught alone; as many other objects are new."""
     taught, tested = by_label(train), by_label(test)
     labels = np.random.default_rng(0).permutation(sorted(taught)).tolist()
-    single: list[Answer] = []
-    several: list[Answer] = []
+    single: list[JudgedAnswer] = []
+    several: list[JudgedAnswer] = []
     for start in range(0, len(labels) - n_objects + 1, n_objects):
         group = (labels[start:] + labels[:start])[: 2 * n_objects]
         recognizer = ForceRampTrainer().fit(
@@ -56,11 +56,11 @@ def show_few(
         )
         for label in group:
             posteriors = [recognizer.posterior(grasp) for grasp in tested[label]]
-            single += [Answer.of(label, one) for one in posteriors]
+            single += [JudgedAnswer.of(label, one) for one in posteriors]
             for begin in range(0, len(posteriors), _MAX_GRASPS):
                 row = posteriors[begin : begin + _MAX_GRASPS]
                 name = ended(row, StopRule(max_grasps=len(row)))[0].label
-                several.append(Answer(label, label in recognizer.labels, name, name))
+                several.append(JudgedAnswer(label, label in recognizer.labels, name, name))
     line(f"  {name_of_data}, {n_objects} objects, {n_taught} grasps", figures(single))
     line("    in sequences", figures(several))
 
@@ -95,7 +95,7 @@ def main(effort: float = 1.0) -> None:
     }
     labels = sorted({grasp.label for grasp in grasps})
     groups = [set(labels[i::_GROUPS]) for i in range(min(_GROUPS, len(labels)))]
-    answers: dict[tuple[str, float], list[Answer]] = defaultdict(list)
+    answers: dict[tuple[str, float], list[JudgedAnswer]] = defaultdict(list)
     for out in groups[: repeats(len(groups), effort)]:
         taught = ForceRampTrainer().fit([grasp for grasp in train if grasp.label not in out])
         for day, tested in days.items():
@@ -103,7 +103,7 @@ def main(effort: float = 1.0) -> None:
                 evidence = taught.evidence(grasp)
                 for caution in CAUTIONS:
                     posterior = replace(taught, caution=caution).answer(grasp, evidence)
-                    answers[day, caution].append(Answer.of(grasp.label, posterior))
+                    answers[day, caution].append(JudgedAnswer.of(grasp.label, posterior))
     line("compared", f"{len(labels)} objects, {len(test)} grasps tested for each group left out")
     for (day, caution), given in answers.items():
         line(f"  {day}, {caution:g}", figures(given))

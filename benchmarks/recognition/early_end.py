@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchmarks._measure import line, repeats
-from benchmarks.recognition._answers import Answer, figures, shape_figures
+from benchmarks.recognition._answers import JudgedAnswer, figures, shape_figures
 from benchmarks.recognition.other_cell import NEVER_TAUGHT
 from cell.build import Cell, build_cell
 from cell.config.file import changed_config
@@ -46,7 +46,7 @@ _FEW_OBJECTS = 2
 
 
 @dataclass
-class Tally:
+class IdentifiedParts:
     """What a row of identifications took and told."""
 
     found: list[Identification] = field(default_factory=list)
@@ -69,10 +69,10 @@ class Tally:
             f"{100 * ended:.0f} % ended early"
         )
 
-    def answers(self, labels: Sequence[str]) -> list[Answer]:
+    def answers(self, labels: Sequence[str]) -> list[JudgedAnswer]:
         """Return the answers of a bench that was taught these labels."""
         return [
-            Answer(truth, truth in labels, one.fused.best, one.label)
+            JudgedAnswer(truth, truth in labels, one.fused.best, one.label)
             for truth, one in zip(self.truths, self.found, strict=True)
         ]
 
@@ -86,7 +86,7 @@ class Tally:
         return shape_figures(told)
 
 
-class Bench:
+class TaughtCell:
     """A simulated cell and what it was taught."""
 
     def __init__(self, cell: Cell, config: CellConfig, labels: Sequence[str], n_taught: int):
@@ -104,7 +104,12 @@ class Bench:
         return trained.recognizer, trained.early
 
     def identify(
-        self, tally: Tally, label: str, seed: int, whole: Recognizer, early: EarlyClassifiers | None
+        self,
+        tally: IdentifiedParts,
+        label: str,
+        seed: int,
+        whole: Recognizer,
+        early: EarlyClassifiers | None,
     ) -> None:
         """Present an object and identify it."""
         assert self.cell.simulated is not None
@@ -119,7 +124,7 @@ class Bench:
 
 
 @contextmanager
-def bench_of(noise: float, effort: float) -> Iterator[Bench]:
+def bench_of(noise: float, effort: float) -> Iterator[TaughtCell]:
     config = CellConfig()
     labels = [entry.label for entry in config.simulator.objects]
     if effort < 0.1:
@@ -129,17 +134,17 @@ def bench_of(noise: float, effort: float) -> Iterator[Bench]:
     config = changed_config(config, {"simulator.noise_level": noise, "simulator.objects": objects})
     cell = build_cell(config)
     try:
-        yield Bench(cell, config, labels, repeats(_TAUGHT, effort, least=3))
+        yield TaughtCell(cell, config, labels, repeats(_TAUGHT, effort, least=3))
     finally:
         cell.close()
 
 
-def compare(bench: Bench, effort: float) -> None:
+def compare(bench: TaughtCell, effort: float) -> None:
     """Print whole and ended ramps."""
     whole, heads = bench.train()
     objects = {"taught": bench.labels, "never taught": list(NEVER_TAUGHT)}
     ways = {"whole ramps": None, "ended early": heads}
-    tallies = {way: {what: Tally() for what in objects} for way in ways}
+    tallies = {way: {what: IdentifiedParts() for what in objects} for way in ways}
     for what, labels in objects.items():
         for number, label in enumerate(labels):
             for turn in range(repeats(_PER_OBJECT, effort)):

@@ -11,15 +11,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from benchmarks._measure import line, repeats, some
-from benchmarks.recognition._answers import Answer, Told, asked, figures, shape_figures
+from benchmarks.recognition._answers import JudgedAnswer, Told, asked, figures, shape_figures
 from benchmarks.recognition._elastic_grasps import (
     FULL_SCALE_N,
     MATERIALS,
     PADS,
     LayoutName,
     Material,
+    PressedObject,
     Sensed,
-    Trial,
     elastic_grasp,
     pressed,
 )
@@ -56,7 +56,7 @@ CASES = {"opening too": (1.0, True), "touch alone": (1.0, False), "twice the noi
 
 def trials(
     objects: Mapping[str, str], n: int, material: Material, layout: LayoutName, number: int
-) -> dict[int, Trial]:
+) -> dict[int, PressedObject]:
     """Press each object ``n`` times at random placings with 2 to 8 N; trials by their seed."""
     return {
         seed: pressed(label, shape, draw_placing(np.random.default_rng(seed)), material, layout)
@@ -65,7 +65,7 @@ def trials(
     }
 
 
-def sensed(trials: Mapping[int, Trial], sensor: Sensed) -> list[Grasp]:
+def sensed(trials: Mapping[int, PressedObject], sensor: Sensed) -> list[Grasp]:
     """Return the grasps of trials under a sensor."""
     return [elastic_grasp(trial, sensor, seed) for seed, trial in trials.items()]
 
@@ -120,7 +120,7 @@ def names(materials: Mapping[str, Material], effort: float) -> None:
     config, n_test = config_of(layout, noise), repeats(8, effort)
     objects = some(PAPER, effort) | some(NEVER_TAUGHT, effort)
     gauge_sensor = Sensed(noise=noise, aperture_sd_m=0.1e-3)
-    total: dict[tuple[str, str], list[Answer]] = {}
+    total: dict[tuple[str, str], list[JudgedAnswer]] = {}
     for name, material in materials.items():
         tests = trials(objects, n_test, material, layout, 1)
         known = knowledge(config, material, layout, gauge_sensor, effort)

@@ -25,7 +25,7 @@ _PATIENCE_S = 0.02
 right only later, answers within it."""
 
 
-class Lines:
+class LineOpener:
     """Opens the lines of a cell: here the ports of this machine."""
 
     clock: Clock = time
@@ -78,7 +78,7 @@ class Bench:
     def __init__(
         self,
         folder: Path,
-        lines: Lines | None = None,
+        lines: LineOpener | None = None,
         *,
         given: Mapping[str, Any] | None = None,
         base: CellConfig | None = None,
@@ -87,7 +87,7 @@ class Bench:
         if base is None and (folder / CONFIG_NAME).exists():
             base = load_config(folder / CONFIG_NAME)
         self._base = _new_cell(folder) if base is None else base
-        self.lines = lines or Lines()
+        self.lines = lines or LineOpener()
         self.given: Mapping[str, Any] = given or {}
         self.settings: Mapping[str, Any] = {}
         self.found: Mapping[str, Mapping[str, Any]] = {}

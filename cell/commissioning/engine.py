@@ -53,7 +53,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Number:
+class NumberRange:
     """Range of a number that a person types."""
 
     lowest: float
@@ -70,7 +70,7 @@ class Question:
     """Name of the question, the same in every run: ``step.subject``."""
     text: str
     choices: tuple[Choice, ...] | None = None
-    number: Number | None = None
+    number: NumberRange | None = None
     default: str | float | None = None
     """Answer where the person just confirms; None where there is none."""
 

@@ -19,7 +19,7 @@ from cell.commissioning.engine import (
     LOOK_S,
     Dialog,
     Finding,
-    Number,
+    NumberRange,
     Question,
     Step,
     StepFailed,
@@ -88,7 +88,7 @@ _FIRST_FORCE_N = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
+class BlockMeasurement:
     """Fingers on a block of known size."""
 
     angles_rad: tuple[float, ...]
@@ -132,7 +132,7 @@ def moved_alone(before: Sequence[int], after: Sequence[int]) -> int | None:
     return index if alone else None
 
 
-def fit_linkages(measured: Sequence[Measured]) -> tuple[LinkageFit, ...]:
+def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]:
     """Return the linkages that fit closed fingers and blocks, the most probable first.
 
     Closed fingers (opening 0 at angle 0) are a measurement of their own. A swinging finger follows
@@ -370,13 +370,13 @@ class _Hands:
                 return closed, (first, both_open[1])
             self._dialog.say(f"It has not moved: {_ways(self._servos, closed, both_open)}.")
 
-    def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[Measured]:
+    def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[BlockMeasurement]:
         """Return the fingers on blocks of known size: two, a third where no simple law fits."""
         self._shown = lambda: ", ".join(
             f"finger {number}: {degrees(angle):.1f} deg open"
             for number, angle in enumerate(_turned(self._read(), closed, signs))
         )
-        measured: list[Measured] = []
+        measured: list[BlockMeasurement] = []
         for number, (text, least) in enumerate(_BLOCKS, start=1):
             if number > _SIMPLE_BLOCKS and _simple(fit_linkages(measured)[0]):
                 break
@@ -384,7 +384,7 @@ class _Hands:
                 Question(
                     key=f"fingers.block{number}",
                     text=f"{text} How thick is it?",
-                    number=Number(lowest=least, highest=400.0, unit="mm"),
+                    number=NumberRange(lowest=least, highest=400.0, unit="mm"),
                     default=None if least else 0.0,
                 )
             )
@@ -396,7 +396,9 @@ class _Hands:
                 "by hand until they just touch it, flat.",
             )
             angles_rad = _turned(raws, closed, signs)
-            measured.append(Measured(angles_rad=angles_rad, aperture_m=float(size_mm) * 1e-3))
+            measured.append(
+                BlockMeasurement(angles_rad=angles_rad, aperture_m=float(size_mm) * 1e-3)
+            )
             if sum(measured[-1].angles_rad) <= 0.0:
                 raise StepFailed(
                     f"on the block of {float(size_mm):g} mm the fingers stand closer than when "

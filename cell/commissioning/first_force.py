@@ -13,7 +13,7 @@ from cell.commissioning.engine import (
     Dialog,
     Finding,
     Left,
-    Number,
+    NumberRange,
     Question,
     Step,
     StepFailed,
@@ -235,7 +235,7 @@ def _asked(dialog: Dialog, limit_n: float) -> float:
             key="first_force.most",
             text="Choose a soft part of 10 to 20 mm, as a piece of foam or rubber. With which "
             f"force may it be pressed? {limit_n:g} N is what the cap of the config allows.",
-            number=Number(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
+            number=NumberRange(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
             default=limit_n,
         )
     )

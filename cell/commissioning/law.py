@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Number, Question, Step, StepFailed
+from cell.commissioning.engine import Dialog, Finding, NumberRange, Question, Step, StepFailed
 from cell.commissioning.figures import curves
 from cell.commissioning.pads import sequence_forces_n
 from cell.commissioning.unit import unit_sensor
@@ -137,7 +137,7 @@ def _loads(
                 key=f"pads_law.{finger}.{number}",
                 text=f"Load {number} of {len(targets_n)} on {name}: about "
                 f"{1e3 * target_n / GRAVITY_N_KG:.0f} g. Type the reading while it lies there.",
-                number=Number(lowest=1.0, highest=round(most_g), unit="g"),
+                number=NumberRange(lowest=1.0, highest=round(most_g), unit="g"),
             ),
             watch=lambda: f"{name} shows {_shown_n(sensor, pad, _WATCH_FRAMES):.2f} N",
         )

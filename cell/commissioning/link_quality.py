@@ -37,7 +37,7 @@ _LIVE_S = 1.0
 
 
 @dataclass(slots=True)
-class Quality:
+class LinkQuality:
     """What both lines did, second by second."""
 
     answer_s: list[float] = field(default_factory=list)
@@ -63,7 +63,7 @@ def watch_lines(
     period_s: float,
     duration_s: float,
     dialog: Dialog,
-) -> Quality:
+) -> LinkQuality:
     """Ask all servos and take in the pads, if there are any, once a period; return how both did.
 
     Raises
@@ -71,7 +71,7 @@ def watch_lines(
     GripperError, TactileError
         Where a line fails for good.
     """
-    quality = Quality()
+    quality = LinkQuality()
     began_s = due_s = clock.monotonic()
     end_s, shown_s = began_s + duration_s, began_s
     force_s = float("nan")
@@ -183,7 +183,11 @@ class LinkQualityStep(Step):
 
 
 def _judge_servos(
-    quality: Quality, before: BusStatistics, after: BusStatistics, period_s: float, notes: Finding
+    quality: LinkQuality,
+    before: BusStatistics,
+    after: BusStatistics,
+    period_s: float,
+    notes: Finding,
 ) -> list[str]:
     """Note what was counted on the line of the servos; returns what to mend."""
     asked, answers = len(quality.answer_s), _known(quality.answer_s)
@@ -216,7 +220,7 @@ def _judge_servos(
 
 
 def _judge_pads(
-    quality: Quality, link: LinkStatistics, force_period_s: float, notes: Finding
+    quality: LinkQuality, link: LinkStatistics, force_period_s: float, notes: Finding
 ) -> list[str]:
     """Note what was counted on the CAN bus; returns what to mend."""
     frames, forces = link.frames, link.forces

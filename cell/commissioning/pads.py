@@ -67,7 +67,7 @@ def read_frames(sensor: TactileSensor, n_frames: int) -> Counts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rest:
+class PadsAtRest:
     """Pads that nothing touches."""
 
     zero_counts: NDArray[np.float64]
@@ -81,7 +81,7 @@ class Rest:
     """Force in N at which the taxels of each pad reach full scale, the median."""
 
 
-def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> Rest:
+def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> PadsAtRest:
     """Return what frames (n, n_taxels) at rest show."""
     zero = frames.mean(axis=0, dtype=np.float64)
     health = assess_health(frames, layout.adc_max)
@@ -90,7 +90,7 @@ def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> Re
     force_n = calibration.force_n(tared.reshape(n, _MEAN_FRAMES, -1).mean(axis=1))
     full_n = calibration.force_n(layout.adc_max - zero)
     slices = [layout.taxels_of(pad) for pad in range(layout.n_pads)]
-    return Rest(
+    return PadsAtRest(
         zero_counts=zero,
         noise_counts=frames.std(axis=0, dtype=np.float64),
         health=health,
@@ -119,7 +119,7 @@ def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
 def judge_rest(
     layout: TaxelLayout,
     frames: Counts,
-    rest: Rest,
+    rest: PadsAtRest,
     notes: Finding,
     *,
     limits: TareLimits,

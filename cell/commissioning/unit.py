@@ -23,7 +23,7 @@ from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
 from tactile.unit.commissioning import identity_checks
-from tactile.unit.search import FoundUnit, Heard, listen, read_unit, read_vendor, scan
+from tactile.unit.search import BusTraffic, FoundUnit, listen, read_unit, read_vendor, scan
 from tactile.unit.settings import ExpectedIdentity
 
 BIT_RATES: tuple[int, ...] = tuple(
@@ -224,7 +224,9 @@ def _system_bit_rate(interface: str, channel: str) -> int | None:
     return int(rate)
 
 
-def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tuple[int, Heard, str]:
+def _bit_rate(
+    bench: Bench, dialog: Dialog, interface: str, channel: str
+) -> tuple[int, BusTraffic, str]:
     """Return the bit rate at which something is heard: by listening first, and then by asking."""
     fixed = _system_bit_rate(interface, channel)
     rates = BIT_RATES if fixed is None else (fixed,)
@@ -262,7 +264,7 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
     )
 
 
-def _node(bus: CanBus, heard: Heard, dialog: Dialog, notes: Finding) -> int:
+def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int:
     """Return the node-ID of the control unit among those who are there."""
     expected = ExpectedIdentity()
     units, others = [], []

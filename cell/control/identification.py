@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from cell.control.keeping import Judge, Keep, Verdict
+from cell.control.keeping import Judge, Keep, PartDecision
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
 from recognition.drift.grid import DriftFollowing, DriftGrid
@@ -16,7 +16,7 @@ from recognition.shape.fusion import fuse_shapes
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
 
 SAME_GRIP_DEPENDENCE = 0.5
-"""Correlation of the log evidence of a further ramp in the same grip with the ramps before: pose
+"""Correlation of the log answers of a further ramp in the same grip with the ramps before: pose
 and part are the same, what differs is the noise of the frames. Fused by the mean with that of the
 first ramp (0.2), three ramps count as with 0.4, under which 40 simulated parts are likeliest (touch
 alone, twice the noise; 0.2 at the usual one)."""
@@ -89,7 +89,7 @@ Begin = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
 """Begins to compute, or not yet, and returns the function that waits for the answer."""
 
 
-class Evidence:
+class SequenceAnswers:
     """Answers to the grasps of one sequence so far, and the decision after each.
 
     Parameters
@@ -257,30 +257,32 @@ def grasp_and_classify(
         How answers are computed; by default when they are waited for.
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
-    evidence = Evidence(recognizer, rule, read_shape=read_shape, on_grasp=on_grasp, begin=begin)
+    answers = SequenceAnswers(
+        recognizer, rule, read_shape=read_shape, on_grasp=on_grasp, begin=begin
+    )
     heads = None if early is None else early.as_wary_as(recognizer)
     steps = iter(plan)
 
     def next_step() -> GraspStep:
         planned = next(steps)
-        return planned if chooser is None else chooser.next_step(evidence.posteriors, planned)
+        return planned if chooser is None else chooser.next_step(answers.posteriors, planned)
 
-    def decide() -> Verdict:
-        evidence.add()
-        if evidence.over:
-            return Verdict(keep=keep.keeps(evidence.decision.label))
-        return Verdict() if regrasps else Verdict(further=next_step())
+    def decide() -> PartDecision:
+        answers.add()
+        if answers.over:
+            return PartDecision(keep=keep.keeps(answers.decision.label))
+        return PartDecision() if regrasps else PartDecision(further=next_step())
 
     keeps = keep is not Keep.NEVER
-    judge = Judge(begin=evidence.begin, decide=decide, holds=keeps or not regrasps, keeps=keeps)
+    judge = Judge(begin=answers.begin, decide=decide, holds=keeps or not regrasps, keeps=keeps)
     kept = False
-    while not (evidence.records and evidence.over):
+    while not (answers.records and answers.over):
         looks = None
         if heads is not None:
-            looks = EarlyDecider(heads, evidence.posteriors, rule)
+            looks = EarlyDecider(heads, answers.posteriors, rule)
         _, kept = grasp(next_step(), looks, judge)
         if not judge.holds:
-            evidence.add()
+            answers.add()
         if looks is not None and looks.error is not None:
-            evidence.complain(f"looks at the ramp of grasp {len(evidence.records)}", looks.error)
-    return evidence.identification(kept=kept)
+            answers.complain(f"looks at the ramp of grasp {len(answers.records)}", looks.error)
+    return answers.identification(kept=kept)

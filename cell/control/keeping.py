@@ -41,7 +41,7 @@ class Keep(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class PartDecision:
     """What becomes of a part that is held while its grasp is looked at."""
 
     keep: bool = False
@@ -57,7 +57,7 @@ class Judge:
     begin: Callable[[GraspRecord], None]
     """Called at the end of a ramp: the answer is computed during the motion that follows, where the
     force loop has a process of its own."""
-    decide: Callable[[], Verdict]
+    decide: Callable[[], PartDecision]
     """Waits for the answer and decides; called while the part is held, where it is."""
     holds: bool
     """Whether the part is held until the decision; else it is let go during the computing."""

@@ -12,7 +12,7 @@ from cell.control.states import (
     Command,
     Event,
     GraspState,
-    answer,
+    command_effect,
     grasp_state,
     next_state,
     refusal,
@@ -129,7 +129,7 @@ class CellLifecycle:
 
     def check(self, command: Command) -> None:
         """Raise CellStateError if the command is not allowed in the present state."""
-        if not answer(self._state, command).accepted:
+        if not command_effect(self._state, command).accepted:
             raise self._refused(refusal(self._state, command))
 
     def go(self, event: Event) -> None:

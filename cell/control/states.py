@@ -222,7 +222,7 @@ _CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CommandEffect:
     """Effect of a command in a state when nothing goes wrong."""
 
     accepted: bool
@@ -251,7 +251,7 @@ def refusal(state: CellState, asked: Command | Event) -> str:
     allowed = [
         command.value
         for command in Command
-        if command is not Command.CANCEL and answer(state, command).path
+        if command is not Command.CANCEL and command_effect(state, command).path
     ]
     return (
         f"the cell is {state.value}; allowed: {', '.join(allowed) or Command.CANCEL.value}; "
@@ -259,20 +259,20 @@ def refusal(state: CellState, asked: Command | Event) -> str:
     )
 
 
-def answer(state: CellState, command: Command) -> Answer:
+def command_effect(state: CellState, command: Command) -> CommandEffect:
     """Return the effect of a command in a state: one cell of the table of commands."""
     if command is Command.CANCEL:
         # One that nothing obeys now counts for the next command: it is not lost.
-        return Answer(True, _path(state, _CANCELLED[state]) if state in _CANCELLED else ())
+        return CommandEffect(True, _path(state, _CANCELLED[state]) if state in _CANCELLED else ())
     if command is Command.SHUTDOWN:
         if state.acting:
-            return Answer(False)
+            return CommandEffect(False)
         stops = (state, Event.STOP) in TRANSITIONS
-        return Answer(True, _path(state, Event.STOP) if stops else ())
+        return CommandEffect(True, _path(state, Event.STOP) if stops else ())
     event = _EVENT_OF[command]
     if (state, event) not in TRANSITIONS:
-        return Answer(False)
-    return Answer(True, _path(state, event, kept=command in _KEEPING))
+        return CommandEffect(False)
+    return CommandEffect(True, _path(state, event, kept=command in _KEEPING))
 
 
 def _path(state: CellState, event: Event, *, kept: bool = False) -> tuple[CellState, ...]:

@@ -20,14 +20,14 @@ from cell.hand.interface import Hand, Measured, Watch
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
     Alive,
-    Answer,
     Boot,
     EndRamp,
-    Event,
-    Fault,
-    Progress,
+    HandFault,
+    HandMessage,
+    HandPeriod,
+    HandReply,
+    HandRequest,
     Ready,
-    Request,
 )
 from gripper.errors import GripperError, copy_fingers
 from gripper.force.ramp import ForceRamp, check_ramp
@@ -96,7 +96,7 @@ class LoopProcess:
         try:
             self.send(Boot(config=config, partial=partial))
             event = self.next(_BOOT_S)
-            if isinstance(event, Fault):
+            if isinstance(event, HandFault):
                 raise event.error
             if not isinstance(event, Ready):
                 self.lose(f"sent {type(event).__name__} instead of being ready")
@@ -116,7 +116,7 @@ class LoopProcess:
         with suppress(OSError):
             os.write(self._stop_fd, b"s")
 
-    def send(self, message: Request | EndRamp | Boot) -> None:
+    def send(self, message: HandRequest | EndRamp | Boot) -> None:
         """Send a message. Raises HandLost if the process is gone."""
         self.check()
         try:
@@ -124,13 +124,13 @@ class LoopProcess:
         except OSError:
             self._lose_gone()
 
-    def next(self, patience_s: float) -> Event:
+    def next(self, patience_s: float) -> HandMessage:
         """Wait for the next event; a process that sends nothing for so long is lost."""
         self.check()
         if not self._connection.poll(patience_s):
             self.lose(f"has sent nothing for {patience_s:g} s")
         try:
-            event: Event = self._connection.recv()
+            event: HandMessage = self._connection.recv()
         except (EOFError, OSError):
             self._lose_gone()
         except BaseException:
@@ -350,14 +350,14 @@ class HandProcess:
         if method is not Hand.shutdown:
             self.tick()
         self._number += 1
-        request = Request(number=self._number, method=method.__name__, arguments=arguments)
+        request = HandRequest(number=self._number, method=method.__name__, arguments=arguments)
         self._loop.send(request)
         patience_s = self._silence_s if request.watched else self._answer_s
         failure: BaseException | None = None
         while True:
             try:
                 event = self._next(patience_s)
-                if isinstance(event, Progress) and watch is not None and failure is None:
+                if isinstance(event, HandPeriod) and watch is not None and failure is None:
                     watch(event.cycle, event.frames)
             except HandLost:
                 raise
@@ -367,7 +367,7 @@ class HandProcess:
                 failure = error
                 self.request_stop()
                 continue
-            if isinstance(event, Answer) and event.number == self._number:
+            if isinstance(event, HandReply) and event.number == self._number:
                 break
         self._heard_s = time.monotonic()
         self._phase, self.statistics = event.phase, event.statistics
@@ -381,10 +381,10 @@ class HandProcess:
         value: T = event.value
         return value
 
-    def _next(self, patience_s: float) -> Event:
+    def _next(self, patience_s: float) -> HandMessage:
         """Wait for the next event and take in what it shows of the hand; a fault is raised."""
         event = self._loop.next(patience_s)
-        if isinstance(event, Progress):
+        if isinstance(event, HandPeriod):
             for frame in event.frames:
                 frame.counts.setflags(write=False)
             self._phase = event.cycle.phase
@@ -393,11 +393,11 @@ class HandProcess:
             if event.measured.frame is not None:
                 event.measured.frame.counts.setflags(write=False)
             self.measured = event.measured
-        elif isinstance(event, Fault):
+        elif isinstance(event, HandFault):
             self._raise(event)
         return event
 
-    def _raise(self, fault: Fault) -> NoReturn:
+    def _raise(self, fault: HandFault) -> NoReturn:
         """Raise a fault that came by itself; a HandLost among them is the loss of the process."""
         self._phase = fault.phase
         if isinstance(fault.error, HandLost):

@@ -30,7 +30,7 @@ class Boot:
 
 _ELSEWHERE = frozenset({"check_ramp", "end_ramp", "tick", "request_stop", "close"})
 """Methods of `Hand` that no request names: done in the program, or by messages of their own."""
-COMMANDS = {
+HAND_COMMANDS = {
     name: "watch" in signature(method).parameters
     for name, method in getmembers(Hand, isfunction)
     if not name.startswith("_") and name not in _ELSEWHERE
@@ -39,10 +39,10 @@ COMMANDS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class HandRequest:
     """A command of `Hand` that the process carries out; its answer has the number.
 
-    ValueError for a name that is none of `COMMANDS`.
+    ValueError for a name that is none of `HAND_COMMANDS`.
     """
 
     number: int
@@ -51,13 +51,13 @@ class Request:
     """By name, without the callback ``watch``."""
 
     def __post_init__(self) -> None:
-        if self.method not in COMMANDS:
+        if self.method not in HAND_COMMANDS:
             raise ValueError(f"{self.method!r} is no command of the hand")
 
     @property
     def watched(self) -> bool:
-        """Whether it runs the force loop; each period of it is sent as `Progress`."""
-        return COMMANDS[self.method]
+        """Whether it runs the force loop; each period of it is sent as `HandPeriod`."""
+        return HAND_COMMANDS[self.method]
 
     def run(self, hand: Hand, watch: Watch) -> Any:
         """Carry it out and return what the method returns."""
@@ -85,7 +85,7 @@ class Ready:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
+class HandPeriod:
     """One period of a running command and the frames that came in it."""
 
     cycle: Cycle
@@ -93,7 +93,7 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
+class HandReply:
     """How a command ended, and how the hand stands then."""
 
     number: int
@@ -108,7 +108,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fault:
+class HandFault:
     """A fault between two commands."""
 
     error: BaseException
@@ -122,7 +122,7 @@ class Alive:
     measured: Measured
 
 
-Event = Ready | Progress | Answer | Fault | Alive
+HandMessage = Ready | HandPeriod | HandReply | HandFault | Alive
 
 
 # -- how an event is sent --------------------------------------------------------------------------
@@ -149,7 +149,7 @@ class _Pickler(pickle.Pickler):
         return type(value).__new__, (type(value), *args), vars(value)
 
 
-def packed(event: Event) -> bytes:
+def packed(event: HandMessage) -> bytes:
     """Return an event as it crosses."""
     data = io.BytesIO()
     _Pickler(data, pickle.HIGHEST_PROTOCOL).dump(event)

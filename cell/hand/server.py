@@ -25,14 +25,14 @@ from cell.hand.interface import HandStatistics
 from cell.hand.local import LocalHand
 from cell.hand.messages import (
     Alive,
-    Answer,
     Boot,
     EndRamp,
-    Event,
-    Fault,
-    Progress,
+    HandFault,
+    HandMessage,
+    HandPeriod,
+    HandReply,
+    HandRequest,
     Ready,
-    Request,
     packed,
 )
 from cell.hand.real_time import enter_real_time, stop_collecting
@@ -79,9 +79,9 @@ class Outbox:
         """Whether the other end has taken everything."""
         return not self._waiting
 
-    def post(self, event: Event) -> None:
+    def post(self, event: HandMessage) -> None:
         """Send now or later; a period that finds no room is dropped."""
-        if isinstance(event, Progress) and self.full:
+        if isinstance(event, HandPeriod) and self.full:
             self.dropped += 1
             return
         self._waiting.append(packed(event))
@@ -132,7 +132,7 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
     except EOFError:
         return
     except Exception as error:
-        outbox.post(Fault(error=error, phase=GripperPhase.OFF))
+        outbox.post(HandFault(error=error, phase=GripperPhase.OFF))
         outbox.drain(_LAST_WORDS_S)
         return
     server = HandServer(hand, connection, outbox, parent=parent)
@@ -161,7 +161,7 @@ class HandServer:
         self._parent = parent
         self._poller = select.poll()
         self._poller.register(connection.fileno(), select.POLLIN)
-        self._requests: deque[Request] = deque()
+        self._requests: deque[HandRequest] = deque()
         self._ramp = 0
         self._ending = ""
         self._supervised = True
@@ -201,7 +201,7 @@ class HandServer:
             lost = HandLost(
                 f"the process of the force loop has ended: {self._ending}; a held part stays held"
             )
-            self._outbox.post(Fault(error=lost, phase=self._hand.phase))
+            self._outbox.post(HandFault(error=lost, phase=self._hand.phase))
             self._outbox.drain(_LAST_WORDS_S)
 
     def _end_because(self, reason: str) -> None:
@@ -216,12 +216,12 @@ class HandServer:
         if not self._poller.poll(1e3 * wait_s):
             return
         message = self._connection.recv()
-        if isinstance(message, Request):
+        if isinstance(message, HandRequest):
             self._requests.append(message)
         elif isinstance(message, EndRamp) and message.number == self._ramp:
             self._hand.end_ramp()
 
-    def _execute(self, request: Request) -> None:
+    def _execute(self, request: HandRequest) -> None:
         value: Any = None
         failure: BaseException | None = None
         dropped = self._outbox.dropped
@@ -242,7 +242,7 @@ class HandServer:
         else:
             self._supervised = self._supervised or request.method == "start"
         self._outbox.post(
-            Answer(
+            HandReply(
                 number=request.number,
                 value=value,
                 error=failure,
@@ -255,7 +255,7 @@ class HandServer:
 
     def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         dropped = self._outbox.dropped
-        self._outbox.post(Progress(cycle=cycle, frames=tuple(frames)))
+        self._outbox.post(HandPeriod(cycle=cycle, frames=tuple(frames)))
         # That the program is gone is seen below, and by the pipe for stops.
         with suppress(EOFError, OSError):
             self._receive(0.0)
@@ -271,7 +271,7 @@ class HandServer:
                 self._hand.tick()
             except Exception as error:
                 self._stand_by()
-                self._outbox.post(Fault(error=error, phase=self._hand.phase))
+                self._outbox.post(HandFault(error=error, phase=self._hand.phase))
         now_s = time.monotonic()
         if now_s >= self._alive_due_s and self._outbox.empty:
             self._alive_due_s = now_s + (_SHOW_EVERY_S if self._supervised else _ALIVE_EVERY_S)

@@ -18,7 +18,7 @@ from cell.config.serve import ServeConfig
 from cell.fault_catalogue import BY_NUMBER
 from cell.interfaces.service.doors import (
     BUSY_MAX,
-    Places,
+    ConnectionPlaces,
     is_for_this_machine,
     may_connect,
     notice_dead_peers,
@@ -118,7 +118,7 @@ class Gate:
         return 0, ""
 
 
-class Connection(H11Protocol):
+class HttpConnection(H11Protocol):
     """A connection that has a place at the door, and whose requests have a limit of time.
 
     Parameters
@@ -130,7 +130,7 @@ class Connection(H11Protocol):
         for its first one. What the cell takes for the answer does not count.
     """
 
-    def __init__(self, places: Places, limit_s: float, **server: Any) -> None:
+    def __init__(self, places: ConnectionPlaces, limit_s: float, **server: Any) -> None:
         super().__init__(**server)
         self._places = places
         self._limit_s = limit_s
@@ -247,13 +247,13 @@ class HttpServer:
         idle_s: int = 5,
         **settings: Any,
     ) -> None:
-        places = Places()
+        places = ConnectionPlaces()
         server = uvicorn.Config(
             Gate(app, config, longest, pages=pages),
             log_config=None,
             access_log=False,
             lifespan="off",
-            http=partial(Connection, places, config.request_timeout_s),  # type: ignore[arg-type]
+            http=partial(HttpConnection, places, config.request_timeout_s),  # type: ignore[arg-type]
             timeout_graceful_shutdown=1,
             timeout_keep_alive=idle_s,
             backlog=_ACCEPTED_AT_ONCE,

@@ -17,7 +17,7 @@ stalled still gets before the newest one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class LiveMessage:
     """What is shown of the cell at one moment, for all clients."""
 
     text: str
@@ -32,11 +32,11 @@ class LiveFeed:
     It looks in another thread than that of the connections.
     """
 
-    def __init__(self, look: Callable[[], Moment]) -> None:
+    def __init__(self, look: Callable[[], LiveMessage]) -> None:
         self._look = look
         self._listeners = 0
         self._looking: asyncio.Task[None] | None = None
-        self._next: asyncio.Future[Moment]
+        self._next: asyncio.Future[LiveMessage]
 
     async def send_to(self, link: WebSocket, frames: str) -> None:
         """Send the newest moment and its frame, again and again until the client is gone.

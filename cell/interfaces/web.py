@@ -27,7 +27,7 @@ from cell.errors import (
 )
 from cell.fault_catalogue import CATALOGUE
 from cell.interfaces.http_server import LONGEST, Scope
-from cell.interfaces.live_socket import Moment
+from cell.interfaces.live_socket import LiveMessage
 from cell.interfaces.plugin.goals import goal_schema
 from cell.interfaces.service.photos import LONGEST_PHOTO
 from cell.interfaces.service.replay import UPLOAD_BYTES, Replay
@@ -114,7 +114,7 @@ def taught_values(one: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def state_moment(service: Service) -> Moment:
+def state_moment(service: Service) -> LiveMessage:
     """Return the state of a service now; frames are counts (``1``) or ``newtons`` of the taxels."""
 
     @cache
@@ -125,7 +125,7 @@ def state_moment(service: Service) -> Moment:
         counts = service.status().live.counts if kind == "1" else None
         return None if counts is None else counts.astype("<u2").tobytes()
 
-    return Moment(json.dumps(state_values(service), allow_nan=False), frame)
+    return LiveMessage(json.dumps(state_values(service), allow_nan=False), frame)
 
 
 class WebDoor(WebServer):

@@ -31,7 +31,7 @@ from cell.errors import (
 )
 from cell.fault_catalogue import Refusal
 from cell.interfaces.http_server import LONGEST, HttpServer, Scope, refusal_values
-from cell.interfaces.live_socket import LiveFeed, LiveLink, Moment
+from cell.interfaces.live_socket import LiveFeed, LiveLink, LiveMessage
 from cell.interfaces.page import mount_page
 from cell.interfaces.service.doors import read_secret, same_secret
 from cell.interfaces.service.lease import Lease
@@ -116,7 +116,7 @@ class WebServer(HttpServer):
         self,
         lease: Lease,
         config: ServeConfig,
-        look: Callable[[], Moment],
+        look: Callable[[], LiveMessage],
         paths: Paths,
         page: str = "index.html",
     ) -> None:

@@ -23,7 +23,7 @@ from cell.commissioning.record import render_record
 from cell.config.serve import ServeConfig
 from cell.errors import RequestRefused
 from cell.fault_catalogue import Refusal
-from cell.interfaces.live_socket import Moment
+from cell.interfaces.live_socket import LiveMessage
 from cell.interfaces.service.lease import Lease
 from cell.interfaces.web_server import Paths, RequestBody, WebServer
 
@@ -353,7 +353,7 @@ class WizardDoor(WebServer):
         super().__init__(
             wizard.lease,
             wizard.config,
-            lambda: Moment(json.dumps(wizard.state(), allow_nan=False)),
+            lambda: LiveMessage(json.dumps(wizard.state(), allow_nan=False)),
             paths,
             "commission.html",
         )

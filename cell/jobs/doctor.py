@@ -53,7 +53,7 @@ _PRESSED_SIGMAS = 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class CheckResult:
     """One checked thing."""
 
     what: str
@@ -68,13 +68,13 @@ class Finding:
 
 def _finding(
     what: str, found: str, advice: str = "", *, ok: bool = False, bad: Verdict = Verdict.WARN
-) -> Finding:
+) -> CheckResult:
     """Return a finding that passes where all is ok, and else has a verdict and the advice."""
     verdict = Verdict.PASS if ok else bad
-    return Finding(what=what, verdict=verdict, found=found, advice="" if ok else advice)
+    return CheckResult(what=what, verdict=verdict, found=found, advice="" if ok else advice)
 
 
-def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Finding]:
+def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[CheckResult]:
     """Check the machine, then each device of the cell, yielding findings as they come.
 
     Reads and verifies only: no torque is switched on and nothing moves.
@@ -101,7 +101,7 @@ class _Kept:
     folder: Path
     found: Mapping[str, Mapping[str, Any]]
 
-    def findings(self, what: str, changes: Sequence[Change]) -> list[Finding]:
+    def findings(self, what: str, changes: Sequence[Change]) -> list[CheckResult]:
         """Return what has changed since the commissioning, or one finding that nothing has."""
         if not self.found:
             return []
@@ -120,7 +120,7 @@ def _kept(config_file: Path | None) -> _Kept:
     return _Kept(folder=folder, found={} if config_file is None else kept_values(folder))
 
 
-def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[Finding]:
+def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckResult]:
     """Grasp the gauge object of the commissioning again, and return what differs.
 
     Parameters
@@ -149,7 +149,7 @@ def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[Findin
     return kept.findings(f"gauge object {was.gauge}", changed_gauge(was, now))
 
 
-def _machine() -> Iterator[Finding]:
+def _machine() -> Iterator[CheckResult]:
     version = ".".join(map(str, sys.version_info[:3]))
     yield _finding("Python", version, ok=True)
     for package in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy"):
@@ -161,7 +161,7 @@ def _machine() -> Iterator[Finding]:
             yield _finding(package, "not installed", f"if you want it: {remedy(extra)}")
 
 
-def _ports(config: CellConfig) -> Iterator[Finding]:
+def _ports(config: CellConfig) -> Iterator[CheckResult]:
     port = config.gripper.port
     found, advice = port, ""
     if command := rights_command(port):
@@ -179,7 +179,7 @@ def _ports(config: CellConfig) -> Iterator[Finding]:
         yield _finding("USB latency timer", f"{timer_ms} ms", remedy, ok=ok)
 
 
-def _self_zero(config: CellConfig, named: str) -> Finding:
+def _self_zero(config: CellConfig, named: str) -> CheckResult:
     """Return when the empty fingers were measured last, and what they showed."""
     if not config.gripper.pads_meet or config.self_zero == "never":
         found = (
@@ -205,7 +205,7 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
     )
 
 
-def _devices(config: CellConfig, named: str, kept: _Kept) -> Iterator[Finding]:
+def _devices(config: CellConfig, named: str, kept: _Kept) -> Iterator[CheckResult]:
     """Check the devices; ``named`` is the option that names the cell in advised commands."""
     try:
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
@@ -223,7 +223,7 @@ def _devices(config: CellConfig, named: str, kept: _Kept) -> Iterator[Finding]:
         cell.close()
 
 
-def _loop(cell: Cell) -> Iterator[Finding]:
+def _loop(cell: Cell) -> Iterator[CheckResult]:
     """List what the system has not granted to the force loop."""
     # A line that is missing is found where it is asked.
     notes = [note for note in cell.notes if not note.startswith(MISSING)]
@@ -234,7 +234,7 @@ def _loop(cell: Cell) -> Iterator[Finding]:
         yield _finding("force loop", found, advice)
 
 
-def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]:
+def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[CheckResult]:
     try:
         yield from check()
     except VerificationFailed as error:
@@ -247,7 +247,7 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
         yield _finding(what, str(error), advice, bad=Verdict.FAIL)
 
 
-def _torque(cell: Cell, named: str) -> list[Finding]:
+def _torque(cell: Cell, named: str) -> list[CheckResult]:
     """Check who has torque: all servos, or none; one alone may press on a part."""
     conditions = cell.controller.hand.conditions()
     found = "; ".join(map(str, conditions))
@@ -262,7 +262,7 @@ def _torque(cell: Cell, named: str) -> list[Finding]:
     return [_finding(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
-def _servos(cell: Cell, named: str, kept: _Kept) -> list[Finding]:
+def _servos(cell: Cell, named: str, kept: _Kept) -> list[CheckResult]:
     rows = cell.controller.hand.inspect().rows
     read = {(row.servo_id, row.item): row.found for row in rows}
     servos = {
@@ -298,7 +298,7 @@ def _advice(row: VerificationRow, named: str) -> str:
     return "correct it with the servo maker's wizard, or correct the config"
 
 
-def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> list[Finding]:
+def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> list[CheckResult]:
     hand = cell.controller.hand
     try:
         identity = hand.start_sensor()
@@ -353,7 +353,7 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
     ]
 
 
-def _axes(cell: Cell) -> Iterator[Finding]:
+def _axes(cell: Cell) -> Iterator[CheckResult]:
     """Ask each drive and servo of the positioner for its state; they are neither set up nor moved.
 
     A fault that is found is cleared by the first motion after somebody has seen it.
@@ -367,7 +367,7 @@ def _axes(cell: Cell) -> Iterator[Finding]:
         yield _finding(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 
 
-def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> Finding:
+def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckResult:
     """Check whether the pads are pressed: without a zero, against the counts of most taxels."""
     layout = layout_from_config(config.tactile)
     counts = np.mean([frame.counts for frame in frames], axis=0)
@@ -386,7 +386,7 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> Finding
     )
 
 
-def _noise(frames: list[TactileFrame]) -> Finding:
+def _noise(frames: list[TactileFrame]) -> CheckResult:
     """Check that the samples move at rest: else frozen and dead ones cannot be found."""
     moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
     return _finding(
@@ -398,7 +398,7 @@ def _noise(frames: list[TactileFrame]) -> Finding:
     )
 
 
-def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
+def _boards(boards: tuple[int, int], config: CellConfig) -> CheckResult:
     """Check that exchanged pads would be noticed: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
     if config.tactile.board_serial_numbers is not None or config.simulated:

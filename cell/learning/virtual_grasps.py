@@ -44,7 +44,7 @@ _SLOW_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Press:
+class PressedPad:
     """One pad pressed by one surface, over the depth of its highest point."""
 
     reach_max_m: float
@@ -100,7 +100,7 @@ def reaches_m(
     return both
 
 
-def press(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> Press:
+def press(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> PressedPad:
     """Return the force of a surface on a pad, from the first touch to almost flat foam."""
     highest_m = float(reach_m.max())
     lag_m = np.where(np.isfinite(reach_m), highest_m - reach_m, np.inf)
@@ -120,12 +120,14 @@ def press(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> Press:
     pressure_pa = foam.modulus_pa * foam.relative_pressure(closed_m)
     taxels_n = bed.along[:, rows] @ (pressure_pa @ bed.across[:, columns].T) * bed.cell_area_m2
     taxels_n = taxels_n.reshape(n_depths, -1)
-    return Press(
+    return PressedPad(
         reach_max_m=highest_m, depth_m=depth_m, force_n=taxels_n.sum(axis=1), taxels_n=taxels_n
     )
 
 
-def shared_force(presses: Sequence[Press], depth_sum_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def shared_force(
+    presses: Sequence[PressedPad], depth_sum_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the force in N at which both pads together are so deep: the object floats."""
     force_n = np.linspace(0.0, min(float(p.force_n[-1]) for p in presses), 4 * _N_DEPTHS)
     together_m = sum(np.interp(force_n, p.force_n, p.depth_m) for p in presses)
@@ -309,7 +311,7 @@ class VirtualPads:
         self,
         ramp: ForceRamp,
         touch_m: float,
-        presses: Sequence[Press],
+        presses: Sequence[PressedPad],
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return force and set-point (n,) in N, and the opening (m,) in m while the fingers close.
@@ -329,7 +331,7 @@ class VirtualPads:
         self,
         force_n: NDArray[np.float64],
         beds: Sequence[PadBed],
-        presses: Sequence[Press],
+        presses: Sequence[PressedPad],
         foam: FoamModel,
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -354,7 +356,7 @@ class VirtualPads:
         return counts, depth_sum_m
 
     def _approach(
-        self, touch_m: float, presses: Sequence["Press"], rng: np.random.Generator
+        self, touch_m: float, presses: Sequence["PressedPad"], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], float]:
         """Return how far in m the fingers have closed, and the force they stop with in N."""
         course = self._course

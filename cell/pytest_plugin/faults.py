@@ -5,7 +5,7 @@ from typing import Protocol
 import pytest
 
 
-class Fault(Protocol):
+class FaultHandle(Protocol):
     """An injected fault."""
 
     @property
@@ -21,7 +21,7 @@ class Fault(Protocol):
 class FaultTarget(Protocol):
     """A simulated cell that takes faults as text, as ``can.loss=0.05@2s``."""
 
-    def inject(self, text: str) -> Fault:
+    def inject(self, text: str) -> FaultHandle:
         """Put a fault in; refuses one that it does not know with the list of what there is."""
         ...
 
@@ -32,7 +32,7 @@ class FaultRegistry:
     def __init__(self) -> None:
         self._targets: list[FaultTarget] = []
         self._hardware: list[str] = []
-        self._faults: list[Fault] = []
+        self._faults: list[FaultHandle] = []
 
     def add(self, target: FaultTarget) -> None:
         """Take in a simulated cell of this test."""
@@ -42,7 +42,7 @@ class FaultRegistry:
         """Note that this test uses real hardware: from now on every fault is refused."""
         self._hardware.append(name)
 
-    def inject(self, text: str, *, into: FaultTarget | None = None) -> Fault:
+    def inject(self, text: str, *, into: FaultTarget | None = None) -> FaultHandle:
         """Put a fault into the simulated cell of this test.
 
         Parameters

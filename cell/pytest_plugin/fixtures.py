@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
-from cell.pytest_plugin.faults import Fault, FaultRegistry, FaultTarget
+from cell.pytest_plugin.faults import FaultHandle, FaultRegistry, FaultTarget
 from cell.pytest_plugin.options import HardwareOptions, config_path
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class MakeCellProcess:
 class InjectFault(Protocol):
     """Puts faults into the simulated cell of the test."""
 
-    def __call__(self, text: str, *, into: FaultTarget | None = None) -> Fault:
+    def __call__(self, text: str, *, into: FaultTarget | None = None) -> FaultHandle:
         """Put a fault in; ``into`` names the cell where the test has several."""
         ...
 

@@ -8,7 +8,7 @@ from cell.control.states import (
     Command,
     Event,
     GraspState,
-    answer,
+    command_effect,
 )
 
 _BOX, _STEP = (112, 34), (225, 120)
@@ -191,7 +191,7 @@ def _states() -> str:
 
 def _commands() -> str:
     def allowed(state: CellState) -> tuple[str, str]:
-        found = {command.value: answer(state, command) for command in Command}
+        found = {command.value: command_effect(state, command) for command in Command}
         ways = {name: one.path for name, one in found.items() if one.accepted}
         leads = [f"`{name}`: {' → '.join(path)}" for name, path in ways.items() if path]
         stays = [f"`{name}`" for name, path in ways.items() if not path]

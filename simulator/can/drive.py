@@ -13,7 +13,7 @@ import canopen
 from canopen.objectdictionary import ODVariable
 
 from motion import object_dictionary as od
-from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
+from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
 from simulator.can.node import RESETS, CanopenDevice
 from simulator.can.object_dictionary import NO_SUBINDEX, VALUE_RANGE, WRONG_STATE
 from simulator.can.profile_motion import ProfileMotion
@@ -189,7 +189,7 @@ class SimulatedDrive(CanopenDevice):
         if index == od.CONTROLWORD:
             self._command(value)
         elif index == od.MODE:
-            if value not in (0, OperatingMode.PROFILE_POSITION, OperatingMode.HOMING):
+            if value not in (0, ModeOfOperation.PROFILE_POSITION, ModeOfOperation.HOMING):
                 raise canopen.SdoAbortedError(VALUE_RANGE)
             if not self._stands:
                 raise canopen.SdoAbortedError(WRONG_STATE)
@@ -255,7 +255,7 @@ class SimulatedDrive(CanopenDevice):
 
     def _start(self, word: int, *, rising: bool) -> None:
         mode = self._number(od.MODE)
-        if mode == OperatingMode.PROFILE_POSITION:
+        if mode == ModeOfOperation.PROFILE_POSITION:
             if not word & _START_BIT:
                 self._acknowledged = False
             elif rising:
@@ -267,11 +267,11 @@ class SimulatedDrive(CanopenDevice):
                 acceleration = self._number(od.PROFILE_ACCELERATION)
                 self.motion.go(goal, velocity, acceleration or 1e9)
                 self._acknowledged, self._reached, self._at_switch = True, False, False
-        elif mode == OperatingMode.HOMING and rising:
+        elif mode == ModeOfOperation.HOMING and rising:
             self._homing = self._number(od.HOMING_METHOD)
             self._leaving = self._braking_at_home = False
             self._acknowledged = self._reached = False
-        elif mode == OperatingMode.HOMING and not word & _START_BIT:
+        elif mode == ModeOfOperation.HOMING and not word & _START_BIT:
             self._homing = None
 
     # -- motion --------------------------------------------------------------------------------
@@ -287,7 +287,7 @@ class SimulatedDrive(CanopenDevice):
             self._switch_off(State.FAULT)
         if self.state is State.OPERATION_ENABLED:
             self._watch_lag()
-            if self._number(od.MODE) == OperatingMode.PROFILE_POSITION and motion.resting:
+            if self._number(od.MODE) == ModeOfOperation.PROFILE_POSITION and motion.resting:
                 near = abs(motion.demand - motion.actual) <= self._number(od.POSITION_WINDOW)
                 self._reached = near and not self._at_switch
 

@@ -12,7 +12,7 @@ from simulator.can.pad_forces import PadForces
 from tactile.frames.codec import FrameStatus
 from tactile.frames.force_message import ForceStatus
 from tactile.layout import TaxelLayout
-from tactile.unit.object_dictionary import TareResult
+from tactile.unit.object_dictionary import UnitTareResult
 
 
 class ScannedWorld(Protocol):
@@ -64,7 +64,7 @@ class Scanner:
         self.last_force = bytes(MESSAGE_BYTES)
         """The last force message."""
         self.forces.reset()
-        self.tare_result = TareResult.NONE
+        self.tare_result = UnitTareResult.NONE
         self.tare_largest = 0
         """Objects 0x2130:02 and 0x2130:04."""
         self._offsets: NDArray[np.int32] | None = None
@@ -126,14 +126,14 @@ class Scanner:
     def start_tare(self, n_frames: int, touch_counts: int, spread_counts: int) -> None:
         """Take a zero from the next ``n_frames`` scans, unless they are touched or uneven."""
         self._tare = _Tare(n_frames, touch_counts, spread_counts, [])
-        self.tare_result = TareResult.RUNNING
+        self.tare_result = UnitTareResult.RUNNING
         self.tare_largest = 0
 
     def clear_tare(self) -> None:
         """Go back to raw counts."""
         self._tare = None
         self._offsets = None
-        self.tare_result = TareResult.NONE
+        self.tare_result = UnitTareResult.NONE
 
     def _latched(self) -> NDArray[np.uint16]:
         if self._counts is None:
@@ -148,9 +148,9 @@ class Scanner:
         self._tare = None
         frames = np.stack(tare.frames).astype(np.int32)
         if self.tare_largest > tare.touch_counts:
-            self.tare_result = TareResult.REFUSED_TOUCHED
+            self.tare_result = UnitTareResult.REFUSED_TOUCHED
         elif int(np.ptp(frames, axis=0).max()) > tare.spread_counts:
-            self.tare_result = TareResult.REFUSED_SPREAD
+            self.tare_result = UnitTareResult.REFUSED_SPREAD
         else:
             self._offsets = np.rint(frames.mean(axis=0)).astype(np.int32)
-            self.tare_result = TareResult.DONE
+            self.tare_result = UnitTareResult.DONE

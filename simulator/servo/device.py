@@ -65,7 +65,7 @@ _ANSWERS_READS, _ANSWERS_ALL = 1, 2
 _READS = frozenset({Instruction.READ, Instruction.SYNC_READ, Instruction.BULK_READ})
 
 
-class Answer(NamedTuple):
+class StatusBody(NamedTuple):
     """Answer of a servo to an instruction, before it is put into a packet."""
 
     error: int
@@ -125,12 +125,12 @@ class SimulatedServo:
             return True
         return level == _ANSWERS_READS and instruction in _READS
 
-    def status(self, error: int, data: bytes = b"") -> Answer:
+    def status(self, error: int, data: bytes = b"") -> StatusBody:
         """Return an answer with the Alert bit as Hardware Error Status (70) asks for it."""
         alert = self.core.table.data[HARDWARE_ERROR_STATUS.address]
-        return Answer(error | ALERT if alert else error, data)
+        return StatusBody(error | ALERT if alert else error, data)
 
-    def execute(self, instruction: int, parameters: bytes, now_s: float) -> Answer:
+    def execute(self, instruction: int, parameters: bytes, now_s: float) -> StatusBody:
         """Carry out an instruction that was sent to this servo or to all of them."""
         if instruction == Instruction.READ:
             if len(parameters) != 4:
@@ -151,7 +151,7 @@ class SimulatedServo:
         # A servo that reboots has answered before, with the Alert bit that the reboot clears.
         return self.status(error) if error else before
 
-    def read(self, address: int, size: int, now_s: float) -> Answer:
+    def read(self, address: int, size: int, now_s: float) -> StatusBody:
         """Return ``size`` bytes from ``address``, present values brought up to date."""
         core = self.core
         if address < PRESENT_END and address + size > PRESENT_START:

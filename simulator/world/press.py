@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from simulator.errors import SimulatorSettingsError
 from simulator.world.foam import Foam, FoamPair, ForceTable
 from simulator.world.shapes import ObjectPose, Shape, posed_heights
-from simulator.world.taxels import PadGrid
+from simulator.world.taxels import PressureGrid
 
 _SETTLED_N = 1e-6
 """Difference of the pads' forces in N below which the object counts as settled."""
@@ -72,7 +72,9 @@ class PadsMeet:
         How they stand to each other.
     """
 
-    def __init__(self, grids: tuple[PadGrid, ...], foams: tuple[Foam, Foam], pair: PadPair) -> None:
+    def __init__(
+        self, grids: tuple[PressureGrid, ...], foams: tuple[Foam, Foam], pair: PadPair
+    ) -> None:
         self._grids = grids
         self._foam = FoamPair(foams)
         self._pair = pair
@@ -160,7 +162,7 @@ class Press:
         self,
         shape: Shape,
         pose: ObjectPose,
-        grids: tuple[PadGrid, ...],
+        grids: tuple[PressureGrid, ...],
         foams: tuple[Foam, Foam],
     ) -> None:
         self.z_m = pose.z_m
@@ -170,7 +172,7 @@ class Press:
         tables: list[ForceTable] = []
         shares: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         lags_m: list[NDArray[np.float64]] = []
-        seen: PadGrid | None = None
+        seen: PressureGrid | None = None
         for side, grid in enumerate(grids):
             if seen is None or not grid.same_points_as(seen):
                 heights_m = posed_heights(shape, pose, *np.broadcast_arrays(grid.x_m, grid.y_m))

@@ -113,7 +113,7 @@ def ideal_counts(
     return adc_max * (1.0 - resistance_mohm(felt_n) / RESISTANCE_AT_REST_MOHM)
 
 
-class PadGrid:
+class PressureGrid:
     """A fine grid over one pad, and how pressure on it reaches the taxels.
 
     The grid's cells divide the taxels evenly. A pressure on a cell arrives as a Gaussian, mirrored
@@ -145,7 +145,7 @@ class PadGrid:
         self.half_y_m = 0.5 * pad.columns * pad.pitch_y_m
         self.cell_area_m2 = float((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))
 
-    def same_points_as(self, other: "PadGrid") -> bool:
+    def same_points_as(self, other: "PressureGrid") -> bool:
         """Return whether two grids have their cells at the same points of their pads' planes."""
         return np.array_equal(self.x_m, other.x_m) and np.array_equal(self.y_m, other.y_m)
 

@@ -14,7 +14,7 @@ from simulator.world.foam import Foam
 from simulator.world.press import PadPair, PadsMeet, Press
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, Shape, resting_pose
-from simulator.world.taxels import EQUATION_11, NoiseModel, PadGrid, SensorLaw, ideal_counts
+from simulator.world.taxels import EQUATION_11, NoiseModel, PressureGrid, SensorLaw, ideal_counts
 from tactile.layout import TaxelLayout
 
 STEP_S = 1e-3
@@ -100,7 +100,7 @@ class PhysicalWorld:
         self._fingers = fingers
         self._settings = settings or WorldSettings()
         self._grids = tuple(
-            PadGrid(layout.pads[pad], self._settings.foam) for pad in layout.gripping_pads
+            PressureGrid(layout.pads[pad], self._settings.foam) for pad in layout.gripping_pads
         )
         pads = self._settings.pads
         self._foams = pads.foams(self._settings.foam)
@@ -234,7 +234,7 @@ class PhysicalWorld:
             raise SimulatorSettingsError(f"pad is {pad}, must be 0 to {self._layout.n_pads - 1}")
         if not (math.isfinite(force_n) and force_n >= 0.0):
             raise SimulatorSettingsError(f"force_n is {force_n}, must be at least 0")
-        grid = PadGrid(self._layout.pads[pad], self._settings.foam)
+        grid = PressureGrid(self._layout.pads[pad], self._settings.foam)
         share = 1.0 - ((grid.x_m - x_m) ** 2 + (grid.y_m - y_m) ** 2) / FINGERTIP_RADIUS_M**2
         pressure = np.sqrt(np.maximum(share, 0.0))
         if not pressure.any():

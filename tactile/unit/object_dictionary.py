@@ -113,7 +113,7 @@ LAST_FRAME_COUNTER = 0x2201
 """U16: counter of the frame that the last upload of `LAST_FRAME` gave."""
 
 
-class TareResult(IntEnum):
+class UnitTareResult(IntEnum):
     """Result of the unit's own tare, object 0x2130:02."""
 
     NONE = 0

@@ -34,7 +34,7 @@ _GAP_S = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Heard:
+class BusTraffic:
     """What was heard on a bus."""
 
     messages: int
@@ -71,14 +71,16 @@ class _Listener:
                 return
             self.clock.sleep(min(left_s, _POLL_S))
 
-    def heard(self) -> Heard:
-        return Heard(messages=self._messages, errors=self._errors, nodes=tuple(sorted(self._nodes)))
+    def heard(self) -> BusTraffic:
+        return BusTraffic(
+            messages=self._messages, errors=self._errors, nodes=tuple(sorted(self._nodes))
+        )
 
     def close(self) -> None:
         self._source.close()
 
 
-def listen(bus: can.BusABC, duration_s: float) -> Heard:
+def listen(bus: can.BusABC, duration_s: float) -> BusTraffic:
     """Listen to a bus for ``duration_s`` s; nothing is sent. Raises BusOff as the receiver."""
     listener = _Listener(bus)
     try:
@@ -88,7 +90,7 @@ def listen(bus: can.BusABC, duration_s: float) -> Heard:
     return listener.heard()
 
 
-def scan(bus: can.BusABC) -> Heard:
+def scan(bus: can.BusABC) -> BusTraffic:
     """Ask each of the 127 node-IDs for its device type (object 1000h); nothing is written.
 
     At a wrong bit rate nobody acknowledges: an adapter that refuses to send is heard as nobody.

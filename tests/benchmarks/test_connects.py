@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from benchmarks.performance import connects
-from cell.interfaces.http_server import Connection
+from cell.interfaces.http_server import HttpConnection
 from cell.interfaces.service.serving import open_doors
 
 pytestmark = pytest.mark.long
@@ -42,13 +42,13 @@ def test_connections_leave_nothing_behind_and_the_part_is_held() -> None:
 
 
 def test_a_door_that_keeps_its_connections_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    kept, made = [], Connection.connection_made
+    kept, made = [], HttpConnection.connection_made
 
     def keep(connection: Any, transport: Any) -> None:
         kept.append(os.dup(transport.get_extra_info("socket").fileno()))
         made(connection, transport)
 
-    monkeypatch.setattr(Connection, "connection_made", keep)
+    monkeypatch.setattr(HttpConnection, "connection_made", keep)
     monkeypatch.setattr(connects, "BLOCK", N // 2)
     monkeypatch.setattr(connects, "REST_S", 0.0)
     with closing(connects.serve()) as service, open_doors(service) as found:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.performance import force_ramps
-from benchmarks.performance._force_plant import Quality
+from benchmarks.performance._force_plant import RampQuality
 from benchmarks.performance.force_ramps import (
     CASES,
     OWN,
@@ -37,7 +37,7 @@ def figures_n(text: str) -> list[float]:
 
 
 def line_of(page: str, case: Case) -> str:
-    none = Quality(overshoot_n=0.0, settling_s=0.0, holding_n=0.0)
+    none = RampQuality(overshoot_n=0.0, settling_s=0.0, holding_n=0.0)
     start = row(case, none, none).partition(" 0.00")[0]
     (found,) = [line for line in page.splitlines() if line.startswith(start)]
     return found
@@ -66,8 +66,8 @@ def test_the_figures_alone_are_written_anew(
     path = tmp_path / "page.md"
     path.write_text(f"# Page\n\n{force_ramps.BEGIN}\nstale\n{force_ramps.END}\n\nafter\n")
     monkeypatch.setattr(force_ramps, "PAGE", path)
-    good = Quality(overshoot_n=0.11, settling_s=0.02, holding_n=0.12)
-    lost = Quality(overshoot_n=0.0, settling_s=1.5, holding_n=2.0, lost=True)
+    good = RampQuality(overshoot_n=0.11, settling_s=0.02, holding_n=0.12)
+    lost = RampQuality(overshoot_n=0.0, settling_s=1.5, holding_n=2.0, lost=True)
     found = {name: dict.fromkeys(CASES, good) for name in SETUPS}
     found[OWN][CASES[0]] = lost
     write_page(tables(found))

@@ -6,7 +6,7 @@ import pytest
 
 from motion import object_dictionary as od
 from motion.errors import AxisMissing
-from motion.object_dictionary import Control, OperatingMode, State
+from motion.object_dictionary import Control, ModeOfOperation, State
 
 READY = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON)
 
@@ -21,7 +21,7 @@ def moving_drive(drive: Any) -> Any:
 def test_it_is_a_drive_with_the_modes_that_are_needed(drive: Any) -> None:
     assert drive.device._read(od.DEVICE_TYPE) & 0xFFFF == 402
     modes = drive.device._read(od.SUPPORTED_MODES)
-    assert modes >> (OperatingMode.PROFILE_POSITION - 1) & 1
+    assert modes >> (ModeOfOperation.PROFILE_POSITION - 1) & 1
     assert State.of(drive.device._status()).words in drive.device.identify()
 
 

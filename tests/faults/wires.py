@@ -18,7 +18,7 @@ from cell.config.file import changed_config
 from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
-from cell.control.states import CellState, Command, answer
+from cell.control.states import CellState, Command, command_effect
 from cell.errors import CellError, HeldByClient, NotInCommand
 from cell.fault_catalogue import fault_number
 from cell.interfaces.modbus.registers import (
@@ -427,7 +427,7 @@ class WireDriver(Driver):
         state, number = self.controller.state, self._service.job().number + 1
         found = self._wire.send(request, number)
         self._expect(self._wire.repeat() == found, "a repeated request has another answer")
-        allowed = command is not None and answer(state, command).accepted
+        allowed = command is not None and command_effect(state, command).accepted
         if found < 0:
             self.log[-1] += f" -> refused, {-found}"
             self._expect(not allowed, f"{request.task} is refused in {state} with {-found}")
@@ -449,9 +449,9 @@ class WireDriver(Driver):
     def _judge_end(self, job: JobView, before: CellState, command: Command) -> None:
         """Judge where the cell is after a job, by the table of states and the fault catalogue."""
         state, fault = self.controller.state, self._service.status().fault_number
-        path = answer(before, command).path
+        path = command_effect(before, command).path
         if command is Command.RESET:  # over a link a reset starts the cell too
-            path += answer(CellState.STOPPED, Command.START).path
+            path += command_effect(CellState.STOPPED, Command.START).path
         at_end = path[-1] if path else before
         if job.kept and command is Command.GRASP:
             at_end = CellState.COMPLETE

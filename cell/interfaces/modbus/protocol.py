@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Protocol
 
-from cell.interfaces.service.doors import Places, notice_dead_peers
+from cell.interfaces.service.doors import ConnectionPlaces, notice_dead_peers
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE, DEVICE_BUSY = 1, 2, 3, 4, 6
 """Exception codes."""
@@ -168,7 +168,7 @@ class ModbusServer:
     ) -> None:
         self._connect = connect
         self._request_timeout_s = request_timeout_s
-        self._places = Places()
+        self._places = ConnectionPlaces()
         started: Future[int] = Future()
         self._thread = threading.Thread(
             target=lambda: asyncio.run(self._run(address, port, started)),

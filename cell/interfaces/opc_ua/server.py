@@ -29,7 +29,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from cell.config.serve import ServeConfig
-from cell.interfaces.service.doors import BUSY_MAX, Places, may_connect, notice_dead_peers
+from cell.interfaces.service.doors import BUSY_MAX, ConnectionPlaces, may_connect, notice_dead_peers
 
 LONGEST = 1 << 20
 """Largest request in bytes."""
@@ -98,11 +98,12 @@ class Sessions(InternalServer):
         self.config = config
         self.allow_remote_admin = False
         self.supported_tokens = (ua.AnonymousIdentityToken,)
-        # `Places` has the limit: those beyond are leaving, and many may come before they are gone.
+        # `ConnectionPlaces` has the limit: those beyond are leaving, and many may come before they
+        # are gone.
         self.max_connections = 100 * BUSY_MAX
         self.max_subscriptions = BUSY_MAX
         self.max_pending_activation_seconds = config.request_timeout_s
-        self.places = Places()
+        self.places = ConnectionPlaces()
         self.max_monitored_item_queue_size = 100  # 10 s of taxels
         self.max_session_timeout_ms = 60_000  # a session that is silent for longer is closed
 
@@ -130,7 +131,7 @@ class Plain(SecurityPolicyFactory):
         return super().create(None)
 
 
-class Connection(OPCUAProtocol):
+class OpcUaConnection(OPCUAProtocol):
     """A connection from a host of the allow-list, with bounded requests."""
 
     def connection_made(self, transport: Any) -> None:
@@ -156,9 +157,9 @@ class Connection(OPCUAProtocol):
 class Listener(BinaryServer):
     """The listening socket."""
 
-    def _make_protocol(self) -> Connection:
+    def _make_protocol(self) -> OpcUaConnection:
         tasks = self.closing_tasks
-        return Connection(self.iserver, self._policies, self.clients, tasks, self.limits)
+        return OpcUaConnection(self.iserver, self._policies, self.clients, tasks, self.limits)
 
 
 class CellServer(Server):

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Self
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.control.states import CellState, Command, answer
+from cell.control.states import CellState, Command, command_effect
 from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, error_text
 from cell.interfaces.plugin.answer import (
     Answer,
@@ -471,7 +471,7 @@ class TactileCellPlugin:
             If the state of the cell does not allow it, or another job runs.
         """
         controller = self._cell.controller
-        if needless and not answer(controller.state, command).accepted:
+        if needless and not command_effect(controller.state, command).accepted:
             return self._accept(lambda _report: None, None, command.value)
         stopped = controller.state is CellState.STOPPED
 

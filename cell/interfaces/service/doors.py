@@ -17,7 +17,8 @@ from cell.config.serve import ServeConfig
 from cell.errors import ConfigError
 
 BUSY_MAX = 64
-"""Connections at once on one door; a further one takes the place of another: see `Places`."""
+"""Connections at once on one door; a further one takes the place of another: see
+`ConnectionPlaces`."""
 _PEER_IDLE_S, _PEER_ASKED_S, _PEER_ASKED_MAX = 10, 5, 4
 """Silence in s after which the system asks whether a peer is still there (TCP keep-alive), time
 between two questions, and questions without an answer: one without power is gone after 30 s."""
@@ -103,7 +104,7 @@ def notice_dead_peers(link: Any) -> None:
                 link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
 
 
-class Places:
+class ConnectionPlaces:
     """The connections of a door: where all places are taken, a new one takes that of another.
 
     It is one of the address that has most of them, so that no address keeps another one out, and

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from cell.commissioning.bench import Lines
+from cell.commissioning.bench import LineOpener
 from cell.commissioning.engine import Dialog, Finding, Left, Question, Step, Write
 from cell.simulation import open_can_bus, open_servo_port
 from gripper.dynamixel.serial_port import ByteStream
@@ -85,7 +85,7 @@ class Script(Dialog):
         return "\n".join([*self.said, *(line for f in self.findings.values() for line in f.lines)])
 
 
-class SimulatedLines(Lines):
+class SimulatedLines(LineOpener):
     """The lines of a simulated cell in virtual time.
 
     Its serial port has a name, as an adapter that is plugged in; any CAN interface is its bus.

@@ -8,8 +8,8 @@ import pytest
 
 from cell.commissioning.engine import Left, Verdict
 from cell.commissioning.fingers import (
+    BlockMeasurement,
     FingersStep,
-    Measured,
     directions,
     fit_linkages,
     moved_alone,
@@ -27,9 +27,9 @@ STEP = FingersStep()
 BLOCKS_M = (0.010, 0.030)
 
 
-def on_parallel(size_m: float, link_m: float, closed_rad: float = 0.0) -> Measured:
+def on_parallel(size_m: float, link_m: float, closed_rad: float = 0.0) -> BlockMeasurement:
     angle = asin(size_m / 2 / link_m + sin(closed_rad)) - closed_rad
-    return Measured(angles_rad=(angle, angle), aperture_m=size_m)
+    return BlockMeasurement(angles_rad=(angle, angle), aperture_m=size_m)
 
 
 def test_each_kind_of_linkage_is_found() -> None:
@@ -38,7 +38,7 @@ def test_each_kind_of_linkage_is_found() -> None:
     assert isinstance(parallel.linkage, ParallelLinkage)
     assert parallel.linkage.link_m == pytest.approx(0.03)
 
-    on_rack = [Measured(angles_rad=(m / 2 / 0.01,), aperture_m=m) for m in BLOCKS_M]
+    on_rack = [BlockMeasurement(angles_rad=(m / 2 / 0.01,), aperture_m=m) for m in BLOCKS_M]
     pinion = fit_linkages(on_rack)[0]
     assert pinion.kind == "pinion"
     assert isinstance(pinion.linkage, RackPinion)
@@ -56,7 +56,8 @@ def test_each_kind_of_linkage_is_found() -> None:
 def test_one_finger_pushed_off_the_middle_does_not_matter() -> None:
     sides = [(0.010, 0.004), (0.010, 0.020)]
     measured = [
-        Measured(angles_rad=(asin(a / 0.06), asin(b / 0.06)), aperture_m=a + b) for a, b in sides
+        BlockMeasurement(angles_rad=(asin(a / 0.06), asin(b / 0.06)), aperture_m=a + b)
+        for a, b in sides
     ]
     fit = fit_linkages(measured)[0]
     assert isinstance(fit.linkage, ParallelLinkage)
@@ -65,16 +66,16 @@ def test_one_finger_pushed_off_the_middle_does_not_matter() -> None:
 
 def test_a_wrongly_typed_block_shows_in_the_residual() -> None:
     first, second = (on_parallel(m, 0.06) for m in BLOCKS_M)
-    wrong = Measured(angles_rad=second.angles_rad, aperture_m=0.050)
+    wrong = BlockMeasurement(angles_rad=second.angles_rad, aperture_m=0.050)
     simple = [fit for fit in fit_linkages([first, wrong]) if fit.kind != "swinging"]
     assert min(fit.residual_m for fit in simple) > 2e-3
     # In centimetres for millimetres: longer links than any gripper has, and no end of the wizard.
-    far = [Measured(angles_rad=one.angles_rad, aperture_m=0.4) for one in (first, second)]
+    far = [BlockMeasurement(angles_rad=one.angles_rad, aperture_m=0.4) for one in (first, second)]
     assert min(fit.residual_m for fit in fit_linkages(far)) > 0.05
     with pytest.raises(ValueError, match="block"):
         fit_linkages([])
     with pytest.raises(ValueError, match="open"):
-        fit_linkages([Measured(angles_rad=(-0.1, 0.05), aperture_m=0.01)])
+        fit_linkages([BlockMeasurement(angles_rad=(-0.1, 0.05), aperture_m=0.01)])
 
 
 def test_one_block_gives_no_residual_and_proposes_links() -> None:

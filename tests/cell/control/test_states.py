@@ -16,7 +16,7 @@ from cell.control.states import (
     Command,
     Event,
     GraspState,
-    answer,
+    command_effect,
     grasp_state,
     next_state,
 )
@@ -192,7 +192,7 @@ def test_the_page_names_each_state_and_each_accepted_command() -> None:
     for state in CellState:
         for command in Command:
             shown = f"`{command.value}`" in rows[state.value]
-            assert shown == answer(state, command).accepted, (state, command)
+            assert shown == command_effect(state, command).accepted, (state, command)
 
 
 # -- the cell does as the table says ---------------------------------------------------------
@@ -201,7 +201,7 @@ def test_the_page_names_each_state_and_each_accepted_command() -> None:
 @pytest.mark.parametrize("state", CellState)
 def test_a_refused_command_changes_nothing(state: CellState, make_bench: MakeBench) -> None:
     walk = Walk(make_bench())
-    refused = [command for command in Command if not answer(state, command).accepted]
+    refused = [command for command in Command if not command_effect(state, command).accepted]
     assert refused
     left: list[Command] = []
 
@@ -217,7 +217,7 @@ def test_a_refused_command_changes_nothing(state: CellState, make_bench: MakeBen
     assert left == refused
 
 
-ACCEPTED = [(s, c) for s in CellState for c in Command if answer(s, c).accepted]
+ACCEPTED = [(s, c) for s in CellState for c in Command if command_effect(s, c).accepted]
 
 
 @pytest.mark.parametrize(("state", "command"), ACCEPTED)
@@ -230,13 +230,13 @@ def test_an_accepted_command_goes_the_way_of_the_table(
     if held:
         released = command in (Command.RELEASE, Command.RELEASE_HELD)
         assert (walk.bench.grip_n == 0.0) if released else (walk.bench.grip_n > LEAST_N)
-    path = answer(state, command).path
+    path = command_effect(state, command).path
     if state.acting and not path:
         ends = next_state(state, COMPLETIONS[state])
         path = (ends,)
     way = [*WAY_TO[state], *path]
     assert walk.controller.state is (way[-1] if way else CellState.STOPPED)
-    way += answer(walk.controller.state, Command.SHUTDOWN).path
+    way += command_effect(walk.controller.state, Command.SHUTDOWN).path
     walk.bench.cell.close()
 
     recorded = [entry["state"] for entry in read_recording(tmp_path / "recording.mcap").states]

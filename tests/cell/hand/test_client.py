@@ -14,7 +14,7 @@ from cell.errors import HandLost
 from cell.hand import client
 from cell.hand.client import HandProcess, LoopProcess
 from cell.hand.interface import HandStatistics, Measured
-from cell.hand.messages import Alive, Answer, EndRamp, Fault, Progress, Ready
+from cell.hand.messages import Alive, EndRamp, HandFault, HandPeriod, HandReply, Ready
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.force.ramp import ForceRamp
@@ -33,11 +33,11 @@ STATISTICS = HandStatistics(
 )
 
 
-SILENT = Fault(error=HeartbeatLost("silent"), phase=GripperPhase.IDLE)
+SILENT = HandFault(error=HeartbeatLost("silent"), phase=GripperPhase.IDLE)
 
 
-def period(phase: GripperPhase = GripperPhase.RAMPING) -> Progress:
-    return Progress(cycle=make_cycle(phase=phase, force=None), frames=())
+def period(phase: GripperPhase = GripperPhase.RAMPING) -> HandPeriod:
+    return HandPeriod(cycle=make_cycle(phase=phase, force=None), frames=())
 
 
 class FakeLoop(LoopProcess):
@@ -87,8 +87,8 @@ class FakeLoop(LoopProcess):
         self.closed = True
 
 
-def answer(number: int, error: BaseException | None = None, value: Any = "value") -> Answer:
-    return Answer(
+def answer(number: int, error: BaseException | None = None, value: Any = "value") -> HandReply:
+    return HandReply(
         number=number,
         value=None if error else value,
         error=error,
@@ -141,7 +141,7 @@ def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(hand: Ha
     assert not hand.measured.frame.counts.flags.writeable
     # A sample that must not be used does not take the place of the last good one.
     spoilt = replace(moved.cycle, force=replace(force, t_s=3.0, valid=False))
-    loop.script.append([Progress(cycle=spoilt, frames=()), None])
+    loop.script.append([HandPeriod(cycle=spoilt, frames=()), None])
     hand.open(nothing)
     assert hand.measured == Measured(cycle=spoilt, force=force, frame=frame)
 
@@ -223,7 +223,7 @@ def test_a_lost_process_is_told_until_it_is_cleared(hand: HandProcess) -> None:
 
 
 def test_a_process_that_says_that_it_ends_is_lost(hand: HandProcess) -> None:
-    fault = Fault(error=HandLost("told to end"), phase=GripperPhase.IDLE)
+    fault = HandFault(error=HandLost("told to end"), phase=GripperPhase.IDLE)
     loop_of(hand).coming.append(fault)
     with pytest.raises(HandLost, match="told to end"):
         hand.tick()

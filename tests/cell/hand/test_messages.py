@@ -16,7 +16,16 @@ import pytest
 from cell.errors import CellStopped, HostSilent
 from cell.hand import server
 from cell.hand.interface import HandStatistics, Measured
-from cell.hand.messages import COMMANDS, Alive, Answer, EndRamp, Fault, Progress, Request, packed
+from cell.hand.messages import (
+    HAND_COMMANDS,
+    Alive,
+    EndRamp,
+    HandFault,
+    HandPeriod,
+    HandReply,
+    HandRequest,
+    packed,
+)
 from cell.hand.server import HandServer, Outbox
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, ServoFault, ServoRejected, VerificationFailed
@@ -44,7 +53,7 @@ def frame() -> TactileFrame:
     return TactileFrame(t_s=1.0, counter=3, status=0, counts=np.arange(408, dtype=np.uint16))
 
 
-ANSWER = Answer(
+ANSWER = HandReply(
     number=3,
     value=VerificationReport(rows=()),
     error=None,
@@ -57,10 +66,10 @@ def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
     watched = {"open", "grasp", "meet", "carry", "squeeze", "release"}
     unwatched = {"start", "start_sensor", "close_sensor", "tare", "conditions", "inspect"}
     unwatched |= {"read_sensor", "keep_grip", "clear_fault", "shutdown"}
-    assert {name for name, is_watched in COMMANDS.items() if is_watched} == watched
-    assert set(COMMANDS) == watched | unwatched
+    assert {name for name, is_watched in HAND_COMMANDS.items() if is_watched} == watched
+    assert set(HAND_COMMANDS) == watched | unwatched
     with pytest.raises(ValueError, match="'close' is no command of the hand"):
-        Request(number=1, method="close")
+        HandRequest(number=1, method="close")
 
 
 ERRORS = [
@@ -81,7 +90,7 @@ ERRORS = [
 
 
 def crossed(error: BaseException) -> BaseException:
-    event = pickle.loads(packed(Fault(error=error, phase=GripperPhase.OFF)))
+    event = pickle.loads(packed(HandFault(error=error, phase=GripperPhase.OFF)))
     found: BaseException = event.error
     return found
 
@@ -177,7 +186,7 @@ class Line:
     def ask(self, **calls: Any) -> None:
         """Send a request for each method with its arguments."""
         for number, (method, arguments) in enumerate(calls.items(), start=1):
-            self.near.send(Request(number=number, method=method, arguments=arguments))
+            self.near.send(HandRequest(number=number, method=method, arguments=arguments))
 
     def serve(self) -> list[Any]:
         """Serve until all requests are answered; return the events."""
@@ -212,7 +221,7 @@ def line() -> Iterator[Line]:
 def test_requests_are_answered_in_order_with_value_error_and_statistics(line: Line) -> None:
     line.ask(grasp={"ramp": RAMP}, inspect={}, tare={"n_frames": 3})
     events = line.serve()
-    assert [type(event) for event in events] == [Progress] * 10 + [Answer] * 3
+    assert [type(event) for event in events] == [HandPeriod] * 10 + [HandReply] * 3
     np.testing.assert_array_equal(events[0].frames[0].counts, frame().counts)
     grasped, inspected, tared = events[10:]
     assert (grasped.number, grasped.value, grasped.error) == (1, "outcome", None)
@@ -243,16 +252,16 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
 def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line: Line, name: str) -> None:
     line.hand.cycles = 3
     line.near.send(EndRamp(number=1))
-    line.near.send(Request(number=1, method="tare", arguments={"n_frames": 3}))
-    line.near.send(Request(number=2, method=name, arguments={"ramp": RAMP}))
+    line.near.send(HandRequest(number=1, method="tare", arguments={"n_frames": 3}))
+    line.near.send(HandRequest(number=2, method=name, arguments={"ramp": RAMP}))
     line.near.send(EndRamp(number=1))
     line.near.send(EndRamp(number=2))
     # One message is taken in each period; a command that comes during a grasp waits for its end.
-    line.near.send(Request(number=3, method="grasp", arguments={"ramp": RAMP}))
+    line.near.send(HandRequest(number=3, method="grasp", arguments={"ramp": RAMP}))
     line.near.send(EndRamp(number=2))
     events = line.serve()
-    assert [event.number for event in events if isinstance(event, Answer)] == [1, 2, 3]
-    assert [type(event) for event in events[1:5]] == [Progress] * 3 + [Answer]
+    assert [event.number for event in events if isinstance(event, HandReply)] == [1, 2, 3]
+    assert [type(event) for event in events[1:5]] == [HandPeriod] * 3 + [HandReply]
     assert line.hand.ended_at == [1.0]
 
 
@@ -282,7 +291,7 @@ def test_the_end_freezes_keeps_and_says_why(line: Line, cause: str) -> None:
         line.server.listen(reader)
     else:
         line.server._parent = -1
-    line.server._execute(Request(number=1, method="grasp", arguments={"ramp": RAMP}))
+    line.server._execute(HandRequest(number=1, method="grasp", arguments={"ramp": RAMP}))
     line.server.serve()
     line.server.end()
     *periods, answer, last = line.events()

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.control.live import LiveValues
-from cell.control.states import CellState, Command, GraspState, answer, named_states, refusal
+from cell.control.states import (
+    CellState,
+    Command,
+    GraspState,
+    command_effect,
+    named_states,
+    refusal,
+)
 from cell.errors import CellStateError, CellStopped, error_text
 from cell.fault_catalogue import fault_number
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus, Verification
@@ -171,8 +178,8 @@ class StubPlugin:
     def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job:
         state, holding = self._cell, self._status.holding
         needed: Command | None = self._needed(command)
-        path = answer(state, needed).path or (state,)
-        if needless and not answer(state, needed).accepted:
+        path = command_effect(state, needed).path or (state,)
+        if needless and not command_effect(state, needed).accepted:
             needed = None
         end = CellState.IDLE if command is Command.RESET else path[-1]
         keeps = holding and command is not Command.RELEASE
@@ -190,7 +197,7 @@ class StubPlugin:
             raise CellStateError("the cell is closed")
         if self._running is not None:
             raise CellStateError(f"job {self._running.number} is not over")
-        if needed is not None and not answer(self._cell, needed).accepted:
+        if needed is not None and not command_effect(self._cell, needed).accepted:
             raise CellStateError(refusal(self._cell, needed))
 
     def cancel(self, job: Job, reason: str) -> None:

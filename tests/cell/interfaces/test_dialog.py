@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from cell.commissioning.engine import Choice, Finding, Left, Number, Question, Verdict, Write
+from cell.commissioning.engine import Choice, Finding, Left, NumberRange, Question, Verdict, Write
 from cell.commissioning.ports import PortsStep
 from cell.interfaces.cli import terminal
 from cell.interfaces.cli.dialog import TerminalDialog
@@ -38,7 +38,7 @@ def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer) -> None
     ("lines", "answer"), [(["10,5"], 10.5), (["", "0", "nan", "ten", "99"], 99.0)]
 )
 def test_numbers_have_a_range_and_either_point(typed, lines, answer) -> None:
-    question = Question(key="q", text="?", number=Number(lowest=1, highest=100, unit="mm"))
+    question = Question(key="q", text="?", number=NumberRange(lowest=1, highest=100, unit="mm"))
     assert typed(*lines).ask(question) == answer
 
 

@@ -19,7 +19,7 @@ from cell.commissioning.engine import (
     Dialog,
     Engine,
     Finding,
-    Number,
+    NumberRange,
     Question,
     StepFailed,
     Write,
@@ -107,7 +107,7 @@ class Moving(Asking):
         block = Question(
             key="fingers.block",
             text="Thickness of the block between the pads?",
-            number=Number(lowest=1.0, highest=40.0, unit="mm"),
+            number=NumberRange(lowest=1.0, highest=40.0, unit="mm"),
             default=10.0,
         )
         thick = float(dialog.ask(block))

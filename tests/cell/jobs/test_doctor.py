@@ -17,7 +17,7 @@ from cell.commissioning.engine import Verdict
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.jobs.doctor import Finding, _boards, examine
+from cell.jobs.doctor import CheckResult, _boards, examine
 from cell.simulation import simulated_cell
 from tests.cell.conftest import once, small_config
 from tests.faults.scenarios.axes import CHANGES
@@ -30,7 +30,7 @@ REAL = {
 }
 
 
-def by_name(findings: list[Finding]) -> dict[str, Finding]:
+def by_name(findings: list[CheckResult]) -> dict[str, CheckResult]:
     return {finding.what: finding for finding in findings}
 
 
@@ -81,7 +81,7 @@ def test_a_cell_that_was_commissioned_is_compared_with_it(
     ],
 )
 def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
-    altered: Callable[..., list[Finding]],
+    altered: Callable[..., list[CheckResult]],
     *,
     fault: str,
     what: str,
@@ -118,7 +118,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
     ],
 )
 def test_torque_that_is_left_on_is_named_with_the_way_on(
-    altered: Callable[..., list[Finding]],
+    altered: Callable[..., list[CheckResult]],
     left: tuple[tuple[int, ...], tuple[int, ...]],
     verdict: Verdict,
     found: str,
@@ -157,10 +157,10 @@ def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
 
 
 @pytest.fixture
-def altered(meddle: Any) -> Callable[[Callable[[Any], None]], list[Finding]]:
+def altered(meddle: Any) -> Callable[[Callable[[Any], None]], list[CheckResult]]:
     """Return what examines a simulated cell after something was done to it."""
 
-    def run(act: Callable[[Any], None]) -> list[Finding]:
+    def run(act: Callable[[Any], None]) -> list[CheckResult]:
         meddle(lambda made: act(made.simulated))
         return list(examine(CellConfig()))
 
@@ -192,7 +192,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     simulated.close()
 
 
-def test_lost_frames_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
+def test_lost_frames_are_a_warning(altered: Callable[..., list[CheckResult]]) -> None:
     def disturb(simulated: Any) -> None:
         once(
             simulated.clock,

@@ -22,7 +22,7 @@ from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.force_check import force_table
 from tactile.unit import object_dictionary as od
-from tactile.unit.object_dictionary import TareResult
+from tactile.unit.object_dictionary import UnitTareResult
 from tests.tactile.conftest import Skin
 
 NMT, SYNC, EMCY, TPDO1, SDO_OUT, SDO_IN, HEARTBEAT = 0, 0x80, 0x85, 0x185, 0x585, 0x605, 0x705
@@ -298,9 +298,9 @@ def test_the_unit_takes_a_zero_on_command(line: Line) -> None:
     assert line.write(od.TARE, od.TARE_COMMAND, od.TARE_SIGNATURE, 4) == 0
     for _ in range(3):
         assert line.frame().status == 0
-        assert line.number(od.TARE, od.TARE_RESULT) == TareResult.RUNNING
+        assert line.number(od.TARE, od.TARE_RESULT) == UnitTareResult.RUNNING
     assert line.frame().status == FrameStatus.TARED
-    assert line.number(od.TARE, od.TARE_RESULT) == TareResult.DONE
+    assert line.number(od.TARE, od.TARE_RESULT) == UnitTareResult.DONE
     assert line.number(od.TARE, od.TARE_LARGEST) == 12
     line.skin.counts[5] = 40
     line.skin.counts[6] = 2
@@ -313,10 +313,10 @@ def test_the_unit_takes_a_zero_on_command(line: Line) -> None:
 
 @pytest.mark.parametrize(
     ("counts", "result"),
-    [((31, 31), TareResult.REFUSED_TOUCHED), ((5, 17), TareResult.REFUSED_SPREAD)],
+    [((31, 31), UnitTareResult.REFUSED_TOUCHED), ((5, 17), UnitTareResult.REFUSED_SPREAD)],
 )
 def test_a_touched_or_restless_skin_gives_no_zero(
-    line: Line, counts: tuple[int, int], result: TareResult
+    line: Line, counts: tuple[int, int], result: UnitTareResult
 ) -> None:
     line.start()
     line.write(od.THRESHOLDS, od.THRESHOLD_TARE_SPREAD, 11, 2)

@@ -8,7 +8,7 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from motion import object_dictionary as od
-from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
+from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
 from simulator.can.drive import DriveMount, SimulatedDrive
 
 NODE = 11
@@ -191,4 +191,4 @@ def test_a_restart_is_seen_and_forgets_all(bench: StepNetwork) -> None:
     assert (0x700 + NODE, b"\0") in bench.seen
     assert bench.drive.state is State.SWITCH_ON_DISABLED
     assert sdo[od.HEARTBEAT_MS].raw == 0
-    assert sdo[od.MODE].raw == OperatingMode.NONE
+    assert sdo[od.MODE].raw == ModeOfOperation.NONE

@@ -9,7 +9,7 @@ from simulator.world.taxels import (
     CELL_M,
     NoiseKind,
     NoiseModel,
-    PadGrid,
+    PressureGrid,
     SensorLaw,
     ideal_counts,
     resistance_mohm,
@@ -42,7 +42,7 @@ def test_a_linear_sensor_counts_in_proportion() -> None:
 
 @pytest.mark.parametrize("pad", [paper_layout().pads[0], pinch_layout().pads[1]])
 def test_no_force_is_lost_on_the_way_to_the_taxels(pad: object) -> None:
-    grid = PadGrid(pad, Foam())  # type: ignore[arg-type]
+    grid = PressureGrid(pad, Foam())  # type: ignore[arg-type]
     rng = np.random.default_rng(1)
     pressure_pa = rng.uniform(0.0, 1e5, (grid.x_m.size, grid.y_m.size))
     force_n = grid.taxel_force_n(pressure_pa, grid.shares(ALL))
@@ -52,7 +52,7 @@ def test_no_force_is_lost_on_the_way_to_the_taxels(pad: object) -> None:
 
 def test_the_grid_is_fine_and_divides_the_taxels_evenly() -> None:
     pad = paper_layout().pads[0]
-    grid = PadGrid(pad, Foam())
+    grid = PressureGrid(pad, Foam())
     step_m = grid.x_m[1, 0] - grid.x_m[0, 0]
     assert step_m <= CELL_M
     assert (pad.pitch_x_m / step_m) == pytest.approx(round(pad.pitch_x_m / step_m))
@@ -60,14 +60,14 @@ def test_the_grid_is_fine_and_divides_the_taxels_evenly() -> None:
 
 
 def test_an_even_pressure_stays_even() -> None:
-    grid = PadGrid(paper_layout().pads[0], Foam())
+    grid = PressureGrid(paper_layout().pads[0], Foam())
     force_n = grid.taxel_force_n(np.full((grid.x_m.size, grid.y_m.size), 1e4), grid.shares(ALL))
     assert force_n == pytest.approx(np.full(64, 1e4 * 0.055 * 0.02 / 64), rel=1e-3)
 
 
 def test_a_point_spreads_as_a_gaussian() -> None:
     pad = pinch_layout().pads[0]
-    grid = PadGrid(pad, Foam(spread_m=1.5e-3))
+    grid = PressureGrid(pad, Foam(spread_m=1.5e-3))
     i, j = grid.x_m.size // 2, grid.y_m.size // 2
     force_n = grid.taxel_force_n(
         np.array([[1.0 / grid.cell_area_m2]]), grid.shares((slice(i, i + 1), slice(j, j + 1)))

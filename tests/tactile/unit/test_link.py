@@ -182,7 +182,7 @@ def test_lost_sdo_responses_are_asked_for_again(idle) -> None:
 
 
 def test_a_zero_held_by_the_unit_is_cleared(idle) -> None:
-    idle.unit.dictionary.pretend(od.TARE, od.TARE_RESULT, od.TareResult.DONE)
+    idle.unit.dictionary.pretend(od.TARE, od.TARE_RESULT, od.UnitTareResult.DONE)
     idle.link.start()
     assert written(idle)[od.TARE, od.TARE_COMMAND] == od.TARE_CLEAR_SIGNATURE
 

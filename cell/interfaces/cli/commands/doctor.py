@@ -31,13 +31,13 @@ def doctor(
     from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import out, print_line, write_json
-    from cell.jobs.doctor import Finding, examine, gauge_again
+    from cell.jobs.doctor import CheckResult, examine, gauge_again
 
     colours = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
     findings = []
     cell = cell_config(config)
 
-    def checks() -> Iterator[Finding]:
+    def checks() -> Iterator[CheckResult]:
         yield from examine(cell, config)
         if gauge:
             if config is None or cell.simulated:

@@ -10,7 +10,7 @@ import pytest
 from cell.commissioning.engine import Verdict
 from cell.commissioning.walk import all_steps
 from cell.control.states import CellState, GraspState
-from cell.fault_catalogue import CATALOGUE, Step
+from cell.fault_catalogue import CATALOGUE, RecoveryStep
 from cell.interfaces.http_server import REMEDIES
 from cell.interfaces.page import FOLDER
 from cell.interfaces.plugin.goals import TASKS
@@ -25,7 +25,7 @@ FAMILIES: dict[str, set[str]] = {
     "state.": {*CellState, "away"},
     "grip.": set(GraspState),
     "task.": {*TASKS, "release", "clear", "reset", "shutdown", "forget", "forget_drift"},
-    "step.": set(get_args(Step)),
+    "step.": set(get_args(RecoveryStep)),
     "shape.": {*SHAPE_MODELS, UNCLEAR},
     "why.state.": set(CellState),
     "why.only.": {"verify", "clear", "reset"},

@@ -11,7 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from cell.interfaces.service.doors import BUSY_MAX, Places
+from cell.interfaces.service.doors import BUSY_MAX, ConnectionPlaces
 from cell.interfaces.service.host_calls import COMMANDS
 from cell.interfaces.service.host_values import PLATE, REFUSAL, VALUES
 from tests.cell.interfaces.conftest import until
@@ -109,7 +109,7 @@ def test_the_system_asks_whether_a_peer_is_still_there(serve: Any, link: Any, do
 
 
 def test_places_go_to_those_who_have_fewest() -> None:
-    places, gone = Places(), list[int]()
+    places, gone = ConnectionPlaces(), list[int]()
     links = [Mock(**{"is_closing.return_value": False}) for _ in range(BUSY_MAX + 3)]
     for number, link in enumerate(links):
         link.abort.side_effect = partial(gone.append, number)
