@@ -15,11 +15,11 @@ from cell.control.journal import Journal, loop_values
 from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
+    CarryCallback,
     HostPlaces,
     ObjectPlacer,
     OperatorPositioner,
     PatientCaller,
-    Places,
     Positioner,
     SimulatedPositioner,
     SocketPlacer,
@@ -38,7 +38,7 @@ from cell.simulation import (
     capture_traffic,
     open_can_bus,
     open_servo_port,
-    simulated_cell,
+    simulation_of,
 )
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
@@ -175,7 +175,7 @@ def build_cell(
     *,
     folder: Path | None = None,
     mover: Mover | None = None,
-    places: Places | None = None,
+    places: CarryCallback | None = None,
     ask: Callable[[str], str] | None = None,
     capture: Path | None = None,
     simulated: SimulatedCell | None = None,
@@ -216,7 +216,7 @@ def build_cell(
     with ExitStack() as undo:
         clock: Clock = time
         if config.simulated and simulated is None:
-            simulated = simulated_cell(config)
+            simulated = simulation_of(config)
             undo.callback(simulated.close)
         if simulated is not None:
             if not config.simulated:

@@ -40,8 +40,6 @@ from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
 from tactile.layout import TaxelLayout
 
-Counts = NDArray[np.float64]
-
 _RACK_TRAVEL_M = 0.1
 """Travel of each simulated rack in m: more than the fingers of any config need."""
 _NOISE_DRAWS = 200
@@ -198,7 +196,7 @@ def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:
         )
 
 
-def simulated_cell(config: CellConfig) -> SimulatedCell:
+def simulation_of(config: CellConfig) -> SimulatedCell:
     """Return the simulated cell of a config, with its faults injected; in virtual time.
 
     Raises
@@ -270,7 +268,9 @@ def drawn_shape(text: str) -> Shape:
         raise ConfigError(f"shape {text!r}: {error}") from error
 
 
-def converter_noise(config: CellConfig) -> Callable[[np.random.Generator, int], Counts]:
+def converter_noise(
+    config: CellConfig,
+) -> Callable[[np.random.Generator, int], NDArray[np.float64]]:
     """Return the noise of the simulated converter: (generator, number of samples) -> counts."""
     settings = config.simulator
     noise = NoiseModel(kind=settings.noise, level=settings.noise_level)

@@ -149,7 +149,7 @@ class Cia402Drive:
         state = self._state()
         words = f"{state.words}, position {self.position} increments"
         if state is State.FAULT:
-            words += f", {od.error_text(self._read(od.ERROR_CODE))}"
+            words += f", {od.error_code_text(self._read(od.ERROR_CODE))}"
         return words
 
     def prepare(self, *, reset: bool) -> None:
@@ -349,7 +349,7 @@ class Cia402Drive:
         self._until(
             lambda: self._state() not in (State.FAULT, State.FAULT_REACTION_ACTIVE),
             _STATE_S,
-            f"stays at fault, {od.error_text(code)}: remedy its cause",
+            f"stays at fault, {od.error_code_text(code)}: remedy its cause",
             AxisFault,
         )
 
@@ -405,8 +405,8 @@ class Cia402Drive:
 
     def _fault_text(self, code: int) -> str:
         return (
-            f"{self.name} is at fault, {od.error_text(code)}; remedy the cause, then clear the "
-            "fault and start again"
+            f"{self.name} is at fault, {od.error_code_text(code)}; remedy the cause, then clear "
+            "the fault and start again"
         )
 
     def _until(

@@ -164,7 +164,7 @@ _ERROR_CLASSES: Mapping[int, str] = MappingProxyType(
 """Meaning of the first digit of all others (CiA 301, 7.2.7.1)."""
 
 
-def error_text(code: int) -> str:
+def error_code_text(code: int) -> str:
     """Return an error code (603Fh, EMCY) in words."""
     text = _ERROR_TEXTS.get(code) or _ERROR_CLASSES.get(code >> 12, "not specified")
     return f"error {code:04X}h: {text}"

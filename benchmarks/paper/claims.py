@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks import _measure
 from benchmarks.paper.figures import condition_index
 from benchmarks.paper.grasps import COMMON_N, PAPER_NOISE, law_mohm
 from benchmarks.paper.level_trials import LABELS, READINGS, Outcome
@@ -12,7 +13,7 @@ from benchmarks.paper.study import PaperStudy
 from cell.report.paper_table import FIGURE_2, TABLE_1, TABLE_1_LABELS
 from recognition.evaluation.metrics import wilson_interval
 
-Verdict = Literal["holds", "in part", "does not hold"]
+ClaimVerdict = Literal["holds", "in part", "does not hold"]
 _SAME = 1.01  # a value that changes by less than this factor counts as unchanged
 _NEAR = 1.15
 _NO_EFFECT = 0.02
@@ -27,14 +28,13 @@ class Claim:
     claim: str
     found: str
     """What it says and what we measured."""
-    verdict: Verdict
+    verdict: ClaimVerdict
     """Whether it holds here."""
 
 
 def share(outcome: Outcome) -> str:
     """Return a share of right names with its 95 % interval, as text."""
-    low, high = wilson_interval(outcome.n_right, outcome.n)
-    return f"{100 * outcome.n_right / outcome.n:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+    return _measure.share(outcome.n_right, outcome.n)
 
 
 def paper_share() -> tuple[int, int]:
@@ -96,7 +96,7 @@ def _invariance(study: PaperStudy) -> tuple[Claim, ...]:
     by_name = {part.name: part for part in study.invariance}
     magnitude, algebraic = READINGS
 
-    def change(name: str) -> tuple[str, Verdict]:
+    def change(name: str) -> tuple[str, ClaimVerdict]:
         part = by_name[name]
         here, other = (float(part.ratio[reading].max()) for reading in READINGS)
         text = (

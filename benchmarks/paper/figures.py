@@ -68,7 +68,7 @@ def resistance_figure(indentation: Indentation) -> str:
         return to_svg(figure, "fig2", "resistance of a taxel over force")
 
 
-def sweep_figure(study: PaperStudy) -> str:
+def trajectories_figure(study: PaperStudy) -> str:
     """Draw figure 3: the trajectories over the printed grid, and over its first scale alone."""
     with drawing():
         figure = new_figure(10.2, 3.8)

@@ -46,7 +46,7 @@ _FOAM = Foam()
 _GRIDS = tuple(PressureGrid(_LAYOUT.pads[pad], _FOAM) for pad in _LAYOUT.gripping_pads)
 
 
-def gripping_pads() -> PadArray:
+def inner_pads() -> PadArray:
     """Return the inner pads of both fingers, 16 x 4 taxels of 8 bit each."""
     taxels = [np.arange(_LAYOUT.n_taxels)[_LAYOUT.taxels_of(pad)] for pad in _LAYOUT.gripping_pads]
     return PadArray(
@@ -57,7 +57,7 @@ def gripping_pads() -> PadArray:
     )
 
 
-_PADS = gripping_pads()
+_PADS = inner_pads()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,7 +17,7 @@ from benchmarks.paper.figures import (
     condition_index,
     noise_figure,
     resistance_figure,
-    sweep_figure,
+    trajectories_figure,
 )
 from benchmarks.paper.grasps import COMMON_N, FULL_N, OFFSET_M
 from benchmarks.paper.level_trials import CONDITIONS, LABELS, READINGS, Outcome
@@ -67,7 +67,7 @@ def page_view(study: PaperStudy, seconds: float) -> dict[str, Any]:
         "classes": {"holds": "ok", "in part": "warn", "does not hold": "bad"},
         "legend": [(label, f"c{place}") for label, place in colours.items()],
         "figure_2": resistance_figure(study.indentation),
-        "figure_3": sweep_figure(study),
+        "figure_3": trajectories_figure(study),
         "figure_4": noise_figure(study),
         "curve": accuracy_figure(study),
         "invariance": [

@@ -18,7 +18,7 @@ from typing import Any
 from xmlrpc.client import dumps
 
 from benchmarks._measure import line
-from benchmarks.performance.soak import Sample, look, show_growth
+from benchmarks.performance.soak import ResourceUse, look, show_growth
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import CellState
@@ -78,7 +78,7 @@ def connect(door: Door, number: int) -> None:
             pass  # a door that is full ends the oldest connection
 
 
-def answers(door: Door) -> bool:
+def gets_answer(door: Door) -> bool:
     """Whether a new client gets an answer."""
     port, request = door
     try:
@@ -98,14 +98,14 @@ def settle(true: Callable[[], bool], what: str) -> None:
         time.sleep(0.01)
 
 
-def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator[Sample]:
+def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator[ResourceUse]:
     """Connect so often to a door, and yield a sample after each block."""
     # What a door makes at its first clients and keeps, a thread or a file, is none of theirs.
     with ThreadPoolExecutor(_AT_ONCE) as clients:
-        list(clients.map(lambda _number: answers(door), range(4 * _AT_ONCE)))
+        list(clients.map(lambda _number: gets_answer(door), range(4 * _AT_ONCE)))
     for number in range(_KINDS):
         connect(door, number)
-    settle(lambda: answers(door), f"{name} gives no answer")
+    settle(lambda: gets_answer(door), f"{name} gives no answer")
     first, before = look(0, 0.0), None
     while before is None or _open(first) != _open(before):
         time.sleep(_QUIET_S)
@@ -113,7 +113,7 @@ def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator
     for done in range(BLOCK, n_connects + 1, BLOCK):
         for number in range(done - BLOCK, done):
             connect(door, number)
-        settle(lambda: answers(door), f"{name} gives no answer")
+        settle(lambda: gets_answer(door), f"{name} gives no answer")
         time.sleep(REST_S)
         settle(lambda: _idle(first), f"{name} has descriptors or threads left")
         status = service.status()
@@ -122,11 +122,11 @@ def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator
         yield look(done, 0.0)
 
 
-def _open(sample: Sample) -> tuple[int, int]:
+def _open(sample: ResourceUse) -> tuple[int, int]:
     return sample.descriptors, sample.threads
 
 
-def _idle(first: Sample) -> bool:
+def _idle(first: ResourceUse) -> bool:
     now = look(0, 0.0)
     return now.descriptors <= first.descriptors and now.threads <= first.threads
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from xmlrpc.client import ServerProxy
 
 from benchmarks._measure import in_turns, line, quantile, repeats, same
-from benchmarks.performance.loop_lateness import figures, running, simulated_cell
+from benchmarks.performance.loop_lateness import figures, real_time_cell, running
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import Command
@@ -167,7 +167,7 @@ def clients(n_clients: int, port: int) -> Iterator[None]:
 
 def lateness(n_clients: int) -> str:
     """Grip on pseudo-terminals with so many clients; return the loop's figures."""
-    with simulated_cell(**_DOORS) as (_, config):
+    with real_time_cell(**_DOORS) as (_, config):
         service = open_service(config)
         with contextlib.closing(service), open_doors(service) as doors:
             lease = service.lease.acquire("benchmark")

@@ -18,7 +18,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.errors import CellError
-from cell.simulation import simulated_cell
+from cell.simulation import simulation_of
 from gripper.errors import ForceAboveCap, GripperError
 from tactile.errors import TactileError
 
@@ -124,7 +124,7 @@ def trial(seed: int, changes: Mapping[str, Any] | None = None) -> CapTrial:
         return CapTrial(seed=seed, part=part, cap_n=cap_n, error=error, refused=True)
     most: tuple[float, str] = (0.0, "")
     error: Exception | None = None
-    with simulated_cell(config) as simulated:
+    with simulation_of(config) as simulated:
         for motor in simulated.devices.mechanics.motors:
             motor.kt_nm_a *= 1.0 + draw.uniform(-_KT_ERROR, _KT_ERROR)
             motor.friction_nm *= 1.0 + draw.uniform(-_FRICTION_ERROR, _FRICTION_ERROR)

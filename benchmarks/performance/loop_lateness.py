@@ -55,7 +55,7 @@ def figures(loop: LoopStatistics) -> str:
 
 
 @contextlib.contextmanager
-def simulated_cell(**changes: Any) -> Iterator[tuple[CellProcess, CellConfig]]:
+def real_time_cell(**changes: Any) -> Iterator[tuple[CellProcess, CellConfig]]:
     """Run the simulated cell in a process of its own; give it, and a config that reaches it."""
     process = CellProcess(CellConfig())
     try:
@@ -66,7 +66,7 @@ def simulated_cell(**changes: Any) -> Iterator[tuple[CellProcess, CellConfig]]:
 
 def whole_path(rate_hz: int, hold_s: float) -> str:
     """Grasp and hold over pseudo-terminals; return the figures, or why there are none."""
-    with simulated_cell(**{"gripper.loop_rate_hz": float(rate_hz)}) as (cell, config):
+    with real_time_cell(**{"gripper.loop_rate_hz": float(rate_hz)}) as (cell, config):
         hand = HandProcess(config)
         try:
             hand.start()

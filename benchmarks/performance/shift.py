@@ -24,7 +24,7 @@ from websockets.sync.client import connect
 
 from benchmarks._measure import line
 from benchmarks.performance.connects import settle
-from benchmarks.performance.soak import Sample, look, show_growth
+from benchmarks.performance.soak import ResourceUse, look, show_growth
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.interfaces.service.service import Service
@@ -79,7 +79,7 @@ def run_job(service: Service, lease: int, goal: Mapping[str, Any]) -> None:
         raise SystemExit(f"{goal}: {job.error}")
 
 
-def sort_shift(service: Service, n_parts: int) -> Iterator[Sample]:
+def sort_shift(service: Service, n_parts: int) -> Iterator[ResourceUse]:
     """Teach the objects, sort so many parts, and yield a sample after each block of them."""
     lease = service.lease.acquire("shift")
     labels = [entry.label for entry in service.config.simulator.objects]
@@ -93,7 +93,9 @@ def sort_shift(service: Service, n_parts: int) -> Iterator[Sample]:
             yield look(done, done * PART_S)
 
 
-def condensed(hours: float, config: CellConfig) -> tuple[list[Sample], list[int], dict[str, Any]]:
+def condensed(
+    hours: float, config: CellConfig
+) -> tuple[list[ResourceUse], list[int], dict[str, Any]]:
     """Return the samples of a shift, the messages that each client got, and its ledger."""
     ports = {"modbus": None, "xmlrpc": None, "http": 0}
     wanted: dict[str, Any] = {f"serve.{name}_port": port for name, port in ports.items()}

@@ -46,7 +46,7 @@ _PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sample:
+class ResourceUse:
     """The process after so many grasps, or connections."""
 
     done: int
@@ -62,11 +62,11 @@ class Sample:
     """Open file descriptors and threads of the process."""
 
 
-def look(done: int, virtual_s: float) -> Sample:
+def look(done: int, virtual_s: float) -> ResourceUse:
     """Collect garbage and look at this process."""
     gc.collect()
     resident = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return Sample(
+    return ResourceUse(
         done=done,
         virtual_s=virtual_s,
         rss_kib=resident * _PAGE_KIB,
@@ -134,7 +134,7 @@ def _cancelled_in(cell: Cell, phase: GripperPhase, config: CellConfig, seed: int
     raise SystemExit("a cancelled grasp went on to its end")
 
 
-def soak(n_grasps: int, config: CellConfig | None = None) -> Iterator[Sample]:
+def soak(n_grasps: int, config: CellConfig | None = None) -> Iterator[ResourceUse]:
     """Do at least ``n_grasps`` grasps and yield a sample after each block."""
     config = config or CellConfig()
     with closing(_cell(config)) as cell:
@@ -152,7 +152,7 @@ def soak(n_grasps: int, config: CellConfig | None = None) -> Iterator[Sample]:
             yield look(grasps, virtual_s + _now_s(cell))
 
 
-def slopes(samples: Sequence[Sample]) -> dict[str, float]:
+def slopes(samples: Sequence[ResourceUse]) -> dict[str, float]:
     """Return the growth for each grasp after the warm-up: the median slope of all pairs.
 
     The median (Theil and Sen) does not follow single steps, as an allocator makes them.
@@ -172,7 +172,7 @@ def slopes(samples: Sequence[Sample]) -> dict[str, float]:
     return found
 
 
-def grown(samples: Sequence[Sample], limits: Mapping[str, float] = LIMITS) -> list[str]:
+def grown(samples: Sequence[ResourceUse], limits: Mapping[str, float] = LIMITS) -> list[str]:
     """Return what grows faster than its limit."""
     return [
         f"{name} grow by {slope:.4f} each, allowed are {limits[name]:g}"
@@ -181,7 +181,7 @@ def grown(samples: Sequence[Sample], limits: Mapping[str, float] = LIMITS) -> li
     ]
 
 
-def show_growth(samples: Sequence[Sample], limits: Mapping[str, float] = LIMITS) -> list[str]:
+def show_growth(samples: Sequence[ResourceUse], limits: Mapping[str, float] = LIMITS) -> list[str]:
     """Print what grew after the warm-up; return what grows faster than its limit."""
     kept = samples[int(WARM_UP * len(samples)) :]
     for name, slope in slopes(samples).items():
@@ -195,7 +195,7 @@ def show_growth(samples: Sequence[Sample], limits: Mapping[str, float] = LIMITS)
     return grown(samples, limits)
 
 
-def _print_row(sample: Sample) -> None:
+def _print_row(sample: ResourceUse) -> None:
     print(
         f"{sample.done:>8} {sample.virtual_s / 3600:>9.2f} {sample.rss_kib / 1024:>9.1f} "
         f"{sample.objects:>9} {sample.descriptors:>6} {sample.threads:>8}",
@@ -210,7 +210,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--grasps", type=int, default=10_000)
     parser.add_argument("--report", type=Path, help="JSON lines, one for each block")
     wanted = parser.parse_args(arguments)
-    samples: list[Sample] = []
+    samples: list[ResourceUse] = []
     start_s = next_row_s = time.monotonic()
     report = None if wanted.report is None else wanted.report.open("w", encoding="utf-8")
     print(f"{'grasps':>8} {'hours':>9} {'RSS MiB':>9} {'objects':>9} {'files':>6} {'threads':>8}")

@@ -8,15 +8,13 @@ import numpy as np
 
 from benchmarks._measure import share
 from cell.config.sequence import SequenceConfig
+from cell.jobs.calibrate import GAUGE_GRASPS
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import UNCLEAR, ShapeAnswer
 from recognition.statistics.fusion import StopRule
-
-GAUGE_GRASPS = 3
-"""Grasps of an object that a gauge takes."""
 
 
 @dataclass(frozen=True, slots=True)

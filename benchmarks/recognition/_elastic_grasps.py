@@ -113,7 +113,7 @@ def _grid(pad: ElasticPad, shape: tuple[int, int]) -> ElasticGrid:
     return ElasticGrid(pad, shape, _CELL_M, _MARGIN_M)
 
 
-def pressed(
+def pressed_object(
     label: str, shape: str, command: GraspCommand, material: Material, layout: LayoutName = "paper"
 ) -> PressedObject:
     """Press an object into a pad until it carries the force of the command, and some to spare."""

@@ -21,7 +21,7 @@ from benchmarks.recognition._elastic_grasps import (
     PressedObject,
     Sensed,
     elastic_grasp,
-    pressed,
+    pressed_object,
 )
 from benchmarks.recognition._grasps import PAPER
 from benchmarks.recognition._posed_grasps import draw_placing
@@ -59,7 +59,9 @@ def trials(
 ) -> dict[int, PressedObject]:
     """Press each object ``n`` times at random placings with 2 to 8 N; trials by their seed."""
     return {
-        seed: pressed(label, shape, draw_placing(np.random.default_rng(seed)), material, layout)
+        seed: pressed_object(
+            label, shape, draw_placing(np.random.default_rng(seed)), material, layout
+        )
         for start, (label, shape) in enumerate(objects.items(), 100 * number)
         for seed in range(1000 * start, 1000 * start + n)
     }

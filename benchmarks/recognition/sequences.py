@@ -30,7 +30,7 @@ MAX_GRASPS = 5
 Rows = dict[str, list[Posterior]]
 
 
-def posed(shapes: Mapping[str, str], n: int, sensing: Sensing, seed: int) -> list[Grasp]:
+def posed_grasps(shapes: Mapping[str, str], n: int, sensing: Sensing, seed: int) -> list[Grasp]:
     """Return n grasps of each shape."""
     rng = np.random.default_rng(seed)
     return [
@@ -134,7 +134,10 @@ def main(effort: float = 1.0) -> None:
         ]
     n_train, n_pool = repeats(20, effort, least=8), repeats(80, effort, least=6)
     for name, shapes, sensing in cases:
-        train, test = posed(shapes, n_train, sensing, 0), posed(shapes, n_pool, sensing, 100_000)
+        train, test = (
+            posed_grasps(shapes, n_train, sensing, 0),
+            posed_grasps(shapes, n_pool, sensing, 100_000),
+        )
         show(name, train, test, use_aperture=sensing.aperture_known)
     grasps = recorded()
     if grasps is None:

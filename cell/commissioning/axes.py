@@ -4,17 +4,17 @@ from collections.abc import Iterator
 from os.path import realpath
 from typing import Any
 
-from cell.commissioning.backup import read_table
+from cell.commissioning.backup import read_control_table
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Finding, Step
 from cell.commissioning.ports import by_id
-from cell.commissioning.servos import Scan, check_supply, model_name, scan
+from cell.commissioning.servos import Scan, check_supply, model_name, scan_servos
 from cell.commissioning.unit import network_interfaces
 from gripper.dynamixel.models import MODELS
 from gripper.errors import GripperError
 from tactile.can.bus import CanBus
 from tactile.errors import TactileError
-from tactile.unit.search import read_device, scan as scan_nodes
+from tactile.unit.search import read_device, scan_nodes
 
 _DRIVES = 402
 """Device profile of drives (CiA 402)."""
@@ -83,7 +83,7 @@ def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:
 
 def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Finding) -> list[dict[str, Any]]:
     """Scan a port; return its axis as the config names it, none where it cannot be driven."""
-    found = scan(bench, port, dialog)
+    found = scan_servos(bench, port, dialog)
     if complaint := _complaint(port, found):
         notes.fail(complaint)
         return []
@@ -95,7 +95,7 @@ def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Finding) -> list
         notes.fail(f"the cell drives {', '.join(MODELS)}; {name} is none of them")
         return []
     with bench.servo_bus(port, servo.baud_rate) as bus:
-        check_supply(servo_id, model, read_table(bus, servo_id), notes)
+        check_supply(servo_id, model, read_control_table(bus, servo_id), notes)
     return [
         {
             "kind": "dynamixel",

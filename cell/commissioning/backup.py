@@ -59,7 +59,7 @@ def register_writes(
     ]
 
 
-def read_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
+def read_control_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
     """Return the raw values of all items that a servo has, by name."""
     found = {}
     for register in REGISTERS.values():
@@ -170,7 +170,7 @@ def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
     """
     servo_id = backup.servo_id
     try:
-        now = read_table(bus, servo_id)
+        now = read_control_table(bus, servo_id)
     except GripperError as error:
         raise CellError(
             f"servo {servo_id} does not answer at {bus.baudrate} bit/s, nothing was written: "

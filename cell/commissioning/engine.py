@@ -22,7 +22,7 @@ from tactile.errors import TactileError
 
 STORE_NAME = "commissioning.json"
 """File in the cell's folder that keeps the entries of the steps."""
-LOOK_S = 0.05
+LIVE_CALL_S = 0.05
 """Time in s between two calls of `Dialog.live` while motors move: a person may stop them there."""
 
 

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
-    LOOK_S,
+    LIVE_CALL_S,
     Dialog,
     Finding,
     NumberRange,
@@ -574,7 +574,7 @@ class _Hands:
                 self._dialog.live(
                     f"finger {index}", f"{degrees(way_rad):.1f} deg open, {current_a:.2f} A"
                 )
-                shown_s = clock.monotonic() + LOOK_S
+                shown_s = clock.monotonic() + LIVE_CALL_S
             if way_rad <= -_WRONG_WAY_RAD or way_rad >= _FIRST_WAY_RAD / 2.0:
                 break
         with suppress(GripperError):

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
-from cell.commissioning.engine import LOOK_S, Dialog, Left, StepFailed
+from cell.commissioning.engine import LIVE_CALL_S, Dialog, Left, StepFailed
 from gripper.errors import GraspStopped
 from gripper.state import Cycle
 from tactile.frames.codec import TactileFrame
@@ -56,7 +56,7 @@ class WatchedMotion:
         self.frames += frames
         if self._left is not None or cycle.t_s < self._due_s:
             return
-        self._due_s = cycle.t_s + LOOK_S
+        self._due_s = cycle.t_s + LIVE_CALL_S
         force = "" if cycle.force is None else f"{min(cycle.force.force_n):.2f} N, "
         try:
             self._dialog.live("grip", f"{force}opening {1e3 * cycle.state.aperture_m:.1f} mm")

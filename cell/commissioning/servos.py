@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from cell.commissioning.backup import Backup, keep, read_table, register_writes
+from cell.commissioning.backup import Backup, keep, read_control_table, register_writes
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     Dialog,
@@ -85,7 +85,7 @@ class Scan:
         return bool(self.shared or self.damaged)
 
 
-def scan(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = SCAN_RATES) -> Scan:
+def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = SCAN_RATES) -> Scan:
     """Ping all IDs at each baud rate; takes about 12 s for all of them."""
     servos: list[Found] = []
     shared: list[Found] = []
@@ -178,7 +178,7 @@ def _model(identity: ServoIdentity) -> ServoModel | None:
 
 def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoIdentity]:
     """Return the servos, each with an ID of its own at one baud rate."""
-    found, n_wanted = scan(bench, port, dialog), 0
+    found, n_wanted = scan_servos(bench, port, dialog), 0
     while True:
         if found.crowded:
             n_wanted = _MOST_FINGER_SERVOS
@@ -204,9 +204,9 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
         bench.clock.sleep(_BOOT_S)
         seen = {one.baud_rate for one in (*found.servos, *found.shared)}
         rates = [one for one in SCAN_RATES if one in {rate, 57600, *seen, *found.damaged}]
-        found = scan(bench, port, dialog, rates)
+        found = scan_servos(bench, port, dialog, rates)
         if not found.servos and not found.crowded:
-            found = scan(bench, port, dialog)
+            found = scan_servos(bench, port, dialog)
 
 
 def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
@@ -258,7 +258,7 @@ def _renumber(
     """Write ID and baud rate of one servo, after its backup and an approval; read them back."""
     old_id = servo.identity.servo_id
     with bench.servo_bus(port, servo.baud_rate) as bus:
-        table = read_table(bus, old_id)
+        table = read_control_table(bus, old_id)
         torque_off(bus, dialog, old_id, table[TORQUE_ENABLE.name])
         changes: dict[str, tuple[object, object]] = {}
         if new_id != old_id:
@@ -327,7 +327,7 @@ def _set_up(
 
     Nothing is set while a supply is too low or an error is latched: these are mended first.
     """
-    tables = {one.servo_id: read_table(bus, one.servo_id) for one in fingers}
+    tables = {one.servo_id: read_control_table(bus, one.servo_id) for one in fingers}
     models = {one.servo_id: MODELS[model_name(one.model_number)] for one in fingers}
     changes = {}
     for servo_id, table in tables.items():

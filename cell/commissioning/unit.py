@@ -23,10 +23,10 @@ from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
 from tactile.unit.commissioning import identity_checks
-from tactile.unit.search import BusTraffic, FoundUnit, listen, read_unit, read_vendor, scan
+from tactile.unit.search import BusTraffic, FoundUnit, listen, read_unit, read_vendor, scan_nodes
 from tactile.unit.settings import ExpectedIdentity
 
-BIT_RATES: tuple[int, ...] = tuple(
+TRIED_BIT_RATES: tuple[int, ...] = tuple(
     sorted(get_args(TactileConfig.model_fields["bitrate"].annotation), reverse=True)
 )
 """Bit rates that are tried, in bit/s: those of the config, the fastest first."""
@@ -229,7 +229,7 @@ def _bit_rate(
 ) -> tuple[int, BusTraffic, str]:
     """Return the bit rate at which something is heard: by listening first, and then by asking."""
     fixed = _system_bit_rate(interface, channel)
-    rates = BIT_RATES if fixed is None else (fixed,)
+    rates = TRIED_BIT_RATES if fixed is None else (fixed,)
     refused: dict[int, BusNotOpened] = {}
     errors = 0
     for how in ("listening", "asking each node-ID"):
@@ -237,7 +237,7 @@ def _bit_rate(
             dialog.live("bit rate", f"{rate:,} bit/s, {how}")
             try:
                 with bench.can_bus(interface, channel, rate) as bus:
-                    heard = listen(bus, _LISTEN_S) if how == "listening" else scan(bus)
+                    heard = listen(bus, _LISTEN_S) if how == "listening" else scan_nodes(bus)
             except BusNotOpened as error:
                 # Not every adapter has every bit rate.
                 refused[rate] = error
@@ -268,7 +268,7 @@ def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int
     """Return the node-ID of the control unit among those who are there."""
     expected = ExpectedIdentity()
     units, others = [], []
-    for node in sorted({*heard.nodes, *scan(bus).nodes}):
+    for node in sorted({*heard.nodes, *scan_nodes(bus).nodes}):
         try:
             vendor, product = read_vendor(bus, node)
         except TactileError as error:

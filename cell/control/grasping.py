@@ -12,7 +12,7 @@ from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
 from cell.control.journal import Journal
 from cell.control.keeping import (
-    LOOK_S,
+    HELD_LOOK_S,
     HeldCheck,
     HeldPart,
     Judge,
@@ -34,7 +34,7 @@ from cell.control.self_zero import (
 )
 from cell.data.dataset import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
-from cell.hand.interface import Hand, Watch
+from cell.hand.interface import Hand, OnPeriod
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.errors import PartBetweenFingers
@@ -345,7 +345,7 @@ class Grasper:
         carry_n = self._sequence.carry_force_n
         self._hand.carry(carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
-        self._hand.carry(carry_n, LOOK_S, watch)
+        self._hand.carry(carry_n, HELD_LOOK_S, watch)
         return measured(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
@@ -358,7 +358,7 @@ class Grasper:
             return call()
         return self._patient.call(call, supervise)
 
-    def _collecting(self, zero: SelfZero | None) -> tuple[GraspCollector, Watch]:
+    def _collecting(self, zero: SelfZero | None) -> tuple[GraspCollector, OnPeriod]:
         """Return a collector for a motion that begins now, and the watch that fills it."""
         # Somebody may set the machine's clock back: the grasps of a run stay in order all the same.
         self._last_start_ms = max(time.time_ns() // 1_000_000, self._last_start_ms + 1)

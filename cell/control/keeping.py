@@ -13,7 +13,7 @@ from cell.control.records import GraspCollector, GraspRecord
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
 
-LOOK_S = 0.1
+HELD_LOOK_S = 0.1
 """Time in s over which a held part is measured: 5 frames at 50 Hz."""
 _HELD_SHARE = 0.5
 """Share of the holding force below which nothing is held: half of it is no noise any more."""

@@ -315,7 +315,7 @@ class CallbackPositioner:
         )
 
 
-Places = Callable[[Destination], bool | None]
+CarryCallback = Callable[[Destination], bool | None]
 """Brings the part in the grip to a place: returns None or True when it is there, False to refuse.
 """
 
@@ -331,7 +331,7 @@ class HostPlaces:
         Callback of the host.
     """
 
-    def __init__(self, positioner: Positioner, places: Places) -> None:
+    def __init__(self, positioner: Positioner, places: CarryCallback) -> None:
         self.blocks = positioner.blocks
         self.present, self.move_to = positioner.present, positioner.move_to
         self._places = places

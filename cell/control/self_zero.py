@@ -18,7 +18,7 @@ from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import ZERO_COLUMNS, SelfZero
 from tactile.layout import TaxelLayout
 
-When = Literal["always", "daily", "on_demand", "never"]
+SelfZeroWhen = Literal["always", "daily", "on_demand", "never"]
 
 _MOST_TILT_RAD = math.radians(4.0)
 """Largest tilt in rad of pads that lie on each other: beyond it a finger is bent, a pad loose."""
@@ -99,7 +99,7 @@ class SelfZeros:
 
     def __init__(
         self,
-        when: When = "on_demand",
+        when: SelfZeroWhen = "on_demand",
         *,
         pads_meet: bool = True,
         path: Path | None = None,

@@ -133,7 +133,7 @@ def frames_ill_timed(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> st
 FORMAT = "grasp-dataset/1"
 """Format and version of a data set."""
 
-DEFAULT_LIMIT_BYTES = 1 << 30
+DATASET_LIMIT_BYTES = 1 << 30
 """Unpacked size of a data set that is read without being asked for more."""
 
 _REQUIRED = (
@@ -156,7 +156,7 @@ _MAX_TAXELS = 1 << 16
 """Taxels of a grasp, far more than any sensor here has."""
 
 
-def read_dataset(path: Path | str, *, limit_bytes: int = DEFAULT_LIMIT_BYTES) -> tuple[Grasp, ...]:
+def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) -> tuple[Grasp, ...]:
     """Read all grasps of a data set that unpacks to no more than so many bytes.
 
     They share one `PadArray` object.

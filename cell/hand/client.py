@@ -16,7 +16,7 @@ from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
-from cell.hand.interface import Hand, Measured, Watch
+from cell.hand.interface import Hand, Measured, OnPeriod
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
     Alive,
@@ -342,7 +342,7 @@ class HandProcess:
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _call(self, method: Callable[..., T], watch: Watch | None = None, **arguments: Any) -> T:
+    def _call(self, method: Callable[..., T], watch: OnPeriod | None = None, **arguments: Any) -> T:
         """Have a command carried out; what goes wrong here stops it and is raised at its end.
 
         A shutdown is carried out although a fault waits to be raised.

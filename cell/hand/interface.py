@@ -21,7 +21,7 @@ from tactile.sensor.sensor import SensorStatistics, TactileReading
 from tactile.sensor.tare import TareResult
 from tactile.unit.settings import LinkStatistics, NodeIdentity
 
-Watch = Callable[[Cycle, Sequence[TactileFrame]], None]
+OnPeriod = Callable[[Cycle, Sequence[TactileFrame]], None]
 """Callback for each period of a command, in order, with the tactile frames that came in it.
 
 What it raises stops the command with the grip kept, and passes on.
@@ -118,7 +118,7 @@ class Hand(Protocol):
     def close_sensor(self) -> None:
         """End the tactile link."""
 
-    def open(self, watch: Watch) -> None:
+    def open(self, watch: OnPeriod) -> None:
         """Open the empty fingers."""
 
     def tare(self, n_frames: int) -> TareResult:
@@ -127,17 +127,17 @@ class Hand(Protocol):
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Raise LimitExceeded for a ramp that `grasp` would refuse; no device is asked."""
 
-    def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+    def grasp(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close until both pads touch, follow the ramp; return while holding."""
 
-    def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+    def meet(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp; return while they press."""
         ...
 
-    def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
+    def carry(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force for a time, and control it on between commands."""
 
-    def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+    def squeeze(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Follow a further ramp in the same grip, up from the held force; return while holding."""
 
     def end_ramp(self) -> None:
@@ -147,7 +147,7 @@ class Hand(Protocol):
         nothing, neither this grasp nor the next.
         """
 
-    def release(self, watch: Watch | None = None) -> ReleaseReport:
+    def release(self, watch: OnPeriod | None = None) -> ReleaseReport:
         """Let go, without a start too: the only command that lets a part go."""
 
     def conditions(self) -> tuple[ServoCondition, ...]:

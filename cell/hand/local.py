@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from cell.hand.interface import HandStatistics, Measured, Watch
+from cell.hand.interface import HandStatistics, Measured, OnPeriod
 from cell.hand.lines import Lines
 from gripper.force.ramp import ForceRamp
 from gripper.force_sensor import ForceSample
@@ -73,7 +73,7 @@ class LocalHand:
             self.link.use(self._lines.reopen_can())
         return self.sensor.start()
 
-    def open(self, watch: Watch) -> None:
+    def open(self, watch: OnPeriod) -> None:
         """Open the empty fingers; see `Hand`."""
         self.gripper.open(observer=self._observer(watch))
 
@@ -84,29 +84,29 @@ class LocalHand:
         self.sensor.refresh()
         return zero
 
-    def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+    def grasp(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
         self._check_zero()
         self._force.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
-    def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+    def meet(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other; see `Hand`."""
         self._check_zero()
         self._force.take()
         return self.gripper.meet(ramp, observer=self._observer(watch))
 
-    def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
+    def carry(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force; see `Hand`."""
         self._force.take()
         self.gripper.carry(force_n, duration_s, self._observer(watch))
 
-    def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+    def squeeze(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Hand`."""
         self._force.take()
         return self.gripper.squeeze(ramp, self._observer(watch))
 
-    def release(self, watch: Watch | None = None) -> ReleaseReport:
+    def release(self, watch: OnPeriod | None = None) -> ReleaseReport:
         """Let go; see `Hand`."""
         report = self.gripper.release(observer=None if watch is None else self._observer(watch))
         try:
@@ -145,7 +145,7 @@ class LocalHand:
         """Give the ports back."""
         self._lines.close()
 
-    def _observer(self, watch: Watch) -> Callable[[Cycle], None]:
+    def _observer(self, watch: OnPeriod) -> Callable[[Cycle], None]:
         def observe(cycle: Cycle) -> None:
             self._aim(cycle)
             frames = self._force.take()

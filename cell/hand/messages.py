@@ -13,7 +13,7 @@ from inspect import getmembers, isfunction, signature
 from typing import Any
 
 from cell.config.model import CellConfig
-from cell.hand.interface import Hand, HandStatistics, Measured, Watch
+from cell.hand.interface import Hand, HandStatistics, Measured, OnPeriod
 from gripper.state import Cycle, GripperPhase
 from tactile.frames.codec import TactileFrame
 
@@ -59,7 +59,7 @@ class HandRequest:
         """Whether it runs the force loop; each period of it is sent as `HandPeriod`."""
         return HAND_COMMANDS[self.method]
 
-    def run(self, hand: Hand, watch: Watch) -> Any:
+    def run(self, hand: Hand, watch: OnPeriod) -> Any:
         """Carry it out and return what the method returns."""
         watched = {"watch": watch} if self.watched else {}
         return getattr(hand, self.method)(**self.arguments, **watched)

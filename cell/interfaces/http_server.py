@@ -24,7 +24,7 @@ from cell.interfaces.service.doors import (
     notice_dead_peers,
 )
 
-LONGEST = 65536
+REQUEST_BYTES = 65536
 """Largest request in bytes, without a photo."""
 _ACCEPTED_AT_ONCE = BUSY_MAX // 4
 """Connections that are accepted before those that are there are read again."""
@@ -242,7 +242,7 @@ class HttpServer:
         port: int,
         *,
         name: str,
-        longest: Callable[[Scope, str], int] = lambda _scope, _client: LONGEST,
+        longest: Callable[[Scope, str], int] = lambda _scope, _client: REQUEST_BYTES,
         pages: bool = False,
         idle_s: int = 5,
         **settings: Any,

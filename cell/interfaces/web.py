@@ -26,13 +26,13 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import CATALOGUE
-from cell.interfaces.http_server import LONGEST, Scope
+from cell.interfaces.http_server import REQUEST_BYTES, Scope
 from cell.interfaces.live_socket import LiveMessage
 from cell.interfaces.plugin.goals import goal_schema
 from cell.interfaces.service.photos import LONGEST_PHOTO
 from cell.interfaces.service.replay import UPLOAD_BYTES, Replay
 from cell.interfaces.service.service import Service
-from cell.interfaces.service.state import plain, state_values
+from cell.interfaces.service.state import plain_data, state_values
 from cell.interfaces.web_server import Paths, RequestBody, WebServer, is_here
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -110,7 +110,7 @@ class PoseBody(RequestBody):
 def taught_values(one: dict[str, Any]) -> dict[str, Any]:
     """Return a taught object with the address of its photo, null for none."""
     address = f"/api/taught/{quote(one['label'], safe='')}/photo"
-    found: dict[str, Any] = plain(one | {"photo": address if one["photo"] else None})
+    found: dict[str, Any] = plain_data(one | {"photo": address if one["photo"] else None})
     return found
 
 
@@ -174,7 +174,7 @@ class WebDoor(WebServer):
             return LONGEST_PHOTO
         sends = (scope.get("method"), scope["path"]) == ("PUT", "/api/replay")
         taken = sends and self._service.replay is not None and ip_address(client).is_loopback
-        return UPLOAD_BYTES if taken else LONGEST
+        return UPLOAD_BYTES if taken else REQUEST_BYTES
 
     def info(self) -> dict[str, Any]:
         """Name, mode, version, pads, limits, forces, taught objects, labels by id, places."""
@@ -203,12 +203,12 @@ class WebDoor(WebServer):
 
     def jobs(self) -> list[dict[str, Any]]:
         """List the newest jobs, oldest first."""
-        return [plain(asdict(job)) for job in self._service.jobs()]
+        return [plain_data(asdict(job)) for job in self._service.jobs()]
 
     def job(self, number: int) -> dict[str, Any]:
         """One job: outcome, progress, answer."""
         try:
-            found: dict[str, Any] = plain(asdict(self._service.job(number)))
+            found: dict[str, Any] = plain_data(asdict(self._service.job(number)))
         except RequestRefused as error:
             raise HTTPException(404, str(error)) from error
         return found

@@ -30,7 +30,7 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import Refusal
-from cell.interfaces.http_server import LONGEST, HttpServer, Scope, refusal_values
+from cell.interfaces.http_server import REQUEST_BYTES, HttpServer, Scope, refusal_values
 from cell.interfaces.live_socket import LiveFeed, LiveLink, LiveMessage
 from cell.interfaces.page import mount_page
 from cell.interfaces.service.doors import read_secret, same_secret
@@ -151,7 +151,7 @@ class WebServer(HttpServer):
             longest=self.longest,
             pages=True,
             ws=partial(LiveLink, config.request_timeout_s),
-            ws_max_size=LONGEST,
+            ws_max_size=REQUEST_BYTES,
             ws_per_message_deflate=False,  # on a local network it costs more than it saves
             ssl_certfile=config.tls_certificate or None,
             ssl_keyfile=config.tls_key or None,
@@ -159,7 +159,7 @@ class WebServer(HttpServer):
 
     def longest(self, scope: Scope, client: str) -> int:
         """Return the most bytes of the body of a request from a client."""
-        return LONGEST
+        return REQUEST_BYTES
 
     def _authorize(
         self, found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())]

@@ -12,7 +12,7 @@ from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 GAUGE_GRASPS = 3
 """Grasps of each gauge object at the start of a shift."""
 
-MIN_GRASPS = 5
+MIN_UNNAMED_GRASPS = 5
 """Grasps that show a drift when none of them is named."""
 
 
@@ -59,10 +59,10 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecogn
         If there are fewer grasps than show a drift.
     """
     recognizer = gaugeable(model.recognizer, model.trainer_name)
-    if len(grasps) < MIN_GRASPS:
+    if len(grasps) < MIN_UNNAMED_GRASPS:
         raise CellError(
-            f"{len(grasps)} grasps do not show a drift: give {MIN_GRASPS} or more, of several "
-            "objects, or name the object with --gauge"
+            f"{len(grasps)} grasps do not show a drift: give {MIN_UNNAMED_GRASPS} or more, of "
+            "several objects, or name the object with --gauge"
         )
     check_pads(model, grasps[0].pads)
     for grasp in sorted(grasps, key=lambda g: g.start_ms):

@@ -13,7 +13,7 @@ from cell.learning.blas import one_blas_thread
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.grid import DriftGrid
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import Part, a_day_later, parse_split, series_parts
+from recognition.evaluation.splits import TrainTest, a_day_later, parse_split, series_parts
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
@@ -178,10 +178,10 @@ def evaluate_recognizers(
 
 def _parts(
     grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None, seed: int
-) -> list[Part]:
+) -> list[TrainTest]:
     """Return pairs of grasps to train and to test. Raises CellError where one is of no use."""
     if train is not None:
-        parts: list[Part] = [(tuple(train), tuple(grasps))]
+        parts: list[TrainTest] = [(tuple(train), tuple(grasps))]
     else:
         try:
             if split == SERIES:

@@ -10,11 +10,11 @@ from cell.config.model import CellConfig
 from cell.jobs.run import BASELINE, MainResult
 from cell.learning.blas import one_blas_thread
 from cell.report.build import (
+    level_windows,
     link_health,
     loop_health,
     paper_table,
     servo_health,
-    windows,
 )
 from cell.report.data import (
     ConfusionTable,
@@ -157,7 +157,7 @@ def _trajectories(result: MainResult) -> Trajectories | None:
         )
     return Trajectories(
         objects=tuple(objects),
-        windows=windows(recognizer.levels, recognizer.labels),
+        windows=level_windows(recognizer.levels, recognizer.labels),
     )
 
 

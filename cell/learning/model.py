@@ -58,7 +58,7 @@ def rehearse(recognizer: Recognizer, pads: PadArray) -> None:
 FORMAT = "tactile-cell-model/1"
 """Format and version in the header of a model file."""
 
-DEFAULT_LIMIT_BYTES = 256 << 20
+MODEL_LIMIT_BYTES = 256 << 20
 """Largest unpacked size in bytes of a model file that is read; real ones have a few MB."""
 
 _NAMED_BEFORE = {"ForceRamp": "ForceRampRecognizer"}
@@ -202,7 +202,7 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         If the file is damaged, no model, of another version, or was taught on other pads.
     """
     path = Path(path)
-    arrays = read_npz(path, error=ModelError, what="model", limit_bytes=DEFAULT_LIMIT_BYTES)
+    arrays = read_npz(path, error=ModelError, what="model", limit_bytes=MODEL_LIMIT_BYTES)
     header = _header(path, arrays)
     pads = _pads(path, arrays)
     if header.get("layout_hash") != layout_hash(pads):

@@ -100,7 +100,7 @@ def reaches_m(
     return both
 
 
-def press(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> PressedPad:
+def pressed_pad(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> PressedPad:
     """Return the force of a surface on a pad, from the first touch to almost flat foam."""
     highest_m = float(reach_m.max())
     lag_m = np.where(np.isfinite(reach_m), highest_m - reach_m, np.inf)
@@ -262,7 +262,7 @@ class VirtualPads:
         beds = self._beds[int(rng.integers(len(self._beds)))]
         aslant = rng.normal(0.0, course.tilt_rad, 2)
         presses = [
-            press(bed, reach_m, foam)
+            pressed_pad(bed, reach_m, foam)
             for bed, reach_m in zip(beds, reaches_m(drawing, step.pose, beds, aslant), strict=True)
         ]
         upright = reaches_m(drawing, step.pose, beds)

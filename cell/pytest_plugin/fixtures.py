@@ -13,7 +13,7 @@ from cell.pytest_plugin.options import HardwareOptions, config_path
 if TYPE_CHECKING:
     from cell.build import Mover
     from cell.config.model import CellConfig
-    from cell.control.positioner import Places
+    from cell.control.positioner import CarryCallback
     from cell.pytest_plugin.bench import LinkBench
     from cell.pytest_plugin.process import CellProcess
     from cell.pytest_plugin.virtual import VirtualCell
@@ -38,7 +38,7 @@ class MakeSimulatedCell:
         objects: Mapping[str, str] | None = None,
         seed: int | None = None,
         mover: "Mover | None" = None,
-        places: "Places | None" = None,
+        places: "CarryCallback | None" = None,
         changes: Mapping[str, Any] | None = None,
         folder: Path | None = None,
     ) -> "VirtualCell":

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tactile.unit.settings import LinkStatistics
 
 
-def windows(levels: LevelBands, labels: Sequence[str]) -> tuple[Window, ...]:
+def level_windows(levels: LevelBands, labels: Sequence[str]) -> tuple[Window, ...]:
     """Name the windows between the levels A, B, C, ... from the lowest upwards."""
     return tuple(
         Window(

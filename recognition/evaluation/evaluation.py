@@ -16,7 +16,7 @@ from recognition.evaluation.metrics import (
     expected_calibration_error,
     wilson_interval,
 )
-from recognition.evaluation.splits import Part
+from recognition.evaluation.splits import TrainTest
 from recognition.grasp import Grasp, by_label
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer, Trainer
 from recognition.statistics import fusion
@@ -105,7 +105,7 @@ class Evaluation:
 
 
 def evaluate(
-    parts: Sequence[Part],
+    parts: Sequence[TrainTest],
     trainer: Trainer,
     fuse: Sequence[int] = (1, 2, 3, 5),
     seed: int = 0,

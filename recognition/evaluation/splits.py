@@ -10,13 +10,13 @@ from recognition.grasp import Grasp, by_label, series_of
 _DAY_MS = 24 * 3_600_000
 """A day in ms."""
 
-Part = tuple[tuple[Grasp, ...], tuple[Grasp, ...]]
+TrainTest = tuple[tuple[Grasp, ...], tuple[Grasp, ...]]
 """Grasps that teach, and grasps that test."""
 
-Split = Callable[[Sequence[Grasp]], Part]
+Split = Callable[[Sequence[Grasp]], TrainTest]
 
 
-def chronological_split(grasps: Sequence[Grasp], fraction: float) -> Part:
+def chronological_split(grasps: Sequence[Grasp], fraction: float) -> TrainTest:
     """Return (train, test): of each label the first fraction in time teaches, the rest tests.
 
     Raises ValueError where the fraction is not between 0 and 1 or a grasp has no label.
@@ -30,7 +30,7 @@ def chronological_split(grasps: Sequence[Grasp], fraction: float) -> Part:
     return tuple(train), tuple(test)
 
 
-def shuffled_split(grasps: Sequence[Grasp], fraction: float, seed: int) -> Part:
+def shuffled_split(grasps: Sequence[Grasp], fraction: float, seed: int) -> TrainTest:
     """Return (train, test): of each label a random fraction teaches, the rest tests.
 
     Neighbours in time look alike, so this flatters; for comparison with published figures only.
@@ -47,7 +47,7 @@ def shuffled_split(grasps: Sequence[Grasp], fraction: float, seed: int) -> Part:
     return tuple(train), tuple(test)
 
 
-def series_parts(grasps: Sequence[Grasp]) -> list[Part]:
+def series_parts(grasps: Sequence[Grasp]) -> list[TrainTest]:
     """Return a part for each series of the objects that have several: it tests, all else teaches.
 
     This is what another day costs an object that was taught on several. Raises ValueError where no

@@ -131,10 +131,10 @@ def shape_from(
 ) -> ShapeAnswer:
     """Return shape and size from pressed pads, over all kinds and foams; see `shape_of`."""
     uncertainty = uncertainty or PadUncertainty()
-    return compare(*all_fits(data, foam, uncertainty), uncertainty.misfit)
+    return joint_answer(*all_fits(data, foam, uncertainty), uncertainty.misfit)
 
 
-def compare(
+def joint_answer(
     fits: Sequence[ShapeFit],
     log_prior: Sequence[float] | None = None,
     least_misfit: float = 0.0,

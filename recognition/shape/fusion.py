@@ -16,7 +16,7 @@ from recognition.shape.answer import ShapeAnswer, clear_kind, likeliest_of, mixe
 from recognition.shape.fit import KindEvidence
 from recognition.statistics.fusion import independent_share
 
-DEPENDENCE = 0.5
+SHAPE_DEPENDENCE = 0.5
 """How far grasps repeat each other's errors; see `fuse_shapes`."""
 
 PLACING_M = 0.1e-3
@@ -40,7 +40,7 @@ Faces = tuple[tuple[int, ...], ...]
 def fuse_shapes(
     answers: Sequence[ShapeAnswer],
     *,
-    dependence: float = DEPENDENCE,
+    dependence: float = SHAPE_DEPENDENCE,
     placing_m: float = PLACING_M,
 ) -> ShapeAnswer:
     """Return shape and size from several grasps of one object; the order does not matter.

@@ -17,7 +17,7 @@ from simulator.faults.can import CAN, TAXELS, UNIT
 from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target
 from simulator.faults.object import OBJECT
 from simulator.faults.servos import SERVO, SERVOS
-from simulator.faults.text import FaultEvent, FaultText, When, parse_fault
+from simulator.faults.text import FaultEvent, FaultMoment, FaultText, parse_fault
 from simulator.servo.faults import WireFaults
 
 VOCABULARY: dict[str, FaultEntry] = {
@@ -311,7 +311,7 @@ _Due = tuple[FaultEvent | None, float]
 """An event and the time after it in s; without an event, the time of the cell in s."""
 
 
-def _due(when: When, injected_s: float) -> _Due:
+def _due(when: FaultMoment, injected_s: float) -> _Due:
     if when.event is FaultEvent.INJECTED:
         return None, injected_s + when.offset_s
     return when.event, when.offset_s

@@ -24,7 +24,7 @@ class FaultEvent(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class When:
+class FaultMoment:
     """A moment: so long after the first such event that follows the injection."""
 
     event: FaultEvent
@@ -43,8 +43,8 @@ class FaultText:
     """``component.fault``."""
     value: str | None
     """What stands behind ``=``, None where nothing does."""
-    start: When | None
-    end: When | None
+    start: FaultMoment | None
+    end: FaultMoment | None
     """When it begins and ends; None for at once and never."""
 
 
@@ -75,7 +75,7 @@ def parse_fault(text: str) -> FaultText:
     )
 
 
-def _when(text: str, when: str) -> When:
+def _when(text: str, when: str) -> FaultMoment:
     match = _TIME.fullmatch(when)
     if match is None:
         raise SimulatorSettingsError(
@@ -84,8 +84,8 @@ def _when(text: str, when: str) -> When:
         )
     event, number, unit, alone = match.groups()
     if alone:
-        return When(event=FaultEvent(alone), offset_s=0.0)
+        return FaultMoment(event=FaultEvent(alone), offset_s=0.0)
     offset_s = float(number) * (1e-3 if unit == "ms" else 1.0)
     if offset_s > _LATEST_S:
         raise SimulatorSettingsError(f"fault {text!r}: {when} is later than {_LATEST_S:.0f} s")
-    return When(event=FaultEvent(event) if event else FaultEvent.INJECTED, offset_s=offset_s)
+    return FaultMoment(event=FaultEvent(event) if event else FaultEvent.INJECTED, offset_s=offset_s)

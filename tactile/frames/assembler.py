@@ -13,7 +13,7 @@ from tactile.frames.codec import (
     TRAILER,
     FrameFormat,
     TactileFrame,
-    crc16,
+    crc16_ccitt,
 )
 
 _COUNTER_MASK = 0xFFFF
@@ -148,7 +148,7 @@ class FrameAssembler:
                 self.counts.torn += 1
             self._previous = None
         counter, status, crc = TRAILER.unpack(payload[-TRAILER.size :])
-        if crc16(payload[:-CRC_BYTES]) != crc or counter % PHASES != burst.phase:
+        if crc16_ccitt(payload[:-CRC_BYTES]) != crc or counter % PHASES != burst.phase:
             self.counts.corrupt += 1
             return None
         if self._last_counter is not None:

@@ -123,6 +123,6 @@ class TactileFrame:
         return self.t_s if self.begun_s is None else self.begun_s
 
 
-def crc16(data: bytes) -> int:
+def crc16_ccitt(data: bytes) -> int:
     """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF."""
     return binascii.crc_hqx(data, CRC_START)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import FrameError
-from tactile.frames.codec import CRC_BYTES, MESSAGE_BYTES, crc16
+from tactile.frames.codec import CRC_BYTES, MESSAGE_BYTES, crc16_ccitt
 
 FORCE_N = 0.002
 """Unit of a force in N: up to 65 N either way."""
@@ -177,4 +177,4 @@ def reordered_zero(zero: bytes, place: NDArray[np.intp]) -> bytes:
 
 def _with_crc(numbers: NDArray[Any]) -> bytes:
     content = numbers.astype("<u2").tobytes()
-    return content + crc16(content).to_bytes(CRC_BYTES, "little")
+    return content + crc16_ccitt(content).to_bytes(CRC_BYTES, "little")

@@ -90,7 +90,7 @@ def listen(bus: can.BusABC, duration_s: float) -> BusTraffic:
     return listener.heard()
 
 
-def scan(bus: can.BusABC) -> BusTraffic:
+def scan_nodes(bus: can.BusABC) -> BusTraffic:
     """Ask each of the 127 node-IDs for its device type (object 1000h); nothing is written.
 
     At a wrong bit rate nobody acknowledges: an adapter that refuses to send is heard as nobody.

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from benchmarks.recognition._elastic_contact import ElasticGrid, ElasticPad, bonded_layer
-from benchmarks.recognition._elastic_grasps import MATERIALS, PADS, Sensed, elastic_grasp, pressed
+from benchmarks.recognition._elastic_grasps import (
+    MATERIALS,
+    PADS,
+    Sensed,
+    elastic_grasp,
+    pressed_object,
+)
 from recognition.grasp import GraspCommand
 
 RADIUS_M = 5e-3
@@ -72,7 +78,7 @@ def test_no_pull_and_no_overlap() -> None:
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_grasp_carries_its_force_and_closes(name: str) -> None:
     placing = GraspCommand(x_m=1e-3, y_m=0.0, rotation_rad=0.4, roll_rad=0.0, force_n=6.0)
-    trial = pressed("ball", "sphere:diameter=9mm", placing, MATERIALS[name])
+    trial = pressed_object("ball", "sphere:diameter=9mm", placing, MATERIALS[name])
     sensor = Sensed(noise=0.0, aperture_sd_m=0.0, force_sd=0.0, pad_gain_sd=0.0, taxel_gain_sd=0.0)
     grasp = elastic_grasp(trial, sensor, 1)
     assert grasp.pads.same_as(PADS["paper"])

@@ -49,8 +49,8 @@ def test_a_shift_of_six_minutes_is_sorted_before_the_eyes_of_its_clients() -> No
     assert samples[-1].threads <= samples[1].threads + 1
 
 
-def made(n: int, **growth: float) -> list[soak.Sample]:
-    still = soak.Sample(
+def made(n: int, **growth: float) -> list[soak.ResourceUse]:
+    still = soak.ResourceUse(
         done=0, virtual_s=0.0, rss_kib=100_000, objects=80_000, descriptors=9, threads=1
     )
     rows = []

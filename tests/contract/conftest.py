@@ -26,7 +26,7 @@ from cell.control.axes import drive_axes, si_per_unit
 from cell.pytest_plugin.bench import LinkBench
 from cell.pytest_plugin.faults import FaultRegistry
 from cell.pytest_plugin.options import HardwareOptions, config_path
-from cell.simulation import simulated_cell
+from cell.simulation import simulation_of
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
@@ -268,7 +268,7 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
     with ExitStack() as closing:
         if request.param == "simulator":
             config = changed_config(CellConfig(), CHANGES)
-            simulated = simulated_cell(config)
+            simulated = simulation_of(config)
             closing.callback(simulated.close)
             bus, clock = simulated.axes_can_bus, simulated.clock
             clock.sleep(POWER_UP_S)

@@ -11,7 +11,7 @@ from cell.build import Cell, build_cell
 from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
-from cell.simulation import simulated_cell
+from cell.simulation import simulation_of
 from simulator.errors import SimulatorError
 from tests.faults.campaign import COARSE_PADS, PRODUCT_ERRORS, campaign_config
 from tests.faults.invariants import (
@@ -64,7 +64,7 @@ class Driver:
             | (_FAST_FINGERS if fast else {})
         )
         self._folder = Path(tempfile.mkdtemp(prefix="tactile-cell-machine-"))
-        self.simulated = simulated_cell(self._config)
+        self.simulated = simulation_of(self._config)
         self.simulated.place("ball")
         self.monitor = InvariantMonitor(self.simulated, self._config.gripper)
         self.steps = 0

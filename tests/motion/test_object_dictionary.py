@@ -56,4 +56,4 @@ def test_states_and_controlwords_are_those_of_canopen() -> None:
     ],
 )
 def test_error_codes_have_words(code: int, text: str) -> None:
-    assert od.error_text(code) == text
+    assert od.error_code_text(code) == text

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from cell.commissioning.engine import Dialog, Finding, Question, Step, Verdict, Write, leave
-from cell.interfaces.cli.terminal import ask, out, plain, print_line
+from cell.interfaces.cli.terminal import ask, out, plain_text, print_line
 
 _LEAVE = "q"
 """Answer with which a person leaves."""
@@ -27,14 +27,14 @@ class TerminalDialog(Dialog):
     def begin(self, step: Step, number: int, count: int) -> None:
         """Print which step begins."""
         self._end_line()
-        out.print(f"\n[bold]{number}/{count} {plain(step.title)}[/]")
+        out.print(f"\n[bold]{number}/{count} {plain_text(step.title)}[/]")
         print_line(step.purpose)
 
     def found(self, step: Step, finding: Finding) -> None:
         """Print what a step found."""
         self._end_line()
         verdict = finding.status
-        out.print(f"[{_COLOURS[verdict]}]{verdict.value}[/] {plain(step.title)}")
+        out.print(f"[{_COLOURS[verdict]}]{verdict.value}[/] {plain_text(step.title)}")
         for line in finding.lines:
             print_line(f"  {line}")
 
@@ -83,7 +83,7 @@ class TerminalDialog(Dialog):
     def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
         """Return what is typed; above it runs what ``watch`` returns."""
         shown = watch is not None and out.is_terminal
-        out.print(("\n" if shown else "") + plain(prompt), end="", soft_wrap=True)
+        out.print(("\n" if shown else "") + plain_text(prompt), end="", soft_wrap=True)
         try:
             # A signal that comes just before the reading begins would wait for a line to be typed.
             while not _input_waits():

@@ -70,14 +70,14 @@ def _shown(text: str) -> str:
     )
 
 
-def plain(text: str) -> str:
+def plain_text(text: str) -> str:
     """Return a text of whatever origin as one that a terminal and `rich` show, and do not obey."""
     return escape(_shown(text))
 
 
 def print_line(text: str) -> None:
     """Print one line of result; square brackets are no markup."""
-    out.print(plain(text), soft_wrap=True)
+    out.print(plain_text(text), soft_wrap=True)
 
 
 def print_table(table: Table) -> None:
@@ -103,22 +103,22 @@ def print_table(table: Table) -> None:
 
 def print_error(text: str) -> None:
     """Print one error on standard error."""
-    err.print(f"[bold red]error:[/] {plain(text)}", soft_wrap=True)
+    err.print(f"[bold red]error:[/] {plain_text(text)}", soft_wrap=True)
 
 
 def print_cell(text: str) -> None:
     """Print which cell a command is for, on standard error: other programs read the results."""
-    err.print(f"cell: {plain(text)}", soft_wrap=True)
+    err.print(f"cell: {plain_text(text)}", soft_wrap=True)
 
 
 def print_page(address: str) -> None:
     """Print the address of the page, for a person to open, on standard error."""
-    err.print(f"[bold]page:[/] {plain(address)}", soft_wrap=True)
+    err.print(f"[bold]page:[/] {plain_text(address)}", soft_wrap=True)
 
 
 def print_note(text: str) -> None:
     """Print one note for the operator on standard error."""
-    err.print(f"[bold yellow]NOTE:[/] {plain(text)}", soft_wrap=True)
+    err.print(f"[bold yellow]NOTE:[/] {plain_text(text)}", soft_wrap=True)
 
 
 def ask(text: str) -> str:
@@ -155,7 +155,7 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
 
         def show(task: str, done: int, total: int) -> None:
             if task not in tasks:
-                tasks[task] = bars.add_task(plain(task), total=total)
+                tasks[task] = bars.add_task(plain_text(task), total=total)
             bars.update(tasks[task], completed=done, total=total)
 
         yield show

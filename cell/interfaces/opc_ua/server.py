@@ -31,7 +31,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from cell.config.serve import ServeConfig
 from cell.interfaces.service.doors import BUSY_MAX, ConnectionPlaces, may_connect, notice_dead_peers
 
-LONGEST = 1 << 20
+_LONGEST_BYTES = 1 << 20
 """Largest request in bytes."""
 VALID_DAYS = 3650
 """Validity in days of a certificate made here: a new one has to be trusted anew everywhere."""
@@ -150,7 +150,7 @@ class OpcUaConnection(OPCUAProtocol):
         session = self.processor.session if self.processor is not None else None
         if session is not None and session.is_activated():
             self.iserver.places.heard(self.transport)
-        if len(self._buffer) > LONGEST:
+        if len(self._buffer) > _LONGEST_BYTES:
             self.transport.close()
 
 
@@ -175,7 +175,9 @@ class CellServer(Server):
     async def start(self) -> None:
         """Listen. Raises OSError if it cannot."""
         config = self.iserver.config
-        limits = TransportLimits(max_message_size=LONGEST, max_chunk_count=LONGEST // 8192)
+        limits = TransportLimits(
+            max_message_size=_LONGEST_BYTES, max_chunk_count=_LONGEST_BYTES // 8192
+        )
         await self._setup_server_nodes()
         plain, *encrypted = self._policies
         self.bserver = Listener(self.iserver, config.listen, config.opcua_port or 0, limits)

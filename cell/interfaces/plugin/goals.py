@@ -25,10 +25,6 @@ class _Goal(BaseModel):
         return value
 
 
-Keep = Literal["never", "when_named", "always"]
-"""When an identification keeps the part in the grip."""
-
-
 class TeachGoal(_Goal):
     """Grasp a known object."""
 
@@ -69,7 +65,7 @@ class IdentifyGoal(_Goal):
     """Seed of the plan of poses and forces."""
     present: str | None = None
     """Object to place first, where the positioner can do so (simulated cell)."""
-    keep: Keep = "never"
+    keep: Literal["never", "when_named", "always"] = "never"
     """Whether the part stays in the grip for the host: ``never``, ``when_named`` or ``always``."""
     force_n: float | None = Field(default=None, gt=0.0, le=50.0)
     """Force at the end of each ramp in N, up to 50, or None for the forces of the plan."""

@@ -51,10 +51,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cell.control.controller import CellController
-    from cell.control.positioner import Places
+    from cell.control.positioner import CarryCallback
     from cell.data.recorder import Tap
     from cell.interfaces.plugin.part_report import OnPart
-    from cell.jobs.sort import Places as SortPlaces
+    from cell.jobs.sort import Places
     from gripper.clock import Clock
     from gripper.outcome import ReleaseReport
     from tactile.layout import TaxelLayout
@@ -107,7 +107,7 @@ class TactileCellPlugin:
         config: Path | str | CellConfig | None = None,
         *,
         mover: Callable[[Pose], Pose | bool | None] | None = None,
-        places: "Places | None" = None,
+        places: "CarryCallback | None" = None,
         model: Path | str | None = None,
         training_set: Path | str | None = None,
         gauge: Path | str | None = None,
@@ -190,9 +190,7 @@ class TactileCellPlugin:
         newtons = TaxelNewtons(checked, controller)
         self._part_listeners, self._newtons = listeners, newtons
         self._looking: threading.Thread | None = None
-        self._places: Callable[[], SortPlaces] = lambda: tasks.SortPlaces(
-            checked, file.model.labels
-        )
+        self._places: Callable[[], Places] = lambda: tasks.Places(checked, file.model.labels)
         self._tasks = tasks.Tasks(
             controller,
             file,

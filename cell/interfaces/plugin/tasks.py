@@ -26,7 +26,7 @@ from cell.interfaces.plugin.goals import (
 )
 from cell.interfaces.plugin.part_report import Seen
 from cell.interfaces.plugin.worker import Report
-from cell.jobs.sort import Places as SortPlaces, SortedPart, Tally, sort_parts
+from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from recognition.drift.drift import Drift
@@ -34,7 +34,7 @@ from recognition.grasp import SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
 
-__all__ = ["ModelFile", "SortPlaces", "Tasks"]
+__all__ = ["ModelFile", "Places", "Tasks"]
 
 _SHOWN_GRASPS = 100
 """Newest grasps of a teaching that its progress lists."""
@@ -85,7 +85,7 @@ class Tasks:
     controller: CellController
     file: ModelFile
     """The model, and where it is written."""
-    places: Callable[[], SortPlaces] = lambda: SortPlaces(CellConfig(), ())
+    places: Callable[[], Places] = lambda: Places(CellConfig(), ())
     """Returns the places of a sort for what is taught now."""
     begin: Callable[[str], Seen] = lambda _task: lambda *_, **__: None
     """Begins to report the parts of a task, as `part_reporter`; nobody counts them by default."""

@@ -16,7 +16,7 @@ def state_values(service: Service) -> dict[str, Any]:
     """Return everything but the taxels: JSON types alone, null for a number that is not finite."""
     now = service.snapshot()
     live = now.status.live
-    state: dict[str, Any] = plain(
+    state: dict[str, Any] = plain_data(
         {
             "time_s": time.time(),
             "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
@@ -41,14 +41,14 @@ def state_values(service: Service) -> dict[str, Any]:
     return state
 
 
-def plain(value: Any) -> Any:
+def plain_data(value: Any) -> Any:
     """Return plain data with null for each number that is not finite, which JSON does not have."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: plain_data(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain_data(one) for one in value]
     return value
 
 

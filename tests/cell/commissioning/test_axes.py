@@ -11,7 +11,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Finding, Verdict, carry_out
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.simulation import simulated_cell
+from cell.simulation import simulation_of
 from gripper.dynamixel.serial_port import ByteStream
 from simulator.cell import SimulatedCell
 from simulator.servo.wrist import SimulatedWrist
@@ -48,7 +48,7 @@ class LinesWithAxes(SimulatedLines):
 
 @pytest.fixture
 def cell() -> Iterator[SimulatedCell]:
-    with simulated_cell(changed_config(CellConfig(), CHANGES)) as cell:
+    with simulation_of(changed_config(CellConfig(), CHANGES)) as cell:
         yield cell
 
 

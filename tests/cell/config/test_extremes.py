@@ -16,7 +16,7 @@ from cell.build import build_cell
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.errors import ConfigError
-from cell.simulation import simulated_cell
+from cell.simulation import simulation_of
 from tests.faults.campaign import COARSE_PADS, campaign_config
 
 _ELSEWHERE = ("serve.", "positioner.", "sort.", "recognition.", "loop.", "seed", "host_timeout_s")
@@ -92,7 +92,7 @@ def refusal(end: End) -> str:
     """Return why an end is refused beside the others' defaults; empty where it is not."""
     try:
         config = config_at(end)
-        simulated_cell(config).close()
+        simulation_of(config).close()
     except ConfigError as error:
         return str(error)
     return ""
@@ -101,7 +101,7 @@ def refusal(end: End) -> str:
 def grasp(*at: End) -> None:
     """Start, bring the ball and grasp it with some keys at an end; raises what goes wrong."""
     config = config_at(*at)
-    with simulated_cell(config) as simulated:
+    with simulation_of(config) as simulated:
         cell = build_cell(config, simulated=simulated)
 
         def look(now_s: float) -> None:

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from cell.config.file import config_text
 from cell.interfaces.cli.app import app
 from simulator.can.messages import BurstFormat, force_bytes
-from tactile.frames.codec import FrameFormat, crc16
+from tactile.frames.codec import FrameFormat, crc16_ccitt
 from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import Pad, TaxelLayout, paper_layout, pinch_layout
 from tactile.unit.dbc import dbc_text
@@ -127,7 +127,7 @@ def test_any_samples_decode_and_carry_their_checksum(layout: TaxelLayout) -> Non
         assert (found["frame_counter"], found["frame_status"]) == (counter, status)
         assert found["frame_phase"] == counter % 4
         checked = b"".join(data[form.header_bytes :] for data in messages)[:-2]
-        assert found["frame_crc"] == crc16(checked)
+        assert found["frame_crc"] == crc16_ccitt(checked)
 
 
 def test_a_short_message_is_refused() -> None:

@@ -222,7 +222,7 @@ def test_what_is_taught_with_faults_injected_is_not_kept(serve: Any, cache: Path
 def test_a_first_start_whose_lease_is_taken_keeps_nothing(
     serve: Any, cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(serving, "LOOK_S", 0.0)
+    monkeypatch.setattr(serving, "SIGNAL_LOOK_S", 0.0)
     served = serve()
     service = served.service
     served.plugin.pause()

@@ -17,7 +17,7 @@ import pytest
 
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.interfaces.http_server import LONGEST
+from cell.interfaces.http_server import REQUEST_BYTES
 from cell.interfaces.service.host_calls import METHODS
 from cell.interfaces.service.host_values import ur_pose
 from cell.interfaces.service.service import RELEASE_KEY
@@ -353,7 +353,7 @@ def test_who_commands_names_the_secret_where_there_is_one(connect: Any, tmp_path
     [
         (b"<!DOCTYPE a [<!ENTITY b 'b'>]><methodCall/>", {}, 501),
         (gzip.compress(dumps((), "state").encode(), mtime=0), {"Content-Encoding": "gzip"}, 501),
-        (b"x" * (LONGEST + 1), {}, 413),
+        (b"x" * (REQUEST_BYTES + 1), {}, 413),
         (b"", {"Transfer-Encoding": "chunked"}, 413),
         *((body, {}, 200) for body in (b"", b"<", b"<methodCall>", b"\0" * 50, b"{}")),
     ],

@@ -18,7 +18,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.jobs.doctor import CheckResult, _boards, examine
-from cell.simulation import simulated_cell
+from cell.simulation import simulation_of
 from tests.cell.conftest import once, small_config
 from tests.faults.scenarios.axes import CHANGES
 
@@ -171,7 +171,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """With no answer of the servos too: then this is all that shows a held part."""
-    simulated = simulated_cell(CellConfig())
+    simulated = simulation_of(CellConfig())
     with contextlib.closing(build_cell(CellConfig(), simulated=simulated)) as held:
         held.controller.start()
         held.controller.present("ball")

@@ -18,7 +18,7 @@ from cell.control.identification import Identification
 from cell.control.records import GraspRecord
 from cell.errors import ReportError
 from cell.jobs.run_report import report_data
-from cell.report.build import link_health, loop_health, paper_table, servo_health, windows
+from cell.report.build import level_windows, link_health, loop_health, paper_table, servo_health
 from cell.report.data import ConfusionTable, HealthGroup, HealthState, HeldAndFound, ReportData
 from cell.report.pad_pictures import level_pictures, pressure_levels
 from cell.report.page import (
@@ -297,7 +297,7 @@ def test_health_marks_what_is_wrong() -> None:
 
 def test_windows_are_named_from_the_lowest_level_upwards() -> None:
     levels = find_thresholds([[4.0, 5.0], [1.0, 2.0], [4.5, 6.0]])
-    named = windows(levels, ["high", "low", "higher"])
+    named = level_windows(levels, ["high", "low", "higher"])
     assert [(w.name, w.below, w.above, w.closed) for w in named] == [
         ("A", "low", "high", False),
         ("B", "high", "higher", True),

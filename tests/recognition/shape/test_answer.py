@@ -7,7 +7,7 @@ import pytest
 
 from recognition.errors import ContactError
 from recognition.grasp import Grasp, PadArray
-from recognition.shape.answer import UNCLEAR, compare, shape_of
+from recognition.shape.answer import UNCLEAR, joint_answer, shape_of
 from recognition.shape.fit import fit_shape
 from recognition.shape.foam import FoamModel, PadBed
 from recognition.shape.foam_fit import fit_foam
@@ -157,7 +157,7 @@ def test_what_no_kind_explains_is_unclear(pads: PadArray) -> None:
     rng = np.random.default_rng(0)
     strange = replace(data, share=data.share * rng.uniform(0.2, 1.8, data.share.shape))
     fits = [fit_shape(model, strange, FOAM) for model in SHAPE_MODELS.values()]
-    answer = compare(fits)
+    answer = joint_answer(fits)
     assert answer.kind == UNCLEAR
     assert answer.misfit > 3.0
     assert answer.likeliest in SHAPE_MODELS

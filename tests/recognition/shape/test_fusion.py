@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recognition.shape.answer import UNCLEAR, ShapeAnswer, compare
+from recognition.shape.answer import UNCLEAR, ShapeAnswer, joint_answer
 from recognition.shape.fit import ShapeFit, evidence_of
 from recognition.shape.fusion import fuse_shapes
 from recognition.shape.models import SHAPE_MODELS
@@ -64,7 +64,7 @@ def answer(
     others: float = BAD_CHI2,
 ) -> ShapeAnswer:
     """Return what a grasp says that speaks for one kind: the others fit worse by some chi2."""
-    return compare(
+    return joint_answer(
         [
             linear_fit(
                 name,
@@ -127,7 +127,7 @@ def test_grasps_together_are_as_one_fit_to_all_of_them() -> None:
     mean, sd = np.linalg.solve(precision, eta)[0], np.sqrt(np.linalg.inv(precision)[0, 0])
     found = fuse_shapes(
         [
-            compare([fit if k == "sphere" else linear_fit(k, 9.0, chi2=900.0) for k in N_OWN])
+            joint_answer([fit if k == "sphere" else linear_fit(k, 9.0, chi2=900.0) for k in N_OWN])
             for fit in fits
         ],
         placing_m=1e-9,
@@ -156,7 +156,7 @@ def test_the_interval_holds_as_often_as_it_says_whatever_the_grasps_share() -> N
             wrong = rng.normal(0, NOISE_MM, n_grasps)
             found = fuse_shapes(
                 [
-                    compare([linear_fit("sphere", size_mm, zero_mm=zero_mm, wrong=float(w))])
+                    joint_answer([linear_fit("sphere", size_mm, zero_mm=zero_mm, wrong=float(w))])
                     for w in wrong
                 ]
             )
@@ -202,7 +202,9 @@ def test_a_small_difference_is_no_second_thickness() -> None:
 
 def test_what_round_kinds_cannot_be_speaks_for_a_bar() -> None:
     unsure: Sequence[ShapeAnswer] = [
-        compare([linear_fit(k, t, chi2=30.0 if k in {"flat", "cylinder"} else 90.0) for k in N_OWN])
+        joint_answer(
+            [linear_fit(k, t, chi2=30.0 if k in {"flat", "cylinder"} else 90.0) for k in N_OWN]
+        )
         for t in (10.0, 15.9)
     ]
     assert all(one.probability["cylinder"] > 0.3 for one in unsure)
@@ -217,14 +219,14 @@ def test_grasps_that_agree_are_surer_of_the_kind_but_not_as_if_nothing_were_shar
 
 
 def test_what_no_kind_explains_stays_unclear() -> None:
-    strange = compare([linear_fit("sphere", 9.0, chi2=150.0)])
+    strange = joint_answer([linear_fit("sphere", 9.0, chi2=150.0)])
     found = fuse_shapes([strange, strange, answer_of_one()])
     assert (found.kind, found.likeliest) == (UNCLEAR, "sphere")
     assert fuse_shapes([strange, answer_of_one(), answer_of_one()]).kind == "sphere"
 
 
 def answer_of_one() -> ShapeAnswer:
-    return compare([linear_fit("sphere", 9.0)])
+    return joint_answer([linear_fit("sphere", 9.0)])
 
 
 def test_what_cannot_be_fused_is_refused() -> None:
@@ -234,9 +236,9 @@ def test_what_cannot_be_fused_is_refused() -> None:
     with pytest.raises(ValueError, match="cannot be fused again"):
         fuse_shapes([fused, fused])
     fits = [linear_fit(kind, 9.0) for kind in N_OWN]
-    other = compare([_trusting(fit) for fit in fits])
+    other = joint_answer([_trusting(fit) for fit in fits])
     with pytest.raises(ValueError, match="different uncertainty"):
-        fuse_shapes([compare(fits), other])
+        fuse_shapes([joint_answer(fits), other])
 
 
 def _trusting(fit: ShapeFit) -> ShapeFit:
@@ -251,7 +253,7 @@ def test_a_foam_that_explains_all_grasps_is_that_of_the_cell() -> None:
             linear_fit("sphere", 9.0, chi2=30.0),
             linear_fit("sphere", 10.0, chi2=30.0 + others),
         ]
-        return compare(fits, [np.log(0.5), np.log(0.5)])
+        return joint_answer(fits, [np.log(0.5), np.log(0.5)])
 
     one, three = told(1.0), fuse_shapes([told(1.0)] * 3, dependence=0.0)
     assert one.probability == {"sphere": pytest.approx(1.0)}
@@ -260,6 +262,6 @@ def test_a_foam_that_explains_all_grasps_is_that_of_the_cell() -> None:
     assert width_mm(three) < width_mm(one)
     # What is likely beforehand counts once, not once in each grasp.
     fits = [linear_fit("sphere", 9.0), linear_fit("cylinder", 9.0, chi2=29.0)]
-    leaning = compare(fits, [np.log(0.9), np.log(0.1)])
+    leaning = joint_answer(fits, [np.log(0.9), np.log(0.1)])
     apart = fuse_shapes([leaning] * 2, dependence=1.0)
     assert apart.probability["sphere"] == pytest.approx(leaning.probability["sphere"], abs=0.02)

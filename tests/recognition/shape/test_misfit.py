@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recognition.shape.answer import UNCLEAR, compare
+from recognition.shape.answer import UNCLEAR, joint_answer
 from recognition.shape.fit import ShapeFit, misfit_of, n_determined
 from recognition.shape.models import SHAPE_MODELS
 
@@ -59,8 +59,8 @@ def test_larger_variances_move_a_fit_towards_what_is_known_beforehand(scale: flo
 def test_no_kind_is_told_on_pads_that_a_known_shape_did_not_fit() -> None:
     oval, _ = linear_fit("oval", 30.0)
     sphere, _ = linear_fit("sphere", 60.0)
-    plain = compare([oval, replace(sphere, misfit=2.0)])
-    doubted = compare([oval, replace(sphere, misfit=2.0)], least_misfit=9.0)
+    plain = joint_answer([oval, replace(sphere, misfit=2.0)])
+    doubted = joint_answer([oval, replace(sphere, misfit=2.0)], least_misfit=9.0)
     assert plain.kind == "oval"
     assert doubted.kind == UNCLEAR
     assert doubted.misfit == 9.0

@@ -12,7 +12,7 @@ from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.faults.entry import FaultKind, Setting
 from simulator.faults.injector import VOCABULARY, check_fault
-from simulator.faults.text import FaultEvent, When, parse_fault
+from simulator.faults.text import FaultEvent, FaultMoment, parse_fault
 from simulator.servo.firmware import WatchdogStop
 from simulator.servo.wrist import WristMount
 from simulator.settings import SimulatorSettings
@@ -31,11 +31,13 @@ def cell() -> Iterator[SimulatedCell]:
 def test_a_text_is_name_value_start_and_end() -> None:
     parsed = parse_fault("can.loss=0.05@2s..2500ms")
     assert (parsed.name, parsed.value) == ("can.loss", "0.05")
-    assert parsed.start == When(event=FaultEvent.INJECTED, offset_s=2.0)
-    assert parsed.end == When(event=FaultEvent.INJECTED, offset_s=2.5)
+    assert parsed.start == FaultMoment(event=FaultEvent.INJECTED, offset_s=2.0)
+    assert parsed.end == FaultMoment(event=FaultEvent.INJECTED, offset_s=2.5)
     parsed = parse_fault(" servo1.reboot@contact+0.5s ")
-    assert parsed.start == When(event=FaultEvent.CONTACT, offset_s=0.5)
-    assert parse_fault("unit.off@moving").start == When(event=FaultEvent.MOVING, offset_s=0.0)
+    assert parsed.start == FaultMoment(event=FaultEvent.CONTACT, offset_s=0.5)
+    assert parse_fault("unit.off@moving").start == FaultMoment(
+        event=FaultEvent.MOVING, offset_s=0.0
+    )
     assert parse_fault("unit.off").start is None
 
 

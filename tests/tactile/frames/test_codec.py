@@ -7,14 +7,14 @@ from hypothesis import given, settings, strategies as st
 from simulator.can.messages import BurstFormat
 from tactile.errors import LayoutError
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, crc16
+from tactile.frames.codec import FrameFormat, crc16_ccitt
 from tactile.layout import paper_layout
 
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
 
 
 def test_crc_check_value() -> None:
-    assert crc16(b"123456789") == 0x29B1
+    assert crc16_ccitt(b"123456789") == 0x29B1
 
 
 def test_paper_format_fills_59_messages_without_padding() -> None:

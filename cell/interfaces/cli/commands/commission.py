@@ -123,7 +123,7 @@ def _on_page(engine: "Engine", http_port: int | None) -> None:
     """Open the page and wait until a signal ends the program; a step that runs is ended first."""
     from cell.config.serve import ServeConfig
     from cell.errors import ConfigError
-    from cell.interfaces.cli.commands.serve import LOOK_S, free_page_port
+    from cell.interfaces.cli.commands.serve import SIGNAL_LOOK_S, free_page_port
     from cell.interfaces.cli.terminal import print_page
     from cell.interfaces.service.serving import page_address
 
@@ -145,6 +145,6 @@ def _on_page(engine: "Engine", http_port: int | None) -> None:
         assert address is not None
         print_page(address)
         while True:
-            time.sleep(LOOK_S)
+            time.sleep(SIGNAL_LOOK_S)
     if wizard.state()["phase"] != Phase.FINISHED:
         raise typer.Exit(1)

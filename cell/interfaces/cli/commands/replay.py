@@ -94,7 +94,7 @@ def _play(source: Path, http_port: int | None) -> None:
 
     from cell.config.model import CellConfig
     from cell.config.serve import ServeConfig
-    from cell.interfaces.cli.commands.serve import LOOK_S, announced_doors, free_page_port
+    from cell.interfaces.cli.commands.serve import SIGNAL_LOOK_S, announced_doors, free_page_port
     from cell.interfaces.cli.signals import END_WITHIN_S, stopping
     from cell.interfaces.cli.terminal import print_note
     from cell.interfaces.service.replay import Replay
@@ -112,5 +112,5 @@ def _play(source: Path, http_port: int | None) -> None:
         stopping(over.set, end_within_s=END_WITHIN_S),
         announced_doors(Service(replay, CellConfig(serve=doors), note=print_note)),
     ):
-        while not over.wait(LOOK_S):
+        while not over.wait(SIGNAL_LOOK_S):
             pass

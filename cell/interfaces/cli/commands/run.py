@@ -183,17 +183,17 @@ def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]])
     """Return a confusion table: rows are what was held, columns the answers."""
     from rich.table import Table
 
-    from cell.interfaces.cli.terminal import plain
+    from cell.interfaces.cli.terminal import plain_text
     from recognition.recognizer import UNKNOWN
 
     columns = [*labels, UNKNOWN] if len(confusion[0]) > len(labels) else list(labels)
     table = Table(header_style="bold")
     table.add_column("held")
     for column in columns:
-        table.add_column(plain(column), justify="right")
+        table.add_column(plain_text(column), justify="right")
     for row, (label, counts) in enumerate(zip(labels, confusion, strict=True)):
         table.add_row(
-            plain(label),
+            plain_text(label),
             *(
                 f"[bold green]{value:g}[/]"
                 if place == row

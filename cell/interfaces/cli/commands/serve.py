@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cell.interfaces.plugin.plugin import TactileCellPlugin
     from cell.interfaces.service.service import Service
 
-LOOK_S = 0.25
+SIGNAL_LOOK_S = 0.25
 """Wait in s after which signals are looked for; Python carries them out between two waits."""
 _PAGE_PORT = 8080
 """Port of HTTP for the built-in cell, the customary one beside 80; or the next free one."""
@@ -140,7 +140,7 @@ def serve(
             if untaught and model is None:
                 _teach_first(service, plugin, own, over, keep=not faults)
             plugin.follow_real_time(speed)
-            while not over.wait(LOOK_S):
+            while not over.wait(SIGNAL_LOOK_S):
                 pass
 
 
@@ -226,7 +226,7 @@ def _teach_first(
             goal = {"task": "teach", "label": label, "grasps": _FIRST_GRASPS, "seed": seed}
             number = service.start(lease, goal)
             while not JobOutcome((job := service.job(number)).outcome).terminal:
-                if over.wait(LOOK_S):
+                if over.wait(SIGNAL_LOOK_S):
                     return
                 service.lease.alive(lease)
             if job.error:

@@ -79,7 +79,7 @@ def print_tally(tally: "Tally") -> None:
     """Print how many parts lie where, and which of them do not belong there."""
     from rich.table import Table
 
-    from cell.interfaces.cli.terminal import plain, print_line, print_table
+    from cell.interfaces.cli.terminal import plain_text, print_line, print_table
 
     if not tally.parts:
         print_line("no part was sorted")
@@ -87,9 +87,11 @@ def print_tally(tally: "Tally") -> None:
     table = Table(header_style="bold")
     table.add_column("part")
     for place in tally.places.names:
-        table.add_column(plain(place), justify="right")
+        table.add_column(plain_text(place), justify="right")
     for truth, counts in tally.matrix().items():
-        table.add_row(plain(truth), *(str(count) if count else "" for count in counts.values()))
+        table.add_row(
+            plain_text(truth), *(str(count) if count else "" for count in counts.values())
+        )
     table.add_row("all", *(str(count) for count in tally.counts.values()), style="bold")
     print_table(table)
     missed = f", {tally.n_missed} times no part was found" if tally.n_missed else ""

@@ -99,8 +99,8 @@ def test_turns_without_a_part_are_reported_as_such() -> None:
     model: Any = NothingThere()
     nothing: Any = None
 
-    def places() -> tasks.SortPlaces:
-        return tasks.SortPlaces(CellConfig(), ("ball",))
+    def places() -> tasks.Places:
+        return tasks.Places(CellConfig(), ("ball",))
 
     file = tasks.ModelFile(model, None)
     cell = tasks.Tasks(nothing, file, places, lambda _task: seen.append)
