@@ -52,35 +52,18 @@ class BusBusy(GripperError):
 
 
 class ServoRejected(GripperError):
-    """A servo refused an instruction.
-
-    Attributes
-    ----------
-    servo_id
-        The servo that answered.
-    code
-        Error number of the status packet, 1 to 7 (Protocol 2.0, status packet, error field).
-    """
+    """A servo refused an instruction."""
 
     def __init__(self, servo_id: int, code: int, action: str) -> None:
         reason = _RESULT_CODES.get(code, "undefined error number")
         super().__init__(f"servo {servo_id} refused {action}: error {code} ({reason})")
         self.servo_id = servo_id
         self.code = code
+        """Error number of the status packet, 1 to 7 (Protocol 2.0, status packet, error field)."""
 
 
 class ServoFault(GripperError):
-    """A servo reports a hardware error, has rebooted or lost its torque.
-
-    Attributes
-    ----------
-    servo_id
-        The servo at fault.
-    bits
-        Hardware Error Status (register 70); 0 where the fault is not one of its bits.
-    torque_lost
-        True when the servo has no torque any more: the other finger must not push alone.
-    """
+    """A servo reports a hardware error, has rebooted or lost its torque."""
 
     def __init__(self, servo_id: int, bits: int, detail: str, *, torque_lost: bool = False) -> None:
         names = ", ".join(hardware_error_names(bits)) or "no hardware error bit"
@@ -89,17 +72,13 @@ class ServoFault(GripperError):
         )
         self.servo_id = servo_id
         self.bits = bits
+        """Hardware Error Status (register 70); 0 where the fault is not one of its bits."""
         self.torque_lost = torque_lost
+        """True when the servo has no torque any more: the other finger must not push alone."""
 
 
 class VerificationFailed(GripperError):
-    """The servos do not match the settings; nothing has moved.
-
-    Attributes
-    ----------
-    report
-        Expected against found, row by row.
-    """
+    """The servos do not match the settings; nothing has moved."""
 
     def __init__(self, report: VerificationReport, failed: Sequence[str]) -> None:
         super().__init__(
@@ -108,6 +87,7 @@ class VerificationFailed(GripperError):
             + ". Correct the settings or the servo, then start again"
         )
         self.report = report
+        """Expected against found, row by row."""
 
 
 class ServoMissing(VerificationFailed, BusTimeout):

@@ -65,27 +65,19 @@ class Lifecycle:
     ----------
     servos, runner, settings
         Of the gripper.
-
-    Attributes
-    ----------
-    part_possible
-        True from the beginning of an approach until a release has ended or nothing was found.
-    controlled
-        True while the force of a grasp of this object can be controlled further.
-    fault
-        The latched fault, None without one.
-    running
-        True while a command runs.
-    motion_unconfirmed
-        True after a fault in a motion that nothing but a servo's bus watchdog ends.
     """
 
     def __init__(self, servos: ServoGroup, runner: LoopRunner, settings: GripperSettings) -> None:
         self.part_possible = False
+        """True from the beginning of an approach until a release has ended or nothing was found."""
         self.controlled = False
+        """True while the force of a grasp of this object can be controlled further."""
         self.fault: BaseException | None = None
+        """The latched fault, None without one."""
         self.running = False
+        """True while a command runs."""
         self.motion_unconfirmed = False
+        """True after a fault in a motion that nothing but a servo's bus watchdog ends."""
         self._servos = servos
         self._settings = settings
         self._runner = runner

@@ -108,15 +108,6 @@ class TouchRig(Rig):
     ----------
     part, rate_hz, seed, noise_n, settings
         As for `Rig`; torque figures and friction are drawn with the seed.
-
-    Attributes
-    ----------
-    random
-        Random numbers of this run.
-    begins_s
-        Time in s from which on the event happens; none where it is infinite.
-    over_s
-        Time in s at which the true force first passed the cap.
     """
 
     def __init__(
@@ -135,7 +126,9 @@ class TouchRig(Rig):
         )
         usual = {"slip_drop_n": 0.8, "slip_travel_m": 0.0015, "force_max_n": CAP_N}
         self.begins_s = math.inf
+        """Time in s from which on the event happens; none where it is infinite."""
         self.over_s = math.inf
+        """Time in s at which the true force first passed the cap."""
         self.changed: Callable[[float], Part] = lambda _: part
         self.slide_m_s = 0.0
         super().__init__(

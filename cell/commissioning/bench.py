@@ -66,13 +66,6 @@ class Bench:
     ------
     ConfigError
         If the config of the folder is not valid.
-
-    Attributes
-    ----------
-    settings
-        Values of the config by dotted key that the steps have found so far.
-    found
-        Values of the findings so far, by the key of the step.
     """
 
     def __init__(
@@ -90,7 +83,9 @@ class Bench:
         self.lines = lines or LineOpener()
         self.given: Mapping[str, Any] = given or {}
         self.settings: Mapping[str, Any] = {}
+        """Values of the config by dotted key that the steps have found so far."""
         self.found: Mapping[str, Mapping[str, Any]] = {}
+        """Values of the findings so far, by the key of the step."""
 
     @property
     def clock(self) -> Clock:

@@ -22,11 +22,6 @@ class WatchedMotion:
         The person.
     request_stop
         Lets the running command end with GraspStopped.
-
-    Attributes
-    ----------
-    cycles, frames
-        Periods of the loop and tactile frames of all motions so far.
     """
 
     def __init__(self, dialog: Dialog, request_stop: Callable[[], None]) -> None:
@@ -36,6 +31,7 @@ class WatchedMotion:
         self._due_s = 0.0
         self.cycles: list[Cycle] = []
         self.frames: list[TactileFrame] = []
+        """Periods of the loop and tactile frames of all motions so far."""
 
     def __enter__(self) -> Self:
         return self

@@ -383,20 +383,14 @@ class PadsPressedStep(Step):
 
 
 class _Presses:
-    """Has pads pressed one after another.
-
-    Attributes
-    ----------
-    patches
-        Where the patch was, by the pad that was asked for.
-    shown_n
-        (n_taxels,) float64: largest force in N on each taxel, for the picture.
-    """
+    """Has pads pressed one after another."""
 
     def __init__(self, sensor: TactileSensor, clock: Clock, dialog: Dialog) -> None:
         self._sensor, self._clock, self._dialog = sensor, clock, dialog
         self.patches: dict[int, Patch] = {}
+        """Where the patch was, by the pad that was asked for."""
         self.shown_n = np.zeros(sensor.layout.n_taxels)
+        """(n_taxels,) float64: largest force in N on each taxel, for the picture."""
         self._force_n = self.shown_n
 
     def press(self, pad: int) -> bool:

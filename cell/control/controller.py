@@ -65,13 +65,6 @@ class CellController:
     two acts of a person or host. The part is let go by `release` and `release_held`, and at the
     end of each grasp of a sequence, whose purpose that is; never by a fault, by `cancel` or by
     `shutdown`.
-
-    Attributes
-    ----------
-    hand
-        Gripper and sensor, for statistics; commands go through the controller.
-    zero
-        Zero of the taxels that the last start has taken; None before.
     """
 
     def __init__(
@@ -90,8 +83,10 @@ class CellController:
         self._config = config
         self._journal = Journal(recorder)
         self.zero: TareResult | None = None
+        """Zero of the taxels that the last start has taken; None before."""
         self._zero_refused = ""
         self.hand = hand
+        """Gripper and sensor, for statistics; commands go through the controller."""
         self._life = CellLifecycle(
             hand, self._journal, shows_nothing=lambda: self.shows_nothing, clock=clock
         )

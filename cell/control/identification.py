@@ -104,11 +104,6 @@ class SequenceAnswers:
         Called after each grasp.
     begin
         How the answers are computed.
-
-    Attributes
-    ----------
-    posteriors, records
-        Of the grasps so far, in order.
     """
 
     def __init__(
@@ -128,6 +123,7 @@ class SequenceAnswers:
         self._on_grasp = on_grasp
         self.posteriors: list[Posterior] = []
         self.records: list[GraspRecord] = []
+        """Answers to the grasps so far, and their records, in order."""
         self._complaints: list[str] = []
         self._shapes: list[ShapeAnswer | None] = []
         self._decision: Decision | None = None

@@ -61,22 +61,6 @@ class CellLifecycle:
         Whether pads and current showed last that nothing is held.
     clock
         Monotonic time.
-
-    Attributes
-    ----------
-    result
-        How the last grasp ended; None before the first one and after a release.
-    fault, fault_number
-        What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`.
-    state_since_s
-        Unix time in s of the last change of the state.
-    fault_since_s, n_faults
-        Unix time in s at which the latched fault was, None without one; and how many have been so
-        far.
-    cancelled
-        Whether a stop was requested and nothing has obeyed it yet.
-    stop_reason
-        Who or what requested the last stop.
     """
 
     def __init__(
@@ -95,13 +79,20 @@ class CellLifecycle:
         self._state = CellState.STOPPED
         self._part_lost = False
         self.result: GraspResult | None = None
+        """How the last grasp ended; None before the first one and after a release."""
         self.fault: str | None = None
         self.fault_number = 0
+        """What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`."""
         self.state_since_s = time.time()
+        """Unix time in s of the last change of the state."""
         self.fault_since_s: float | None = None
+        """Unix time in s at which the latched fault was; None without one."""
         self.n_faults = 0
+        """Faults so far."""
         self.cancelled = False
+        """Whether a stop was requested and nothing has obeyed it yet."""
         self.stop_reason = ON_REQUEST
+        """Who or what requested the last stop."""
 
     @property
     def state(self) -> CellState:

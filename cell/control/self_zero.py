@@ -88,13 +88,6 @@ class SelfZeros:
         and what a program does is the same at each time of the day.
     now_s
         Returns the unix time in s.
-
-    Attributes
-    ----------
-    measured_s
-        Unix time in s of the last one, however old; 0 where there is none.
-    unkept
-        Why the newest one is of this program alone, its file cannot be written; else empty.
     """
 
     def __init__(
@@ -114,7 +107,9 @@ class SelfZeros:
         self._now_s = now_s
         self._last: SelfZero | None = None
         self.measured_s = 0.0
+        """Unix time in s of the last one, however old; 0 where there is none."""
         self.unkept = ""
+        """Why the newest one is of this program alone, its file cannot be written; else empty."""
         if path is not None and when != "never":
             self._read(path)
 

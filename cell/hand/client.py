@@ -56,13 +56,6 @@ class LoopProcess:
     partial
         As `cell.hand.build.open_hand`.
 
-    Attributes
-    ----------
-    lost
-        Why the process is of no use any more; None while it is.
-    ready
-        Its first message.
-
     Raises
     ------
     gripper.errors.PortLost, tactile.errors.LinkFault
@@ -73,6 +66,7 @@ class LoopProcess:
 
     def __init__(self, config: CellConfig, *, partial: bool = False) -> None:
         self.lost: HandLost | None = None
+        """Why the process is of no use any more; None while it is."""
         self._watchdog_ms = config.gripper.watchdog_ms
         ours, theirs = socket.socketpair()
         stop_fd, self._stop_fd = os.pipe()
@@ -104,6 +98,7 @@ class LoopProcess:
             self.close()
             raise
         self.ready: Ready = event
+        """Its first message."""
 
     @property
     def pid(self) -> int:

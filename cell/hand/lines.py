@@ -24,11 +24,6 @@ class Lines:
     stream, can_bus
         Ends that are open already and belong to somebody else.
 
-    Attributes
-    ----------
-    stream, can_bus
-        The ends that are open now.
-
     Raises
     ------
     gripper.errors.PortLost, tactile.errors.BusNotOpened

@@ -51,13 +51,6 @@ class Outbox:
         200 kB are free: a message of less is then taken whole, and nothing blocks.
     limit
         Periods that may wait; from then on they are dropped and counted, with all else kept.
-
-    Attributes
-    ----------
-    dropped
-        Periods dropped so far.
-    broken
-        Whether the other end is gone.
     """
 
     def __init__(self, connection: Connection, *, limit: int) -> None:
@@ -67,7 +60,9 @@ class Outbox:
         self._limit = limit
         self._waiting: deque[bytes] = deque()
         self.dropped = 0
+        """Periods dropped so far."""
         self.broken = False
+        """Whether the other end is gone."""
 
     @property
     def full(self) -> bool:

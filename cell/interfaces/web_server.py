@@ -97,11 +97,6 @@ class WebServer(HttpServer):
     page
         File of the page.
 
-    Attributes
-    ----------
-    token
-        What clients authenticate with.
-
     Raises
     ------
     OSError, ConfigError
@@ -122,6 +117,7 @@ class WebServer(HttpServer):
     ) -> None:
         file = config.token_file
         self.token = read_secret(file) if file else secrets.token_urlsafe(24)
+        """What clients authenticate with."""
         self._lease = lease
         self._request_timeout_s = config.request_timeout_s
         self._feed = LiveFeed(look)

@@ -66,16 +66,16 @@ class CheckResult:
     """What to do; empty where all is well."""
 
 
-def _finding(
+def _result(
     what: str, found: str, advice: str = "", *, ok: bool = False, bad: Verdict = Verdict.WARN
 ) -> CheckResult:
-    """Return a finding that passes where all is ok, and else has a verdict and the advice."""
+    """Return a result that passes where all is ok, and else has a verdict and the advice."""
     verdict = Verdict.PASS if ok else bad
     return CheckResult(what=what, verdict=verdict, found=found, advice="" if ok else advice)
 
 
 def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[CheckResult]:
-    """Check the machine, then each device of the cell, yielding findings as they come.
+    """Check the machine, then each device of the cell, yielding results as they come.
 
     Reads and verifies only: no torque is switched on and nothing moves.
 
@@ -106,13 +106,13 @@ class _Kept:
         if not self.found:
             return []
         return [
-            _finding(
+            _result(
                 change.what,
                 f"{change.found}, at commissioning {change.was}",
                 change.advice(self.folder),
             )
             for change in changes
-        ] or [_finding(what, "as at commissioning", ok=True)]
+        ] or [_result(what, "as at commissioning", ok=True)]
 
 
 def _kept(config_file: Path | None) -> _Kept:
@@ -151,14 +151,14 @@ def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckR
 
 def _machine() -> Iterator[CheckResult]:
     version = ".".join(map(str, sys.version_info[:3]))
-    yield _finding("Python", version, ok=True)
+    yield _result("Python", version, ok=True)
     for package in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy"):
-        yield _finding(package, importlib.metadata.version(package), ok=True)
+        yield _result(package, importlib.metadata.version(package), ok=True)
     for extra, package in ((e, package) for e in ("report", "mesh") for package in EXTRAS[e]):
         try:
-            yield _finding(package, importlib.metadata.version(package), ok=True)
+            yield _result(package, importlib.metadata.version(package), ok=True)
         except importlib.metadata.PackageNotFoundError:
-            yield _finding(package, "not installed", f"if you want it: {remedy(extra)}")
+            yield _result(package, "not installed", f"if you want it: {remedy(extra)}")
 
 
 def _ports(config: CellConfig) -> Iterator[CheckResult]:
@@ -171,12 +171,12 @@ def _ports(config: CellConfig) -> Iterator[CheckResult]:
         candidates = ", ".join(serial_candidates()) or "none"
         found = f"{port} does not exist; serial ports here: {candidates}"
         advice = "plug in the adapter or correct gripper.port"
-    yield _finding("servo port", found, advice, ok=not advice, bad=Verdict.FAIL)
+    yield _result("servo port", found, advice, ok=not advice, bad=Verdict.FAIL)
     timer_ms = None if advice else latency_timer_ms(port)
     if timer_ms is not None:
         remedy = f"until the next start: {latency_command(port)}; for good: {udev_rule()}"
         ok = timer_ms <= LATENCY_MS
-        yield _finding("USB latency timer", f"{timer_ms} ms", remedy, ok=ok)
+        yield _result("USB latency timer", f"{timer_ms} ms", remedy, ok=ok)
 
 
 def _self_zero(config: CellConfig, named: str) -> CheckResult:
@@ -185,11 +185,11 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
         found = (
             "none: gripper.pads_meet is false" if config.self_zero != "never" else "never wanted"
         )
-        return _finding("self-zero", found, ok=True)
+        return _result("self-zero", found, ok=True)
     kept = kept_zeros(config, Path(config.recording.directory))
     if kept.newest is None:
         last = datetime.fromtimestamp(kept.measured_s).date()
-        return _finding(
+        return _result(
             "self-zero",
             f"none of today, the last is of {last}" if kept.measured_s else "not measured",
             f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, at "
@@ -197,7 +197,7 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
         )
     opening_mm = 1e3 * kept.newest.opening_m
     ratio = float(np.exp(kept.newest.log_gain_ratio))
-    return _finding(
+    return _result(
         "self-zero",
         f"of {datetime.fromtimestamp(kept.measured_s):%Y-%m-%d %H:%M}: pads meet at "
         f"{opening_mm:+.2f} mm, finger 0 feels {ratio:.2f} times finger 1",
@@ -211,7 +211,7 @@ def _devices(config: CellConfig, named: str, kept: _Kept) -> Iterator[CheckResul
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
     except (CellError, GripperError, TactileError) as error:
         advice = "check cabling, power and the names in the config"
-        yield _finding("links", str(error), advice, bad=Verdict.FAIL)
+        yield _result("links", str(error), advice, bad=Verdict.FAIL)
         return
     yield from _loop(cell)
     try:
@@ -228,10 +228,10 @@ def _loop(cell: Cell) -> Iterator[CheckResult]:
     # A line that is missing is found where it is asked.
     notes = [note for note in cell.notes if not note.startswith(MISSING)]
     if cell.realtime and not notes:
-        yield _finding("force loop", "real time as configured", ok=True)
+        yield _result("force loop", "real time as configured", ok=True)
     for note in notes:
         found, _, advice = note.partition(": ")
-        yield _finding("force loop", found, advice)
+        yield _result("force loop", found, advice)
 
 
 def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[CheckResult]:
@@ -239,12 +239,12 @@ def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[Chec
         yield from check()
     except VerificationFailed as error:
         for line in str(error).splitlines():
-            yield _finding(what, line, "see the expected value", bad=Verdict.FAIL)
+            yield _result(what, line, "see the expected value", bad=Verdict.FAIL)
     except (GripperError, TactileError) as error:
         advice = "check power, id and bit rate"
         if what == _TORQUE:
             advice += "; whether a part is held is not known: the servos keep their last goals"
-        yield _finding(what, str(error), advice, bad=Verdict.FAIL)
+        yield _result(what, str(error), advice, bad=Verdict.FAIL)
 
 
 def _torque(cell: Cell, named: str) -> list[CheckResult]:
@@ -255,11 +255,11 @@ def _torque(cell: Cell, named: str) -> list[CheckResult]:
     if not any(condition.torque_on for condition in conditions):
         failed = any(condition.shut_down for condition in conditions)
         advice = f"remedy the cause of the error, then `tactile-cell clear{named} --reboot`"
-        return [_finding(_TORQUE, found, advice, ok=not failed, bad=Verdict.FAIL)]
+        return [_result(_TORQUE, found, advice, ok=not failed, bad=Verdict.FAIL)]
     advice = f"a part may be in the grip: let go of it with `tactile-cell release{named} --confirm`"
     if any(condition.shut_down for condition in limp):
         advice += f", then clear the error with `tactile-cell clear{named} --reboot`"
-    return [_finding(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
+    return [_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
 def _servos(cell: Cell, named: str, kept: _Kept) -> list[CheckResult]:
@@ -274,7 +274,7 @@ def _servos(cell: Cell, named: str, kept: _Kept) -> list[CheckResult]:
     }
     same = kept.findings("servos", changed_servos(kept.found, servos))
     return same + [
-        _finding(
+        _result(
             f"servo {row.servo_id} {row.item}",
             f"{row.found} (expected {row.expected})",
             _advice(row, named),
@@ -310,7 +310,7 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
                 "`--redo unit`, in the folder of the commissioning: what depends on it is done "
                 "again"
             )
-        return [_finding("control unit", str(error), advice, bad=Verdict.FAIL)]
+        return [_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     n_saturated = int(readings[-1].saturated.sum())
     forces = hand.statistics.link.forces
@@ -323,25 +323,25 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
     changes += changed_pads(kept.found, hand.layout, frames, pad_mounts(config.tactile))
     return [
         *kept.findings("control unit and pads", changes),
-        _finding(
+        _result(
             "control unit",
             f"{identity.name}, serial {identity.serial}, revision {identity.revision:#x}",
             ok=True,
         ),
-        _finding(
+        _result(
             "tactile frames",
             f"{statistics.complete} whole, {lost} lost or damaged",
             "check the terminating resistors and the bus load",
             ok=lost == 0,
         ),
-        _finding(
+        _result(
             "force messages",
             f"{forces.received} received, {forces.lost} lost"
             if identity.sends_forces
             else FORCE_FROM_FRAMES,
             ok=identity.sends_forces and not forces.lost,
         ),
-        _finding(
+        _result(
             "taxels at rest",
             f"{n_saturated} of {len(readings[-1].saturated)} saturated",
             "is something touching the pads?",
@@ -364,7 +364,7 @@ def _axes(cell: Cell) -> Iterator[CheckResult]:
         advice = "remedy the cause; after clear and reset the next motion resets the device"
         if lost:
             advice = "check its supply, cable and node-ID or ID"
-        yield _finding(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
+        yield _result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 
 
 def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckResult:
@@ -377,7 +377,7 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckRe
     force_n = make_calibration(config.tactile, layout).force_n(over)
     first_n, second_n = (float(force_n[layout.taxels_of(p)].sum()) for p in layout.gripping_pads)
     pressed = max(first_n, second_n) >= config.gripper.contact_force_n
-    return _finding(
+    return _result(
         "pads' force",
         f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",
         "a part may be held; look. Let go of it, where the servos answer, with "
@@ -389,7 +389,7 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckRe
 def _noise(frames: list[TactileFrame]) -> CheckResult:
     """Check that the samples move at rest: else frozen and dead ones cannot be found."""
     moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
-    return _finding(
+    return _result(
         "noise of the taxels",
         f"{moving} of {len(frames[0].counts)} change at rest",
         "without noise, frozen, dead and stuck taxels show only while the force changes: press "
@@ -402,14 +402,14 @@ def _boards(boards: tuple[int, int], config: CellConfig) -> CheckResult:
     """Check that exchanged pads would be noticed: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
     if config.tactile.board_serial_numbers is not None or config.simulated:
-        return _finding("pads' boards", found, ok=True)
+        return _result("pads' boards", found, ok=True)
     advice = "these boards cannot be told apart: press each pad after every work on the cables"
     if boards[0] != boards[1]:
         advice = (
             f"press each pad to see that its finger is right, then write [{boards[0]}, "
             f"{boards[1]}] into the config"
         )
-    return _finding(
+    return _result(
         "pads' boards",
         f"{found}; tactile.board_serial_numbers names none: exchanged pads are not noticed",
         advice,

@@ -40,51 +40,36 @@ class Trial:
 
 @dataclass(slots=True, kw_only=True)
 class MainResult:
-    """Answers, scores and files of the main job.
-
-    Attributes
-    ----------
-    labels
-        The identified objects.
-    default
-        Name of the recogniser that identified.
-    n_taught
-        Grasps that were taught.
-    seconds
-        Duration in s.
-    scores
-        Answers counted, by recogniser.
-    trials
-        The identifications, in order.
-    examples
-        One grasp of each object, for the report.
-    recognizers
-        The recognisers by name, as they were taught.
-    dataset, model, recording, report
-        Files; None where none was written.
-    drift
-        The drift at the end; None where it is not followed.
-    remarks
-        Messages for the operator, as that the sensors have drifted.
-    extra
-        Further values for ``--json``.
-    """
+    """Answers, scores and files of the main job."""
 
     labels: tuple[str, ...]
+    """The identified objects."""
     default: str
+    """Name of the recogniser that identified."""
     n_taught: int
+    """Grasps that were taught."""
     seconds: float
+    """Duration in s."""
     scores: dict[str, ConfusionTable]
+    """Answers counted, by recogniser."""
     trials: tuple[Trial, ...]
+    """The identifications, in order."""
     examples: dict[str, GraspRecord]
+    """One grasp of each object, for the report."""
     recognizers: dict[str, Recognizer]
+    """The recognisers by name, as they were taught."""
     dataset: Path | None
     model: Path | None
     recording: Path | None
+    """Files; None where none was written."""
     drift: DriftGrid | None = None
+    """The drift at the end; None where it is not followed."""
     remarks: tuple[str, ...] = ()
+    """Messages for the operator, as that the sensors have drifted."""
     report: Path | None = None
+    """File of the report; None where none was written."""
     extra: dict[str, Any] = field(default_factory=dict)
+    """Further values for ``--json``."""
 
     @property
     def records(self) -> tuple[GraspRecord, ...]:

@@ -70,11 +70,6 @@ class TaughtModel:
     known
         Foam and sensor, for shape and size; by default the usual ones.
 
-    Attributes
-    ----------
-    revision
-        Changes of what is taught so far.
-
     Raises
     ------
     ModelError
@@ -101,6 +96,7 @@ class TaughtModel:
         self._remarked = False
         self._told: set[str] = set()
         self.revision = 0
+        """Changes of what is taught so far."""
         self._pads = pad_array(layout_from_config(config.tactile))
         if model is not None:
             check_pads(model, self._pads)

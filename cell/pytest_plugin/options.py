@@ -14,28 +14,23 @@ _HIGHEST_SERVO_ID = 252
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HardwareOptions:
-    """What the command line says about real hardware; None where it says nothing.
-
-    Attributes
-    ----------
-    servo_port, can_interface, can_channel
-        Ports. A link without one is simulated.
-    servo_baud_rate, can_bitrate
-        Rates in bit/s.
-    servo_ids, node_id
-        Who is asked.
-    allow_motion
-        Whether tests may switch torque on and move real servos.
-    """
+    """What the command line says about real hardware; None where it says nothing."""
 
     servo_port: str | None = None
+    """Port of the servos; without one they are simulated."""
     servo_baud_rate: int | None = None
+    """Rate of the servos' line in bit/s."""
     servo_ids: tuple[int, ...] | None = None
+    """Servos that are asked."""
     can_interface: str | None = None
     can_channel: str | None = None
+    """CAN adapter, for python-can; without one the control unit is simulated."""
     can_bitrate: int | None = None
+    """Rate of the CAN bus in bit/s."""
     node_id: int | None = None
+    """Node-ID of the control unit that is asked."""
     allow_motion: bool = False
+    """Whether tests may switch torque on and move real servos."""
 
     @classmethod
     def of(cls, config: pytest.Config) -> "HardwareOptions":

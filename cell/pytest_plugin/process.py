@@ -34,13 +34,7 @@ class CellProcessError(CellError):
 
 
 class ProcessFault:
-    """A fault in the cell of another process.
-
-    Attributes
-    ----------
-    text
-        As it was injected.
-    """
+    """A fault in the cell of another process."""
 
     def __init__(self, cell: "CellProcess", text: str) -> None:
         self.text = text.strip()
@@ -69,19 +63,6 @@ class CellProcess:
     config
         The cell to simulate; its ports do not matter.
 
-    Attributes
-    ----------
-    servo_port, servo_baud_rate, servo_ids
-        The pseudo-terminal with the servos, its rate in bit/s, their IDs.
-    can_interface, can_channel, can_bitrate, node_id
-        The pseudo-terminal with the CAN adapter, for python-can, and the control unit's node.
-    positioner_socket
-        Unix socket that takes requests as JSON lines; `ask` does it.
-    config_path
-        Config with which any program reaches this cell: ``tactile-cell run --config ...``.
-    pid
-        The process.
-
     Raises
     ------
     CellProcessError
@@ -108,12 +89,17 @@ class CellProcess:
             self.servo_port: str = found["servo_port"]
             self.servo_baud_rate: int = found["servo_baud_rate"]
             self.servo_ids: tuple[int, ...] = tuple(found["servo_ids"])
+            """The pseudo-terminal with the servos, its rate in bit/s, their IDs."""
             self.can_interface: str = found["can_interface"]
             self.can_channel: str = found["can_channel"]
             self.can_bitrate: int = found["can_bitrate"]
             self.node_id: int = found["node_id"]
+            """The pseudo-terminal with the CAN adapter, for python-can, and the control unit's
+            node."""
             self.positioner_socket: str = found["positioner_socket"]
+            """Unix socket that takes requests as JSON lines; `ask` does it."""
             self.config_path = Path(found["config"])
+            """Config by which any program reaches it: ``tactile-cell run --config ...``."""
         except BaseException:
             self.end()
             raise

@@ -108,11 +108,6 @@ class ServoBus:
         Longest wait in s for another thread's transaction.
     name
         Name of the line in error messages.
-
-    Attributes
-    ----------
-    alerts
-        IDs of the servos whose last answer had the Alert bit.
     """
 
     def __init__(
@@ -128,6 +123,7 @@ class ServoBus:
         name: str = "the servo line",
     ) -> None:
         self.alerts: set[int] = set()
+        """IDs of the servos whose last answer had the Alert bit."""
         self.baudrate = baudrate
         self._least_allowance_s = allowance_s
         self._port = SdkPort(

@@ -171,13 +171,6 @@ class RegisterBlock:
         The items in the order of their addresses; LimitExceeded when bytes between are undefined.
         Undefined bytes are read without an error on the wire, yet mean nothing: a block must not
         span them.
-
-    Attributes
-    ----------
-    address, size
-        First byte, number of bytes.
-    writable
-        Whether all items can be written.
     """
 
     def __init__(self, *registers: Register) -> None:
@@ -191,7 +184,9 @@ class RegisterBlock:
         self._text = self._names[0] + (f" to {self._names[-1]}" if len(registers) > 1 else "")
         self._layout = struct.Struct("<" + "".join(r.code for r in registers))
         self.address, self.size = registers[0].address, self._layout.size
+        """Address of the first byte, and number of bytes."""
         self.writable = all(r.writable for r in registers)
+        """Whether all items can be written."""
 
     def __str__(self) -> str:
         return self._text

@@ -111,17 +111,13 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
     """The SDK's Protocol 2.0 with byte stuffing that reaches the wire and a strict receiver.
 
     The receiver starts again at the next header after damaged bytes.
-
-    Attributes
-    ----------
-    dropped_bytes, dropped_head
-        Number of bytes that the last `receive` passed over, and the first of them.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.dropped_bytes = 0
         self.dropped_head = b""
+        """Number of bytes that the last `receive` passed over, and the first of them."""
         self._following = bytearray()
 
     def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:

@@ -81,23 +81,17 @@ class BusStatistics:
 
 
 class Request(NamedTuple):
-    """A request to one servo.
-
-    Attributes
-    ----------
-    servo_id, instruction, params
-        Content of the instruction packet.
-    size
-        Bytes of data in the right answer.
-    action
-        Name of the request in error messages.
-    """
+    """A request to one servo."""
 
     servo_id: int
     instruction: Instruction
+    """Who is asked, and for what."""
     size: int
+    """Bytes of data in the right answer."""
     action: str
+    """Name of the request in error messages."""
     params: bytes = b""
+    """Parameters of the instruction packet, unstuffed."""
 
 
 class Heard:
@@ -137,17 +131,12 @@ class Heard:
 
 
 class NoAnswerError(Exception):
-    """No right answer within the time-out; `ServoBus` turns it into a typed error.
-
-    Attributes
-    ----------
-    damaged
-        True when something came that was no answer to the request.
-    """
+    """No right answer within the time-out; `ServoBus` turns it into a typed error."""
 
     def __init__(self, damaged: bool) -> None:
         super().__init__(damaged)
         self.damaged = damaged
+        """True when something came that was no answer to the request."""
 
 
 def ping_request(servo_id: int) -> Request:

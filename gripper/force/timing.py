@@ -114,7 +114,6 @@ class LoopTimer:
         self._worst_s = 0.0
         self.missed_reads = 0
         self.derated = 0
-        """As in `LoopStatistics`."""
         self.overruns_in_row = 0
         """Overruns since the last period whose work was done in time."""
 

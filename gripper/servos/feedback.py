@@ -76,14 +76,6 @@ class Feedback:
         Of the gripper.
     health
         Asked for the torque where a servo seems to have restarted.
-
-    Attributes
-    ----------
-    last
-        The last feedback; None before the first reading.
-    strayed
-        Servos whose position has leapt or left its range, and by what that was seen; until they are
-        restarted where their fingers are is unknown.
     """
 
     def __init__(
@@ -95,6 +87,7 @@ class Feedback:
         health: ServoHealth,
     ) -> None:
         self.last: GripperState | None = None
+        """The last feedback; None before the first reading."""
         self._bus = bus
         self._linkage = linkage
         self._settings = settings
@@ -105,6 +98,8 @@ class Feedback:
         self._ticks = TickWatch()
         self._plausible = FeedbackCheck(settings, linkage)
         self.strayed = self._plausible.strayed
+        """Servos whose position has leapt or left its range, and by what that was seen; until they
+        are restarted where their fingers are is unknown."""
 
     @property
     def off_by_turns(self) -> bool:
@@ -265,15 +260,11 @@ class TickClock:
         First tick in ms, modulo 32768.
     sent_s, received_s
         Host's time before its request and after the answer in s.
-
-    Attributes
-    ----------
-    sent_s
-        Host's time before the last request that was answered in time.
     """
 
     def __init__(self, tick_ms: int, sent_s: float, received_s: float) -> None:
         self.sent_s = sent_s
+        """Host's time before the last request that was answered in time."""
         self._tick = tick_ms
         self._tick_s = 0.0
         self._latest_s = received_s
@@ -347,11 +338,6 @@ class FeedbackCheck:
     ----------
     settings, linkage
         Of the gripper.
-
-    Attributes
-    ----------
-    strayed
-        See `Feedback`.
     """
 
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:

@@ -348,20 +348,15 @@ class GoalWriter:
         Of the gripper.
     guard
         The limits.
-
-    Attributes
-    ----------
-    last
-        The goals written last, one for each servo; empty while none is in force.
-    earlier
-        Those written before them.
     """
 
     def __init__(
         self, bus: ServoBus, settings: GripperSettings, clock: Clock, guard: GoalGuard
     ) -> None:
         self.last: tuple[ServoGoal, ...] = ()
+        """The goals written last, one for each servo; empty while none is in force."""
         self.earlier: tuple[ServoGoal, ...] = ()
+        """Those written before them."""
         self._guard = guard
         self._bus = bus
         self._settings = settings

@@ -188,19 +188,6 @@ class PadBed:
     cell_m
         Longest side of a cell of the grid in m.
 
-    Attributes
-    ----------
-    x_m : (n_x, 1) float64
-    y_m : (1, n_y) float64
-        Centres of the cells in the pad's plane in m.
-    cell_area_m2
-        Area of a cell in m².
-    taxels
-        Indices of the pad's taxels.
-    along : (rows, n_x) float64
-    across : (columns, n_y) float64
-        Share of a cell's force that reaches each row and each column of taxels.
-
     Raises
     ------
     ValueError
@@ -214,6 +201,7 @@ class PadBed:
     ) -> None:
         rows, columns = (int(n) for n in pads.pad_shape[pad])
         self.taxels = pads.taxels_of(pad)
+        """Indices of the pad's taxels."""
         xy_m = pads.taxel_xy_m[self.taxels].reshape(rows, columns, 2)
         x_m, y_m = xy_m[:, 0, 0], xy_m[0, :, 1]
         regular = (
@@ -229,8 +217,12 @@ class PadBed:
             raise ValueError(f"pad {pad}: its {rows} x {columns} taxels lie on no regular grid")
         x, self.along = _shares(tuple(x_m.tolist()), spread_m, cell_m)
         y, self.across = _shares(tuple(y_m.tolist()), spread_m, cell_m)
+        """(rows, n_x) and (columns, n_y) float64: share of a cell's force that reaches each
+        row and each column of taxels."""
         self.x_m, self.y_m = x[:, None], y[None, :]
+        """(n_x, 1) and (1, n_y) float64: centres of the cells in the pad's plane in m."""
         self.cell_area_m2 = float(abs((x[1] - x[0]) * (y[1] - y[0])))
+        """Area of a cell in m²."""
 
     def same_points_as(self, other: "PadBed") -> bool:
         """Return whether both have their cells at the same points of their pads' planes."""

@@ -78,34 +78,24 @@ def check_fault(
 
 
 class InjectedFault:
-    """A fault on a cell: waiting for its moment, there, or over.
-
-    Attributes
-    ----------
-    text
-        As it was injected.
-    entry
-        What it is.
-    began_s, ended_s
-        Time of the cell in s at which it began and was undone; None before.
-    servo
-        Position of the servo or axis that it names.
-    window
-        When it begins and ends: an event and the time after it, or no event and the time.
-    """
+    """A fault on a cell: waiting for its moment, there, or over."""
 
     def __init__(self, injector: "FaultInjector", text: str, injected_s: float) -> None:
         self._injector = injector
         parsed, self.entry, self.servo, self._value = check_fault(
             text, injector.n_servos, injector.n_axes
         )
+        """What it is, and position of the servo or axis that it names."""
         self.text = parsed.text
+        """As it was injected."""
         self.began_s: float | None = None
         self.ended_s: float | None = None
+        """Time of the cell in s at which it began and was undone; None before."""
         self.window = (
             _due(parsed.start, injected_s) if parsed.start else (None, injected_s),
             _due(parsed.end, injected_s) if parsed.end else (None, math.inf),
         )
+        """When it begins and ends: an event and the time after it, or no event and the time."""
 
     @property
     def value(self) -> float:
@@ -168,11 +158,6 @@ class FaultInjector:
     plugs
         Cables of the cell, ``can`` and ``servos``; by default those of buses in memory, which are
         knobs of the devices.
-
-    Attributes
-    ----------
-    now_s
-        Time of the cell in s.
     """
 
     def __init__(

@@ -79,15 +79,11 @@ class FoamPair:
     ----------
     foams
         The sheets.
-
-    Attributes
-    ----------
-    thickness_m
-        Of both together in m.
     """
 
     def __init__(self, foams: tuple[Foam, Foam]) -> None:
         self.thickness_m = foams[0].thickness_m + foams[1].thickness_m
+        """Of both together in m."""
         first_m = np.linspace(0.0, foams[0].thickness_m, _SERIES_POINTS)
         second_m = np.linspace(0.0, foams[1].thickness_m, _SERIES_POINTS)
         self._pressure_pa = foams[0].pressure_pa(first_m)
@@ -116,11 +112,6 @@ class ForceTable:
         Reach of the surface towards the pad in m over a grid, -inf where there is none.
     cell_area_m2
         Area of a cell of the grid in m².
-
-    Attributes
-    ----------
-    reach_max_m
-        Highest point of the surface in m.
     """
 
     def __init__(
@@ -132,6 +123,7 @@ class ForceTable:
                 "the object lies beside the pad: nothing of it can be pressed"
             )
         self.reach_max_m = float(surface_m.max())
+        """Highest point of the surface in m."""
         self._foam = foam
         self._lag_m = self.reach_max_m - np.sort(surface_m)[::-1]
         self._cell_area_m2 = cell_area_m2

@@ -145,13 +145,6 @@ class Press:
     foams
         The sheet on each pad.
 
-    Attributes
-    ----------
-    z_m
-        Offset of the object along the closing axis in m, towards finger 1.
-    swell_m
-        How much more than its shape the object reaches towards each finger in m.
-
     Raises
     ------
     SimulatorSettingsError
@@ -166,7 +159,9 @@ class Press:
         foams: tuple[Foam, Foam],
     ) -> None:
         self.z_m = pose.z_m
+        """Offset of the object along the closing axis in m, towards finger 1."""
         self.swell_m = 0.0
+        """How much more than its shape the object reaches towards each finger in m."""
         self._foams = foams
         self._grids = grids
         tables: list[ForceTable] = []

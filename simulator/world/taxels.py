@@ -120,18 +120,6 @@ class PressureGrid:
     at the pad's edges, so that no force is lost; a taxel feels what falls on its own cell of the
     layout. Both directions are independent: two small matrices do the spreading and the
     integration at once.
-
-    Attributes
-    ----------
-    pad
-        The pad.
-    x_m : (n_x, 1) float64
-    y_m : (1, n_y) float64
-        Centres of the grid's cells in the plane of the pad in m.
-    half_x_m, half_y_m
-        Half of its extent in m.
-    cell_area_m2
-        Area of a cell in m².
     """
 
     def __init__(self, pad: Pad, foam: Foam) -> None:
@@ -141,9 +129,12 @@ class PressureGrid:
         self._across = across.T
         self.x_m = x_m[:, np.newaxis]
         self.y_m = y_m[np.newaxis, :]
+        """(n_x, 1) and (1, n_y) float64: centres of the grid's cells in the pad's plane in m."""
         self.half_x_m = 0.5 * pad.rows * pad.pitch_x_m
         self.half_y_m = 0.5 * pad.columns * pad.pitch_y_m
+        """Half of its extent in m."""
         self.cell_area_m2 = float((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))
+        """Area of a cell in m²."""
 
     def same_points_as(self, other: "PressureGrid") -> bool:
         """Return whether two grids have their cells at the same points of their pads' planes."""

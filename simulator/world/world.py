@@ -81,11 +81,6 @@ class PhysicalWorld:
         Foam, noise, objects.
     start_s
         Time at the start in s.
-
-    Attributes
-    ----------
-    force_gain
-        Factor on the force that each taxel feels: 1 but for pads that follow another law.
     """
 
     def __init__(
@@ -117,6 +112,7 @@ class PhysicalWorld:
         self._stiffness_n_m = (0.0, 0.0)
         self._fingertip_n: NDArray[np.float64] | None = None
         self.force_gain = 1.0
+        """Factor on the force that each taxel feels: 1 but for pads that follow another law."""
 
     @property
     def placed(self) -> tuple[str, ObjectPose] | None:

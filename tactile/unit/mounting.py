@@ -21,12 +21,6 @@ class Mounting:
     mounts
         Pads that sit otherwise; without any, all passes through as it is.
 
-    Attributes
-    ----------
-    unit_can_sum
-        Whether the unit's force messages are of use: it sums the two pads that it takes for the
-        gripping ones, and gives one centre for both.
-
     Raises
     ------
     LayoutError
@@ -41,6 +35,8 @@ class Mounting:
         self._exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
         turns = {(one.rows_mirrored, one.columns_mirrored) for one in (first, second)}
         self.unit_can_sum = {first.sent_as, second.sent_as} == set(gripping) and len(turns) == 1
+        """Whether the unit's force messages are of use: it sums the two pads that it takes for the
+        gripping ones, and gives one centre for both."""
         self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
         own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
         order = own if self._order is None else self._order[own]

@@ -132,32 +132,22 @@ class LinkSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkStatistics:
-    """What the link counted since its start.
-
-    Attributes
-    ----------
-    frames, forces
-        Frames and frame messages; force messages.
-    recent_loss_rate
-        Share of frames lost in the window of `LinkSettings.loss_window_frames`.
-    syncs
-        SYNC messages sent.
-    late_syncs
-        SYNCs that were due more than one period ago when `poll` came to send them: not made up for.
-    foreign
-        Messages of other nodes or of unknown COB-IDs.
-    malformed
-        Emergencies, force messages and remote or extended messages that cannot be used, and lines
-        of a serial adapter that are none.
-    error_frames
-        Error frames of the host's CAN controller.
-    """
+    """What the link counted since its start."""
 
     frames: FrameStatistics
+    """Frames and frame messages."""
     recent_loss_rate: float
+    """Share of frames lost in the window of `LinkSettings.loss_window_frames`."""
     syncs: int
+    """SYNC messages sent."""
     late_syncs: int
+    """SYNCs that `poll` came to send more than one period late: they are not made up for."""
     foreign: int
+    """Messages of other nodes or of unknown COB-IDs."""
     malformed: int
+    """Emergencies, force messages and remote or extended messages that cannot be used, and lines of
+    a serial adapter that are none."""
     error_frames: int
+    """Error frames of the host's CAN controller."""
     forces: ForceStatistics = field(default_factory=ForceStatistics)
+    """Force messages."""

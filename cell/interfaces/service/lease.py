@@ -26,11 +26,6 @@ class Lease:
         Monotonic time.
     lock
         A lock that one thread may take twice, held while ``given`` and ``lost`` are called.
-
-    Attributes
-    ----------
-    number, name
-        Of the client in command; 0 and empty for nobody.
     """
 
     def __init__(
@@ -44,6 +39,7 @@ class Lease:
     ) -> None:
         self.number = 0
         self.name = ""
+        """Number and name of the client in command; 0 and empty for nobody."""
         self._timeout_s = timeout_s
         self._given = given
         self._lost = lost

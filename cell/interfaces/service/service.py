@@ -149,21 +149,6 @@ class Service:
         Gets messages for the operator.
     clock
         Time of the clients: real time also where that of the cell is virtual.
-
-    Attributes
-    ----------
-    config
-        Of the cell.
-    lease
-        Without it nobody commands; whoever loses it has the job that runs held.
-    replay
-        The replay that stands for the cell; None for a cell.
-    shift, photos
-        The ledger of the parts; the photos of taught objects.
-    version
-        Of this program.
-    boot
-        Number of this start, 1 to 65535: seconds of its time, so that it differs after each start.
     """
 
     def __init__(
@@ -179,10 +164,15 @@ class Service:
         self.config = config
         self.version = version("tactile-cell")
         self.boot = int(time.time()) % 0xFFFF + 1
+        """Number of this start, 1 to 65535: seconds of its time, so that it differs after each
+        start."""
         self.replay = plugin if isinstance(plugin, Replay) else None
+        """The replay that stands for the cell; None for a cell."""
         self.shift = Shift() if self.replay is None else self.replay.shift
+        """The ledger of the parts."""
         plugin.watch_parts(self.shift.add)
         self.photos = Photos(photos_beside)
+        """Photos of taught objects."""
         self._plugin = plugin
         self._poses = PoseHandshake() if poses is None else poses
         self._clock = clock
@@ -195,6 +185,7 @@ class Service:
             clock=clock,
             lock=self._lock,
         )
+        """Without it nobody commands; whoever loses it has the job that runs held."""
         self._holders: dict[Hashable, _Holder] = {}
         self._jobs: dict[int, tuple[Job, str, int, float]] = {}
         self._newest = 0

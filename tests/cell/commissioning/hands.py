@@ -117,13 +117,6 @@ class Person:
         Returns the pad that a fingertip presses for the one that is asked for, None for no press.
     replies
         Other answers, by the keys of the questions, ``__`` for the point.
-
-    Attributes
-    ----------
-    script
-        The dialog, with what was asked and shown.
-    pressed_n
-        Largest force on the soft part in N.
     """
 
     def __init__(
@@ -136,6 +129,7 @@ class Person:
         self._cell = cell
         self._layout = cell.settings.layout
         self.pressed_n = 0.0
+        """Largest force on the soft part in N."""
         self._presses = presses
         self._hands = Hands(cell)
         told: dict[str, Any] = {

@@ -32,19 +32,13 @@ SORTING: dict[str, Any] = {
 
 
 class FakeCell:
-    """A service behind its web door, on a stub.
-
-    Attributes
-    ----------
-    changes
-        What is shown in the place of the state's own values.
-    holds
-        Who has held; nothing is.
-    """
+    """A service behind its web door, on a stub."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.changes: dict[str, Any] = {}
+        """What is shown in the place of the state's own values."""
         self.holds: list[str] = []
+        """Who has held; nothing is."""
         self.sends = threading.Event()
         self.sends.set()
         self.n_messages = 0
