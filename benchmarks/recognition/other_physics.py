@@ -30,7 +30,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import LinearCalibrationConfig
 from cell.jobs.teach_from_drawing import teach_drawing
 from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge, usual_foam
-from cell.learning.shapes import reader_under
+from cell.learning.shape_reading import reader_under
 from cell.simulation import drawn_shape
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer

@@ -22,12 +22,12 @@ from cell.control.plan import plan
 from cell.control.records import GraspRecord, pad_array
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, CellStateError, ModelError, TrainingSetMissing
+from cell.learning.active_chooser import ActiveChooser
 from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
 from cell.learning.model import Arrays, LoadedModel, check_pads, load_model, save_model
-from cell.learning.next_grasp import ActiveChooser
 from cell.learning.pad_knowledge import PadKnowledge
-from cell.learning.shapes import shape_reader
+from cell.learning.shape_reading import shape_reader
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import (
     gaugeable,

@@ -12,7 +12,7 @@ from cell.control.records import GraspRecord
 from cell.data.files import write_atomically
 from cell.errors import ReportError
 from cell.installation import remedy
-from cell.learning.shapes import in_words
+from cell.learning.shape_reading import in_words
 from cell.report.data import ConfusionTable, HeldAndFound, ReportData
 from cell.report.pad_pictures import level_pictures, pressure_levels
 from cell.report.plots import N_COLOURS, levels_figure, sweep_figure, timeline_figure

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cell.learning.shapes import in_words
+from cell.learning.shape_reading import in_words
 from cell.report.data import HeldAndFound
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import ShapeAnswer

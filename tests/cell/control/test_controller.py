@@ -13,7 +13,7 @@ from cell.control.plan import GraspStep, Pose, plan
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
-from cell.learning.shapes import shape_reader
+from cell.learning.shape_reading import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
 from gripper.outcome import GraspResult
 from gripper.state import GripperPhase

@@ -10,7 +10,7 @@ from cell.control.keeping import Judge
 from cell.control.records import GraspRecord
 from cell.errors import ConfigError
 from cell.learning.pad_knowledge import PadKnowledge
-from cell.learning.shapes import in_words, shape_reader
+from cell.learning.shape_reading import in_words, shape_reader
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.foam import FoamModel
 from recognition.statistics.fusion import DecisionKind

@@ -23,7 +23,7 @@ from cell.jobs.identify import identify_recorded
 from cell.jobs.teach_from_drawing import course_of, teach_drawing
 from cell.learning.model import load_model, save_model
 from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_shape, usual_foam
-from cell.learning.shapes import reader_under, shape_reader
+from cell.learning.shape_reading import reader_under, shape_reader
 from cell.learning.training import load_pose_memory, train
 from cell.learning.virtual_grasps import reaches_m
 from cell.simulation import drawn_shape, simulator_settings

@@ -60,7 +60,7 @@ def identify(
     from cell.jobs.identify import identify_on_cell
     from cell.learning.model import load_model
     from cell.learning.pad_knowledge import pad_knowledge
-    from cell.learning.shapes import NO_SHAPE, beside, shape_reader
+    from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
     from cell.learning.taught_model import TaughtModel
     from recognition.recognizer import UNKNOWN
     from recognition.statistics.fusion import fuse
@@ -143,7 +143,7 @@ def _identify_recorded(
     from cell.interfaces.cli.terminal import percent, print_line, write_json
     from cell.jobs.identify import identify_recorded
     from cell.learning.model import load_model
-    from cell.learning.shapes import NO_SHAPE
+    from cell.learning.shape_reading import NO_SHAPE
     from cell.learning.training import with_caution
     from recognition.drift.drift import drift_text
 

@@ -11,8 +11,8 @@ from cell.config.sequence import SequenceConfig
 from cell.control.plan import GraspStep, Pose, plan
 from cell.errors import CellError, ModelError
 from cell.jobs.identify import identify_on_cell
+from cell.learning.active_chooser import ActiveChooser
 from cell.learning.model import LoadedModel, load_model
-from cell.learning.next_grasp import ActiveChooser
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import MEMORY_SECTION, load_pose_memory, train
 from recognition.recognizer import UNKNOWN, Posterior
