@@ -12,7 +12,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
-from gripper.force import motion
+from gripper.force import approach
 from gripper.force_sensor import ForceSample
 from gripper.impact import approach_speed_m_s, check_approach, impact_limit
 from gripper.kinematics import ParallelLinkage
@@ -110,7 +110,9 @@ def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
 
 def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None:
     as_asked = mock.patch.object(
-        motion, "approach_speed_m_s", lambda settings, *_where, **_how: settings.approach_speed_m_s
+        approach,
+        "approach_speed_m_s",
+        lambda settings, *_where, **_how: settings.approach_speed_m_s,
     )
     unguarded = mock.patch.object(GoalGuard, "bounded", lambda _self, goals, _state: tuple(goals))
     with as_asked:
