@@ -82,7 +82,7 @@ class Sensor(Protocol):
         ...
 
     def latest_force(self) -> ForceSample | None:
-        """Return the newest sample; see `gripper.state.ForceSensor`."""
+        """Return the newest sample; see `gripper.force_sensor.ForceSensor`."""
         ...
 
 

@@ -59,7 +59,7 @@ def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
 
 
 class ForceByCurrent:
-    """Force sensor made of the servos' present current; implements `gripper.state.ForceSensor`.
+    """Force sensor by the servos' present current: a `gripper.force_sensor.ForceSensor`.
 
     The gearing holds a load by friction: at a driving force u the grip force may be anywhere from
     u - phi to u + phi. While it rises it is u - phi, while it falls u + phi; phi is measured on the
