@@ -1,7 +1,8 @@
 """Properties over bad input: damage for good bytes, limits of time and memory.
 
-Each property meets some dozens of inputs of Hypothesis, the same ones in every run; a campaign
-(`make campaign`) gives it as many new ones as TACTILE_CELL_INPUTS says.
+Each property meets some dozens of inputs of Hypothesis, nearly the same in every run (constants of
+modules that other tests have loaded are among them); a campaign (`make campaign`) gives it as many
+new ones as TACTILE_CELL_INPUTS says.
 """
 
 import functools
@@ -11,7 +12,7 @@ import os
 import resource
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,13 +20,13 @@ from random import SystemRandom
 from typing import Any
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, settings, strategies as st
+from hypothesis import HealthCheck, Phase, example, given, settings, strategies as st
 
 from recognition.grasp import Grasp
 from tests.recognition.conftest import THINGS, make_grasps, make_pads
 
 INPUTS = int(os.environ.get("TACTILE_CELL_INPUTS", "0"))
-"""New inputs that each property meets in a campaign; 0 for the same few in every run."""
+"""New inputs that each property meets in a campaign; 0 for the few of every run."""
 MEMORY_KB = 64 << 10
 """What one input may take beyond what the process has: four times the largest chunk unpacked."""
 
@@ -112,7 +113,13 @@ def seed_of_run(usual: int) -> int:
     return SystemRandom().randrange(1 << 32) if INPUTS else usual
 
 
-def bad_input(*, examples: int = 60, limit_s: float = 0.5, **inputs: st.SearchStrategy[Any]) -> Any:
+def bad_input(
+    *,
+    examples: int = 60,
+    limit_s: float = 0.5,
+    sound: Mapping[str, Any] | None = None,
+    **inputs: st.SearchStrategy[Any],
+) -> Any:
     """Make a property of a function that returns what became of its input, in a few words.
 
     It fails if any input breaks an assertion, takes more than ``limit_s`` s of processor time or
@@ -125,6 +132,8 @@ def bad_input(*, examples: int = 60, limit_s: float = 0.5, **inputs: st.SearchSt
         Inputs of a run that is no campaign.
     limit_s
         Processor time for one input in s.
+    sound
+        An input that is taken, where chance alone may give none.
     inputs
         The strategy of Hypothesis for each input.
     """
@@ -132,7 +141,7 @@ def bad_input(*, examples: int = 60, limit_s: float = 0.5, **inputs: st.SearchSt
         max_examples=INPUTS or examples,
         derandomize=not INPUTS,
         deadline=None,
-        phases=(Phase.reuse, Phase.generate, Phase.shrink),
+        phases=(Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink),
         suppress_health_check=list(HealthCheck),
     )
 
@@ -145,7 +154,8 @@ def bad_input(*, examples: int = 60, limit_s: float = 0.5, **inputs: st.SearchSt
                 outcome = test(**values)
             found[outcome] += 1
 
-        given_inputs = chosen(given(**inputs)(once))
+        taken = once if sound is None else example(**sound)(once)
+        given_inputs = chosen(given(**inputs)(taken))
 
         @functools.wraps(given_inputs)
         def check(**fixtures: Any) -> None:

@@ -164,7 +164,8 @@ coordinates = st.tuples(
 @bad_input(
     data=st.sampled_from(MESHES),
     words=st.lists(counts | coordinates, max_size=2),
-    harm=st.just([]) | damages(),
+    harm=damages(),
+    sound={"data": MESHES[0], "words": [], "harm": []},
     examples=100,
     limit_s=2.0,
 )
