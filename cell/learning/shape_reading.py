@@ -10,7 +10,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import UNCLEAR, ShapeAnswer, shape_of
 
-NO_SHAPE = "no shape: not both pads were pressed"
+NO_SHAPE = "no shape: it needs two facing pads of 2 x 2 taxels or more, both pressed"
 """Text in place of shape and size where the pads of a grasp do not show them."""
 
 _NOUNS = {

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf
 
+from recognition.errors import ContactError
 from recognition.grasp import PadArray
 
 Array = NDArray[np.floating[Any]]
@@ -190,8 +191,8 @@ class PadBed:
 
     Raises
     ------
-    ValueError
-        The taxels do not lie on a regular grid of at least 2 x 2.
+    ContactError
+        The taxels do not lie on a regular grid of at least 2 x 2: their pressure shows no shape.
     """
 
     __slots__ = ("across", "along", "cell_area_m2", "taxels", "x_m", "y_m")
@@ -214,7 +215,9 @@ class PadBed:
             and y_m[1] != y_m[0]
         )
         if not regular:
-            raise ValueError(f"pad {pad}: its {rows} x {columns} taxels lie on no regular grid")
+            raise ContactError(
+                f"pad {pad}: its {rows} x {columns} taxels lie on no regular grid of 2 x 2 or more"
+            )
         x, self.along = _shares(tuple(x_m.tolist()), spread_m, cell_m)
         y, self.across = _shares(tuple(y_m.tolist()), spread_m, cell_m)
         """(rows, n_x) and (columns, n_y) float64: share of a cell's force that reaches each

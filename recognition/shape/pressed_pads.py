@@ -104,7 +104,8 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> P
     Raises
     ------
     ContactError
-        A pad was not touched, or the pads do not face each other taxel by taxel.
+        A pad was not touched, the pads do not face each other taxel by taxel, or their taxels lie
+        on no regular grid.
     ValueError
         The grasp does not come from the pads of ``rest``.
     """

@@ -179,10 +179,18 @@ def test_an_untouched_pad_tells_nothing(pads: PadArray) -> None:
         shape_of(replace(grasp, counts=counts))
 
 
-def test_pads_that_do_not_face_each_other_are_refused(factory) -> None:
-    uneven = factory.pads(shapes=((10, 6), (8, 6)))
-    grasp = factory.one(factory.things[0], np.random.default_rng(0), pads=uneven)
-    with pytest.raises(ContactError, match="do not face each other"):
+@pytest.mark.parametrize(
+    ("shapes", "why"),
+    [
+        (((10, 6), (8, 6)), "do not face each other"),
+        (((7, 1), (7, 1)), "7 x 1 taxels lie on no regular grid"),
+        (((1, 1),) * 14, "1 x 1 taxels lie on no regular grid"),
+    ],
+)
+def test_pads_that_show_no_shape_are_refused(factory, shapes, why) -> None:
+    pads = factory.pads(shapes=shapes)
+    grasp = factory.one(factory.things[0], np.random.default_rng(0), pads=pads)
+    with pytest.raises(ContactError, match=why):
         shape_of(grasp)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from recognition.errors import ContactError
 from recognition.grasp import PadArray
 from recognition.shape.foam import FoamModel, PadBed
 from recognition.shape.models import posed, resting_roll_rad
@@ -82,7 +83,7 @@ def test_scattered_taxels_are_refused() -> None:
     pads = PadArray(
         pad_shape=np.array([[2, 2]]), taxel_pad=np.zeros(4), taxel_xy_m=xy_m, adc_max=255
     )
-    with pytest.raises(ValueError, match="2 x 2 taxels lie on no regular grid"):
+    with pytest.raises(ContactError, match="2 x 2 taxels lie on no regular grid"):
         PadBed(pads, 0, 1e-3)
 
 
