@@ -47,7 +47,7 @@ class Levels:
     timed_aperture_mm: NDArray[np.float64]
     """(n, 8) float64: opening at `TIME_FRACTIONS` in mm."""
     level_time_s: NDArray[np.float64]
-    """(n, K) float64: time from the touch of both pads to each level in s; 0 under a commanded
+    """(n, K) float64: time from the second touch to each level in s; 0 under a commanded
     force."""
     touch_delay_s: NDArray[np.float64]
     """(n,) float64: time from the touch of the first pad to that of the second, negative for the
@@ -55,7 +55,7 @@ class Levels:
     force_n: NDArray[np.float64]
     """(n,) float64: commanded force at the end in N; NaN where unknown."""
     touched: NDArray[np.bool_]
-    """(n,) bool: whether every gripping pad was touched."""
+    """(n,) bool: whether two gripping pads were touched, or the only one."""
 
     def __len__(self) -> int:
         return len(self.force_n)

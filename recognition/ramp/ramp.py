@@ -28,6 +28,10 @@ _SMOOTHING_FRACTION = 0.06
 """Share of the frames of a grasp that a running mean spans; more would blur the ramp."""
 _MAX_SMOOTHING_FRAMES = 15
 """Longest span of that running mean in frames."""
+_GRIPPING_SHARE = 0.1
+"""Least rise of a third pad that grips, and of further ones, as a share of the largest."""
+_GRIPPING_SIGMAS = 8.0
+"""The same in standard deviations of the pad's load at rest: the highest of its noise are three."""
 _HELD_SHARE = 0.95
 """Share of the highest load that the ramp holds at its end: below lies creep, or the release."""
 _HELD_FRAMES = 3
@@ -47,7 +51,8 @@ class Rest:
     pads: PadArray
     """The pads that were taught."""
     gripping: tuple[int, ...]
-    """tuple of int: the one or two pads that rise most under load, in the order of the layout."""
+    """tuple of int: the pads that rise under load, in the order of the layout: the one or two that
+    rise most, and those that rise by a tenth of the largest."""
     counts: NDArray[np.float64]
     """(n_taxels,) float64: reading of each untouched taxel in counts."""
     noise_counts: NDArray[np.float64]
@@ -105,19 +110,34 @@ class Ramp:
 
     @property
     def touched(self) -> bool:
-        """Whether every gripping pad was touched."""
-        return bool(np.all(self.touch < len(self.load)))
+        """Whether two gripping pads were touched, or the only one."""
+        return self._second_touch < len(self.load)
 
     @property
     def start(self) -> int:
-        """First frame in which every pad is touched; the last frame where that never was."""
-        return min(int(self.touch.max()), len(self.load) - 1)
+        """First frame in which two pads are touched; the last frame where that never was."""
+        return min(self._second_touch, len(self.load) - 1)
+
+    @property
+    def _second_touch(self) -> int:
+        """First frame of the second touch, or of the only pad's; n_frames where it never came."""
+        return int(np.sort(self.touch)[:2][-1])
 
 
-def learn_rest(grasps: Sequence[Grasp]) -> Rest:
+def learn_rest(grasps: Sequence[Grasp], *, most_pads: int | None = None) -> Rest:
     """Return the rest of the pads, and which of them grip, from grasps.
 
-    Raises ValueError where there is no grasp, grasps come from different pads, or are too short.
+    Parameters
+    ----------
+    grasps
+        Of one hand.
+    most_pads
+        Most pads that grip; None for all that rise under load.
+
+    Raises
+    ------
+    ValueError
+        There is no grasp, they come from different pads, or are too short.
     """
     if not grasps:
         raise ValueError("no grasps to learn from")
@@ -133,13 +153,18 @@ def learn_rest(grasps: Sequence[Grasp]) -> Rest:
         )
     first = np.stack([g.counts[:QUIET_FRAMES].mean(axis=0) for g in grasps])
     rest = np.median(first, axis=0)
-    rise = [
-        float(np.median([_highest(g.counts[:, t]) for g in grasps]) - rest[t].sum())
-        for t in map(pads.taxels_of, _pads(pads))
-    ]
-    gripping = tuple(sorted(sorted(_pads(pads), key=lambda p: -rise[p])[:2]))
-    noise = np.array([np.median([_spread(g, pads.taxels_of(p)) for g in grasps]) for p in gripping])
-    return Rest(pads=pads, gripping=gripping, counts=rest, noise_counts=noise)
+    taxels = [pads.taxels_of(pad) for pad in range(pads.n_pads)]
+    noise = np.array([np.median([_spread(g, t) for g in grasps]) for t in taxels])
+    rise = np.array(
+        [np.median([_highest(g.counts[:, t]) for g in grasps]) - rest[t].sum() for t in taxels]
+    )
+    least = np.maximum(
+        _GRIPPING_SHARE * rise.max(), _GRIPPING_SIGMAS * noise * np.sqrt([len(t) for t in taxels])
+    )
+    falling = np.argsort(-rise, kind="stable")
+    pressed = [*falling[:2], *(pad for pad in falling[2:] if rise[pad] >= least[pad])]
+    gripping = sorted(int(pad) for pad in pressed[:most_pads])
+    return Rest(pads=pads, gripping=tuple(gripping), counts=rest, noise_counts=noise[gripping])
 
 
 def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
@@ -199,7 +224,9 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
     else:
         width = min(_HELD_FRAMES, ramp.smoothing)
         total = uniform_filter1d(ramp.load.sum(axis=1), width, mode="nearest")
-        end = int(np.flatnonzero(total >= _HELD_SHARE * float(total.max()))[-1]) + 1
+        highest = float(total.max())
+        # Where the rest lies above all frames, no load shows the end.
+        end = int(np.flatnonzero(total >= _HELD_SHARE * highest)[-1]) + 1 if highest > 0.0 else n
         if grasp.aperture_m[-1] - grasp.aperture_m[end - 1] < _OPENED_M:
             end = n
     end = max(end, int(ramp.start) + 3)
@@ -242,7 +269,3 @@ def _spread(grasp: Grasp, taxels: NDArray[np.int64]) -> float:
     """Return the standard deviation of one sample while nothing is touched, in counts."""
     early = grasp.counts[: 2 * QUIET_FRAMES, taxels].astype(np.float64)
     return float(np.sqrt(early.var(axis=0, ddof=min(1, len(early) - 1)).mean()))
-
-
-def _pads(pads: PadArray) -> range:
-    return range(pads.n_pads)

@@ -94,7 +94,7 @@ def fit_foam(grasps: Sequence[Grasp], drawing: Drawing, start: FoamModel | None 
         The grasps come from different pads.
     """
     foam = start or FoamModel()
-    rest = learn_rest(grasps)
+    rest = learn_rest(grasps, most_pads=2)
     data = []
     for grasp in grasps:
         try:

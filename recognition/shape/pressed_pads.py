@@ -109,7 +109,7 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> P
     ValueError
         The grasp does not come from the pads of ``rest``.
     """
-    rest = rest or learn_rest([grasp])
+    rest = rest or learn_rest([grasp], most_pads=2)
     pads = grasp.pads
     first = _facing_pads(pads, rest)
     levels = load_levels([grasp], rest)

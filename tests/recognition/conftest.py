@@ -52,7 +52,7 @@ def make_grasp(
     rng: np.random.Generator,
     *,
     pads: PadArray,
-    gripping: tuple[int, int] = (0, 1),
+    gripping: Sequence[int] = (0, 1),
     n_before: int = 8,
     n_ramp: int = 30,
     load: float = 0.5,

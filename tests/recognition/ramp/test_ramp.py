@@ -19,6 +19,35 @@ def test_the_pads_that_rise_are_the_gripping_ones(factory):
     assert rest.noise_counts == pytest.approx([4.5, 4.5], abs=1.5)
 
 
+def test_each_finger_that_is_pressed_grips_and_two_of_them_are_a_touch(factory):
+    pads = factory.pads(shapes=((4, 3),) * 5)
+    bar, block = factory.things[:2]
+    taught = factory.many(3, seed=3, pads=pads, things=[bar], gripping=(0, 1), noise_counts=8.0)
+    taught += factory.many(3, seed=4, pads=pads, things=[block], gripping=(0, 3), noise_counts=8.0)
+    taught += factory.many(3, seed=5, pads=pads, things=[block], gripping=(1, 3), noise_counts=8.0)
+    rest = learn_rest(taught)
+    assert rest.gripping == (0, 1, 3)
+    for grasp in taught:
+        ramp = find_ramp(grasp, rest)
+        assert ramp.touched
+        assert np.count_nonzero(ramp.touch == grasp.n_frames) == 1
+        assert abs(ramp.start - 8) <= 4
+    alone = factory.one(bar, np.random.default_rng(6), pads=pads, gripping=(1,))
+    assert not find_ramp(alone, rest).touched
+
+
+def test_a_rest_above_all_frames_cuts_nothing_off(factory):
+    pads = factory.pads(shapes=((4, 3),) * 3)
+    rest = learn_rest(factory.many(3, seed=3, pads=pads, gripping=(0, 1, 2)))
+    rest.counts[pads.taxels_of(2)] += 20_000.0
+    pressed = factory.one(factory.things[0], np.random.default_rng(6), pads=pads)
+    loaded = _cut(pressed, np.arange(-5, 0))
+    ramp = find_ramp(loaded, rest)
+    assert ramp.touched
+    assert ramp.load.sum(axis=1).max() < 0.0
+    assert held_part(loaded, rest)[0] is loaded
+
+
 def test_rest_follows_an_offset_that_was_not_taught(factory, pads, train):
     rest = learn_rest(train)
     lifted = dataclasses.replace(train[0], counts=train[0].counts + 30)

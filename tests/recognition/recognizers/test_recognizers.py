@@ -14,7 +14,7 @@ from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
 from recognition.features.footprint import pad_grid
-from recognition.grasp import by_label
+from recognition.grasp import Grasp, by_label
 from recognition.ramp.levels import load_levels
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import (
@@ -157,6 +157,22 @@ def test_8_bit_pads_among_others_with_one_sided_noise(name, factory):
     options = {"pads": pads, "gripping": (0, 3), "noise_counts": 20.0, "n_ramp": 60}
     recognizer = make_trainer(name).fit(factory.many(8, seed=5, **options))
     assert accuracy(recognizer, factory.many(4, seed=6, **options)) >= 0.95
+
+
+def test_a_hand_of_five_fingers_of_which_an_object_presses_two(name, factory):
+    pads = factory.pads(shapes=((4, 3),) * 5)
+    bar, block, *_ = factory.things
+    held = ((bar, "thumb", (0, 1)), (bar, "palm", (0, 3)), (block, "thumb", (1, 3)))
+
+    def grasps(n: int, seed: int) -> list[Grasp]:
+        return [
+            dataclasses.replace(grasp, label=f"{grasp.label} {how}")
+            for thing, how, gripping in held
+            for grasp in factory.many(n, seed=seed, pads=pads, things=[thing], gripping=gripping)
+        ]
+
+    recognizer = make_trainer(name).fit(grasps(8, seed=5))
+    assert accuracy(recognizer, grasps(4, seed=6)) == 1.0
 
 
 def test_gain_of_a_pad_may_drift(name, taught, fresh):
