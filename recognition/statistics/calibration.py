@@ -1,7 +1,5 @@
 """Calibration: from scores to probabilities by one temperature, fitted out of sample."""
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
@@ -41,25 +39,6 @@ def blocked_folds(classes: NDArray[np.int64], n_folds: int) -> list[NDArray[np.b
         if folds > 1:
             fold_of[rows] = np.arange(len(rows)) * folds // len(rows)
     return [fold_of == fold for fold in range(n_folds) if np.any(fold_of == fold)]
-
-
-def out_of_sample(
-    fit_and_score: Callable[[NDArray[np.bool_], NDArray[np.bool_]], NDArray[np.float64]],
-    folds: Sequence[NDArray[np.bool_]],
-    n_scores: int,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return scores of each row by a fit without its fold.
-
-    `fit_and_score` takes the masks of the rows to fit on and to score. The scores are (n,
-    n_scores), the second result is a mask of the rows that were in any fold.
-    """
-    n = len(folds[0])
-    scores = np.full((n, n_scores), np.nan)
-    scored = np.zeros(n, dtype=np.bool_)
-    for held_out in folds:
-        scores[held_out] = fit_and_score(~held_out, held_out)
-        scored |= held_out
-    return scores, scored
 
 
 def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> float:

@@ -1,7 +1,7 @@
 """Linear discriminant analysis (LDA) with a shrunken covariance."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -30,9 +30,9 @@ class LinearDiscriminant:
     covariance."""
     centres: NDArray[np.float64]
     """(C, r) float64: classes in the discriminant space."""
-    whitening: NDArray[np.float64] | None = None
-    """(F, F) float64 or None: from scaled features to the whole space in which each class has unit
-    covariance; None where it was not kept."""
+    whitening: NDArray[np.float64]
+    """(F, F) float64: from scaled features to the whole space in which each class has unit
+    covariance."""
 
     def project(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, r): features (n, F) in the discriminant space."""
@@ -45,26 +45,12 @@ class LinearDiscriminant:
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
-        arrays = {
-            f"{prefix}mean": self.mean,
-            f"{prefix}scale": self.scale,
-            f"{prefix}projection": self.projection,
-            f"{prefix}centres": self.centres,
-        }
-        if self.whitening is not None:
-            arrays[f"{prefix}whitening"] = self.whitening
-        return arrays
+        return {prefix + one.name: getattr(self, one.name) for one in fields(self)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        return cls(
-            mean=arrays[f"{prefix}mean"],
-            scale=arrays[f"{prefix}scale"],
-            projection=arrays[f"{prefix}projection"],
-            centres=arrays[f"{prefix}centres"],
-            whitening=arrays.get(f"{prefix}whitening"),
-        )
+        return cls(**{one.name: arrays[prefix + one.name] for one in fields(cls)})
 
 
 def squared_distances(
@@ -81,14 +67,15 @@ def fit_lda(
     classes: NDArray[np.int64],
     n_classes: int,
     *,
-    shrinkage: float | None = None,
     min_shrinkage: float = 0.0,
     target: NDArray[np.float64] | None = None,
     nuisance: NDArray[np.float64] | None = None,
     least_unit: float = 0.0,
-    keep_whitening: bool = False,
 ) -> LinearDiscriminant:
     """Fit a linear discriminant to labelled rows.
+
+    The covariance is shrunken by the oracle approximating shrinkage (Chen et al. 2010, eq. 23),
+    which falls with the number of rows.
 
     Parameters
     ----------
@@ -98,11 +85,8 @@ def fit_lda(
         Class of each row, 0 to n_classes - 1; each class at least once.
     n_classes
         Number of classes C.
-    shrinkage
-        Share of the target in the correlation matrix, 0 to 1; None for the oracle approximating
-        shrinkage (Chen et al. 2010, eq. 23), which falls with the number of rows.
     min_shrinkage
-        The least share where it is not given.
+        The least share of the target in the covariance, 0 to 1.
     target : (F,)
         Diagonal of the target; None for the identity.
     nuisance : (m, F)
@@ -110,8 +94,6 @@ def fit_lda(
     least_unit
         Deviation added to that of each feature in its unit, in the feature's own: what few rows do
         not show to vary is known no better.
-    keep_whitening
-        Whether `LinearDiscriminant.whitening` is wanted.
 
     Raises
     ------
@@ -125,17 +107,14 @@ def fit_lda(
             f"{n} grasps of {n_classes} objects do not show how grasps of one object vary: "
             "teach each object at least three times"
         )
-    means = _class_means(features, classes, n_classes)
+    means = np.eye(n_classes)[classes].T @ features / count[:, None]
     within = features - means[classes]
     mean = means.mean(axis=0)
     freedom = float(n - n_classes)
     scale = np.hypot(_units(features, within, freedom, nuisance), least_unit)
     within = within / scale
     covariance = within.T @ within / freedom
-    if shrinkage is None:
-        rho = max(min_shrinkage, _oas(covariance, n - n_classes))
-    else:
-        rho = float(shrinkage)
+    rho = max(min_shrinkage, _oas(covariance, n - n_classes))
     if nuisance is not None:
         deviation = nuisance / scale
         covariance += deviation.T @ deviation / len(deviation)
@@ -145,35 +124,24 @@ def fit_lda(
         rho * level * (1.0 if target is None else target) + _DIAGONAL_FLOOR
     )
     lower = np.tril(cho_factor(covariance, lower=True)[0])
-    whitening = None
-    if keep_whitening or n_classes == 1:
-        whitening = solve_triangular(lower, np.eye(n_features), lower=True).T
-    if whitening is not None and n_classes == 1:
+    whitening = solve_triangular(lower, np.eye(n_features), lower=True).T
+    if n_classes == 1:
         # One class has nothing to separate from: the whole whitened space shows how far a grasp is.
         projection, centres = whitening, np.zeros((1, n_features))
     else:
+        # The means span a few axes of the whitened space: these separate the classes.
         offsets = (means - mean) / scale
-        projection = _separating_axes(lower, offsets)
+        _, spread, axes = np.linalg.svd(offsets @ whitening, full_matrices=False)
+        rank = int(np.sum(spread > _RANK_TOLERANCE * max(float(spread[0]), 1e-300)))
+        projection = whitening @ axes[:rank].T
         centres = offsets @ projection
     return LinearDiscriminant(
         mean=mean,
         scale=scale,
         projection=projection,
         centres=centres,
-        whitening=whitening if keep_whitening else None,
+        whitening=whitening,
     )
-
-
-def _class_means(
-    features: NDArray[np.float64],
-    classes: NDArray[np.int64],
-    n_classes: int,
-) -> NDArray[np.float64]:
-    """Return the mean of each class, (C, F)."""
-    members = np.zeros((n_classes, len(features)))
-    members[classes, np.arange(len(features))] = 1.0
-    means: NDArray[np.float64] = (members @ features) / members.sum(axis=1)[:, None]
-    return means
 
 
 def _units(
@@ -190,20 +158,6 @@ def _units(
     overall = features.std(axis=0)
     scale = np.sqrt(spread**2 + (_SPREAD_FLOOR * overall) ** 2)
     return np.where(scale > 1e-12, scale, 1.0)
-
-
-def _separating_axes(
-    lower: NDArray[np.float64], offsets: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the projection (F, r) onto the space of the class means, its axes independent.
-
-    `lower` is the Cholesky factor of the covariance, `offsets` (C, F) are the means of the classes.
-    """
-    whitened = solve_triangular(lower, offsets.T, lower=True)
-    left, singular, _ = np.linalg.svd(whitened, full_matrices=False)
-    rank = int(np.sum(singular > _RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
-    projection: NDArray[np.float64] = solve_triangular(lower, left[:, :rank], lower=True, trans="T")
-    return projection
 
 
 def _oas(covariance: NDArray[np.float64], freedom: int) -> float:

@@ -29,7 +29,6 @@ from recognition.statistics.calibration import (
     KNOWN_KEPT,
     blocked_folds,
     fit_temperature,
-    out_of_sample,
     to_probability,
 )
 from recognition.statistics.lda import squared_distances
@@ -218,19 +217,17 @@ class ComparatorTrainer:
             mean, spread = features.mean(axis=0), features.std(axis=0)
             scale = np.where(spread > 1e-9, spread, 1.0)
         rows = (features - mean) / scale
-        distances = np.full(len(rows), np.nan)
-
-        def score(fit: NDArray[np.bool_], test: NDArray[np.bool_]) -> NDArray[np.float64]:
-            taught = method.classifier.fit(rows[fit], classes[fit], len(labels))
-            apart = squared_distances(taught.space(rows[test]), taught.space(rows[fit]))
-            distances[test] = apart.min(axis=1)
-            return taught.scores(rows[test])
-
-        classifier = method.classifier.fit(rows, classes, len(labels))
         folds = blocked_folds(classes, _FOLDS)
         if not folds:
             raise ValueError(f"{method.name}: teach each object at least twice")
-        scores, scored = out_of_sample(score, folds, len(labels))
+        scores, distances = [], []
+        for held in folds:
+            taught = method.classifier.fit(rows[~held], classes[~held], len(labels))
+            apart = squared_distances(taught.space(rows[held]), taught.space(rows[~held]))
+            scores.append(taught.scores(rows[held]))
+            distances.append(apart.min(axis=1))
+        held_classes = np.concatenate([classes[held] for held in folds])
+        classifier = method.classifier.fit(rows, classes, len(labels))
         return self.kind(
             labels=tuple(labels.tolist()),
             uses_aperture=self.uses_aperture,
@@ -239,7 +236,7 @@ class ComparatorTrainer:
             mean=mean,
             scale=scale,
             classifier=classifier,
-            temperature=fit_temperature(scores[scored], classes[scored]),
+            temperature=fit_temperature(np.concatenate(scores), held_classes),
             samples=classifier.space(rows),
-            limit=max(float(np.quantile(distances[scored], KNOWN_KEPT)), 1e-9),
+            limit=max(float(np.quantile(np.concatenate(distances), KNOWN_KEPT)), 1e-9),
         )

@@ -154,7 +154,7 @@ class ClassModel:
     """The classes in the space that separates them."""
 
     discriminant: LinearDiscriminant
-    """The classes, its whitening kept."""
+    """The classes."""
     taught: NDArray[np.float64]
     """(n, r) float64: the taught grasps in the discriminant space."""
     sizes: TaughtSizes
@@ -171,7 +171,6 @@ class ClassModel:
         those of the likeliest object: a new object is often a little off in both.
         """
         model = self.discriminant
-        assert model.whitening is not None
         n_touch = features.touch.shape[2]
         touch = (features.touch - model.mean[:n_touch]) / model.scale[:n_touch]
         opening = (features.opening - model.mean[n_touch:]) / model.scale[n_touch:]
@@ -317,7 +316,6 @@ def fit_view(
             target=target,
             nuisance=nuisance,
             least_unit=_LEAST_UNIT,
-            keep_whitening=True,
         )
         z = discriminant.project(every[rows])
         spread = None
