@@ -54,7 +54,7 @@ def _when_sure(early: EarlyClassifiers, grasp: Grasp) -> Posterior | None:
     rule = StopRule(error_rate=SequenceConfig().error_rate)
     looks = EarlyDecider(early, (), rule)
     any(looks.add_frame(counts, lambda: grasp) for counts in grasp.counts)
-    return None if looks.answer is None else looks.answer.posterior
+    return looks.answer
 
 
 def followed(

@@ -19,7 +19,7 @@ from benchmarks.recognition._grasps import recorded, simulated
 from recognition.drift.drift import Drift
 from recognition.evaluation.splits import a_day_later, chronological_split
 from recognition.grasp import Grasp
-from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyTrainer
+from recognition.recognizers.early_classifiers import EarlyClassifiers, teach_early
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer, ForceRampTrainer
 
 DRIFT = Drift(gains=(0.7,), aperture_offset_m=-4e-3)
@@ -30,7 +30,7 @@ _SHIFTS = 5
 def teach(grasps: Sequence[Grasp]) -> tuple[ForceRampRecognizer, EarlyClassifiers]:
     """Return the recogniser of whole ramps, and those of ramps cut short."""
     whole = ForceRampTrainer().fit(grasps)
-    return whole, EarlyTrainer(base=ForceRampTrainer()).fit_classifiers(grasps, whole)
+    return whole, teach_early(ForceRampTrainer(), grasps, whole.labels)
 
 
 def day(

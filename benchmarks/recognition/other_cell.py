@@ -21,7 +21,7 @@ from benchmarks.recognition._answers import asked, figures, followed, gauged
 from benchmarks.recognition._cell_grasps import cell_grasps
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp
-from recognition.recognizers.early_classifiers import EarlyTrainer
+from recognition.recognizers.early_classifiers import teach_early
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
@@ -75,7 +75,7 @@ def main(effort: float = 1.0) -> None:
     untold = [replace(grasp, zero=None) for grasp in zeroed]
     test, new = ([g for g in untold if (g.label in TAUGHT) is known] for known in (True, False))
     taught = ForceRampTrainer().fit(train)
-    early = EarlyTrainer(base=ForceRampTrainer()).fit_classifiers(train, taught)
+    early = teach_early(ForceRampTrainer(), train, taught.labels)
     line("compared", f"{len(taught_objects)} objects, {n} grasps each; {len(new)} grasps of others")
     line("  same cell", figures(asked(taught, same)))
     later = [a_day_later(grasp) for grasp in same]

@@ -146,11 +146,7 @@ class SequenceAnswers:
 
     def _answer(self, record: GraspRecord) -> _Answer:
         """Return the answer to a grasp, perhaps on a thread of its own."""
-        posterior = (
-            self._recognizer.posterior(record.grasp)
-            if record.early is None
-            else record.early.posterior
-        )
+        posterior = record.early or self._recognizer.posterior(record.grasp)
         try:
             shape = None if self._read_shape is None else self._read_shape(record.grasp)
         except Exception as error:

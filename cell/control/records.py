@@ -11,7 +11,7 @@ from cell.control.plan import GraspStep, Pose
 from gripper.outcome import GraspOutcome
 from gripper.state import Cycle
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
-from recognition.recognizers.early_classifiers import EarlyAnswer
+from recognition.recognizer import Posterior
 from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
 
@@ -30,7 +30,7 @@ class GraspRecord:
     """Result of the gripper."""
     cycles: tuple[Cycle, ...]
     """Every period of the force loop, in order."""
-    early: EarlyAnswer | None = None
+    early: Posterior | None = None
     """Answer that ended the ramp before its usual end; None where that was reached. The grasp goes
     on until the force had settled, so it holds more than what decided."""
     same_grip: bool = False
@@ -48,15 +48,14 @@ class GraspRecord:
 
     def ramp_as_json(self) -> dict[str, Any]:
         """Return how the ramp ended, as plain data."""
-        posterior = None if self.early is None else self.early.posterior
         return {
             "seconds": round(self.duration_s, 3),
             "wanted_n": self.step.force_n,
             "setpoint_n": self.cycles[-1].setpoint_n,
             "force_n": self.outcome.final_force_n,
             "ended_early": self.early is not None,
-            "label": None if posterior is None else posterior.best,
-            "probability": None if posterior is None else float(posterior.probability.max()),
+            "label": None if self.early is None else self.early.best,
+            "probability": None if self.early is None else float(self.early.probability.max()),
         }
 
 

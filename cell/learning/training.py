@@ -15,7 +15,7 @@ from cell.learning.model import Arrays, LoadedModel, rehearse
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
-from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyTrainer
+from recognition.recognizers.early_classifiers import EarlyClassifiers, teach_early
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.statistics.next_grasp import PoseMemory, build_pose_memory
 
@@ -119,7 +119,7 @@ def train(
             ) from error
     cut = None
     if early and may_end_early(recognizer):
-        cut = EarlyTrainer(base=trainer).fit_classifiers(grasps, recognizer)
+        cut = teach_early(trainer, grasps, recognizer.labels)
     return Trained(recognizer=recognizer, trainer_name=name, early=cut, memory=memory)
 
 

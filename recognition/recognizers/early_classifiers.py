@@ -15,24 +15,12 @@ from recognition.recognizer import Posterior, Recognizer, Trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.statistics.fusion import StopRule, fuse
 
-SHARES = (0.5, 0.75)
+_SHARES = (0.5, 0.75)
 """Parts of the usual full load at which a ramp is looked at before its end. At a quarter intervals
 of the size hold it too seldom, at the usual noise in 77 % of grasps instead of 90 %."""
 _MOST_UNKNOWN = 0.02
 """Largest probability of an untaught object with which a ramp ends: that of the end of a sequence
 let up to 3 % more of them pass (docs/decisions/0010-unknown-never-ends-a-ramp.md)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EarlyAnswer:
-    """Posterior of a ramp at the look that ended it, and when that was."""
-
-    posterior: Posterior
-    """Posterior of this grasp alone at that look."""
-    looks: int
-    """Number of looks, the last one included."""
-    n_frames: int
-    """Frames of the grasp up to that look."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,15 +40,6 @@ class EarlyClassifiers:
             raise ValueError(f"loads {loads} are not ascending, one for each recogniser")
         loads.setflags(write=False)
         object.__setattr__(self, "load_counts", loads)
-
-    def look_frames(self, grasp: Grasp) -> tuple[int, ...]:
-        """Return after how many frames each load is reached; fewer than L where it never is.
-
-        Only frames up to then count: a grasp that still goes on gives the same.
-        """
-        load = load_so_far(grasp, self.rest)
-        reached = [np.flatnonzero(load >= level) for level in self.load_counts]
-        return tuple(int(frames[0]) + 1 for frames in reached if len(frames))
 
     def as_wary_as(self, whole: Recognizer) -> Self:
         """Return early classifiers with drift and caution of the recogniser of whole ramps."""
@@ -129,15 +108,10 @@ class EarlyDecider:
         self._load = RunningLoad(early.rest)
         self._seen = 0
         self._looks = 0
-        self.answer: EarlyAnswer | None = None
-        """The answer that satisfied the rule; None until then."""
+        self.answer: Posterior | None = None
+        """Posterior of this grasp alone at the look that satisfied the rule; None until then."""
         self.error: Exception | None = None
         """What a look has raised: a ramp goes on through it, as no program may fail in its loop."""
-
-    @property
-    def looks(self) -> int:
-        """Number of looks so far."""
-        return self._looks
 
     def add_frame(self, counts: NDArray[np.uint16], so_far: Callable[[], Grasp]) -> bool:
         """Take the next frame; return whether the evidence suffices with it, for the first time.
@@ -170,54 +144,36 @@ class EarlyDecider:
             sure = self._rule.suffices(fused) and fused.unknown <= _MOST_UNKNOWN
             # A drawn size is compared with the sharpest one that is measured: of a whole ramp.
             if sure and not posterior.drawn_m:
-                self.answer = EarlyAnswer(
-                    posterior=posterior, looks=self._looks, n_frames=self._seen
-                )
+                self.answer = posterior
                 return True
         return False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EarlyTrainer:
-    """Teaches whole ramps and ramps cut short."""
+def teach_early(
+    trainer: Trainer, grasps: Sequence[Grasp], labels: tuple[str, ...]
+) -> EarlyClassifiers:
+    """Return early classifiers, taught with the grasps that taught whole ramps of these labels.
 
-    base: Trainer
-    """Trainer of each of the recognisers."""
-    shares: tuple[float, ...] = SHARES
-    """Parts of the usual full load, ascending, between 0 and 1."""
-
-    def __post_init__(self) -> None:
-        if not self.shares or list(self.shares) != sorted(set(self.shares)):
-            raise ValueError(f"shares {self.shares} must be different and ascending")
-        if not 0.0 < self.shares[0] <= self.shares[-1] < 1.0:
-            raise ValueError(f"shares {self.shares} must lie between 0 and 1")
-
-    def fit_classifiers(self, grasps: Sequence[Grasp], whole: Recognizer) -> EarlyClassifiers:
-        """Teach with the grasps that taught ``whole``; ramps that end below a load serve whole.
-
-        Each recogniser calibrates its probabilities on ramps cut like those that it will meet. A
-        load at which the cut ramps do not suffice to teach, because in the noise too few of them
-        show a touch, is not looked at.
-        """
-        rest = learn_rest(grasps)
-        loads = [load_so_far(g, rest) for g in grasps]
-        full = float(np.median([load[-1] for load in loads]))
-        levels = full * np.array(self.shares)
-        recognizers: list[Recognizer] = []
-        taught: list[float] = []
-        for level in levels.tolist():
-            ends = [np.flatnonzero(load >= level) for load in loads]
-            parts = [
-                g.first_frames(int(end[0]) + 1) if len(end) else g
-                for g, end in zip(grasps, ends, strict=True)
-            ]
-            try:
-                early = self.base.fit(parts)
-            except ValueError:
-                continue
-            if early.labels == whole.labels:
-                recognizers.append(early)
-                taught.append(level)
-        return EarlyClassifiers(
-            rest=rest, load_counts=np.array(taught), recognizers=tuple(recognizers)
-        )
+    Each recogniser calibrates its probabilities on ramps cut like those that it will meet; ramps
+    that end below its load serve whole. A load at which the cut ramps do not suffice to teach,
+    because in the noise too few of them show a touch, is not looked at.
+    """
+    rest = learn_rest(grasps)
+    loads = [load_so_far(g, rest) for g in grasps]
+    full = float(np.median([load[-1] for load in loads]))
+    taught: dict[float, Recognizer] = {}
+    for level in (full * share for share in _SHARES):
+        ends = [np.flatnonzero(load >= level) for load in loads]
+        parts = [
+            g.first_frames(int(end[0]) + 1) if len(end) else g
+            for g, end in zip(grasps, ends, strict=True)
+        ]
+        try:
+            early = trainer.fit(parts)
+        except ValueError:
+            continue
+        if early.labels == labels:
+            taught[level] = early
+    return EarlyClassifiers(
+        rest=rest, load_counts=np.array(list(taught)), recognizers=tuple(taught.values())
+    )

@@ -217,6 +217,7 @@ class ComparatorTrainer:
             mean, spread = features.mean(axis=0), features.std(axis=0)
             scale = np.where(spread > 1e-9, spread, 1.0)
         rows = (features - mean) / scale
+        classifier = method.classifier.fit(rows, classes, len(labels))
         folds = blocked_folds(classes, _FOLDS)
         if not folds:
             raise ValueError(f"{method.name}: teach each object at least twice")
@@ -227,7 +228,6 @@ class ComparatorTrainer:
             scores.append(taught.scores(rows[held]))
             distances.append(apart.min(axis=1))
         held_classes = np.concatenate([classes[held] for held in folds])
-        classifier = method.classifier.fit(rows, classes, len(labels))
         return self.kind(
             labels=tuple(labels.tolist()),
             uses_aperture=self.uses_aperture,

@@ -26,7 +26,6 @@ from recognition.recognizers import (
     trainer_names,
 )
 from recognition.recognizers.comparators.comparator import Comparator, ComparatorTrainer
-from recognition.recognizers.early_classifiers import EarlyTrainer
 from recognition.recognizers.force_ramp.view import describe
 
 OURS = ("force_ramp", "shrinkage_lda")
@@ -111,9 +110,7 @@ def test_every_trainer_and_comparator_of_the_chapter_has_an_entry():
     trainers = [make_trainer(name) for name in trainer_names()]
     made = {type(trainer) for trainer in trainers}
     made |= {trainer.kind for trainer in trainers if isinstance(trainer, ComparatorTrainer)}
-    wanted = {
-        one for one in classes if one.__name__.endswith("Trainer") and one is not EarlyTrainer
-    }
+    wanted = {one for one in classes if one.__name__.endswith("Trainer")}
     wanted |= {one for one in classes if issubclass(one, Comparator) and one is not Comparator}
     assert wanted == made
 
