@@ -22,10 +22,9 @@ _FAR = 3.0
 """Half widths of a 90 % interval between a measured thickness and one that it excludes by far: five
 standard deviations."""
 
-DEPENDENCE = 0.2
-"""Correlation, 0 to 1, of the log evidence of two grasps of one object where no fitted value
-exists: they share the object, the sensor and the errors of the recogniser. See
-docs/explanations/sequences.md."""
+DEPENDENCE = 0.3
+"""Correlation, 0 to 1, of the log evidence of two grasps of one object: they share the object, the
+sensor and the errors of the recogniser. See docs/explanations/sequences.md."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

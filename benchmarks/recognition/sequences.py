@@ -14,7 +14,7 @@ from benchmarks.recognition._posed_grasps import Sensing, draw_placing, posed_gr
 from recognition.evaluation.metrics import expected_calibration_error
 from recognition.evaluation.splits import chronological_split
 from recognition.grasp import Grasp, by_label
-from recognition.recognizer import Posterior, Recognizer
+from recognition.recognizer import DEPENDENCE, Posterior, Recognizer
 from recognition.recognizers import make_trainer
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
 
@@ -50,13 +50,13 @@ def windows(rows: Rows, length: int) -> list[tuple[str, list[Posterior]]]:
 
 
 def show_dependence(rows: Rows) -> None:
-    """Print log loss and calibration of fused answers: learnt, 0.2 and no dependence."""
+    """Print log loss and calibration of fused answers, with dependence and without."""
     for length in (1, 2, 3, 5):
         runs = windows(rows, length)
         if not runs:
             continue
         texts = []
-        for name, dependence in (("learnt", None), ("0.2", 0.2), ("none", 0.0)):
+        for name, dependence in ((f"{DEPENDENCE:g}", DEPENDENCE), ("none", 0.0)):
             fused = [fuse(run, dependence=dependence) for _, run in runs]
             right = [p.best == label for p, (label, _) in zip(fused, runs, strict=True)]
             loss = -np.mean(
@@ -116,8 +116,7 @@ def show(name: str, train: Sequence[Grasp], test: Sequence[Grasp], *, use_apertu
     """Teach with some grasps and print fused answers and decided sequences of others."""
     recognizer = make_trainer("force_ramp", use_aperture=use_aperture).fit(train)
     rows = rows_of(test, recognizer)
-    dependence = next(iter(rows.values()))[0].dependence
-    line(f"  {name}", f"{len(train)} teach; dependence learnt: {dependence:.2f}")
+    line(f"  {name}", f"{len(train)} teach")
     show_dependence(rows)
     show_stopping(rows)
 

@@ -56,7 +56,7 @@ def pad_grid(pads: PadArray, pad: int) -> PadGrid:
 class Footprint:
     """Patches of one pad, n grasps by K levels, described in logarithms and ratios.
 
-    Each array has the shape (n, K) or, where noted, one more axis.
+    Each array has the shape (n, K) or another one where noted.
     """
 
     log_load: NDArray[np.float64]
@@ -80,6 +80,10 @@ class Footprint:
     """(n, K, 2): centre of the load in mm."""
     profile: NDArray[np.float64]
     """(n, 20): root of the largest values at full load, in falling order, over the peak."""
+    pressed: NDArray[np.float64]
+    """(n, K, n_taxels): the patches themselves, what may be noise set to 0."""
+    grid: PadGrid
+    """The pad."""
 
 
 def pressed(maps: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -112,7 +116,20 @@ def describe_footprint(
     carry = total**2 / np.maximum((m * m).sum(axis=-1), 1e-12)
     profile = -np.sort(-relative[:, -1], axis=-1)[:, :_PROFILE_LENGTH]
     profile = np.pad(profile, ((0, 0), (0, _PROFILE_LENGTH - profile.shape[1])))
-    moments = _moments(share, grid)
+    centroid = share @ grid.xy_mm
+    dx = grid.xy_mm[:, 0] - centroid[..., 0, None]
+    dy = grid.xy_mm[:, 1] - centroid[..., 1, None]
+    # A patch is never thinner than a taxel: its own width enters the moments.
+    own_x, own_y = grid.pitch_mm**2 / 4
+    xx = (share * dx * dx).sum(axis=-1) + own_x
+    yy = (share * dy * dy).sum(axis=-1) + own_y
+    xy = (share * dx * dy).sum(axis=-1)
+    half, swing = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    large, small = np.log(half + swing), np.log(half - swing)
+    r2, second, z = dx * dx + dy * dy, xx + yy, dx + 1j * dy
+    weighted = share * z * z
+    fourth, sixth = (share * r2**2).sum(-1) / second**2, (share * r2**3).sum(-1) / second**3
+    cubic, quartic = np.maximum(second, 1e-9) ** 1.5, np.maximum(second, 1e-9) ** 2
     return Footprint(
         log_load=np.log(total + LOAD_FLOOR),
         log_peak=np.log(peak + _PEAK_FLOOR),
@@ -125,59 +142,22 @@ def describe_footprint(
         log_pressed=np.log(
             np.stack([_soft_count(m, q, q / 2) for q in _SCALE_SHARES], axis=-1) + _COUNT_FLOOR
         ),
-        log_axes=moments.log_axes,
-        tails=moments.tails,
-        harmonics=moments.harmonics,
-        direction=moments.direction,
-        centroid_mm=moments.centroid_mm,
-        profile=np.sqrt(profile),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Moments:
-    """The attributes of `Footprint` that are moments of the load."""
-
-    log_axes: NDArray[np.float64]
-    tails: NDArray[np.float64]
-    harmonics: NDArray[np.float64]
-    direction: NDArray[np.float64]
-    centroid_mm: NDArray[np.float64]
-
-
-def _moments(share: NDArray[np.float64], grid: PadGrid) -> _Moments:
-    """Return the moments of patches about their centres, from each taxel's share of the load."""
-    centroid = share @ grid.xy_mm
-    dx = grid.xy_mm[:, 0] - centroid[..., 0, None]
-    dy = grid.xy_mm[:, 1] - centroid[..., 1, None]
-    # A patch is never thinner than a taxel: its own width enters the moments.
-    own_x, own_y = grid.pitch_mm**2 / 4
-    xx = (share * dx * dx).sum(axis=-1) + own_x
-    yy = (share * dy * dy).sum(axis=-1) + own_y
-    xy = (share * dx * dy).sum(axis=-1)
-    half, swing = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
-    large, small = np.log(half + swing), np.log(half - swing)
-    r2 = dx * dx + dy * dy
-    second = xx + yy
-    z = dx + 1j * dy
-    z2 = z * z
-    weighted = share * z2
-    cubic, quartic = np.maximum(second, 1e-9) ** 1.5, np.maximum(second, 1e-9) ** 2
-    fourth, sixth = (share * r2**2).sum(-1) / second**2, (share * r2**3).sum(-1) / second**3
-    return _Moments(
         log_axes=np.stack([large, small, large - small], axis=-1),
         tails=np.log(np.stack([fourth, sixth], axis=-1) + _TAIL_FLOOR),
         harmonics=np.stack(
             [
                 np.abs((weighted * z).sum(-1)) / cubic,
                 np.abs((weighted * z.conj()).sum(-1)) / cubic,
-                np.abs((weighted * z2).sum(-1)) / quartic,
+                np.abs((weighted * z * z).sum(-1)) / quartic,
                 np.abs((weighted * r2).sum(-1)) / quartic,
             ],
             axis=-1,
         ),
         direction=np.stack([(xx - yy) / second, 2 * xy / second], axis=-1),
         centroid_mm=centroid,
+        profile=np.sqrt(profile),
+        pressed=m,
+        grid=grid,
     )
 
 
@@ -205,7 +185,12 @@ def pose_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
 
 
 def pad_difference_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
-    """Return (n, F): differences of load, peak, size and centre of the first two pads."""
+    """Return (n, F): differences of load, peak, size and centre of the first two pads.
+
+    F is 0 for a single pad.
+    """
+    if len(footprints) < 2:
+        return np.zeros((len(footprints[0].log_load), 0))
     a, b = footprints[:2]
     return _side_by_side(
         (

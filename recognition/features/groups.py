@@ -1,14 +1,12 @@
-"""Feature groups: the table of all features of a grasp, and the feature vector of each view.
+"""Feature groups: the table of all features by touch, and the feature vector of each recogniser.
 
 A new group is one function and one entry in `FEATURE_GROUPS`. The entry lists the recognisers that
-use the group. An entry that none uses, or a recogniser without a group, is an error at import; a
-feature function without an entry is an error in the tests.
+use the group.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum, unique
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,7 +25,7 @@ from recognition.features.growth import growth_features
 from recognition.features.patch import harmonic_features, profile_features
 from recognition.ramp.levels import Levels
 
-FEATURE_VERSION = 10
+FEATURE_VERSION = 11
 """Changes with every change of a feature, or of what is learnt from it: models of another version
 are refused."""
 
@@ -41,114 +39,49 @@ class FeatureView(StrEnum):
     EXTRA_TREES = "extra_trees"
 
 
-class GraspDescription:
-    """Levels of n grasps with the footprints of their pads, which several groups share.
-
-    Parameters
-    ----------
-    levels
-        The grasps.
-    grids
-        The gripping pads.
-    """
-
-    def __init__(self, levels: Levels, grids: Sequence[PadGrid]) -> None:
-        self.levels = levels
-        self.grids = grids
-
-    @cached_property
-    def footprints(self) -> list[Footprint]:
-        """The footprint of each gripping pad."""
-        return [
-            describe_footprint(maps, self.levels.noise[..., pad], grid)
-            for pad, (maps, grid) in enumerate(zip(self.levels.maps, self.grids, strict=True))
-        ]
-
-    def of_each_pad(
-        self,
-        describe: Callable[
-            [NDArray[np.float64], NDArray[np.float64], PadGrid], NDArray[np.float64]
-        ],
-    ) -> NDArray[np.float64]:
-        """Return features (n, F) of each pad, one pad after the other."""
-        levels = self.levels
-        parts = [
-            describe(maps, levels.noise[..., pad], self.grids[pad])
-            for pad, maps in enumerate(levels.maps)
-        ]
-        return np.concatenate(parts, axis=1)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FeatureGroup:
     """One entry of the table."""
 
     name: str
     """Name of the group."""
-    features: Callable[[GraspDescription], NDArray[np.float64]]
-    """Returns the features, (n, F) float64."""
+    features: Callable[[Levels, Sequence[Footprint]], NDArray[np.float64]]
+    """Returns the features (n, F) float64 of n grasps, from their levels and the footprint of each
+    gripping pad."""
     views: frozenset[FeatureView] = frozenset(FeatureView)
     """The recognisers whose vectors contain the group."""
-    n_pads: int = 1
-    """Fewest gripping pads it needs; with fewer it is left out."""
-    opening: bool | None = None
-    """Whether it is for vectors with the opening only, or without it only; None: for both."""
+    beside_opening: bool = True
+    """Whether it is for vectors with the opening, too."""
 
 
 FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
     # Size and form of the pressed patch, unchanged when it moves or turns on the pad.
-    FeatureGroup(name="patch", features=lambda of: patch_features(of.footprints)),
+    FeatureGroup(name="patch", features=lambda _, pads: patch_features(pads)),
     # Where the patch lies on the pad, and how it is turned.
     FeatureGroup(
         name="pose",
-        features=lambda of: pose_features(of.footprints),
+        features=lambda _, pads: pose_features(pads),
         views=frozenset({FeatureView.FORCE_RAMP, FeatureView.SHRINKAGE_LDA}),
     ),
     # One pad against the other.
-    FeatureGroup(
-        name="pads",
-        features=lambda of: pad_difference_features(of.footprints),
-        n_pads=2,
-    ),
+    FeatureGroup(name="pads", features=lambda _, pads: pad_difference_features(pads)),
     # Growth of patch and load along the ramp.
-    FeatureGroup(name="growth", features=lambda of: growth_features(of.levels, of.footprints)),
+    FeatureGroup(name="growth", features=growth_features),
     # Load per row and column of taxels.
     FeatureGroup(
         name="profile",
-        features=lambda of: of.of_each_pad(profile_features),
+        features=lambda _, pads: profile_features(pads),
         views=frozenset({FeatureView.FORCE_RAMP}),
     ),
     # The patch close up. The opening leaves too little open for it to add anything there.
     FeatureGroup(
         name="harmonics",
-        features=lambda of: of.of_each_pad(harmonic_features),
+        features=lambda _, pads: harmonic_features(pads),
         views=frozenset({FeatureView.FORCE_RAMP}),
-        opening=False,
+        beside_opening=False,
     ),
-    # The opening between the fingers; NaN where it is unknown.
-    FeatureGroup(name="aperture", features=lambda of: aperture_features(of.levels), opening=True),
 )
-"""All features of a grasp, in the order in which they stand in a vector."""
-
-
-def check_table(groups: Sequence[FeatureGroup]) -> None:
-    """Check the table for groups and views that were forgotten.
-
-    Raises ValueError for a name used twice, a group that no view uses, and a view without a group.
-    """
-    names = [group.name for group in groups]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(f"feature groups {twice} are in the table twice: give each its own name")
-    unused = [group.name for group in groups if not group.views]
-    if unused:
-        raise ValueError(f"feature groups {unused} are used by no view: name at least one")
-    empty = [str(view) for view in FeatureView if not any(view in group.views for group in groups)]
-    if empty:
-        raise ValueError(f"views {empty} use no feature group: name them in the table's entries")
-
-
-check_table(FEATURE_GROUPS)
+"""All features by touch, in the order in which they stand in a vector."""
 
 
 def check_version(arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -160,10 +93,10 @@ def check_version(arrays: Mapping[str, NDArray[Any]]) -> None:
         )
 
 
-def features_of(
+def touch_features(
     levels: Levels, grids: Sequence[PadGrid], view: FeatureView, *, opening: bool
 ) -> NDArray[np.float64]:
-    """Return the feature vectors of a view, (n, F) float64.
+    """Return the features by touch of a view, (n, F) float64.
 
     Parameters
     ----------
@@ -174,12 +107,25 @@ def features_of(
     view
         Which groups are wanted.
     opening
-        Whether the vectors have the opening between the fingers.
+        Whether features of the opening stand beside them.
     """
-    described = GraspDescription(levels, grids)
-    parts = [
-        group.features(described)
-        for group in FEATURE_GROUPS
-        if view in group.views and group.n_pads <= len(grids) and group.opening in (None, opening)
+    footprints = [
+        describe_footprint(maps, levels.noise[..., pad], grid)
+        for pad, (maps, grid) in enumerate(zip(levels.maps, grids, strict=True))
     ]
-    return np.concatenate(parts, axis=1)
+    return np.concatenate(
+        [
+            group.features(levels, footprints)
+            for group in FEATURE_GROUPS
+            if view in group.views and (group.beside_opening or not opening)
+        ],
+        axis=1,
+    )
+
+
+def features_of(
+    levels: Levels, grids: Sequence[PadGrid], view: FeatureView, *, opening: bool
+) -> NDArray[np.float64]:
+    """Return `touch_features`; with ``opening`` those of the opening follow, NaN where unknown."""
+    touch = touch_features(levels, grids, view, opening=opening)
+    return np.concatenate([touch, aperture_features(levels)], axis=1) if opening else touch

@@ -1,16 +1,16 @@
-"""Features of one pad's patch: load profiles, circular harmonics.
+"""Features of each pad's patch: load profiles, circular harmonics.
 
-Each function takes maps (n, K, n_taxels) above rest as a share of full scale, their noise (n, K)
-and the pad's grid, and returns (n, F). Constants without another source were chosen on the grasps
-that teach, of 36 recorded objects (docs/explanations/recogniser.md).
+Constants without another source were chosen on the grasps that teach, of 36 recorded objects
+(docs/explanations/recogniser.md).
 """
 
+from collections.abc import Sequence
 from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.features.footprint import PadGrid, pressed
+from recognition.features.footprint import Footprint, PadGrid
 
 _LEAST_LOAD = 0.01
 """Least load in full scales of a taxel that the shares of a profile are divided by."""
@@ -32,28 +32,18 @@ _ENERGY_FLOOR = 2e-4
 """Added to the strongest answer in 1/mm and to the energy before their logarithms."""
 
 
-def profile_features(
-    maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
-) -> NDArray[np.float64]:
-    """Return (n, F): roots of the shares of load per row and column at the last level.
+def profile_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
+    """Return (n, F): roots of the shares of load per row and column at full load, of each pad.
 
     Once as the patch lies on the pad, once centred on the patch.
-
-    Parameters
-    ----------
-    maps : (n, K, n_taxels)
-        Values above rest, as a fraction of full scale.
-    noise : (n, K)
-        Standard deviation of each value.
-    grid
-        The pad.
     """
-    patch = pressed(maps[:, -1], noise[:, -1]).reshape(len(maps), *grid.shape)
-    load = np.maximum(patch.sum(axis=(1, 2)), _LEAST_LOAD)[:, None]
     parts: list[NDArray[np.float64]] = []
-    for other_axis in (2, 1):
-        share = patch.sum(axis=other_axis) / load
-        parts += [np.sqrt(share), np.sqrt(_centred(share))]
+    for footprint in footprints:
+        patch = footprint.pressed[:, -1].reshape(-1, *footprint.grid.shape)
+        load = np.maximum(patch.sum(axis=(1, 2)), _LEAST_LOAD)[:, None]
+        for other_axis in (2, 1):
+            share = patch.sum(axis=other_axis) / load
+            parts += [np.sqrt(share), np.sqrt(_centred(share))]
     return np.concatenate(parts, axis=1)
 
 
@@ -73,9 +63,7 @@ def _centred(share: NDArray[np.float64]) -> NDArray[np.float64]:
     return moved
 
 
-def harmonic_features(
-    maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
-) -> NDArray[np.float64]:
+def harmonic_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
     """Return (n, F): logarithms of energy and strongest answer of each circular harmonic.
 
     A circular harmonic is a bump, or a wave with a number of crests around a centre, under a
@@ -85,18 +73,12 @@ def harmonic_features(
     enough, and need no centre of the patch, which the rim of the pad may have cut off. The
     filtered quantity is the root of the density of load, of unit energy, so that no gain changes
     the features.
-
-    Parameters
-    ----------
-    maps : (n, K, n_taxels)
-        Values above rest, as a fraction of full scale.
-    noise : (n, K)
-        Standard deviation of each value.
-    grid
-        The pad.
     """
-    levels = [k for k in _HARMONIC_LEVELS if k < maps.shape[1]]
-    patch = pressed(maps[:, levels], noise[:, levels])
+    return np.concatenate([_harmonics_of(footprint) for footprint in footprints], axis=1)
+
+
+def _harmonics_of(footprint: Footprint) -> NDArray[np.float64]:
+    grid, patch = footprint.grid, footprint.pressed[:, _HARMONIC_LEVELS]
     area_mm2 = float(np.prod(grid.pitch_mm))
     load = np.maximum(patch.sum(axis=-1, keepdims=True), _MIN_LOAD)
     root_per_mm = np.sqrt(patch / (load * area_mm2)).reshape(-1, *grid.shape)
@@ -106,7 +88,7 @@ def harmonic_features(
         energy = np.log(squared.sum(axis=-1) * area_mm2 + _ENERGY_FLOOR)
         strongest = np.log(np.sqrt(squared.max(axis=-1)) + _PEAK_FLOOR_PER_MM)
         parts.append(np.stack([energy, strongest], axis=-1))
-    return np.concatenate(parts).reshape(len(maps), -1)
+    return np.concatenate(parts).reshape(len(patch), -1)
 
 
 def _squared_answers(root: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:

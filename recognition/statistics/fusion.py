@@ -6,17 +6,12 @@ from enum import Enum, unique
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 from scipy.special import expit, log_softmax, logit, logsumexp
 
-from recognition.recognizer import DEPENDENCE, UNKNOWN, Posterior
+from recognition.recognizer import UNKNOWN, Posterior
 
 FLATTENING = 0.005
 """Share of the uniform distribution that each grasp gets before it is fused."""
-_RUN_LENGTHS = (2, 3)
-"""Lengths of the runs of held-out grasps that the dependence is fitted on; longer ones are few."""
-_PRIOR_SPREAD = 0.25
-"""Standard deviation of the prior of the dependence about `DEPENDENCE`."""
 
 
 def evidence(probability: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -30,45 +25,6 @@ def evidence(probability: NDArray[np.float64]) -> NDArray[np.float64]:
 def independent_share(n_grasps: int, dependence: float) -> float:
     """Return the weight of each of n grasps: together they weigh n / (1 + (n - 1) dependence)."""
     return 1.0 / (1.0 + (n_grasps - 1) * dependence)
-
-
-def fit_dependence(
-    probability: NDArray[np.float64], classes: NDArray[np.int64], run: NDArray[np.int64]
-) -> float:
-    """Return the dependence under which fused grasps are likeliest to name their object.
-
-    Runs of two and three grasps are fused as `recognition.statistics.fusion.fuse` does. Where
-    these are few, or sure anyway, the result stays near `DEPENDENCE`.
-
-    Parameters
-    ----------
-    probability : (n, C)
-        Probabilities of each grasp by fits without it; rows of a class in the order of time.
-    classes : (n,)
-        Class of the object in each grasp.
-    run : (n,)
-        Grasps of one class with the same number follow each other and were held out together.
-    """
-    each = evidence(probability)
-    sums: list[tuple[int, NDArray[np.float64], NDArray[np.int64]]] = []
-    for length in _RUN_LENGTHS:
-        first = np.arange(len(classes) - length + 1)
-        last = first + length - 1
-        whole = first[(classes[first] == classes[last]) & (run[first] == run[last])]
-        if len(whole):
-            total = sum((each[whole + i] for i in range(1, length)), each[whole])
-            sums.append((length, total, classes[whole]))
-
-    def loss(dependence: float) -> float:
-        value = 0.5 * ((dependence - DEPENDENCE) / _PRIOR_SPREAD) ** 2
-        for length, total, truth in sums:
-            p = log_softmax(independent_share(length, dependence) * total, axis=1)
-            # Windows overlap: each grasp stands in as many as a window is long.
-            value -= float(p[np.arange(len(truth)), truth].sum()) / length
-        return float(value)
-
-    found = minimize_scalar(loss, bounds=(0.0, 1.0), method="bounded")
-    return float(found.x)
 
 
 MAX_UNKNOWN = 0.1

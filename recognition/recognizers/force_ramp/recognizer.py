@@ -121,7 +121,6 @@ class ForceRampRecognizer:
             labels=self.labels,
             probability=probability,
             unknown=self.caution / (self.caution + odds_of_taught),
-            dependence=evidence.view.dependence,
             drawn_m=tuple((drawn_m + 1e-3 * mean_mm + self._moved_m(grasp)).tolist()),
         )
 
@@ -142,8 +141,8 @@ class ForceRampRecognizer:
             _grids(self.rest),
             opening=opening,
             log_gains=grid.log_gains,
-            offsets_mm=grid.offsets_mm if opening else np.zeros(1),
-            slack_mm=self._slack_mm(grasp) if opening else None,
+            offsets_mm=grid.offsets_mm,
+            slack_mm=self._slack_mm(grasp),
         )
         log_likelihood, new = view.likelihood(features)
         return Evidence(log_likelihood=log_likelihood[0], new=new[0], view=view)

@@ -17,11 +17,10 @@ from recognition.drift.drift import shifted_levels
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.features.aperture import aperture_features, sizes_mm
 from recognition.features.footprint import PadGrid
-from recognition.features.groups import FeatureView, features_of
+from recognition.features.groups import FeatureView, touch_features
 from recognition.ramp.levels import Levels, stack_levels
-from recognition.statistics.calibration import blocked_folds, fit_temperature, to_probability
+from recognition.statistics.calibration import blocked_folds, fit_temperature
 from recognition.statistics.class_spread import ClassSpread, fit_class_spread
-from recognition.statistics.fusion import fit_dependence
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
 from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
 
@@ -126,25 +125,25 @@ def describe(
     log_gains : (G,) or (G, P)
         Logarithms of gains, common to the pads or of each.
     offsets_mm : (O,)
-        Offsets of the opening in mm.
+        Offsets of the opening in mm; without effect where it is not used.
     slack_mm : (O,)
         As `Features.slack_mm`; None for none.
     """
-    n = len(levels)
-    touched = stack_levels([shifted_levels(levels, gain, 0.0) for gain in log_gains])
-    touch = features_of(touched, grids, FeatureView.FORCE_RAMP, opening=opening)
-    found = sizes = np.zeros((1, n, 0))
-    if opening:
-        moved = stack_levels([shifted_levels(levels, 0.0, offset) for offset in offsets_mm])
-        found = aperture_features(moved)
-        touch = touch[:, : -found.shape[1]]
-        found = found.reshape(len(offsets_mm), n, -1)
-        sizes = sizes_mm(moved).reshape(len(offsets_mm), n, -1)
-    touch = touch.reshape(len(log_gains), n, -1)
+
+    def by_drift(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        n_drifts = len(values) // len(levels)
+        return values.reshape(n_drifts, len(levels), values.shape[1]).swapaxes(0, 1)
+
+    pressed = stack_levels([shifted_levels(levels, gain, 0.0) for gain in log_gains])
+    touch = by_drift(touch_features(pressed, grids, FeatureView.FORCE_RAMP, opening=opening))
+    if not opening:
+        none = np.zeros((len(levels), 1, 0))
+        return Features(touch=touch, opening=none, sizes_mm=none, slack_mm=np.zeros(1))
+    moved = stack_levels([shifted_levels(levels, 0.0, offset) for offset in offsets_mm])
     return Features(
-        touch=touch.transpose(1, 0, 2),
-        opening=found.transpose(1, 0, 2),
-        sizes_mm=sizes.transpose(1, 0, 2),
+        touch=touch,
+        opening=by_drift(aperture_features(moved)),
+        sizes_mm=by_drift(sizes_mm(moved)),
         slack_mm=np.zeros(len(offsets_mm)) if slack_mm is None else slack_mm,
     )
 
@@ -217,8 +216,6 @@ class View:
     """Log likelihood of a grasp of a new object."""
     placing_mm: float
     """Standard deviation of the opening on one object between placings in mm."""
-    dependence: float
-    """How far grasps of one object repeat each other, 0 to 1."""
     doubt: float
     """Share of even probabilities in an answer where nothing is known of the opening's zero: with
     it few enough names of made-up other days are wrong."""
@@ -257,7 +254,7 @@ class View:
         )
 
 
-_NUMBERS = ("temperature", "log_new", "placing_mm", "dependence", "doubt")
+_NUMBERS = ("temperature", "log_new", "placing_mm", "doubt")
 """Attributes of a `View` that are single numbers."""
 
 
@@ -286,10 +283,8 @@ def fit_view(
     unit = np.array([_UNIT[0]] * n_pads + [_UNIT[1]])[: n_pads + opening]
 
     def undone(some: Levels, drift: NDArray[np.float64]) -> Features:
-        offset = drift[n_pads:] if opening else np.zeros(1)
-        return describe(
-            some, grids, opening=opening, log_gains=drift[None, :n_pads], offsets_mm=offset
-        )
+        gains, offset_mm = drift[None, :n_pads], drift[n_pads:]
+        return describe(some, grids, opening=opening, log_gains=gains, offsets_mm=offset_mm)
 
     def vectors(features: Features) -> NDArray[np.float64]:
         return np.concatenate([features.touch[:, 0], features.opening[:, 0]], axis=1)
@@ -329,9 +324,9 @@ def fit_view(
         )
 
     rng = np.random.default_rng(0)
-    scores, novelty, rows, block_of = [], [], [], []
+    scores, novelty, rows = [], [], []
     held = [(block, teach(~block)) for block in blocked_folds(classes, _BLOCKS)]
-    for number, (block, model) in enumerate(held):
+    for block, model in held:
         for part in np.array_split(rng.permutation(np.flatnonzero(block)), _PARTS):
             if not len(part):
                 continue
@@ -341,11 +336,8 @@ def fit_view(
             scores.append(found[0][:, 0, 0])
             novelty.append(found[1][:, 0, 0])
             rows.append(part)
-            block_of.append(np.full(len(part), number))
-    order = np.argsort(np.concatenate(rows))
-    row = np.concatenate(rows)[order]
-    score = np.concatenate(scores)[order]
-    temperature = fit_temperature(score, classes[row])
+    score = np.concatenate(scores)
+    temperature = fit_temperature(score, classes[np.concatenate(rows)])
     whole = teach(np.ones(len(classes), dtype=np.bool_))
     return View(
         model=whole,
@@ -353,9 +345,6 @@ def fit_view(
         limit=_limit(np.concatenate(novelty), whole.taught.shape[1]),
         log_new=float(np.quantile(logsumexp(score / temperature, axis=1), _NEW_QUANTILE)),
         placing_mm=_placing_mm(levels, classes) if opening else 0.0,
-        dependence=fit_dependence(
-            to_probability(score, temperature), classes[row], np.concatenate(block_of)[order]
-        ),
         doubt=_doubt(levels, grids, classes, held, temperature) if opening else 0.0,
     )
 

@@ -29,7 +29,12 @@ QUIET = np.zeros((1, K))
 
 def answers(maps, grid):
     """Return energies and strongest answers (in 1/mm) of the harmonics to one patch, flat."""
-    return np.exp(harmonic_features(maps, QUIET, grid)[0])
+    return np.exp(harmonic_features([describe_footprint(maps, QUIET, grid)])[0])
+
+
+def profile(maps, grid):
+    """Return the profile of one patch."""
+    return profile_features([describe_footprint(maps, QUIET, grid)])[0]
 
 
 def test_pitch_comes_from_the_positions(factory):
@@ -81,14 +86,14 @@ def test_an_empty_pad_gives_finite_numbers(grid):
     f = describe_footprint(nothing, QUIET, grid)
     for name in ("log_load", "log_extent", "log_axes", "tails", "harmonics", "profile"):
         assert np.all(np.isfinite(getattr(f, name))), name
-    assert np.all(np.isfinite(profile_features(nothing, QUIET, grid)))
-    assert np.all(np.isfinite(harmonic_features(nothing, QUIET, grid)))
+    assert np.all(np.isfinite(profile(nothing, grid)))
+    assert np.all(np.isfinite(answers(nothing, grid)))
 
 
 def test_harmonics_are_the_answers_of_the_plain_formula(factory):
     pad = pad_grid(factory.pads(shapes=((7, 5),)), 0)
     maps = np.random.default_rng(3).uniform(0.05, 0.6, (1, K, 35))
-    found = harmonic_features(maps, QUIET, pad).reshape(2, 3, 6, 2)
+    found = harmonic_features([describe_footprint(maps, QUIET, pad)]).reshape(2, 3, 6, 2)
     area = float(np.prod(pad.pitch_mm))
     root = np.sqrt(maps[0, 4] / (maps[0, 4].sum() * area))
     for w, width in enumerate((2.0, 3.4, 5.4)):
@@ -115,8 +120,8 @@ def test_harmonics_tell_two_bumps_from_one_patch_of_their_size(grid):
 
 def test_centred_part_of_the_profile_does_not_move_with_the_patch(grid):
     n = grid.shape[0]
-    still = profile_features(patch(grid), QUIET, grid)[0]
-    moved = profile_features(patch(grid, at=(6.0, 0.0)), QUIET, grid)[0]
+    still = profile(patch(grid), grid)
+    moved = profile(patch(grid, at=(6.0, 0.0)), grid)
     reach = len(still) // 2 - n
     assert moved[n : n + reach] == pytest.approx(still[n : n + reach], abs=0.02)
     assert moved[:n] == pytest.approx(np.roll(still[:n], 2), abs=0.02)
@@ -136,6 +141,6 @@ def test_pads_of_one_or_two_rows_have_a_profile(factory, shape, taxel):
     small = pad_grid(factory.pads(shapes=(shape,)), 0)
     maps = np.zeros((1, K, shape[0] * shape[1]))
     maps[:, :, taxel] = 0.5
-    found = profile_features(maps, QUIET, small)[0]
+    found = profile(maps, small)
     assert np.all(np.isfinite(found))
     assert found.sum() == pytest.approx(4.0)

@@ -3,20 +3,14 @@
 import importlib
 import inspect
 import pkgutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import recognition.features
-from recognition.features.footprint import pad_grid
-from recognition.features.groups import (
-    FEATURE_GROUPS,
-    FeatureView,
-    GraspDescription,
-    check_table,
-    features_of,
-)
+from recognition.features.aperture import aperture_features
+from recognition.features.footprint import describe_footprint, pad_grid
+from recognition.features.groups import FEATURE_GROUPS, FeatureView, features_of
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
 
@@ -43,13 +37,28 @@ def feature_functions():
 
 def test_every_feature_function_has_an_entry():
     used = {name for group in FEATURE_GROUPS for name in group.features.__code__.co_names}
-    assert feature_functions() - used == set()
-    assert len(feature_functions()) == len(FEATURE_GROUPS)
+    used |= {group.features.__name__ for group in FEATURE_GROUPS}
+    assert feature_functions() - used == {"touch_features", "aperture_features"}
 
 
-def test_each_group_has_a_row_of_finite_features_for_each_grasp(train, described):
+def test_each_group_has_a_name_and_a_recogniser_and_each_recogniser_a_group():
+    assert len({group.name for group in FEATURE_GROUPS}) == len(FEATURE_GROUPS)
+    assert all(group.views for group in FEATURE_GROUPS)
+    assert {view for group in FEATURE_GROUPS for view in group.views} == set(FeatureView)
+
+
+@pytest.fixture(scope="module")
+def footprints(described):
+    levels, grids = described
+    return [
+        describe_footprint(maps, levels.noise[..., pad], grid)
+        for pad, (maps, grid) in enumerate(zip(levels.maps, grids, strict=True))
+    ]
+
+
+def test_each_group_has_a_row_of_finite_features_for_each_grasp(train, described, footprints):
     for group in FEATURE_GROUPS:
-        values = group.features(GraspDescription(*described))
+        values = group.features(described[0], footprints)
         assert values.shape[0] == len(train), group.name
         assert values.shape[1] > 0, group.name
         assert np.all(np.isfinite(values)), group.name
@@ -57,12 +66,15 @@ def test_each_group_has_a_row_of_finite_features_for_each_grasp(train, described
 
 @pytest.mark.parametrize("opening", [True, False])
 @pytest.mark.parametrize("view", FeatureView)
-def test_a_vector_holds_the_groups_of_its_view_in_the_order_of_the_table(view, opening, described):
+def test_a_vector_holds_the_groups_of_its_view_and_then_the_opening(
+    view, opening, described, footprints
+):
     expected = [
-        group.features(GraspDescription(*described))
+        group.features(described[0], footprints)
         for group in FEATURE_GROUPS
-        if view in group.views and group.opening in (None, opening)
+        if view in group.views and (group.name != "harmonics" or not opening)
     ]
+    expected += [aperture_features(described[0])] * opening
     found = features_of(*described, view, opening=opening)
     assert np.array_equal(found, np.concatenate(expected, axis=1))
 
@@ -71,27 +83,11 @@ def test_one_pad_has_no_other_to_compare_with(factory):
     pads = factory.pads(shapes=((10, 6),))
     grasps = factory.many(2, seed=0, pads=pads, gripping=(0,))
     levels, grids = load_levels(grasps, learn_rest(grasps)), [pad_grid(pads, 0)]
-    found = features_of(levels, grids, FeatureView.SHRINKAGE_LDA, opening=True)
-    described = GraspDescription(levels, grids)
-    alone = [
-        group.features(described).shape[1]
-        for group in FEATURE_GROUPS
-        if FeatureView.SHRINKAGE_LDA in group.views and group.name != "pads"
-    ]
-    assert found.shape == (len(grasps), sum(alone))
-
-
-def test_what_is_forgotten_in_the_table_is_an_error():
-    first, *others = FEATURE_GROUPS
-    with pytest.raises(ValueError, match="twice"):
-        check_table([*FEATURE_GROUPS, first])
-    with pytest.raises(ValueError, match=r"\['patch'\] are used by no view"):
-        check_table([replace(first, views=frozenset()), *others])
-    no_view = [
-        replace(group, views=group.views - {FeatureView.EXTRA_TREES}) for group in FEATURE_GROUPS
-    ]
-    with pytest.raises(ValueError, match="extra_trees"):
-        check_table(no_view)
+    alone = [describe_footprint(levels.maps[0], levels.noise[..., 0], grids[0])]
+    widths = {g.name: g.features(levels, alone).shape[1] for g in FEATURE_GROUPS}
+    assert [name for name, width in widths.items() if not width] == ["pads"]
+    found = features_of(levels, grids, FeatureView.FORCE_RAMP, opening=False)
+    assert found.shape == (len(grasps), sum(widths.values()))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (2, 1), (2, 2), (6, 2)])

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from recognition.features.footprint import pad_grid
-from recognition.features.groups import FEATURE_GROUPS, GraspDescription
+from recognition.features.aperture import aperture_features
+from recognition.features.footprint import describe_footprint, pad_grid
+from recognition.features.growth import growth_features
 from recognition.ramp.levels import LOAD_FRACTIONS, load_levels, stack_levels
 from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
 
@@ -118,9 +119,15 @@ def test_a_ramp_of_a_cell_has_the_same_levels_at_any_rate(train):
     assert fast.touch_aperture_mm == pytest.approx(1e3 * whole.aperture_m[before])
     assert slowly.touch_aperture_mm == pytest.approx(fast.touch_aperture_mm)
     grids = [pad_grid(whole.pads, pad) for pad in rest.gripping]
-    for name in ("growth", "aperture"):
-        (group,) = (group for group in FEATURE_GROUPS if group.name == name)
-        one, other = (group.features(GraspDescription(of, grids)) for of in (fast, slowly))
+    of_growth, of_opening = [], []
+    for levels in (fast, slowly):
+        prints = [
+            describe_footprint(maps, levels.noise[..., pad], grid)
+            for pad, (maps, grid) in enumerate(zip(levels.maps, grids, strict=True))
+        ]
+        of_growth.append(growth_features(levels, prints))
+        of_opening.append(aperture_features(levels))
+    for one, other in (of_growth, of_opening):
         assert other == pytest.approx(one, abs=0.1)
     # The command of another hand may begin before it touches.
     elsewhere = load_levels([dataclasses.replace(at_once, source="")], rest)

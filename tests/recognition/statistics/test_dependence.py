@@ -1,47 +1,10 @@
-"""Dependence of grasps: found from posteriors whose dependence is known."""
+"""Dependence of grasps: what repeats another grasp counts less."""
 
 import numpy as np
 import pytest
 
-from recognition.recognizer import DEPENDENCE, Posterior
-from recognition.statistics.fusion import evidence, fit_dependence, fuse, independent_share
-
-N_CLASSES, RUN = 5, 6
-
-
-def runs(shared: float, n: int, *, seed: int = 0):
-    """Posteriors of Gaussian classes; a part of each error is the same for a whole run."""
-    rng = np.random.default_rng(seed)
-    classes = np.repeat(rng.integers(0, N_CLASSES, n), RUN)
-    run = np.repeat(np.arange(n), RUN)
-    common = np.repeat(rng.normal(size=(n, N_CLASSES)), RUN, axis=0)
-    own = rng.normal(size=(n * RUN, N_CLASSES))
-    error = np.sqrt(shared) * common + np.sqrt(1.0 - shared) * own
-    x = 1.2 * np.eye(N_CLASSES)[classes] + error
-    score = np.exp(1.2 * x)
-    return score / score.sum(axis=1, keepdims=True), classes, run
-
-
-def test_it_grows_with_what_the_grasps_share():
-    found = [fit_dependence(*runs(shared, 150)) for shared in (0.0, 0.4, 0.9)]
-    assert found[0] < 0.05
-    assert 0.25 < found[1] < 0.6
-    assert found[2] > 0.65
-
-
-def test_grasps_that_say_little_leave_the_usual_value():
-    probability, classes, run = runs(0.9, 1)
-    assert fit_dependence(probability, classes, run) == pytest.approx(DEPENDENCE, abs=0.15)
-    alone = np.arange(len(classes))
-    assert fit_dependence(probability, classes, alone) == pytest.approx(DEPENDENCE, abs=1e-3)
-
-
-def test_runs_end_where_the_object_changes():
-    probability, classes, _ = runs(0.9, 150)
-    one = np.zeros(len(classes), dtype=np.int64)
-    first = np.flatnonzero(np.diff(classes, prepend=classes[0] + 1))
-    assert len(first) < 150
-    assert 0.5 < fit_dependence(probability, classes, one) <= 1.0
+from recognition.recognizer import Posterior
+from recognition.statistics.fusion import evidence, fuse, independent_share
 
 
 def test_fusion_goes_by_the_dependence_that_posteriors_carry():
