@@ -25,6 +25,8 @@ _SCALE_SHARES = (0.01, 0.05, 0.15, 0.3)
 """Shares of full scale above which taxels are counted; the width is half of each."""
 _COUNT_FLOOR = 0.5
 """Added to numbers of taxels before their logarithm."""
+_LEAST_PITCH_MM = 0.1
+"""Distance between rows or columns below which they count as one: no pad has such taxels."""
 _TAIL_FLOOR = 0.1
 """Added to the normalised fourth and sixth moments before their logarithm."""
 
@@ -36,7 +38,7 @@ class PadGrid:
     xy_mm: NDArray[np.float64]
     """(n_taxels, 2) float64: position in the pad's plane in mm."""
     pitch_mm: NDArray[np.float64]
-    """(2,) float64: distance between neighbours along and across the finger in mm."""
+    """(2,) float64: mean distance between rows, along the finger, and columns, across it, in mm."""
     shape: tuple[int, int]
     """tuple of int: rows and columns."""
 
@@ -45,10 +47,10 @@ def pad_grid(pads: PadArray, pad: int) -> PadGrid:
     """Return the positions of one pad's taxels."""
     xy_mm = pads.taxel_xy_m[pads.taxels_of(pad)] * 1e3
     rows, columns = (int(k) for k in pads.pad_shape[pad])
+    grid_mm = xy_mm.reshape(rows, columns, 2)
+    along, across = grid_mm[..., 0].mean(axis=1), grid_mm[..., 1].mean(axis=0)
     return PadGrid(
-        xy_mm=xy_mm,
-        pitch_mm=np.array([_pitch(xy_mm[:, 0]), _pitch(xy_mm[:, 1])]),
-        shape=(rows, columns),
+        xy_mm=xy_mm, pitch_mm=np.array([_pitch(along), _pitch(across)]), shape=(rows, columns)
     )
 
 
@@ -213,6 +215,7 @@ def _soft_count(values: NDArray[np.float64], level: float, width: float) -> NDAr
     return counted
 
 
-def _pitch(values_mm: NDArray[np.float64]) -> float:
-    steps = np.diff(np.unique(np.round(values_mm, 3)))
-    return float(steps.min()) if len(steps) else 1.0
+def _pitch(places_mm: NDArray[np.float64]) -> float:
+    """Return the mean distance between neighbouring rows or columns in mm; 1 where there is none."""
+    pitch_mm = float(np.ptp(places_mm)) / max(1, len(places_mm) - 1)
+    return pitch_mm if pitch_mm >= _LEAST_PITCH_MM else 1.0

@@ -1,5 +1,7 @@
 """Features of a patch and of the opening, and what they must not depend on."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,11 @@ def profile(maps, grid):
 def test_pitch_comes_from_the_positions(factory):
     assert pad_grid(factory.pads(), 1).pitch_mm == pytest.approx([3.0, 3.0])
     assert pad_grid(factory.pads(shapes=((5, 1),)), 0).pitch_mm == pytest.approx([3.0, 1.0])
+    # Scattered taxels, as of barometers under rubber: two rows may lie within a hair.
+    scattered = factory.pads(shapes=((4, 1),))
+    xy_m = 1e-3 * np.array([[0.0, 0.03], [6.0, -0.03], [6.001, 0.0], [-3.0, 0.0]])
+    scattered = dataclasses.replace(scattered, taxel_xy_m=xy_m)
+    assert pad_grid(scattered, 0).pitch_mm == pytest.approx([3.0, 1.0], abs=1e-3)
 
 
 def test_axes_are_the_widths_of_the_patch(grid):
