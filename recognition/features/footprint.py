@@ -216,6 +216,6 @@ def _soft_count(values: NDArray[np.float64], level: float, width: float) -> NDAr
 
 
 def _pitch(places_mm: NDArray[np.float64]) -> float:
-    """Return the mean distance between neighbouring rows or columns in mm; 1 where there is none."""
+    """Return the mean distance between neighbouring rows or columns in mm, or 1."""
     pitch_mm = float(np.ptp(places_mm)) / max(1, len(places_mm) - 1)
     return pitch_mm if pitch_mm >= _LEAST_PITCH_MM else 1.0
