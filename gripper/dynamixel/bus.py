@@ -83,7 +83,7 @@ class ServoBus:
     SUSPECT the same, where it never falls quiet    SUSPECT BusCorrupt, BusTimeout
     SUSPECT next transaction, `Precaution.PING`     SUSPECT ping before the request
     SUSPECT next transaction, `Precaution.NONE`     SUSPECT none
-    SUSPECT ``_LATE_GUARD_S`` passed               CLEAN   none
+    SUSPECT ``_LATE_GUARD_S`` passed                CLEAN   none
     ======= ======================================= ======= ======================================
 
     Each wait ends: for an answer at the time-out of the packet or after ``_LATE_GUARD_S``, for a
