@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -119,8 +120,13 @@ def meddle(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], object]
             act(built[-1])
             return built[-1]
 
-        for module in ("build", "interfaces.cli.session", "jobs.doctor"):
-            monkeypatch.setattr(f"cell.{module}.build_cell", build)
+        # All are imported first: one that is imported under the patch would keep it for good.
+        users = [
+            import_module(f"cell.{name}")
+            for name in ("build", "interfaces.cli.session", "jobs.doctor")
+        ]
+        for user in users:
+            monkeypatch.setattr(user, "build_cell", build)
         return built
 
     return arrange
