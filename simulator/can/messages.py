@@ -67,12 +67,11 @@ class BurstFormat:
     def burst(self, counts: NDArray[np.uint16], counter: int, status: int) -> list[bytes]:
         """Return the messages of a scan with counts (n_taxels,), in the order of sending."""
         samples = self.samples(counts)
-        size = MESSAGE_BYTES - self.header_bytes
-        n_messages = self.n_messages
+        header_bytes, n_messages = self.header_bytes, self.n_messages
+        size = MESSAGE_BYTES - header_bytes
         filling = bytes(n_messages * size - len(samples) - _TRAILER_BYTES)
         checked = samples + filling + struct.pack("<HB", counter, status)
         data = checked + struct.pack("<H", crc_hqx(checked, 0xFFFF))
-        header_bytes = MESSAGE_BYTES - size
         phase = counter % 4 << 8 * header_bytes - 2
         return [
             (phase | n).to_bytes(header_bytes, "big") + data[n * size : (n + 1) * size]
