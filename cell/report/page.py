@@ -40,10 +40,7 @@ DENSE_LABELS = 12
 def write_report(path: Path | str, data: ReportData) -> None:
     """Write the page, whole or not at all: an older file stays until the new one is whole.
 
-    Raises
-    ------
-    ReportError
-        If jinja2 or matplotlib are missing (extra ``report``), or the disk refuses.
+    Raises ReportError if jinja2 or matplotlib are missing (extra ``report``), or the disk refuses.
     """
     page = render_report(data).encode("utf-8", errors="replace")
     write_atomically(Path(path), lambda file: file.write(page), error=ReportError, what="report")
@@ -105,17 +102,7 @@ def trajectories_view(data: ReportData, colours: Mapping[str, int]) -> dict[str,
             else ""
         ),
         "levels": levels_figure(shown, colours, "levels"),
-        "windows": [
-            {
-                "name": window.name,
-                "below": window.below,
-                "above": window.above,
-                "threshold": f"{window.threshold:.3g}",
-                "width": "none" if window.closed else f"{window.high - window.low:.2g}",
-                "closed": window.closed,
-            }
-            for window in shown.windows
-        ],
+        "windows": shown.windows,
     }
 
 
