@@ -58,19 +58,15 @@ def simulator_settings(
 ) -> SimulatorSettings:
     """Return the settings of the simulated cell that a config describes.
 
+    Raises ConfigError if a shape or a fault is unknown, or the linkage cannot open as far as the
+    gripper shall.
+
     Parameters
     ----------
-    config
-        The cell.
     layout
         Other taxels than the config's, for recorded grasps.
     grasps
         Recorded grasps to play instead of objects.
-
-    Raises
-    ------
-    ConfigError
-        If a shape or a fault is unknown, or the linkage cannot open as far as the gripper shall.
     """
     settings = config.simulator
     try:
@@ -199,10 +195,7 @@ def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:
 def simulation_of(config: CellConfig) -> SimulatedCell:
     """Return the simulated cell of a config, with its faults injected; in virtual time.
 
-    Raises
-    ------
-    ConfigError
-        If the config describes no cell, or one of its faults does not fit it.
+    Raises ConfigError if the config describes no cell, or one of its faults does not fit it.
     """
     settings = simulator_settings(config)
     try:
@@ -257,10 +250,7 @@ def simulated_objects(config: CellConfig) -> dict[str, Shape]:
 def drawn_shape(text: str) -> Shape:
     """Return the shape that a text describes, as ``cylinder:diameter=6mm,length=20mm``.
 
-    Raises
-    ------
-    ConfigError
-        If the text is no shape, or a mesh file cannot be read.
+    Raises ConfigError if the text is no shape, or a mesh file cannot be read.
     """
     try:
         return parse_shape(text)
@@ -305,10 +295,7 @@ class InProcessPlacer:
 def capture_traffic(cell: SimulatedCell | None, path: Path, undo: ExitStack) -> None:
     """Write all messages of a simulated CAN bus to a pcap file until ``undo`` is closed.
 
-    Raises
-    ------
-    ConfigError
-        If there is no simulated bus, or the file cannot be written.
+    Raises ConfigError if there is no simulated bus, or the file cannot be written.
     """
     if cell is None:
         raise ConfigError(

@@ -100,14 +100,9 @@ def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
     """Write the EEPROM of each servo back as its backup has it; return what was done, in lines.
 
     Each servo is read back. ID and baud rate come last; servos that shared an ID do so again.
-
-    Raises
-    ------
-    Left
-        When the writes are refused; nothing is written then.
-    CellError
-        If there is no backup, a servo does not answer where it should, is of another model, has
-        its torque on, or does not keep a value.
+    Raises Left when the writes are refused; nothing is written then. Raises CellError if there is
+    no backup, a servo does not answer where it should, is of another model, has its torque on, or
+    does not keep a value.
     """
     backups = [_read(path) for path in sorted(bench.folder.glob("backup-servo[0-9]*.json"))]
     backups = [b for b in backups if backup_file(bench.folder, b.servo_id).exists()]

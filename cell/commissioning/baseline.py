@@ -281,8 +281,6 @@ def measure_gauge(
 
     Parameters
     ----------
-    bench, config, dialog
-        Lines, cell and person.
     gauge
         Its name; None asks for it.
 

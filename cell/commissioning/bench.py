@@ -49,6 +49,8 @@ class LineOpener:
 class Bench:
     """What the steps work on. Each step opens the lines that it needs, and gives them back.
 
+    Raises ConfigError if the config of the folder is not valid.
+
     Parameters
     ----------
     folder
@@ -61,11 +63,6 @@ class Bench:
     base
         Config to begin with, whose values stay where no step finds others; by default that of the
         folder, where an earlier commissioning and its users have left one.
-
-    Raises
-    ------
-    ConfigError
-        If the config of the folder is not valid.
     """
 
     def __init__(

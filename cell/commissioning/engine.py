@@ -214,10 +214,7 @@ class Step:
 def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Finding:
     """Run a step and return what it found; an error of cell or lines is a failure of the step.
 
-    Raises
-    ------
-    Left
-        When the person leaves or refuses.
+    Raises Left when the person leaves or refuses.
     """
     notes = Finding()
     if step.needs_pads and bench.gripper_alone:
@@ -278,6 +275,9 @@ class _Logged:
 class Engine:
     """Steps in their order, and what they found so far.
 
+    Raises CellError if commissioning.json cannot be read, or a step needs one that does not stand
+    before it.
+
     Parameters
     ----------
     steps
@@ -287,11 +287,6 @@ class Engine:
     finish
         Called with the engine once all steps are done and the config is written; returns the
         files that it wrote (the record).
-
-    Raises
-    ------
-    CellError
-        If commissioning.json cannot be read, or a step needs one that does not stand before it.
     """
 
     def __init__(
@@ -324,10 +319,7 @@ class Engine:
     def redo(self, key: str) -> tuple[str, ...]:
         """Forget a step and all that need it; return their keys.
 
-        Raises
-        ------
-        CellError
-            If there is no such step.
+        Raises CellError if there is no such step.
         """
         if key not in [step.key for step in self.steps]:
             names = ", ".join(step.key for step in self.steps)
@@ -345,14 +337,9 @@ class Engine:
     def run(self, dialog: Dialog) -> tuple[Path, ...]:
         """Run the steps that are not done, then write the config; return the files written.
 
-        A step that fails is run again, or the person leaves.
-
-        Raises
-        ------
-        Left
-            When the person leaves; a further run goes on with the same step.
-        CellError
-            If the files cannot be written, or the config that was found is not valid.
+        A step that fails is run again, or the person leaves. Raises Left when the person leaves; a
+        further run goes on with the same step. Raises CellError if the files cannot be written, or
+        the config that was found is not valid.
         """
         for number, step in enumerate(self.steps, start=1):
             while not self.done(step):
@@ -405,10 +392,7 @@ class Engine:
 def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
     """Return the values that the steps of a folder have found, by their keys; none without a file.
 
-    Raises
-    ------
-    CellError
-        If commissioning.json cannot be read.
+    Raises CellError if commissioning.json cannot be read.
     """
     return {key: finding.values for key, finding in _read(folder / STORE_NAME).steps.items()}
 

@@ -39,8 +39,6 @@ def curves(
 
     Parameters
     ----------
-    title
-        Heading.
     x : (n,) float64
         Values of the axis.
     series
@@ -67,10 +65,6 @@ def pads(title: str, layout: TaxelLayout, values: ArrayLike, *, unit: str) -> Fi
 
     Parameters
     ----------
-    title
-        Heading.
-    layout
-        The taxels.
     values : (n_taxels,) float64
         Values in the order of the layout.
     unit
@@ -95,22 +89,13 @@ def pads(title: str, layout: TaxelLayout, values: ArrayLike, *, unit: str) -> Fi
 def svg(figure: Figure, name: str) -> str:
     """Return a figure as SVG elements; ``name`` tells those of one page apart.
 
-    Raises
-    ------
-    ReportError
-        If matplotlib is missing.
+    Raises ReportError if matplotlib is missing.
     """
     return _pads_svg(figure) if figure["kind"] == "pads" else _curves_svg(figure, name)
 
 
 def standalone_svg(figure: Figure) -> str:
-    """Return a figure as an SVG file, light or dark as its viewer.
-
-    Raises
-    ------
-    ReportError
-        As `svg`.
-    """
+    """Return a figure as an SVG file, light or dark as its viewer. Raises ReportError as `svg`."""
     css = page_template("style.css.j2").render()
     drawn = _grid(figure) if figure["kind"] == "pads" else _curves_svg(figure, "figure")
     head, rest = drawn.split(">", 1)

@@ -112,10 +112,7 @@ class LinkageFit:
 def directions(closed: Sequence[int], opened: Sequence[int]) -> tuple[Literal[1, -1], ...]:
     """Return the direction of each servo: 1 where its position grows while its finger opens.
 
-    Raises
-    ------
-    ValueError
-        If a servo was moved by less than 5 degrees.
+    Raises ValueError if a servo was moved by less than 5 degrees.
     """
     for before, after in zip(closed, opened, strict=True):
         if abs(after - before) < _MOVED_PULSES:
@@ -136,19 +133,9 @@ def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]
     """Return the linkages that fit closed fingers and blocks, the most probable first.
 
     Closed fingers (opening 0 at angle 0) are a measurement of their own. A swinging finger follows
-    the law of a parallelogram at the middle of its pad, with links that stand askew when closed;
-    it has one more unknown and is fitted from two blocks on, and preferred only where the simpler
-    ones fail.
-
-    Parameters
-    ----------
-    measured
-        One or more blocks.
-
-    Raises
-    ------
-    ValueError
-        If there is no block, or an angle that does not grow with the opening.
+    the law of a parallelogram at the middle of its pad, with links that stand askew when closed; it
+    has one more unknown and is fitted from two blocks on, and preferred only where the simpler ones
+    fail. Raises ValueError if there is no block, or an angle that does not grow with the opening.
     """
     if not measured or any(sum(one.angles_rad) <= 0.0 for one in measured):
         raise ValueError("a linkage needs a block on which the fingers are open")

@@ -67,12 +67,8 @@ _TICK_S = 0.08
 def bench_hand(bench: Bench, config: CellConfig) -> Iterator[Hand]:
     """Open the hand of a config on the bench's lines, for a gripper alone that of the servos.
 
-    At the end the torque goes off where nothing is held; what is held stays held.
-
-    Raises
-    ------
-    PortLost, LinkFault, HandLost
-        If a line cannot be opened.
+    At the end the torque goes off where nothing is held; what is held stays held. Raises PortLost,
+    LinkFault or HandLost if a line cannot be opened.
     """
     gripper, tactile = config.gripper, config.tactile
     hand: Hand

@@ -66,10 +66,7 @@ def watch_lines(
 ) -> LinkQuality:
     """Ask all servos and take in the pads, if there are any, once a period; return how both did.
 
-    Raises
-    ------
-    GripperError, TactileError
-        Where a line fails for good.
+    Raises GripperError or TactileError where a line fails for good.
     """
     quality = LinkQuality()
     began_s = due_s = clock.monotonic()

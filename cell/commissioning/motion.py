@@ -18,8 +18,6 @@ class WatchedMotion:
 
     Parameters
     ----------
-    dialog
-        The person.
     request_stop
         Lets the running command end with GraspStopped.
     """

@@ -132,8 +132,6 @@ def judge_rest(
     ----------
     layout, frames, rest
         The taxels, frames (n, n_taxels) at rest, and what they show.
-    notes
-        What is found.
     limits
         Limits of the zero.
     contact_force_n, most_force_n
@@ -261,8 +259,6 @@ def pressed_at(layout: TaxelLayout, force_n: NDArray[np.float64]) -> Patch | Non
 
     Parameters
     ----------
-    layout
-        The taxels.
     force_n : (n_taxels,) float64
         Force on each touched taxel in N.
     """
@@ -294,8 +290,6 @@ def mounts_of(layout: TaxelLayout, patches: Mapping[int, Patch]) -> tuple[PadMou
 
     Parameters
     ----------
-    layout
-        The taxels.
     patches
         Where the patch was by the pad that was pressed near its last row and column.
     """

@@ -28,17 +28,12 @@ _Section = TypeVar("_Section", bound=BaseModel)
 def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
     """Return a config, or a section of one, with some values changed.
 
+    Raises ConfigError if there is no such value, or the result is no valid config.
+
     Parameters
     ----------
-    config
-        The config.
     changes
         New values by dotted path, as ``{"tactile.tare_frames": 25}``.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such value, or the result is no valid config.
     """
     # What nobody has set is left to its default, which may rest on other keys.
     left = type(config).model_fields.keys() - config.model_fields_set - changes.keys()
@@ -220,10 +215,7 @@ def load_config(path: Path | None) -> CellConfig:
 def parse_config(text: str, *, source: str) -> CellConfig:
     """Check the text of a config; ``source`` names it in complaints.
 
-    Raises
-    ------
-    ConfigError
-        As `load_config`.
+    Raises ConfigError as `load_config`.
     """
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{source}: {len(text)} characters; a config has at most {MAX_BYTES}")

@@ -61,8 +61,6 @@ def setting_of(
     ----------
     owner
         Dataclass whose field ``name`` has the metadata ``low``, ``above`` and ``high``.
-    name
-        The field.
     unit
         SI units in one unit of the key: `MILLI` for mm and ms.
     at_least, at_most

@@ -14,11 +14,8 @@ LONGEST_LABEL = 200
 def checked_label(label: str) -> str:
     """Return a label that data sets, models and answers can carry.
 
-    Raises
-    ------
-    ValueError
-        If it is blank, too long, not printable, has space around it, or is the word for what is
-        not known.
+    Raises ValueError if it is blank, too long, not printable, has space around it, or is the word
+    for what is not known.
     """
     if not label.strip() or label != label.strip():
         raise ValueError(f"label {label!r:.60} is blank or has space around it; write a name")

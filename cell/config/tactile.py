@@ -173,10 +173,7 @@ def link_settings(config: TactileConfig) -> LinkSettings:
 def layout_from_config(config: TactileConfig) -> TaxelLayout:
     """Return the layout that a config names or spells out.
 
-    Raises
-    ------
-    ConfigError
-        If pads of one's own do not make a layout (one inner pad for each finger).
+    Raises ConfigError if pads of one's own do not make a layout (one inner pad for each finger).
     """
     if isinstance(config.layout, str):
         return LAYOUTS[config.layout]()
@@ -214,12 +211,8 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
 def layout_from_pads(pads: PadArray) -> TaxelLayout:
     """Return a layout that carries recorded frames of these pads.
 
-    Half of the pads are taken for each finger, in order; the first of each half grips.
-
-    Raises
-    ------
-    ConfigError
-        If there are not two equal halves.
+    Half of the pads are taken for each finger, in order; the first of each half grips. Raises
+    ConfigError if there are not two equal halves.
     """
     if pads.n_pads < 2 or pads.n_pads % 2:
         raise ConfigError(

@@ -140,8 +140,6 @@ class AxesPositioner:
 
     Parameters
     ----------
-    axes
-        The axes.
     moved
         What they move, of x, y, rotation and roll.
     bring
@@ -172,13 +170,9 @@ class AxesPositioner:
     def move_to(self, pose: Pose, supervise: Callable[[], None] = unwatched) -> Pose:
         """Move all axes to the pose; return where they are.
 
-        Raises
-        ------
-        PositionerError
-            If the pose is outside the limits, part of it is moved by no axis, the fingers do not
-            rest, or the way took too long; a way that was begun was stopped.
-        PositionerFault
-            If a drive is at fault or silent; all axes were stopped.
+        Raises PositionerError if the pose is outside the limits, part of it is moved by no axis,
+        the fingers do not rest, or the way took too long; a way that was begun was stopped. Raises
+        PositionerFault if a drive is at fault or silent; all axes were stopped.
         """
         reached = self._move(pose, _FINGERS_REST, supervise)
         return replace(pose, **{_FIELDS[part]: value for part, value in reached.items()})
@@ -186,12 +180,8 @@ class AxesPositioner:
     def carry_to(self, destination: Destination, supervise: Callable[[], None] = unwatched) -> None:
         """Move all axes to a place with the part that is kept in the grip.
 
-        Raises
-        ------
-        PositionerError
-            If the place has no pose, or as `move_to`. The part is still kept.
-        PositionerFault
-            As `move_to`. The part is still kept.
+        Raises PositionerError if the place has no pose, or as `move_to`. The part is still kept.
+        Raises PositionerFault as `move_to`. The part is still kept.
         """
         if destination.pose is None:
             raise PositionerError(

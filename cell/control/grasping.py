@@ -82,12 +82,8 @@ class Grasper:
         What grasps, and what moves the object in between.
     life
         Holds requested stops and the states to record.
-    journal
-        Gets what happens.
     zeros
         The newest self-zero, which grasps carry.
-    clock
-        Monotonic time.
     """
 
     def __init__(
@@ -118,12 +114,8 @@ class Grasper:
     def check(self, step: GraspStep, label: str = "") -> None:
         """Refuse a step that cannot be carried out, before anything moves.
 
-        Raises
-        ------
-        PlanRefused
-            If it is no step, or the label none that a recording may have.
-        gripper.errors.LimitExceeded
-            If its force is no number or beyond a limit.
+        Raises PlanRefused if it is no step, or the label none that a recording may have, and
+        gripper.errors.LimitExceeded if its force is no number or beyond a limit.
         """
         if not (isinstance(step, GraspStep) and isinstance(step.pose, Pose)):
             raise PlanRefused(
@@ -182,12 +174,8 @@ class Grasper:
     def measure_zero(self) -> ZeroMeasurement:
         """Close the empty fingers on each other, look at what they show, open them again.
 
-        Raises
-        ------
-        gripper.errors.PartBetweenFingers
-            If something is between them; the grip is kept.
-        ZeroRefused
-            If they show no sound pads; the fingers are open.
+        Raises gripper.errors.PartBetweenFingers if something is between them; the grip is kept.
+        Raises ZeroRefused if they show no sound pads; the fingers are open.
         """
         outcome, found, refused = self._meet()
         if between := part_between(outcome, found):

@@ -94,14 +94,10 @@ class SequenceAnswers:
 
     Parameters
     ----------
-    recognizer
-        Answers a grasp.
     rule
         When the sequence ends.
     read_shape
         Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`.
-    on_grasp
-        Called after each grasp.
     begin
         How the answers are computed.
     """
@@ -229,8 +225,6 @@ def grasp_and_classify(
     grasp
         Carries one step out, ends its ramp where the looks at it decide, and does with the part
         what the judge decides; returns the record, and whether the part was kept.
-    recognizer
-        Answers a grasp.
     plan
         Steps in order, at least one; with a ``chooser`` each is a proposal that it may replace.
     error_rate

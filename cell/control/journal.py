@@ -86,10 +86,8 @@ class Journal:
     def cycle(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
         """Record one period of the loop and the frames that came in it.
 
-        Raises
-        ------
-        RecordingError
-            If the recording has stopped and the config wants the cell to hold then.
+        Raises RecordingError if the recording has stopped and the config wants the cell to hold
+        then.
         """
         if self._recorder is not None:
             self._recorder.cycle(cycle)

@@ -100,8 +100,6 @@ def measured(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
 
     Parameters
     ----------
-    collector
-        The periods and frames of the look.
     zero : (n_taxels,) float64
         Counts of the open fingers.
     """
@@ -175,10 +173,6 @@ def spliced(approach: Grasp, further: Grasp, from_n: float) -> Grasp:
 
     Parameters
     ----------
-    approach
-        The first grasp of the grip.
-    further
-        The further ramp.
     from_n
         Set-point in N at which the further ramp begins.
     """

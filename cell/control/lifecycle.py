@@ -59,8 +59,6 @@ class CellLifecycle:
         Gets stops, faults and each change of state.
     shows_nothing
         Whether pads and current showed last that nothing is held.
-    clock
-        Monotonic time.
     """
 
     def __init__(

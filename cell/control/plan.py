@@ -109,10 +109,7 @@ def plan_list(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
 def plan(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[GraspStep, ...]:
     """Plan ``n_grasps`` grasps of the config's ``kind``.
 
-    Raises
-    ------
-    ValueError
-        If ``n_grasps`` is below 1.
+    Raises ValueError if ``n_grasps`` is below 1.
     """
     if n_grasps < 1:
         raise ValueError(f"a plan of {n_grasps} grasps is empty; plan at least 1")

@@ -107,12 +107,8 @@ class PatientCaller:
         """Make a call and return what it returns; ``supervise`` is called meanwhile.
 
         What the supervision raises is raised at once: nobody has to answer a question first whose
-        answer no longer matters. The call then goes on by itself.
-
-        Raises
-        ------
-        PositionerError
-            If an earlier call still goes on: two must never move at once.
+        answer no longer matters. The call then goes on by itself. Raises PositionerError if an
+        earlier call still goes on: two must never move at once.
         """
         if self._last is not None and not self._last.done():
             raise PositionerError(
@@ -327,8 +323,6 @@ class HostPlaces:
     ----------
     positioner
         Moves to the poses of a sequence.
-    places
-        Callback of the host.
     """
 
     def __init__(self, positioner: Positioner, places: CarryCallback) -> None:

@@ -60,14 +60,10 @@ def grasp_state(
 
     Parameters
     ----------
-    phase
-        Phase of the gripper.
     result
         How the last grasp ended; None before the first one and after a release.
-    fault
-        Whether a fault is latched.
-    part_lost
-        Whether that fault is the loss of the part.
+    fault, part_lost
+        Whether a fault is latched, and whether it is the loss of the part.
     """
     if fault:
         return GraspState.PART_LOST if part_lost else GraspState.ERROR
@@ -234,10 +230,7 @@ class CommandEffect:
 def next_state(state: CellState, event: Event) -> CellState:
     """Return the state that follows.
 
-    Raises
-    ------
-    ValueError
-        If the event is not allowed in this state; the message lists what is.
+    Raises ValueError if the event is not allowed in this state; the message lists what is.
     """
     try:
         return TRANSITIONS[state, event]

@@ -174,10 +174,8 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
 def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
     """Read the grasps of a data set, or of a recording where the file is an ``.mcap``.
 
-    Raises
-    ------
-    DatasetError, cell.errors.RecordingError
-        If the file cannot be read, or holds no whole grasp.
+    Raises DatasetError or cell.errors.RecordingError if the file cannot be read, or holds no whole
+    grasp.
     """
     path = Path(path)
     if path.suffix != ".mcap":
@@ -193,10 +191,8 @@ def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
 def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:
     """Write grasps as one data set, whole or not at all; an older file stays until then.
 
-    Raises
-    ------
-    DatasetError
-        Where there is no grasp, the pads differ, a text cannot be stored, or the disk refuses.
+    Raises DatasetError where there is no grasp, the pads differ, a text cannot be stored, or the
+    disk refuses.
     """
     path = Path(path)
     if not grasps:

@@ -51,8 +51,9 @@ class Tap(Protocol):
 class Recorder:
     """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
 
-    A disk that is full, gone or too slow never raises into the force loop: the recording stops
-    for good, `fault` gives the reason and how many frames can be read, and `close` raises it.
+    A disk that is full, gone or too slow never raises into the force loop: the recording stops for
+    good, `fault` gives the reason and how many frames can be read, and `close` raises it. Raises
+    RecordingError if the file cannot be made.
 
     Parameters
     ----------
@@ -74,11 +75,6 @@ class Recorder:
     wall_clock_ns
         Wall clock in ns since 1970, read at the start and with each change of state; it is kept
         for people and orders nothing.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be made.
     """
 
     def __init__(

@@ -68,8 +68,6 @@ class BackgroundFile(DirectFile):
 
     Parameters
     ----------
-    path
-        The new file.
     max_waiting_bytes
         More than this waiting is an OSError: the disk is too slow.
     close_timeout_s

@@ -64,12 +64,8 @@ def read_raw(path: Path) -> RawRecording:
     """Read every whole record of an MCAP file of JSON messages.
 
     A file that was cut off gives all complete chunks; a damaged chunk is left out; ``lost_reason``
-    names both.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read at all, is too large, or is no MCAP file.
+    names both. Raises RecordingError if the file cannot be read at all, is too large, or is no MCAP
+    file.
     """
     data = _bytes_of(path)
     if data[:8] != b"\x89MCAP0\r\n":
@@ -268,10 +264,8 @@ class Recording:
 def read_recording(path: Path | str) -> Recording:
     """Read a recording; of one that was cut off or damaged, all that is whole.
 
-    Raises
-    ------
-    RecordingError
-        If it is no recording of ours, or so short that its description is missing.
+    Raises RecordingError if it is no recording of ours, or so short that its description is
+    missing.
     """
     path = Path(path)
     raw = read_raw(path)
@@ -287,10 +281,7 @@ def read_recording(path: Path | str) -> Recording:
 def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
     """Return the grasps of a recording.
 
-    Raises
-    ------
-    RecordingError
-        If it cannot be read, is not complete, or holds no whole grasp.
+    Raises RecordingError if it cannot be read, is not complete, or holds no whole grasp.
     """
     recording = read_recording(path)
     if not recording.complete:

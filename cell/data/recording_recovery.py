@@ -35,11 +35,8 @@ class Recovered:
 def recover_recording(path: Path | str, target: Path | str) -> Recovered:
     """Write what is whole in a recording to a new one; the old one stays as it is.
 
-    Raises
-    ------
-    RecordingError
-        If the old one is no recording or nothing in it can be read, or the new one exists or
-        cannot be written.
+    Raises RecordingError if the old one is no recording or nothing in it can be read, or the new
+    one exists or cannot be written.
     """
     path, target = Path(path), Path(target)
     if target.exists():

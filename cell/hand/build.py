@@ -26,12 +26,9 @@ def open_hand(
 ) -> LocalHand:
     """Open the real ports of a config; nothing moves yet.
 
-    With ``partial`` one of both lines may be missing; a note of the hand names it.
-
-    Raises
-    ------
-    gripper.errors.PortLost, tactile.errors.LinkFault
-        If a port or bus cannot be opened; with ``partial`` if none can.
+    With ``partial`` one of both lines may be missing; a note of the hand names it. Raises
+    gripper.errors.PortLost or tactile.errors.LinkFault if a port or bus cannot be opened; with
+    ``partial`` if none can.
     """
     gripper, tactile = config.gripper, config.tactile
     lines = Lines(

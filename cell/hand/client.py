@@ -47,7 +47,9 @@ class LoopProcess:
     """One process of the force loop, from its start to its end.
 
     It is started afresh (exec, no fork): it shares no lock, thread or interpreter with the program,
-    and the program's main module is not imported in it.
+    and the program's main module is not imported in it. Raises gripper.errors.PortLost or
+    tactile.errors.LinkFault if a port or bus cannot be opened, and HandLost if the process does not
+    come up.
 
     Parameters
     ----------
@@ -55,13 +57,6 @@ class LoopProcess:
         The cell; its ports are real.
     partial
         As `cell.hand.build.open_hand`.
-
-    Raises
-    ------
-    gripper.errors.PortLost, tactile.errors.LinkFault
-        If a port or bus cannot be opened.
-    HandLost
-        If the process does not come up.
     """
 
     def __init__(self, config: CellConfig, *, partial: bool = False) -> None:

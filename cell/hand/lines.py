@@ -15,6 +15,9 @@ MISSING = "this line is missing: "
 class Lines:
     """Servo line and CAN bus of one hand; each can be missing, and be opened anew.
 
+    Raises gripper.errors.PortLost or tactile.errors.BusNotOpened if a line cannot be opened; with
+    ``partial`` if none can.
+
     Parameters
     ----------
     open_servos, open_can
@@ -23,11 +26,6 @@ class Lines:
         Whether one of both may be missing: it then raises why, whatever is asked of it.
     stream, can_bus
         Ends that are open already and belong to somebody else.
-
-    Raises
-    ------
-    gripper.errors.PortLost, tactile.errors.BusNotOpened
-        If a line cannot be opened; with ``partial`` if none can.
     """
 
     def __init__(

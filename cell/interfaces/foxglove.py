@@ -28,7 +28,8 @@ _JUMP_S = 0.5
 class FoxgloveDoor:
     """Serves the channels of a recording to Foxglove; implements `cell.data.recorder.Tap`.
 
-    Messages are put aside in the thread that makes them, and sent by a thread of its own.
+    Messages are put aside in the thread that makes them, and sent by a thread of its own. Raises
+    CellError if the port cannot be opened.
 
     Parameters
     ----------
@@ -36,11 +37,6 @@ class FoxgloveDoor:
         TCP port on loopback; 0: any free one.
     wall_clock_ns
         Unix time in ns; ``log_time`` of each message is the cell's clock related to it.
-
-    Raises
-    ------
-    CellError
-        If the port cannot be opened.
     """
 
     def __init__(self, port: int, wall_clock_ns: Callable[[], int] = time.time_ns) -> None:

@@ -68,8 +68,6 @@ class Gate:
 
     Parameters
     ----------
-    app
-        The application behind.
     config
         Has the allow-list.
     longest
@@ -210,16 +208,14 @@ class _Listener(socket.socket):
 class HttpServer:
     """An application behind the gate, at an address and port, in a thread of its own.
 
+    Raises OSError if it cannot listen there, or a file cannot be read.
+
     Parameters
     ----------
-    app
-        The ASGI application.
     config
         Address, allow-list and limits.
     port
         TCP port; 0: any free one.
-    name
-        Of the thread.
     longest
         Returns the largest body in bytes of a request from a client.
     pages
@@ -228,11 +224,6 @@ class HttpServer:
         Silence in s between two requests after which a connection is closed.
     settings
         Further ones of uvicorn.
-
-    Raises
-    ------
-    OSError
-        If it cannot listen there, or a file cannot be read.
     """
 
     def __init__(

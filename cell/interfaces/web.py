@@ -131,15 +131,7 @@ def state_moment(service: Service) -> LiveMessage:
 class WebDoor(WebServer):
     """The cell behind HTTP and WebSocket, below ``/api``.
 
-    Parameters
-    ----------
-    service
-        The cell.
-
-    Raises
-    ------
-    OSError, ConfigError
-        As `WebServer`.
+    Raises OSError or ConfigError as `WebServer`.
     """
 
     def __init__(self, service: Service) -> None:

@@ -82,7 +82,8 @@ class WebServer(HttpServer):
     """A page and its API below ``/api``: the token, the lease, the live state, paths of its own.
 
     The first lines of the methods are the OpenAPI description. `hold` needs no token. It has TLS
-    where a certificate is configured.
+    where a certificate is configured. Raises OSError or ConfigError if it cannot listen at the
+    configured address and port, or a file cannot be read, or that of the token holds none.
 
     Parameters
     ----------
@@ -96,12 +97,6 @@ class WebServer(HttpServer):
         Further paths, which need the token.
     page
         File of the page.
-
-    Raises
-    ------
-    OSError, ConfigError
-        If it cannot listen at the configured address and port, or a file cannot be read, or that
-        of the token holds none.
     """
 
     hold: Callable[..., Any]

@@ -57,8 +57,6 @@ class Wizard(Dialog):
 
     Parameters
     ----------
-    engine
-        The steps and what they found.
     config
         Has the time-out of the lease.
     """
@@ -91,12 +89,8 @@ class Wizard(Dialog):
     def run(self, lease: int) -> None:
         """Begin, or go on with the first step that is not done.
 
-        Raises
-        ------
-        NotInCommand
-            As `cell.interfaces.service.lease.Lease.alive`, and so the other commands.
-        RequestRefused
-            While a step runs.
+        Raises NotInCommand as `cell.interfaces.service.lease.Lease.alive`, and so the other
+        commands, and RequestRefused while a step runs.
         """
         with self._changed:
             self.lease.alive(lease)
@@ -108,10 +102,8 @@ class Wizard(Dialog):
     def answer(self, lease: int, asked_id: int, value: str | float | bool) -> None:
         """Answer the open question, or the writes that wait: true approves them.
 
-        Raises
-        ------
-        RequestRefused
-            If something else is asked by now, or the answer is none of those that are offered.
+        Raises RequestRefused if something else is asked by now, or the answer is none of those that
+        are offered.
         """
         with self._changed:
             self.lease.alive(lease)
@@ -332,10 +324,7 @@ class RedoBody(LeasedBody):
 class WizardDoor(WebServer):
     """The wizard behind HTTP and WebSocket, below ``/api``.
 
-    Raises
-    ------
-    OSError, ConfigError
-        As `WebServer`.
+    Raises OSError or ConfigError as `WebServer`.
     """
 
     def __init__(self, wizard: Wizard) -> None:

@@ -62,12 +62,8 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
 class XmlRpcDoor(HttpServer):
     """The cell behind XML-RPC.
 
-    Raises
-    ------
-    OSError
-        If it cannot listen at the configured address and port, or the file of the secret be read.
-    ConfigError
-        If the secret is too short.
+    Raises OSError if it cannot listen at the configured address and port, or the file of the secret
+    be read, and ConfigError if the secret is too short.
     """
 
     def __init__(self, service: Service) -> None:

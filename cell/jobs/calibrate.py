@@ -22,19 +22,15 @@ def calibrate_model(
 ) -> ForceRampRecognizer:
     """Return a copy of the taught recogniser after gauges.
 
+    Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads,
+    and CellError if an object was not taught, or no grasp of it touched both pads.
+
     Parameters
     ----------
     model
         Taught before the drift; what earlier gauges have shown is forgotten.
     grasps
         Grasps of each gauge object, taken now; each is one of the taught objects.
-
-    Raises
-    ------
-    ModelError
-        If the model is of a kind that cannot be gauged, or was taught on other pads.
-    CellError
-        If an object was not taught, or no grasp of it touched both pads.
     """
     recognizer = gaugeable(model.recognizer, model.trainer_name).without_gauges()
     for label, taken in grasps.items():
@@ -51,12 +47,8 @@ def calibrate_model(
 def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecognizer:
     """Return a copy that keeps what the grasps of a shift, named by nobody, show of the drift.
 
-    Raises
-    ------
-    ModelError
-        If the model is of a kind that cannot be gauged, or was taught on other pads.
-    CellError
-        If there are fewer grasps than show a drift.
+    Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads,
+    and CellError if there are fewer grasps than show a drift.
     """
     recognizer = gaugeable(model.recognizer, model.trainer_name)
     if len(grasps) < MIN_UNNAMED_GRASPS:
@@ -73,12 +65,8 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecogn
 def check_gauge(model: LoadedModel, label: str) -> None:
     """Refuse a gauge object that the model cannot be calibrated with, before it is grasped.
 
-    Raises
-    ------
-    ModelError
-        If the model is of a kind that cannot be gauged.
-    CellError
-        If the object was not taught.
+    Raises ModelError if the model is of a kind that cannot be gauged, and CellError if the object
+    was not taught.
     """
     gaugeable(model.recognizer, model.trainer_name)
     if label not in model.labels:

@@ -24,10 +24,7 @@ def progress_of(progress: Progress) -> Callable[[Collection], None]:
 def job_folder(directory: Path, job: str) -> Path:
     """Make a new folder for one job, named by job and time; an existing one is never used.
 
-    Raises
-    ------
-    CellError
-        If it cannot be made.
+    Raises CellError if it cannot be made.
     """
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     for attempt in range(100):

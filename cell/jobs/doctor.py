@@ -81,8 +81,6 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Che
 
     Parameters
     ----------
-    config
-        The cell.
     config_file
         The file that it was read from, for the commands that are advised.
     """
@@ -127,8 +125,6 @@ def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckR
     ----------
     bench
         Lines and folder of the commissioning.
-    config
-        The cell.
     dialog
         Shows each motion before it is made, and asks for the object.
 

@@ -98,6 +98,9 @@ def evaluate_recognizers(
 ) -> EvaluationResult:
     """Train and test each named recogniser.
 
+    Raises CellError if the split leaves nothing to train or test, the grasps were taken on other
+    pads, or no recogniser can be taught with them.
+
     Parameters
     ----------
     grasps
@@ -116,12 +119,6 @@ def evaluate_recognizers(
     gauge
         An object whose first tested grasps show the drift instead of being tested; it is then
         taken off all others, for every recogniser alike.
-
-    Raises
-    ------
-    CellError
-        If the split leaves nothing to train or test, the grasps were taken on other pads, or no
-        recogniser can be taught with them.
     """
     started_s = time.monotonic()
     if train is not None:

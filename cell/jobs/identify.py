@@ -106,12 +106,7 @@ def identify_on_cell(
 ) -> tuple[Identification, str | None]:
     """Run one sequence; return its answer and, where the cell is simulated, the object held.
 
-    A simulated cell that is given no object draws one of its own.
-
-    Raises
-    ------
-    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-        As `TaughtModel.identify`.
+    A simulated cell that is given no object draws one of its own. Raises as `TaughtModel.identify`.
     """
     if held is None and config.brings_objects:
         objects = [entry.label for entry in config.simulator.objects]

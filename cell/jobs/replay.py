@@ -86,6 +86,8 @@ def replay_grasps(
 ) -> ReplayResult:
     """Train on one part of recorded grasps, send the other through the links, identify it.
 
+    Raises CellError if the split is not understood, or the grasps cannot be played.
+
     Parameters
     ----------
     grasps
@@ -97,15 +99,8 @@ def replay_grasps(
         Which part trains, as ``chronological:0.6``.
     limit
         Most grasps to replay, spread evenly over the rest.
-    recognizer
-        Name of the recogniser.
     capture
         pcap file for the CAN traffic.
-
-    Raises
-    ------
-    CellError
-        If the split is not understood, or the grasps cannot be played.
     """
     started_s = time.monotonic()
     progress("train", 0, 1)

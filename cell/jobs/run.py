@@ -228,10 +228,7 @@ def teach_objects(
 ) -> list[Collection]:
     """Grasp each object ``n_grasps`` times for the training set of the model.
 
-    Raises
-    ------
-    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-        As `TaughtModel.collect`.
+    Raises as `TaughtModel.collect`.
     """
     taught = [Collection(label=label, n_planned=n_grasps) for label in labels]
     for number, one in enumerate(taught):

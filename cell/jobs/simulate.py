@@ -51,6 +51,8 @@ def serve_simulated_cell(
 ) -> None:
     """Serve until SIGTERM or SIGINT.
 
+    Raises CellError if terminals, socket or files cannot be made.
+
     Parameters
     ----------
     config
@@ -64,11 +66,6 @@ def serve_simulated_cell(
         Gets device paths, and the path of the ready config as ``config``, when clients can come.
     until_parent_ends
         Also end when the process that started this one is gone.
-
-    Raises
-    ------
-    CellError
-        If terminals, socket or files cannot be made.
     """
     grasps: tuple[Grasp, ...] = read_grasps(frames) if frames is not None else ()
     layout = layout_from_pads(grasps[0].pads) if grasps else None

@@ -22,17 +22,7 @@ from recognition.recognizer import UNKNOWN
 class Places:
     """Places of a sort by the label of a part.
 
-    Parameters
-    ----------
-    config
-        The cell.
-    labels
-        The taught parts.
-
-    Raises
-    ------
-    ConfigError
-        If the config names places, but none for one of these parts.
+    Raises ConfigError if the config names places, but none for one of these parts.
     """
 
     def __init__(self, config: CellConfig, labels: Iterable[str]) -> None:

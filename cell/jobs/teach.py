@@ -28,27 +28,19 @@ def teach_to_dataset(
 ) -> None:
     """Grasp one known object and add its grasps to a data set, also where that ends early.
 
+    Raises DatasetError if the data set cannot be written; the message names the recording, which
+    has the grasps. Else it raises as `Collection.fill`. The grasps until then are in the data set.
+
     Parameters
     ----------
-    cell, config
-        The cell, started, and its config.
     collection
         The object and how often it is grasped; holds the records at the end.
     dataset
         Data set to write or extend.
     before
         The grasps that it holds already; see `dataset_to_extend`.
-    progress
-        Called after each grasp.
     note
         Called with how many grasps were added, also where the teaching ends early.
-
-    Raises
-    ------
-    DatasetError
-        If the data set cannot be written; the message names the recording, which has the grasps.
-    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-        As `Collection.fill`. The grasps until then are in the data set.
     """
     try:
         collection.fill(
@@ -71,15 +63,12 @@ def teach_to_dataset(
 def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
     """Add the grasps of a recording or data set that have no label to a data set, under a label.
 
+    Raises CellError if a file cannot be read or written, or every grasp of the source has a label.
+
     Returns
     -------
     (added, before)
         Grasps that were added, and those that the data set held before.
-
-    Raises
-    ------
-    CellError
-        If a file cannot be read or written, or every grasp of the source has a label.
     """
     grasps = [grasp for grasp in read_grasps(source) if not grasp.label]
     if not grasps:
@@ -92,10 +81,7 @@ def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
 def labelled(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:
     """Return the labelled grasps of a data set or recording; a note says how many have no label.
 
-    Raises
-    ------
-    CellError
-        If none has a label: then nothing can be taught or tested with them.
+    Raises CellError if none has a label: then nothing can be taught or tested with them.
     """
     grasps = read_grasps(path)
     named = tuple(grasp for grasp in grasps if grasp.label)
@@ -124,10 +110,7 @@ def repeated(grasps: Sequence[Grasp]) -> list[Grasp]:
 def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
     """Return the grasps that a data set holds already, before grasps of these pads are taken.
 
-    Raises
-    ------
-    CellError
-        If it cannot be read, holds grasps on other pads, or its folder does not exist.
+    Raises CellError if it cannot be read, holds grasps on other pads, or its folder does not exist.
     """
     if not path.parent.is_dir():
         raise CellError(f"{path}: the folder {path.parent} does not exist; make it first")
@@ -139,10 +122,7 @@ def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
 def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp]) -> None:
     """Write a data set anew with further grasps at its end.
 
-    Raises
-    ------
-    CellError
-        If the new grasps were taken on other pads; the file stays as it was.
+    Raises CellError if the new grasps were taken on other pads; the file stays as it was.
     """
     _check_pads(path, before, new[0].pads)
     write_dataset(path, [*before, *new])

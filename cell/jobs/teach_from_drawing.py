@@ -42,6 +42,8 @@ def teach_drawing(
 ) -> list[Grasp]:
     """Grasp a drawing ``n_grasps`` times as the cell would, at the poses and forces of its plan.
 
+    Raises CellError if the object does not fit between the open pads, or lies beside them.
+
     Parameters
     ----------
     config
@@ -54,11 +56,6 @@ def teach_drawing(
         Of poses, forces, noise and all that is not known exactly.
     start_ms
         Time of the first grasp; each next one counts a second more.
-
-    Raises
-    ------
-    CellError
-        If the object does not fit between the open pads, or lies beside them.
     """
     known = known or PadKnowledge(foam=usual_foam(config))
     layout = layout_from_config(config.tactile)

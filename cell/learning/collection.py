@@ -53,25 +53,16 @@ class Collection:
         """Grasp the object at different poses and forces until the plan is at its end.
 
         A grasp that finds no part is counted and left out. Whatever ends it early, the grasps
-        before stay in the records.
+        before stay in the records. Raises NoPartFound if several grasps in a row find no part, or
+        none finds one, and cell.errors.CellStopped, gripper.errors.GripperError or
+        tactile.errors.TactileError as `CellController.grasp`.
 
         Parameters
         ----------
-        controller
-            The cell, started.
         sequence
             Ranges of poses and forces.
-        seed
-            Seed of the plan.
         on_grasp
             Called with this collection after each grasp, a missed one too.
-
-        Raises
-        ------
-        NoPartFound
-            If several grasps in a row find no part, or none finds one.
-        cell.errors.CellStopped, gripper.errors.GripperError, tactile.errors.TactileError
-            As `CellController.grasp`.
         """
         misses: list[NoPartFound] = []
 

@@ -109,10 +109,7 @@ class LoadedModel:
     def section(self, name: str, build: Callable[[Arrays], _T]) -> _T | None:
         """Return what ``build`` makes of a section's arrays; None where there is no such section.
 
-        Raises
-        ------
-        ModelError
-            If the arrays are not what ``build`` takes.
+        Raises ModelError if the arrays are not what ``build`` takes.
         """
         arrays = self.sections.get(name)
         return None if arrays is None else _built(self.path, lambda: build(arrays))
@@ -137,12 +134,13 @@ def save_model(
 ) -> None:
     """Write a taught recogniser, whole or not at all.
 
+    Raises ModelError if the kind is unknown or the disk refuses, and ValueError if a section has no
+    name of its own.
+
     Parameters
     ----------
     path
         The model file; an older one stays until the new one is whole.
-    recognizer
-        What was taught.
     trainer_name
         Its kind, one of `recognition.recognizers.trainer_names`.
     pads
@@ -150,13 +148,6 @@ def save_model(
     sections
         Further arrays, by the name of a section and their own; a program without use for a section
         leaves it alone.
-
-    Raises
-    ------
-    ModelError
-        If the kind is unknown or the disk refuses.
-    ValueError
-        If a section has no name of its own.
     """
     path = Path(path)
     kind = type(recognizer)
@@ -189,17 +180,13 @@ def save_model(
 def load_model(path: Path | str, expected_pads: PadArray | None = None) -> LoadedModel:
     """Read a model file.
 
+    Raises ModelError if the file is damaged, no model, of another version, or was taught on other
+    pads.
+
     Parameters
     ----------
-    path
-        The model file.
     expected_pads
         The pads of the cell; None to take those of the model.
-
-    Raises
-    ------
-    ModelError
-        If the file is damaged, no model, of another version, or was taught on other pads.
     """
     path = Path(path)
     arrays = read_npz(path, error=ModelError, what="model", limit_bytes=MODEL_LIMIT_BYTES)

@@ -123,10 +123,7 @@ def usual_foam(config: CellConfig) -> FoamModel:
 def gauge_shape(grasps: Sequence[Grasp], text: str | None, config: CellConfig) -> Drawing:
     """Return the shape of the gauge: as given, else the configured object of the grasps' label.
 
-    Raises
-    ------
-    CellError
-        If the grasps are of several objects, or their shape is not known.
+    Raises CellError if the grasps are of several objects, or their shape is not known.
     """
     labels = sorted({grasp.label for grasp in grasps})
     if len(labels) > 1:
@@ -145,19 +142,14 @@ def calibrate_on_gauge(
 ) -> PadKnowledge:
     """Fit stiffness and gain to grasps of a known object.
 
+    Raises CellError if the grasps were taken on other pads, or do not suffice.
+
     Parameters
     ----------
-    grasps, drawing
-        The grasps and the shape of the object.
     pads
         Those of the cell.
     foam
         Foam and sensor to begin with; equation (11) by default.
-
-    Raises
-    ------
-    CellError
-        If the grasps were taken on other pads, or do not suffice.
     """
     if not grasps[0].pads.same_as(pads):
         raise CellError(
@@ -188,21 +180,15 @@ def calibrate_on_gauge(
 def pad_knowledge(config: CellConfig, gauge: Path | None, gauge_text: str | None) -> PadKnowledge:
     """Return foam and sensor by a gauge, or the usual ones without one.
 
+    Raises ConfigError if a shape is given without grasps, or is none, and CellError if the grasps
+    cannot be read, or do not suffice.
+
     Parameters
     ----------
-    config
-        The cell.
     gauge
         Data set or recording of grasps of one known object; None: the usual foam.
     gauge_text
         Its shape; None: that of the configured object of the grasps' label.
-
-    Raises
-    ------
-    ConfigError
-        If a shape is given without grasps, or is none.
-    CellError
-        If the grasps cannot be read, or do not suffice.
     """
     foam = usual_foam(config)
     if gauge is None:

@@ -26,17 +26,12 @@ _NOUNS = {
 def shape_reader(config: CellConfig, known: PadKnowledge | None = None) -> ReadShape | None:
     """Return the function that reads shape and size on a cell; None where the config wants none.
 
+    Raises ConfigError if there is a gauge, and the config wants no shapes.
+
     Parameters
     ----------
-    config
-        The cell.
     known
         Foam and sensor; by default the usual ones, under the config's law.
-
-    Raises
-    ------
-    ConfigError
-        If there is a gauge, and the config wants no shapes.
     """
     if not config.recognition.shape:
         if known is not None and known.fit is not None:

@@ -57,24 +57,17 @@ class TaughtModel:
     """A recogniser of taught objects with all that belongs to it in a running cell.
 
     Beside the recogniser, which follows the drift, these are its training set, early classifiers
-    and pose memory where the config uses them.
+    and pose memory where the config uses them. Raises ModelError if the model was trained on other
+    pads or lacks what the config needs, or the training set is not that of the model.
 
     Parameters
     ----------
-    config
-        The cell.
     model
         A model file that was read; None where nothing was taught yet.
     training_set
         The grasps that trained the model; empty where they are not at hand.
     known
         Foam and sensor, for shape and size; by default the usual ones.
-
-    Raises
-    ------
-    ModelError
-        If the model was trained on other pads or lacks what the config needs, or the training set
-        is not that of the model.
     """
 
     def __init__(
@@ -121,20 +114,15 @@ class TaughtModel:
     ) -> Self:
         """Read a model file, and its training set where there is one.
 
+        Raises ModelError or DatasetError if a file cannot be read, or does not suit the config.
+
         Parameters
         ----------
         config, known
             As `TaughtModel`.
-        path
-            The model file.
         training_set
             Data set of the grasps that trained it; by default the one that `save` wrote with it,
             where that still stands beside it.
-
-        Raises
-        ------
-        ModelError, DatasetError
-            If a file cannot be read, or does not suit the config.
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
         if training_set is None:
@@ -187,14 +175,8 @@ class TaughtModel:
 
         A drift that is likely by now is taken off the new grasps, so that all grasps of the
         training set are as the sensors were when the first of them were taught. What was grasped
-        before an error stays in the training set.
-
-        Raises
-        ------
-        CellStateError
-            If the training set of the loaded model is not at hand: its objects would be lost.
-        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-            As `Collection.fill`.
+        before an error stays in the training set. Raises CellStateError if the training set of the
+        loaded model is not at hand: its objects would be lost. Else it raises as `Collection.fill`.
         """
         self.check_extendable()
         grid = self.drift
@@ -220,10 +202,7 @@ class TaughtModel:
     def train(self) -> None:
         """Train anew on the whole training set; the drift followed so far stays followed.
 
-        Raises
-        ------
-        CellError
-            If the grasps do not suffice; they are kept.
+        Raises CellError if the grasps do not suffice; they are kept.
         """
         wanted, sequence = self._config.recognition, self._config.sequence
         try:
@@ -249,12 +228,8 @@ class TaughtModel:
     def check_gauge(self, label: str) -> ForceRampRecognizer:
         """Return the recogniser, without a gauged or followed drift, that can be gauged.
 
-        Raises
-        ------
-        CellStateError
-            If the object was not taught.
-        ModelError
-            If the recogniser is of a kind that cannot be gauged.
+        Raises CellStateError if the object was not taught, and ModelError if the recogniser is of a
+        kind that cannot be gauged.
         """
         taught = gaugeable(self.recognizer, self._trainer_name).without_gauges()
         if label not in taught.labels:
@@ -298,12 +273,8 @@ class TaughtModel:
     def forget(self, label: str, *, last: bool = False) -> None:
         """Forget an object and train anew without it; with ``last`` its newest grasp alone.
 
-        Raises
-        ------
-        CellStateError
-            If it was not taught, or its grasps are not at hand.
-        CellError
-            If the grasps that are left do not suffice; nothing is forgotten then.
+        Raises CellStateError if it was not taught, or its grasps are not at hand, and CellError if
+        the grasps that are left do not suffice; nothing is forgotten then.
         """
         self.check_extendable()
         with self._lock:
@@ -400,14 +371,13 @@ class TaughtModel:
     ) -> Identification:
         """Grasp an object until its name is sure enough, then follow the drift that it shows.
 
+        Raises CellStateError if nothing was taught yet. Else it raises as
+        `CellController.identify`.
+
         Parameters
         ----------
-        controller
-            The cell, started.
         held
             Object that the positioner is to bring; None: the one that is there.
-        seed
-            Seed of poses and forces.
         max_grasps
             Most grasps; None: as many as the config allows.
         force_n
@@ -416,15 +386,6 @@ class TaughtModel:
             When the part stays in the grip.
         whole_ramps
             Whether no ramp ends early, whatever the config says.
-        on_grasp
-            Called after each grasp.
-
-        Raises
-        ------
-        CellStateError
-            If nothing was taught yet.
-        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-            As `CellController.identify`.
         """
         recognizer, sequence = self.recognizer, self._config.sequence
         if force_n is not None:
@@ -506,21 +467,13 @@ class TaughtModel:
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the model file, and its training set where it is at hand and not written yet.
 
-        The training set goes to ``NAME.grasps.npz`` beside the model.
+        The training set goes to ``NAME.grasps.npz`` beside the model. Raises CellStateError if
+        nothing was taught yet, and ModelError or DatasetError if a file cannot be written.
 
         Parameters
         ----------
-        path
-            The model file.
         followed
             Whether the model expects the drift that was followed so far.
-
-        Raises
-        ------
-        CellStateError
-            If nothing was taught yet.
-        ModelError, DatasetError
-            If a file cannot be written.
         """
         path = Path(path)
         with self._lock:

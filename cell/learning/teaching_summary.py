@@ -131,10 +131,6 @@ def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApa
     ----------
     grasps
         All taught grasps, those of an object in the order of time.
-    label
-        The object.
-    trainer
-        The kind of recogniser.
     """
     names = sorted({grasp.label for grasp in grasps})
     if len(names) < 2:

@@ -83,10 +83,10 @@ def train(
 ) -> Trained:
     """Train one kind of recogniser.
 
+    Raises CellError if the grasps do not suffice; the message names what is missing.
+
     Parameters
     ----------
-    grasps
-        Labelled grasps.
     name
         Kind of recogniser, one of `recognition.recognizers.trainer_names`.
     use_aperture
@@ -95,11 +95,6 @@ def train(
         Whether ramps cut short train early classifiers too, where `may_end_early`.
     poses
         Whether a pose memory is built too, which takes four further trainings.
-
-    Raises
-    ------
-    CellError
-        If the grasps do not suffice; the message names what is missing.
     """
     trainer = make_trainer(name, use_aperture=use_aperture)
     try:
@@ -147,10 +142,8 @@ def load_early(model: LoadedModel) -> EarlyClassifiers | None:
 def load_pose_memory(model: LoadedModel, sequence: SequenceConfig) -> PoseMemory | None:
     """Return the pose memory of a model file; None where the sequence is not active.
 
-    Raises
-    ------
-    ModelError
-        If the sequence is active and the file has no poses, or they do not fit its recogniser.
+    Raises ModelError if the sequence is active and the file has no poses, or they do not fit its
+    recogniser.
     """
     if sequence.kind != "active":
         return None

@@ -191,10 +191,6 @@ class VirtualPads:
 
     Parameters
     ----------
-    pads
-        All taxels.
-    gripping
-        The two pads that face each other.
     foam
         Foam and sensor, as calibrated.
     course
@@ -241,14 +237,8 @@ class VirtualPads:
 
         Parameters
         ----------
-        drawing
-            What is grasped.
         step
             Pose and force; the roll settles on the nearest side that the object rests on.
-        ramp
-            The force ramp of this grasp.
-        rng
-            Generator of everything random.
         label, shape, start_ms
             Label, class of shape and time of the record in ms.
 

@@ -73,10 +73,7 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 def drawing() -> Any:
     """Return a context in which figures have the page's style.
 
-    Raises
-    ------
-    ReportError
-        If matplotlib is missing.
+    Raises ReportError if matplotlib is missing.
     """
     try:
         from matplotlib import rc_context  # noqa: PLC0415

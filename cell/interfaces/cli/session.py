@@ -47,6 +47,9 @@ def cell_config(
 ) -> CellConfig:
     """Return the config of the cell that a command is for, and print which cell that is.
 
+    Raises ConfigError as `load_config`; or if there are faults for real ports: real hardware gets
+    none.
+
     Parameters
     ----------
     file
@@ -55,11 +58,6 @@ def cell_config(
         Another seed, and faults of the simulated cell beside the config's own.
     simulate
         Whether the cell is simulated whatever its ports are.
-
-    Raises
-    ------
-    ConfigError
-        As `load_config`; or if there are faults for real ports: real hardware gets none.
     """
     config = load_config(file)
     if file is None:

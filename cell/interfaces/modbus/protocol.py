@@ -143,6 +143,8 @@ def _read(registers: Registers, function: int, address: int, count: int) -> byte
 class ModbusServer:
     """Serves registers over TCP, on an event loop in a thread of its own.
 
+    Raises OSError if it cannot listen there.
+
     Parameters
     ----------
     address, port
@@ -151,11 +153,6 @@ class ModbusServer:
         Returns the registers for a client at that host; None refuses it.
     request_timeout_s
         Longest time in s for the rest of a request, and to take its answer.
-
-    Raises
-    ------
-    OSError
-        If it cannot listen there.
     """
 
     def __init__(

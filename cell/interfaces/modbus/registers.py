@@ -134,12 +134,8 @@ def input_registers(
 class ModbusDoor:
     """The cell behind Modbus TCP; one connection at a time writes.
 
-    Raises
-    ------
-    OSError
-        If it cannot listen at the configured address and port, or the file of the secret be read.
-    ConfigError
-        If the secret is too short or too long.
+    Raises OSError if it cannot listen at the configured address and port, or the file of the secret
+    be read, and ConfigError if the secret is too short or too long.
     """
 
     def __init__(self, service: Service) -> None:

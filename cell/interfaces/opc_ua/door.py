@@ -50,12 +50,8 @@ _EVENT_FIELDS = (("FaultNumber", _INT), ("FaultText", _TEXT), ("Remedy", _TEXT))
 class OpcUaDoor:
     """The cell behind OPC UA.
 
-    Raises
-    ------
-    OSError
-        If it cannot listen at the configured address and port, or a file cannot be read.
-    ConfigError
-        If a certificate is none.
+    Raises OSError if it cannot listen at the configured address and port, or a file cannot be read,
+    and ConfigError if a certificate is none.
     """
 
     def __init__(self, service: Service) -> None:

@@ -21,8 +21,6 @@ class HostWatch:
     ----------
     timeout_s
         Longest silence in s.
-    running
-        Whether a job runs.
     silent
         Called with the silence in s, once for each silence.
     clock

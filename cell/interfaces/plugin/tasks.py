@@ -51,10 +51,7 @@ class ModelFile:
     def write(self) -> None:
         """Write what was taught since the last time, if anything.
 
-        Raises
-        ------
-        ModelError, DatasetError
-            If a file cannot be written; it is due still.
+        Raises ModelError or DatasetError if a file cannot be written; it is due still.
         """
         if self._path is not None and self.due:
             if self.model.labels:
@@ -66,10 +63,8 @@ class ModelFile:
     def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> None:
         """Forget a taught object, or its newest grasp with ``last``, and write the model.
 
-        Raises
-        ------
-        CellError
-            As `TaughtModel.forget`, and where the model cannot be written; it is tried again.
+        Raises CellError as `TaughtModel.forget`, and where the model cannot be written; it is tried
+        again.
         """
         self.model.forget(label, last=last)
         if label not in self.model.objects():
@@ -137,12 +132,8 @@ class Tasks:
     def gauge(self, goal: GaugeGoal, report: Report) -> Drift:
         """Grasp a taught object, expect the drift that it shows from now on, and return that drift.
 
-        Raises
-        ------
-        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-            As `Collection.fill`; nothing changes then.
-        CellError
-            If the grasps show no drift, or the model cannot be written; it is in use all the same.
+        Raises as `Collection.fill`; nothing changes then. Raises CellError if the grasps show no
+        drift, or the model cannot be written; it is in use all the same.
         """
         shown: dict[str, Any] = {"task": "gauge", "label": goal.label, "grasps": 0, "missed": 0}
 
@@ -165,10 +156,7 @@ class Tasks:
     def zero(self, _goal: ZeroGoal, report: Report) -> SelfZero:
         """Close the empty fingers on each other and return what they show.
 
-        Raises
-        ------
-        gripper.errors.PartBetweenFingers, ZeroRefused, and what the devices raise
-            As `CellController.measure_zero`.
+        Raises as `CellController.measure_zero`.
         """
         report({"task": "zero"})
         found = self.controller.measure_zero()
@@ -178,12 +166,7 @@ class Tasks:
     def identify(self, goal: IdentifyGoal, report: Report) -> Answer:
         """Grasp an object until its name is sure enough, and return the answer.
 
-        What the goal wants to be kept stays in the grip.
-
-        Raises
-        ------
-        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-            As `TaughtModel.identify`.
+        What the goal wants to be kept stays in the grip. Raises as `TaughtModel.identify`.
         """
         seen, posteriors = self.begin("identify"), list[Posterior]()
 
@@ -224,10 +207,7 @@ class Tasks:
     def grip(self, goal: GripGoal, report: Report) -> Verification:
         """Grip a part and keep it; return what was measured of it.
 
-        Raises
-        ------
-        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-            As `CellController.grip`.
+        Raises as `CellController.grip`.
         """
         controller = self.controller
         gripped = {"task": "grip", "force_n": goal.force_n, "held_with_n": controller.carry_force_n}
@@ -241,10 +221,7 @@ class Tasks:
     def verify(self, _goal: VerifyGoal | None, report: Report) -> Verification:
         """Measure whether the part in the grip is still the one that was kept.
 
-        Raises
-        ------
-        cell.errors.CellStopped, and what the devices raise
-            As `CellController.verify`.
+        Raises as `CellController.verify`.
         """
         report({"task": "verify"})
         return Verification.of(self.controller.verify())
@@ -252,10 +229,8 @@ class Tasks:
     def sort(self, goal: SortGoal, report: Report) -> SortAnswer:
         """Name parts and let each go at its place; return the count.
 
-        Raises
-        ------
-        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-            As `cell.jobs.sort.sort_parts`; the part is kept, and the count so far is the progress.
+        Raises as `cell.jobs.sort.sort_parts`; the part is kept, and the count so far is the
+        progress.
         """
         seen, places = self.begin("sort"), self.places()
         tally = Tally(places=places)

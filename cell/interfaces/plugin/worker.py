@@ -118,6 +118,8 @@ class CellWorker:
     ) -> Job:
         """Accept a job; return at once.
 
+        Raises CellStateError if another job is not over yet, or the cell is being closed.
+
         Parameters
         ----------
         work
@@ -125,11 +127,6 @@ class CellWorker:
         accepted
             Called with the job once no other one runs and before this one does; what it raises
             refuses the job.
-
-        Raises
-        ------
-        CellStateError
-            If another job is not over yet, or the cell is being closed.
         """
         with self._changed:
             self.check_free()
@@ -194,12 +191,8 @@ class CellWorker:
     def close(self, timeout_s: float) -> None:
         """End the thread after the jobs that are accepted; further ones are refused.
 
-        Raises
-        ------
-        CellStateError
-            If a job calls this itself: it would wait for its own end.
-        TimeoutError
-            If that takes too long; the jobs go on.
+        Raises CellStateError if a job calls this itself: it would wait for its own end, and
+        TimeoutError if that takes too long; the jobs go on.
         """
         self.check_outside()
         self.end()

@@ -68,8 +68,6 @@ class Calls:
 
     Parameters
     ----------
-    service
-        The cell.
     secret
         What `acquire` asks for; an empty one is not asked for.
     door

@@ -22,8 +22,6 @@ class Lease:
         Called with the name of a client that acquires it.
     lost
         Called with the reason when it ends, however it does.
-    clock
-        Monotonic time.
     lock
         A lock that one thread may take twice, held while ``given`` and ``lost`` are called.
     """
@@ -50,10 +48,7 @@ class Lease:
     def acquire(self, name: str, *, take: bool = False) -> int:
         """Return the number of a new lease; with ``take`` it is taken from another client.
 
-        Raises
-        ------
-        NotInCommand
-            If another client has it.
+        Raises NotInCommand if another client has it.
         """
         with self._lock:
             self.look()

@@ -47,12 +47,8 @@ class Photos:
     def put(self, label: str, photo: bytes) -> None:
         """Keep the photo of an object in the place of an earlier one.
 
-        Raises
-        ------
-        RequestRefused
-            If it is too large, neither JPEG nor PNG, or one too many.
-        OSError
-            If it cannot be written.
+        Raises RequestRefused if it is too large, neither JPEG nor PNG, or one too many, and OSError
+        if it cannot be written.
         """
         if len(photo) > LONGEST_PHOTO:
             raise RequestRefused(f"a photo of {len(photo)} bytes; at most {LONGEST_PHOTO} are kept")

@@ -35,10 +35,7 @@ class PoseHandshake:
     def move(self, pose: Pose) -> Pose | bool:
         """Show a pose and wait for the host: the mover of the cell.
 
-        Raises
-        ------
-        gripper.errors.GraspStopped
-            If the job is stopped meanwhile.
+        Raises gripper.errors.GraspStopped if the job is stopped meanwhile.
         """
         with self._changed:
             self._seq = self._seq % 0xFFFF + 1
@@ -56,10 +53,7 @@ class PoseHandshake:
     def answer(self, seq: int, reached: Pose | bool) -> None:
         """Answer the pose with that number: reached, refused, or another one reached instead.
 
-        Raises
-        ------
-        RequestRefused
-            If the pose is not the one that is waited for.
+        Raises RequestRefused if the pose is not the one that is waited for.
         """
         with self._changed:
             if self._pose is None or seq != self._seq:

@@ -52,12 +52,8 @@ NOTHING_RUNS = "this is the replay of a recording, nothing moves: `tactile-cell 
 class Tape:
     """What a recording shows at any of its times.
 
-    Raises
-    ------
-    RecordingError
-        If nothing was measured in it, or a message has values that no cell has.
-    ConfigError
-        If its pads are not those of two fingers.
+    Raises RecordingError if nothing was measured in it, or a message has values that no cell has,
+    and ConfigError if its pads are not those of two fingers.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -229,10 +225,7 @@ class Tape:
 class Replay:
     """Plays a recording in the place of a cell; every method from any thread.
 
-    Raises
-    ------
-    RecordingError, ConfigError
-        If it cannot be read, or shows nothing.
+    Raises RecordingError or ConfigError if it cannot be read, or shows nothing.
     """
 
     def __init__(self, path: Path, *, clock: Clock = time) -> None:
@@ -245,10 +238,7 @@ class Replay:
     def load(self, path: Path, name: str) -> None:
         """Play another recording from its beginning; the one before goes on where this fails.
 
-        Raises
-        ------
-        RecordingError, ConfigError
-            As `Replay`.
+        Raises RecordingError or ConfigError as `Replay`.
         """
         tape = Tape(read_recording(path))
         with self._lock:
@@ -261,6 +251,8 @@ class Replay:
     ) -> None:
         """Pause or go on, set the speed, or go to the beginning of a grasp.
 
+        Raises RequestRefused if a value is out of its range; nothing changes.
+
         Parameters
         ----------
         pause
@@ -269,11 +261,6 @@ class Replay:
             Seconds of the recording in a real one, above 0 and at most `SPEED_MAX`.
         grasp
             Number of the grasp, from 1.
-
-        Raises
-        ------
-        RequestRefused
-            If a value is out of its range; nothing changes.
         """
         with self._lock:
             tape = self._tape

@@ -139,8 +139,6 @@ class Service:
     plugin
         The cell, without a host watch: the lease watches the clients, each by itself. It is closed
         with the service.
-    config
-        Its config.
     poses
         Mover of a cell with a positioner of kind ``callback``; other cells move by themselves.
     photos_beside
@@ -309,6 +307,9 @@ class Service:
     def start(self, lease: int, goal: Mapping[str, Any], *, number: int = 0) -> int:
         """Start a job and return its number at once; see `TactileCellPlugin.start`.
 
+        Raises NotInCommand, RequestRefused, ConfigError or CellStateError if it is refused; nothing
+        has moved.
+
         Parameters
         ----------
         lease
@@ -318,11 +319,6 @@ class Service:
         number
             Number that the job shall have, to repeat a request whose answer was lost: where it is
             that of the newest job, this is the job, and nothing is done twice. 0: not checked.
-
-        Raises
-        ------
-        NotInCommand, RequestRefused, ConfigError, CellStateError
-            If it is refused; nothing has moved.
         """
         checked: Goal = checked_goal(goal)
         placed = self.config.simulated or self.config.positioner.kind == "simulated"
@@ -428,12 +424,8 @@ class Service:
     def put_photo(self, lease: int, label: str, photo: bytes) -> None:
         """Keep a photo of a taught object.
 
-        Raises
-        ------
-        NotInCommand
-            As `Lease.alive`.
-        RequestRefused, OSError
-            If it is not taught, or as `Photos.put`.
+        Raises NotInCommand as `Lease.alive`, and RequestRefused or OSError if it is not taught, or
+        as `Photos.put`.
         """
         self.lease.alive(lease)
         if label not in self._plugin.labels:
@@ -469,6 +461,8 @@ class Service:
     def begin_hold(self, client: Hashable, name: str, *, connected: bool = False) -> None:
         """Stop what runs, and start nothing that moves until this client ends its hold.
 
+        Raises RequestRefused if too many clients do so; what runs is stopped.
+
         Parameters
         ----------
         client, name
@@ -478,11 +472,6 @@ class Service:
             Whether its connection tells when it is gone, by `leave_hold`. Any other client counts
             as gone when it has not repeated this for ``serve.lease_timeout_s``. A client that is
             gone keeps the cell on hold until a person comes: the client again, or a clear.
-
-        Raises
-        ------
-        RequestRefused
-            If too many clients do so; what runs is stopped.
         """
         with self._lock:
             for left in [k for k, one in self._holders.items() if one.name == name and k != client]:
@@ -569,12 +558,8 @@ class Service:
     ) -> None:
         """Answer the pose with that number: reached, refused, or another one reached instead.
 
-        Raises
-        ------
-        NotInCommand
-            As `Lease.alive`.
-        RequestRefused
-            If the pose is not the one that is waited for.
+        Raises NotInCommand as `Lease.alive`, and RequestRefused if the pose is not the one that is
+        waited for.
         """
         with self._lock:
             self.lease.alive(lease)

@@ -87,10 +87,8 @@ def warnings(service: Service) -> tuple[str, ...]:
 def open_doors(service: Service) -> Iterator[dict[str, Any]]:
     """Open all configured doors; yield their ports, and the token of HTTP.
 
-    Raises
-    ------
-    CellError
-        If a door cannot be opened; ConfigError, if none is configured or an extra is missing.
+    Raises CellError if a door cannot be opened; ConfigError, if none is configured or an extra is
+    missing.
     """
     config = service.config.serve
     found: dict[str, Any] = {"listen": config.listen}
