@@ -62,10 +62,6 @@ class Gripper:
         The servos; the caller opens and closes it.
     linkage
         Mechanics; its number of servos is that of the settings.
-    settings
-        Limits and tuning.
-    clock
-        Source of time.
     force_sensor
         Asked once every period of the loop; None: force by current, see
         `gripper.force.by_current.ForceByCurrent`.

@@ -66,8 +66,6 @@ def impact_limit(
 
     Parameters
     ----------
-    settings, linkage
-        Of the gripper.
     angles_rad
         Angle of each servo in rad; None for the worse end of the way between ``aperture_open_m``
         and ``aperture_min_m``.

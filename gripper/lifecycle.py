@@ -59,13 +59,7 @@ def bus_is_lost(error: BaseException | None) -> bool:
 
 
 class Lifecycle:
-    """Phase of the gripper, whether a part may be held, and the latched fault.
-
-    Parameters
-    ----------
-    servos, runner, settings
-        Of the gripper.
-    """
+    """Phase of the gripper, whether a part may be held, and the latched fault."""
 
     def __init__(self, servos: ServoGroup, runner: LoopRunner, settings: GripperSettings) -> None:
         self.part_possible = False
@@ -250,10 +244,6 @@ def fault_response(
 
     Parameters
     ----------
-    error
-        The fault.
-    servos, settings
-        Of the gripper.
     moving
         True where the fingers were on their way with nothing in their grip yet, or any more.
     """

@@ -80,7 +80,6 @@ class GripperState:
     voltage_v: float
     """Lowest supply voltage in V."""
     servos: tuple[ServoState, ...]
-    """Feedback of each servo."""
 
     @property
     def angles_rad(self) -> tuple[float, ...]:

@@ -56,7 +56,6 @@ class CellDevices:
             else max(_PAST_MIDDLE_M, settings.linkage.half_opening_min_m),
         )
         self.world = self._make_world(start_s)
-        """What is between them."""
         if settings.servo_baud_rate not in BAUD_RATES:
             raise SimulatorSettingsError(
                 f"servo_baud_rate is {settings.servo_baud_rate}, must be one of {BAUD_RATES}"

@@ -29,7 +29,6 @@ class Claim:
     found: str
     """What it says and what we measured."""
     verdict: ClaimVerdict
-    """Whether it holds here."""
 
 
 def share(outcome: Outcome) -> str:

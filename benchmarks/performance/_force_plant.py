@@ -90,13 +90,6 @@ class MessageSensor:
     """Force messages, each of one scan: none is a mean, and none comes twice.
 
     A sample is the mean of the messages since the last one, as `tactile.GripForce` makes it.
-
-    Parameters
-    ----------
-    noise_n, seed
-        As for `FrameSensor`: the noise of one scan is the same.
-    rate_hz
-        Messages a second.
     """
 
     def __init__(self, noise_n: float, seed: int, *, rate_hz: float) -> None:

@@ -57,14 +57,10 @@ class CentreSensor:
 
     Parameters
     ----------
-    sensor
-        The sensor.
     place_m
         The centre in m along the fingers at a time in s.
     scan_n
         Noise of the grip force of one scan in N; None for frames.
-    seed
-        Of the noise.
     """
 
     def __init__(

@@ -99,12 +99,8 @@ class ElasticGrid:
 
     Parameters
     ----------
-    pad
-        The pad.
     shape
         Cells along x and y.
-    cell_m
-        Side of a cell in m.
     margin_m
         How far around the grid the stress is wanted, in m.
     """

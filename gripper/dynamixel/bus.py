@@ -92,12 +92,6 @@ class ServoBus:
 
     Parameters
     ----------
-    stream
-        The line.
-    baudrate
-        Baud rate in bit/s.
-    clock
-        Source of time.
     period_s
         Period of the loop that uses the bus in s: `sync_read` ends within it, retry included.
     return_delay_s
@@ -308,8 +302,6 @@ class ServoBus:
         ----------
         values
             Raw value of each item, by servo ID.
-        block
-            The items.
         """
         if not values:
             raise LimitExceeded("a sync write needs at least one servo")

@@ -42,10 +42,6 @@ def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> float:
     ----------
     bus
         The servos; no command may run.
-    ids
-        Their IDs.
-    period_s
-        Period of the loop in s.
 
     Raises
     ------

@@ -237,16 +237,10 @@ class SdkPort(PortHandler):  # type: ignore[misc]
 
     Parameters
     ----------
-    stream
-        The line.
-    clock
-        Source of time.
     baudrate
         Baud rate in bit/s that the line has; 10 bits a byte.
     return_delay_s
         Return Delay Time of the slowest servo (register 9) in s.
-    allowance_s
-        Allowance in s.
     """
 
     def __init__(

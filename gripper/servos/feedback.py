@@ -72,8 +72,6 @@ class Feedback:
 
     Parameters
     ----------
-    bus, linkage, settings, clock
-        Of the gripper.
     health
         Asked for the torque where a servo seems to have restarted.
     """
@@ -214,8 +212,6 @@ class TickWatch:
 
         Parameters
         ----------
-        servo_id
-            ID of the servo that answered.
         tick_ms
             Its tick in ms, modulo 32768.
         sent_s, received_s
@@ -332,13 +328,7 @@ class TickMark(NamedTuple):
 
 
 class FeedbackCheck:
-    """Comparison of the feedback of servos under torque with what their fingers can do.
-
-    Parameters
-    ----------
-    settings, linkage
-        Of the gripper.
-    """
+    """Comparison of the feedback of servos under torque with what their fingers can do."""
 
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
         self.strayed: dict[int, str] = {}

@@ -86,13 +86,7 @@ class ServoGoal:
 
 
 class GoalGuard:
-    """Limits of the goals: caps of force, current, angle, speed, temperature and age of feedback.
-
-    Parameters
-    ----------
-    settings, linkage
-        Of the gripper.
-    """
+    """Limits of the goals: of force, current, angle, speed, temperature and age of feedback."""
 
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
         self._settings = settings
@@ -340,15 +334,7 @@ def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) ->
 
 
 class GoalWriter:
-    """Writer of the goals, behind their limits; keeps the goals that are in force.
-
-    Parameters
-    ----------
-    bus, settings, clock
-        Of the gripper.
-    guard
-        The limits.
-    """
+    """Writer of the goals, behind their limits; keeps the goals that are in force."""
 
     def __init__(
         self, bus: ServoBus, settings: GripperSettings, clock: Clock, guard: GoalGuard
@@ -375,8 +361,6 @@ class GoalWriter:
 
         Parameters
         ----------
-        goals
-            One for each servo.
         state
             Newest feedback: the goals are reached from there.
         profile_velocity_raw

@@ -53,15 +53,7 @@ _BOOT_RETRY_S = 0.1
 
 
 class ServoGroup:
-    """All servos of one gripper; the only object that writes to them in operation.
-
-    Parameters
-    ----------
-    bus, linkage, settings, clock
-        Of the gripper.
-    health
-        Checks of the same servos.
-    """
+    """All servos of one gripper; the only object that writes to them in operation."""
 
     def __init__(
         self,

@@ -28,13 +28,7 @@ _CONDITION_TRIES = 3
 
 
 class ServoHealth:
-    """Checks that read the servos and, at the start, correct some of their registers.
-
-    Parameters
-    ----------
-    bus, settings
-        Of the gripper.
-    """
+    """Checks that read the servos and, at the start, correct some of their registers."""
 
     def __init__(self, bus: ServoBus, settings: GripperSettings) -> None:
         self._bus = bus

@@ -150,10 +150,6 @@ def compare(
 
     Parameters
     ----------
-    servo_id
-        The servo.
-    required
-        The requirements.
     found
         Raw values by name of the register.
     corrected

@@ -88,8 +88,6 @@ def shifted_levels(
 
     Parameters
     ----------
-    levels
-        The grasps.
     log_gain : () or (P,)
         Logarithm of the gain, common to the gripping pads or of each.
     offset_mm

@@ -120,8 +120,6 @@ def evaluate(
     parts
         Pairs of labelled grasps to teach and to test; no grasp may be in both of a pair. The
         answers of all pairs count together, grasps of different pairs are not fused.
-    trainer
-        Trainer of the recogniser.
     fuse
         Numbers of grasps to fuse.
     seed

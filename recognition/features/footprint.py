@@ -85,7 +85,6 @@ class Footprint:
     pressed: NDArray[np.float64]
     """(n, K, n_taxels): the patches themselves, what may be noise set to 0."""
     grid: PadGrid
-    """The pad."""
 
 
 def pressed(maps: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -106,8 +105,6 @@ def describe_footprint(
         Values above rest, as a fraction of full scale.
     noise : (n, K)
         Standard deviation of each value.
-    grid
-        The pad.
     """
     m = pressed(maps, noise)
     total = m.sum(axis=-1)

@@ -100,10 +100,6 @@ def touch_features(
 
     Parameters
     ----------
-    levels
-        The n grasps.
-    grids
-        The gripping pads.
     view
         Which groups are wanted.
     opening

@@ -37,7 +37,6 @@ class LevelSettings:
     rim: int = 1
     """Rings of unloaded taxels that the fit takes along."""
     reading: Reading = Reading.SMALLEST_MAGNITUDE
-    """Which eigenvalue."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays."""
@@ -84,8 +83,6 @@ def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
     ----------
     load : (n_pads,)
         Load of each pad in counts.
-    pads
-        The pads.
 
     Raises
     ------
@@ -254,8 +251,6 @@ def ramp_levels(
 
     Parameters
     ----------
-    grasp
-        One force ramp.
     shares
         Parts of the full force, each above 0 and up to 1.
     settings

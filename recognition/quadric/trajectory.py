@@ -61,7 +61,6 @@ class Trajectory:
     """(n_objects, n_evaluations) float64: in the order of the printed loops: scale outermost,
     rotation innermost. Read-only."""
     settings: SweepSettings
-    """The grid."""
 
     def __post_init__(self) -> None:
         self.value.setflags(write=False)
@@ -79,8 +78,6 @@ def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> Traj
     ----------
     D : (n_objects, 4, 4)
         Property matrices of the taught objects, symmetric.
-    settings
-        Grid and readings.
 
     Raises
     ------

@@ -31,13 +31,7 @@ def load_so_far(grasp: Grasp, rest: Rest) -> NDArray[np.float64]:
 
 
 class RunningLoad:
-    """Load of `load_so_far`, updated frame by frame in a few microseconds.
-
-    Parameters
-    ----------
-    rest
-        The untouched pads.
-    """
+    """Load of `load_so_far`, updated frame by frame in a few microseconds."""
 
     def __init__(self, rest: Rest) -> None:
         self._taxels = _taxels(rest)

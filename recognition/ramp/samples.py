@@ -27,8 +27,6 @@ def without_spikes(counts: NDArray[np.float64], adc_max: int) -> NDArray[np.floa
     ----------
     counts : (n_frames, n_taxels)
         Readings of one pad.
-    adc_max
-        Full scale of the counts.
     """
     before, here, after = counts[:-2], counts[1:-1], counts[2:]
     limit = _SPIKE_SHARE * adc_max
@@ -54,8 +52,6 @@ def stuck_taxels(
         Their reading in counts when they were untouched, from teaching.
     noise
         Standard deviation of one sample in counts.
-    adc_max
-        Full scale of the counts.
     """
     change = counts[0] - taught
     change = np.abs(change - np.median(change))

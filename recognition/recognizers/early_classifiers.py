@@ -89,8 +89,6 @@ class EarlyDecider:
 
     Parameters
     ----------
-    early
-        The early classifiers.
     earlier
         Posteriors of the earlier grasps of the same object: they count with this one.
     rule

@@ -81,8 +81,6 @@ def fit_foam(grasps: Sequence[Grasp], drawing: Drawing, start: FoamModel | None 
     ----------
     grasps
         At least two, at different poses or forces.
-    drawing
-        The object.
     start
         The foam as expected beforehand.
 

@@ -48,7 +48,6 @@ class PossibleFoam:
     uncertainty: PadUncertainty
     """Foam and sensor, and the uncertainty of both."""
     probability: float
-    """Prior probability of it."""
 
 
 def possible_foams(foam: FoamModel, uncertainty: PadUncertainty) -> tuple[PossibleFoam, ...]:

@@ -196,7 +196,6 @@ class Disturber:
     faults: CanLinkFaults
     """The knobs."""
     rng: np.random.Generator
-    """Source of chance."""
 
     def pass_on(self, t_s: float, data: bytes) -> Iterable[tuple[float, int, bytes]]:
         """Return what becomes of one message: any number of (arrival in s, length code, data)."""

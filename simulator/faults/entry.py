@@ -126,7 +126,6 @@ class Target:
     value: FaultValue
     """The value, checked."""
     now_s: float
-    """Time in s."""
 
     @property
     def adc_max(self) -> int:
@@ -246,12 +245,8 @@ def knob_fault(
 
     Parameters
     ----------
-    name, kind, meaning, value
-        As `FaultEntry` has them.
     part
         ``can``, ``unit`` or ``servo_wire``: a field of `simulator.devices.CellFaults`.
-    knob
-        Name of the knob.
     """
 
     def position(target: Target) -> object:

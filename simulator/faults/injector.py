@@ -41,13 +41,6 @@ def check_fault(
 ) -> tuple[FaultText, FaultEntry, int, FaultValue]:
     """Return the parts of a text, its entry, the position of the device it names, and its value.
 
-    Parameters
-    ----------
-    text
-        The fault.
-    n_servos, n_axes
-        Number of the gripper's servos, and of the positioner's axes.
-
     Raises
     ------
     SimulatorSettingsError
@@ -151,10 +144,6 @@ class FaultInjector:
 
     Parameters
     ----------
-    devices
-        The cell.
-    start_s
-        Time at the start in s.
     plugs
         Cables of the cell, ``can`` and ``servos``; by default those of buses in memory, which are
         knobs of the devices.

@@ -58,7 +58,6 @@ class Piece(NamedTuple):
     delay_s: float
     """How much later than without faults, s."""
     data: bytes
-    """The bytes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

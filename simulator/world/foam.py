@@ -73,13 +73,7 @@ class Foam:
 
 
 class FoamPair:
-    """Two sheets of foam that are pressed into each other: columns in series, one pressure.
-
-    Parameters
-    ----------
-    foams
-        The sheets.
-    """
+    """Two sheets of foam that are pressed into each other: columns in series, one pressure."""
 
     def __init__(self, foams: tuple[Foam, Foam]) -> None:
         self.thickness_m = foams[0].thickness_m + foams[1].thickness_m

@@ -138,12 +138,8 @@ class Press:
 
     Parameters
     ----------
-    shape, pose
-        The object and where it is.
     grids
         Inner pad of finger 0 and of finger 1.
-    foams
-        The sheet on each pad.
 
     Raises
     ------

@@ -42,8 +42,6 @@ class RecordedWorld:
         The taxels that the frames belong to.
     fingers
         The mechanics that follow the recorded aperture.
-    start_s
-        Time at the start in s.
     """
 
     def __init__(

@@ -42,8 +42,6 @@ class Stage:
 
     Parameters
     ----------
-    world
-        Where the object is.
     axes
         The axes by what they move, of `FIELDS`.
     """

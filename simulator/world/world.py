@@ -77,10 +77,6 @@ class PhysicalWorld:
         The taxels; the inner pad of each finger grips.
     fingers
         The mechanics that carry the pads; stepped by this world.
-    settings
-        Foam, noise, objects.
-    start_s
-        Time at the start in s.
     """
 
     def __init__(
@@ -218,8 +214,6 @@ class PhysicalWorld:
             Number of the pad in the layout.
         x_m, y_m
             Place on the pad in its plane in m.
-        force_n
-            Force in N.
 
         Raises
         ------

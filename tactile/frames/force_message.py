@@ -159,8 +159,6 @@ def encode_zero(
         Zero of each taxel of the gripping pads, finger 0 first.
     bad : (n,) bool
         Taxels that do not measure.
-    adc_max
-        Full scale in counts.
     """
     steps = np.append(touch_counts, zero_counts) * (ZERO_STEPS / adc_max)
     steps = np.clip(np.rint(steps), 0, ZERO_STEPS)

@@ -54,8 +54,6 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
     ----------
     frames : (n_frames, n_taxels) uint16
         Raw counts of consecutive frames, at least 8.
-    adc_max
-        Full scale.
 
     Raises
     ------

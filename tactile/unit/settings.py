@@ -150,4 +150,3 @@ class LinkStatistics:
     error_frames: int
     """Error frames of the host's CAN controller."""
     forces: ForceStatistics = field(default_factory=ForceStatistics)
-    """Force messages."""

@@ -32,8 +32,6 @@ def sample_mm(
     ----------
     patch : (n_taxels,)
         Values of one pad, row-major.
-    grid
-        The pad.
     points_mm : (..., 2)
         Where, in the pad's plane.
 
@@ -65,10 +63,6 @@ def outline_radii_mm(
     ----------
     patch : (n_taxels,)
         Values of one pad, at least 0.
-    grid
-        The pad.
-    n_angles
-        Number of directions.
 
     Returns
     -------

@@ -118,10 +118,6 @@ def describe(
     ----------
     levels
         The n grasps.
-    grids
-        The gripping pads.
-    opening
-        Whether the opening is used.
     log_gains : (G,) or (G, P)
         Logarithms of gains, common to the pads or of each.
     offsets_mm : (O,)
@@ -267,8 +263,6 @@ def fit_view(
     ----------
     levels
         The n grasps; those of one class in the order of time.
-    grids
-        The gripping pads.
     classes : (n,)
         Class of each grasp, 0 to C - 1.
     opening
