@@ -29,7 +29,3 @@ def main(effort: float = 1.0) -> None:
     for claim in claims(found):
         line(f"  {claim.where}", f"{claim.verdict}: {claim.claim} | {claim.found}")
     line("  page", f"{page}, {time.perf_counter() - start_s:.0f} s")
-
-
-if __name__ == "__main__":
-    main()

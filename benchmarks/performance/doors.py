@@ -195,7 +195,3 @@ def main(effort: float = 1.0) -> None:
         return  # real time is for a machine that does nothing else
     for n_clients in (0, 4):
         line(f"force loop, {n_clients} clients", lateness(n_clients))
-
-
-if __name__ == "__main__":
-    main()

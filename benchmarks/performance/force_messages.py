@@ -108,7 +108,3 @@ def main(effort: float = 1.0) -> None:
                 else ""
             )
             line(f"  {what}{order}", f"bus load {100 * load:.1f} %{waited}")
-
-
-if __name__ == "__main__":
-    main()

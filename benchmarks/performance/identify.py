@@ -123,7 +123,3 @@ def main(effort: float = 1.0) -> None:
     one_series(taught, rest, repeats(3, effort))
     many(repeats(500, effort, least=6))
     from_the_command(repeats(20, effort, least=3), repeats(8, effort))
-
-
-if __name__ == "__main__":
-    main()

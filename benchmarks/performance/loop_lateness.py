@@ -101,7 +101,3 @@ def main(effort: float = 1.0) -> None:
         with busy(n_busy):
             for rate_hz in _RATES_HZ[:1] if short else _RATES_HZ:
                 line(f"  {rate_hz} Hz, {n_busy} busy", whole_path(rate_hz, duration_s))
-
-
-if __name__ == "__main__":
-    main()

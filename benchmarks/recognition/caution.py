@@ -108,7 +108,3 @@ def main(effort: float = 1.0) -> None:
     for (day, caution), given in answers.items():
         line(f"  {day}, {caution:g}", figures(given))
     show_teachings(real, effort)
-
-
-if __name__ == "__main__":
-    main()

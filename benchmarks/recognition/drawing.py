@@ -75,7 +75,3 @@ def main(effort: float = 1.0) -> None:
     known = calibrate_on_gauge(gauge, drawn_shape(_GAUGE), pads)
     line("gauge", f"{_GAUGE}: {known}")
     score("from drawings, other foam, gauge", drawn(objects, n_draw, known), other)
-
-
-if __name__ == "__main__":
-    main()

@@ -76,7 +76,3 @@ def main(effort: float = 1.0) -> None:
     november = recorded("pinch_november.npz")
     if november is not None:
         day("November", *teach(grasps), november, effort)
-
-
-if __name__ == "__main__":
-    main()

@@ -166,7 +166,3 @@ def main(effort: float = 1.0) -> None:
             taught = f"{len(bench.taught)} grasps teach {len(bench.labels)} objects"
             line(f"  noise {noise:g} x", taught)
             compare(bench, effort)
-
-
-if __name__ == "__main__":
-    main()

@@ -111,7 +111,3 @@ def rates(objects: Mapping[str, str], n_grasps: int) -> None:
         for used_n_s, used in tested.items():
             what = f"  taught {taught_n_s:g}, used {used_n_s:g} N/s"
             line(what, figures(asked(recognizer, used)))
-
-
-if __name__ == "__main__":
-    main()

@@ -170,7 +170,3 @@ def main(effort: float = 1.0) -> None:
     for layout, noise, what in _LAYOUTS[: repeats(len(_LAYOUTS), effort)]:
         line("shape and size", what)
         sizes(materials, layout, noise, effort)
-
-
-if __name__ == "__main__":
-    main()

@@ -149,7 +149,3 @@ def main(effort: float = 1.0) -> None:
     train, test = chronological_split(taught, 0.6)
     show("recorded", train, test, use_aperture=True)
     show("recorded, touch alone", train, test, use_aperture=False)
-
-
-if __name__ == "__main__":
-    main()

@@ -133,7 +133,3 @@ def main(effort: float = 1.0) -> None:
         return
     for gauge in ("golf_ball", "ping-pong_ball"):
         real(grasps, repeats(7, effort), gauge)
-
-
-if __name__ == "__main__":
-    main()
