@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
 
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError
@@ -95,12 +94,8 @@ Undo = Callable[[], object]
 """Takes back what a fault has done."""
 
 
-class Plug(NamedTuple):
-    """A cable that can be pulled."""
-
-    pull: Callable[[], None]
-    plug_in: Callable[[], None]
-    """Pull the cable; plug it in again."""
+Plug = Callable[[], Undo]
+"""Pulls a cable and returns what plugs it in again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,13 +202,7 @@ def lasting(begin: Callable[[Target], object], end: Callable[[Target], object]) 
 
 def unplugging(plug: str) -> Apply:
     """Return what pulls a cable: ``can`` or ``servos``."""
-
-    def apply(target: Target) -> Effect:
-        cable = target.plugs[plug]
-        cable.pull()
-        return Effect(undo=cable.plug_in)
-
-    return apply
+    return lambda target: Effect(undo=target.plugs[plug]())
 
 
 def moment_fault(

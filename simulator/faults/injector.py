@@ -7,18 +7,17 @@ when it begins; `simulator.faults.text` has the form. Nothing here can reach rea
 import math
 import re
 from collections.abc import Mapping
+from functools import partial
 
-from simulator.can.faults import CanLinkFaults
 from simulator.clock import ROUNDING_S
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.faults.axes import AXIS
 from simulator.faults.can import CAN, TAXELS, UNIT
-from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target
+from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target, turned
 from simulator.faults.object import OBJECT
 from simulator.faults.servos import SERVO, SERVOS
 from simulator.faults.text import FaultEvent, FaultMoment, FaultText, parse_fault
-from simulator.servo.faults import WireFaults
 
 VOCABULARY: dict[str, FaultEntry] = {
     entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *SERVOS, *SERVO, *AXIS, *OBJECT)
@@ -116,14 +115,6 @@ class InjectedFault:
             devices=devices, plugs=plugs, servo=self.servo, value=self._value, now_s=now_s
         )
 
-    def starts_by(self, now_s: float, seen_s: dict[FaultEvent, float]) -> bool:
-        """Return whether its start has come."""
-        return _come(self.window[0], now_s, seen_s)
-
-    def ends_by(self, now_s: float, seen_s: dict[FaultEvent, float]) -> bool:
-        """Return whether its end has come."""
-        return _come(self.window[1], now_s, seen_s)
-
     def meets(self, other: "InjectedFault") -> bool:
         """Return whether both turn the same knob and may do so at the same time."""
         if not self.entry.knob or self.entry.knob != other.entry.knob:
@@ -154,8 +145,8 @@ class FaultInjector:
     ) -> None:
         self._devices = devices
         self._plugs = plugs or {
-            "can": _plug(devices.faults.can),
-            "servos": _plug(devices.faults.servo_wire),
+            "can": partial(turned, devices.faults.can, "unplugged", True),
+            "servos": partial(turned, devices.faults.servo_wire, "unplugged", True),
         }
         self._pending: list[InjectedFault] = []
         self._effects: dict[InjectedFault, Effect] = {}
@@ -255,9 +246,10 @@ class FaultInjector:
                 act = self._effects[fault].act
                 if act is not None:
                     act(now_s)
-            elif fault.starts_by(now_s, seen_s):
+            elif _come(fault.window[0], now_s, seen_s):
                 self._begin(fault, now_s)
-            if not fault.over and fault.began_s is not None and fault.ends_by(now_s, seen_s):
+            begun = fault.began_s is not None and not fault.over
+            if begun and _come(fault.window[1], now_s, seen_s):
                 self.end(fault)
 
     def _begin(self, fault: InjectedFault, now_s: float) -> None:
@@ -295,15 +287,3 @@ def _come(due: _Due, now_s: float, seen_s: dict[FaultEvent, float]) -> bool:
     event, after_s = due
     since_s = 0.0 if event is None else seen_s.get(event, math.inf)
     return since_s + after_s <= now_s + ROUNDING_S
-
-
-def _plug(knobs: CanLinkFaults | WireFaults) -> Plug:
-    """Return the cable of a bus in memory: a knob of the bus."""
-
-    def pull() -> None:
-        knobs.unplugged = True
-
-    def plug_in() -> None:
-        knobs.unplugged = False
-
-    return Plug(pull=pull, plug_in=plug_in)

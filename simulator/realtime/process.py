@@ -2,7 +2,6 @@
 
 import os
 import select
-import shutil
 import signal
 import tempfile
 import time
@@ -16,7 +15,6 @@ from simulator.can.link import CanLink
 from simulator.can.slcan import SlcanAdapter
 from simulator.devices import CellDevices
 from simulator.errors import EndpointError
-from simulator.faults.entry import Plug
 from simulator.faults.injector import FaultInjector
 from simulator.realtime.requests import CellRequests
 from simulator.realtime.socket_server import PositionerServer
@@ -73,10 +71,7 @@ class RealTimeCell:
             self.injector = FaultInjector(
                 self.devices,
                 now_s - POWERED_BEFORE_S,
-                plugs={
-                    "servos": Plug(self._servo_pty.unplug, self._servo_pty.plug_in),
-                    "can": Plug(self._can_pty.unplug, self._can_pty.plug_in),
-                },
+                plugs={"servos": self._servo_pty.unplug, "can": self._can_pty.unplug},
             )
             requests = CellRequests(self.devices, self.injector)
             self._server = PositionerServer(folder / "positioner.sock", requests)
@@ -222,8 +217,5 @@ def _folder(wanted: Path | None) -> Iterator[Path]:
             raise EndpointError(f"the folder {wanted} cannot be made: {error}") from error
         yield wanted
         return
-    temporary = Path(tempfile.mkdtemp(prefix="tactile-cell-"))
-    try:
-        yield temporary
-    finally:
-        shutil.rmtree(temporary)
+    with tempfile.TemporaryDirectory(prefix="tactile-cell-") as temporary:
+        yield Path(temporary)

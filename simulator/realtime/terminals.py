@@ -9,6 +9,7 @@ import os
 import struct
 import termios
 import tty
+from collections.abc import Callable
 from pathlib import Path
 
 from simulator.can.slcan import SlcanAdapter
@@ -78,6 +79,23 @@ class Terminal:
         except OSError as error:
             self.close()
             raise EndpointError(f"no terminal for {self._what}: {error}") from error
+
+    def plug_in(self) -> None:
+        """Make a terminal, under a new name after `unplug`, and let the link name it."""
+        if not self.plugged_in:
+            self.open()
+
+    def unplug(self) -> Callable[[], None]:
+        """Take the terminal away; a client that has it open gets input/output errors.
+
+        Returns `plug_in`.
+        """
+        self._forget()
+        self.close()
+        return self.plug_in
+
+    def _forget(self) -> None:
+        """Drop what is under way: the adapter has lost its supply."""
 
     def close(self) -> None:
         """Take terminal and link away; closing again changes nothing."""
@@ -153,19 +171,9 @@ class ServoPty(Terminal):
             self._unsent = self._unsent[self.write(self._unsent) :]
         return now_s if self._unsent else self._device.next_event_s()
 
-    def unplug(self) -> None:
-        """Take the terminal away; a client that has it open gets input/output errors."""
-        self._device.faults.unplugged = True
+    def _forget(self) -> None:
         self._device.drop_pending()
-        self.close()
-
-    def plug_in(self) -> None:
-        """Make a terminal, under a new name after `unplug`, and let the link name it."""
-        if self.plugged_in:
-            return
-        self.open()
         self._unsent = b""
-        self._device.faults.unplugged = False
 
 
 class SlcanPty(Terminal):
@@ -186,15 +194,8 @@ class SlcanPty(Terminal):
             self._adapter.reset()
         return self._adapter.next_event_s()
 
-    def unplug(self) -> None:
-        """Take the terminal away; a client that has it open gets input/output errors."""
+    def _forget(self) -> None:
         self._adapter.reset()
-        self.close()
-
-    def plug_in(self) -> None:
-        """Make a terminal, under a new name after `unplug`, and let the link name it."""
-        if not self.plugged_in:
-            self.open()
 
     def _move(self, now_s: float) -> None:
         data = self.read(_READ_SIZE)
