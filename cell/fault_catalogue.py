@@ -374,12 +374,8 @@ class Refusal:
 def for_display(number: int, text: str) -> str:
     """Return the text of a fault for displays that show its beginning alone: the remedy first.
 
-    Parameters
-    ----------
-    number
-        Its number; 0 for none. A remedy that refers to the text is left out.
-    text
-        Its text, as of `cell.errors.error_text`.
+    A remedy that refers to the text is left out; number 0 is no fault. The text is as of
+    `cell.errors.error_text`.
     """
     remedy = BY_NUMBER[number].remedy.replace("`", "") if number else "text"
     rest = re.sub(r"^\w+: ", "", text)

@@ -58,15 +58,9 @@ def simulator_settings(
 ) -> SimulatorSettings:
     """Return the settings of the simulated cell that a config describes.
 
-    Raises ConfigError if a shape or a fault is unknown, or the linkage cannot open as far as the
-    gripper shall.
-
-    Parameters
-    ----------
-    layout
-        Other taxels than the config's, for recorded grasps.
-    grasps
-        Recorded grasps to play instead of objects.
+    With recorded grasps to play instead of objects, ``layout`` has their taxels in the place of the
+    config's. Raises ConfigError if a shape or a fault is unknown, or the linkage cannot open as far
+    as the gripper shall.
     """
     settings = config.simulator
     try:

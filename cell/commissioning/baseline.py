@@ -108,12 +108,8 @@ def changed_unit(
 ) -> list[Change]:
     """Return how a control unit and its pads differ from those that were commissioned.
 
-    Parameters
-    ----------
-    found
-        Values of the findings by the key of the step.
-    serial, revision, boards
-        Of the unit that answers now.
+    ``found`` has the values of the findings by the key of the step; the rest is of the unit that
+    answers now.
     """
     unit, pads = found.get("unit", {}), found.get("pads_at_rest", {})
     was_serial, was_revision = unit.get("serial_number", serial), unit.get("revision", revision)
@@ -279,10 +275,7 @@ def measure_gauge(
 ) -> tuple[Gauge, NDArray[np.float64]]:
     """Grasp the gauge object once and let go; returns how it felt, and the force on each taxel.
 
-    Parameters
-    ----------
-    gauge
-        Its name; None asks for it.
+    Without a name of the gauge it asks for it.
 
     Raises
     ------

@@ -63,12 +63,7 @@ def curves(
 def pads(title: str, layout: TaxelLayout, values: ArrayLike, *, unit: str) -> Figure:
     """Return a figure of one value for each taxel.
 
-    Parameters
-    ----------
-    values : (n_taxels,) float64
-        Values in the order of the layout.
-    unit
-        Their unit.
+    ``values`` are (n_taxels,) float64 in the order of the layout.
     """
     shown = np.asarray(values, dtype=np.float64)
     return {

@@ -50,12 +50,7 @@ class Factor:
 def fit_factor(true_n: ArrayLike, shown_n: ArrayLike) -> Factor:
     """Return the factor that brings the forces shown nearest to the true ones.
 
-    Raises ValueError if nothing is shown, or there is no load.
-
-    Parameters
-    ----------
-    true_n, shown_n : (n,) float64
-        Forces in N.
+    Both are forces in N, (n,) float64. Raises ValueError if nothing is shown, or there is no load.
     """
     true = np.asarray(true_n, dtype=np.float64)
     shown = np.asarray(shown_n, dtype=np.float64)
@@ -157,14 +152,8 @@ def _shown_n(sensor: TactileSensor, pad: int, n_frames: int) -> float:
 def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Finding) -> None:
     """Note what the loads on both inner pads say of the law, and set it right.
 
-    Raises StepFailed where the loads show no law.
-
-    Parameters
-    ----------
-    tactile
-        Config by whose law the forces were shown.
-    loads
-        True and shown force in N of each load, by finger.
+    ``tactile`` has the law by which the forces were shown; ``loads`` are the true force and the one
+    shown in N of each load, by finger. Raises StepFailed where the loads show no law.
     """
     both = [load for of_finger in loads for load in of_finger if load[0] >= _LEAST_LOAD_N]
     true_n = sorted(true_n for true_n, _ in both)

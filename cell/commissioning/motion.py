@@ -14,12 +14,7 @@ class WatchedMotion:
     """Shows opening and force while fingers move; within ``with`` a person who leaves stops them.
 
     Empty fingers then stand where they are; a part that is held stays held. It is the watch of the
-    commands.
-
-    Parameters
-    ----------
-    request_stop
-        Lets the running command end with GraspStopped.
+    commands. ``request_stop`` lets the running command end with GraspStopped.
     """
 
     def __init__(self, dialog: Dialog, request_stop: Callable[[], None]) -> None:

@@ -257,10 +257,7 @@ class Patch:
 def pressed_at(layout: TaxelLayout, force_n: NDArray[np.float64]) -> Patch | None:
     """Return the patch of the pad that is pressed most, None where none is pressed.
 
-    Parameters
-    ----------
-    force_n : (n_taxels,) float64
-        Force on each touched taxel in N.
+    ``force_n`` is (n_taxels,) float64: the force on each touched taxel in N.
     """
     sums = [float(force_n[layout.taxels_of(pad)].sum()) for pad in range(layout.n_pads)]
     number = int(np.argmax(sums))
@@ -288,10 +285,7 @@ def corner_text(layout: TaxelLayout, pad: int) -> str:
 def mounts_of(layout: TaxelLayout, patches: Mapping[int, Patch]) -> tuple[PadMount, ...]:
     """Return the pads that sit otherwise than the layout has them.
 
-    Parameters
-    ----------
-    patches
-        Where the patch was by the pad that was pressed near its last row and column.
+    ``patches`` are where the patch was, by the pad that was pressed near its last row and column.
     """
     mounts = []
     for pad, patch in patches.items():

@@ -28,12 +28,8 @@ _Section = TypeVar("_Section", bound=BaseModel)
 def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
     """Return a config, or a section of one, with some values changed.
 
-    Raises ConfigError if there is no such value, or the result is no valid config.
-
-    Parameters
-    ----------
-    changes
-        New values by dotted path, as ``{"tactile.tare_frames": 25}``.
+    New values stand by dotted path, as ``{"tactile.tare_frames": 25}``. Raises ConfigError if there
+    is no such value, or the result is no valid config.
     """
     # What nobody has set is left to its default, which may rest on other keys.
     left = type(config).model_fields.keys() - config.model_fields_set - changes.keys()

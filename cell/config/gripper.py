@@ -253,14 +253,8 @@ class GripperConfig(Section):
 def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSettings:
     """Return limits and tuning of a gripper in SI.
 
-    Raises gripper.errors.LimitExceeded if values do not fit each other.
-
-    Parameters
-    ----------
-    config
-        The gripper's section.
-    overruns_max
-        Periods in a row whose work took too long that end a command.
+    ``overruns_max`` periods in a row whose work took too long end a command. Raises
+    gripper.errors.LimitExceeded if values do not fit each other.
     """
     return GripperSettings(
         servos=tuple(

@@ -48,13 +48,7 @@ def loop_line(statistics: LoopStatistics, period_s: float) -> str:
 
 
 class Journal:
-    """Writes events, states, periods, grasps and answers to a recorder, where there is one.
-
-    Parameters
-    ----------
-    recorder
-        The recording; None makes none.
-    """
+    """Writes events, states, periods, grasps and answers to a recorder, where there is one."""
 
     def __init__(self, recorder: Recorder | None) -> None:
         self._recorder = recorder

@@ -98,10 +98,7 @@ class HeldCheck:
 def measured(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
     """Return the measurement of a held part from the periods of a look.
 
-    Parameters
-    ----------
-    zero : (n_taxels,) float64
-        Counts of the open fingers.
+    ``zero`` has the counts of the open fingers, (n_taxels,) float64.
     """
     forces_n = [cycle.force.grip_n for cycle in collector.cycles if cycle.force is not None]
     openings_m = [cycle.state.aperture_m for cycle in collector.cycles]
@@ -122,12 +119,7 @@ def open_counts(grasp: Grasp) -> NDArray[np.float64]:
 def compared(now: HeldPart, then: HeldPart, *, carry_n: float) -> HeldCheck:
     """Return whether a held part is still the one that was kept.
 
-    Parameters
-    ----------
-    now, then
-        Measured now, and when it was kept.
-    carry_n
-        Force in N with which it is held.
+    It was measured now, and when it was kept; it is held with ``carry_n`` N.
     """
     held = now.force_n >= _HELD_SHARE * carry_n
     reasons: list[str] = []
@@ -168,13 +160,8 @@ def spliced(approach: Grasp, further: Grasp, from_n: float) -> Grasp:
     """Return a grasp made of the first approach and a further ramp in the same grip.
 
     A recogniser compares each taxel with its rest before the touch. A further ramp begins with a
-    loaded part, so that the frames of the first one below the force at which it begins stand
-    before it.
-
-    Parameters
-    ----------
-    from_n
-        Set-point in N at which the further ramp begins.
+    loaded part, so that the frames of the first one below the force at which it begins stand before
+    it. The further ramp begins at a set-point of ``from_n`` N.
     """
     n = int(np.argmax(np.asarray(approach.force_n) >= from_n))
     gap_s = float(np.median(np.diff(further.t_s))) if further.n_frames > 1 else 0.0

@@ -92,10 +92,7 @@ def in_thread(call: Callable[[], _T], name: str) -> Future[_T]:
 class PatientCaller:
     """Runs calls that block on a thread of their own, while the cell stays supervised.
 
-    Parameters
-    ----------
-    clock, period_s
-        Between two looks at the cell so much time passes.
+    Between two looks at the cell ``period_s`` s of the clock pass.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
@@ -317,13 +314,7 @@ CarryCallback = Callable[[Destination], bool | None]
 
 
 class HostPlaces:
-    """Positioner whose parts the host brings to their places; all else another one does.
-
-    Parameters
-    ----------
-    positioner
-        Moves to the poses of a sequence.
-    """
+    """Positioner whose parts the host brings to their places; all else another one does."""
 
     def __init__(self, positioner: Positioner, places: CarryCallback) -> None:
         self.blocks = positioner.blocks

@@ -72,10 +72,7 @@ def pad_array(layout: TaxelLayout) -> PadArray:
 class GraspCollector:
     """Collects the frames of one grasp, each with opening and set-point of its control period.
 
-    Parameters
-    ----------
-    pads, source, start_ms, zero
-        As in `recognition.grasp.Grasp`.
+    ``pads``, ``source``, ``start_ms`` and ``zero`` are as in `recognition.grasp.Grasp`.
     """
 
     def __init__(

@@ -185,12 +185,8 @@ class SelfZeros:
 def part_between(outcome: GraspOutcome, found: ZeroMeasurement | None = None) -> str:
     """Return as text that something else than their pads has stopped the empty fingers, else "".
 
-    Parameters
-    ----------
-    outcome
-        Of `Hand.meet`: it ends early where the opening or the first footprints show a part.
-    found
-        What the pads have shown at the end.
+    The outcome of `Hand.meet` ends early where the opening or the first footprints show a part;
+    ``found`` is what the pads have shown at the end.
     """
     lost = outcome.result is GraspResult.PART_LOST
     if not (outcome.ended_early or lost or (found is not None and not found.pads_met)):

@@ -58,12 +58,8 @@ def grasp_state(
 ) -> GraspState:
     """Return the state of the grip.
 
-    Parameters
-    ----------
-    result
-        How the last grasp ended; None before the first one and after a release.
-    fault, part_lost
-        Whether a fault is latched, and whether it is the loss of the part.
+    ``result`` is how the last grasp ended, None before the first one and after a release;
+    ``part_lost`` is whether a latched fault is the loss of the part.
     """
     if fault:
         return GraspState.PART_LOST if part_lost else GraspState.ERROR

@@ -66,12 +66,8 @@ class DirectFile:
 class BackgroundFile(DirectFile):
     """Hands the bytes to one writing thread, so that a slow disk never holds up the force loop.
 
-    Parameters
-    ----------
-    max_waiting_bytes
-        More than this waiting is an OSError: the disk is too slow.
-    close_timeout_s
-        How long `close` waits for the disk, in s, before that is an OSError too.
+    More than ``max_waiting_bytes`` waiting is an OSError, the disk is too slow, and so is a `close`
+    that waits for the disk for more than ``close_timeout_s`` s.
     """
 
     def __init__(

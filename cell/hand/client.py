@@ -49,14 +49,7 @@ class LoopProcess:
     It is started afresh (exec, no fork): it shares no lock, thread or interpreter with the program,
     and the program's main module is not imported in it. Raises gripper.errors.PortLost or
     tactile.errors.LinkFault if a port or bus cannot be opened, and HandLost if the process does not
-    come up.
-
-    Parameters
-    ----------
-    config
-        The cell; its ports are real.
-    partial
-        As `cell.hand.build.open_hand`.
+    come up. The ports of the config are real; ``partial`` is as in `cell.hand.build.open_hand`.
     """
 
     def __init__(self, config: CellConfig, *, partial: bool = False) -> None:

@@ -28,15 +28,9 @@ _JUMP_S = 0.5
 class FoxgloveDoor:
     """Serves the channels of a recording to Foxglove; implements `cell.data.recorder.Tap`.
 
-    Messages are put aside in the thread that makes them, and sent by a thread of its own. Raises
+    Messages are put aside in the thread that makes them, and sent by a thread of its own. Port 0 is
+    any free one. ``log_time`` of each message is the cell's clock related to unix time. Raises
     CellError if the port cannot be opened.
-
-    Parameters
-    ----------
-    port
-        TCP port on loopback; 0: any free one.
-    wall_clock_ns
-        Unix time in ns; ``log_time`` of each message is the cell's clock related to it.
     """
 
     def __init__(self, port: int, wall_clock_ns: Callable[[], int] = time.time_ns) -> None:

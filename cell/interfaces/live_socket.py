@@ -84,10 +84,7 @@ async def _until_gone(link: WebSocket) -> None:
 class LiveLink(WebSocketsSansIOProtocol):
     """A WebSocket without a queue: a message waits until the client has taken the one before.
 
-    Parameters
-    ----------
-    limit_s
-        Longest wait in s; then the connection is cut.
+    After ``limit_s`` s of waiting the connection is cut.
     """
 
     def __init__(self, limit_s: float, *server: Any, **settings: Any) -> None:

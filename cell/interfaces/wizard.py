@@ -53,12 +53,8 @@ class Phase(StrEnum):
 class Wizard(Dialog):
     """The wizard as the page sees it; implements `cell.commissioning.engine.Dialog`.
 
-    The engine's thread calls the methods of a dialog, the door's threads all others.
-
-    Parameters
-    ----------
-    config
-        Has the time-out of the lease.
+    The engine's thread calls the methods of a dialog, the door's threads all others. The config has
+    the time-out of the lease.
     """
 
     def __init__(self, engine: Engine, config: ServeConfig) -> None:

@@ -22,15 +22,10 @@ def calibrate_model(
 ) -> ForceRampRecognizer:
     """Return a copy of the taught recogniser after gauges.
 
-    Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads,
-    and CellError if an object was not taught, or no grasp of it touched both pads.
-
-    Parameters
-    ----------
-    model
-        Taught before the drift; what earlier gauges have shown is forgotten.
-    grasps
-        Grasps of each gauge object, taken now; each is one of the taught objects.
+    The model was taught before the drift; what earlier gauges have shown is forgotten. The grasps
+    of each gauge object, one of the taught ones, were taken now. Raises ModelError if the model is
+    of a kind that cannot be gauged, or was taught on other pads, and CellError if an object was not
+    taught, or no grasp of it touched both pads.
     """
     recognizer = gaugeable(model.recognizer, model.trainer_name).without_gauges()
     for label, taken in grasps.items():

@@ -77,12 +77,8 @@ def _result(
 def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[CheckResult]:
     """Check the machine, then each device of the cell, yielding results as they come.
 
-    Reads and verifies only: no torque is switched on and nothing moves.
-
-    Parameters
-    ----------
-    config_file
-        The file that it was read from, for the commands that are advised.
+    Reads and verifies only: no torque is switched on and nothing moves. The file that the config
+    was read from stands in the commands that are advised.
     """
     yield from _machine()
     if not config.simulated:
@@ -121,12 +117,8 @@ def _kept(config_file: Path | None) -> _Kept:
 def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckResult]:
     """Grasp the gauge object of the commissioning again, and return what differs.
 
-    Parameters
-    ----------
-    bench
-        Lines and folder of the commissioning.
-    dialog
-        Shows each motion before it is made, and asks for the object.
+    The bench is that of the commissioning; the dialog shows each motion before it is made, and asks
+    for the object.
 
     Raises
     ------

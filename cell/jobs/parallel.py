@@ -28,13 +28,9 @@ def spread(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Itera
 def workers(jobs: int = 1, *, scheduler: str | None = None) -> Iterator[Mapper]:
     """Yield what does work for many items: here, in processes of this machine, or on a cluster.
 
-    Parameters
-    ----------
-    jobs
-        Number of processes; 1 for none but this one, 0 for one a core.
-    scheduler
-        Address of a Dask scheduler, as ``tcp://host:8786``, whose workers have this package in the
-        same version; `jobs` then means nothing.
+    ``jobs`` is 1 for no process but this one, 0 for one a core. With the address of a Dask
+    scheduler, as ``tcp://host:8786``, whose workers have this package in the same version, it means
+    nothing.
 
     Raises
     ------

@@ -47,14 +47,8 @@ def cached_model(config: CellConfig) -> Path | None:
 def keep_model(config: CellConfig, write: Callable[[Path], object]) -> Path:
     """Keep a model for the next start, in the place of the one before, and return its path.
 
-    Raises OSError or CellError if the files cannot be written: the next start has to teach again.
-
-    Parameters
-    ----------
-    config
-        What it was taught with.
-    write
-        Writes `MODEL_FILE` and its training set into the folder that it gets.
+    ``write`` writes `MODEL_FILE` and its training set into the folder that it gets. Raises OSError
+    or CellError if the files cannot be written: the next start has to teach again.
     """
     folder = _folder(config)
     folder.parent.mkdir(parents=True, exist_ok=True)

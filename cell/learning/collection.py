@@ -53,16 +53,10 @@ class Collection:
         """Grasp the object at different poses and forces until the plan is at its end.
 
         A grasp that finds no part is counted and left out. Whatever ends it early, the grasps
-        before stay in the records. Raises NoPartFound if several grasps in a row find no part, or
-        none finds one, and cell.errors.CellStopped, gripper.errors.GripperError or
-        tactile.errors.TactileError as `CellController.grasp`.
-
-        Parameters
-        ----------
-        sequence
-            Ranges of poses and forces.
-        on_grasp
-            Called with this collection after each grasp, a missed one too.
+        before stay in the records. ``on_grasp`` is called with this collection after each grasp, a
+        missed one too. Raises NoPartFound if several grasps in a row find no part, or none finds
+        one, and cell.errors.CellStopped, gripper.errors.GripperError or tactile.errors.TactileError
+        as `CellController.grasp`.
         """
         misses: list[NoPartFound] = []
 

@@ -180,13 +180,8 @@ def save_model(
 def load_model(path: Path | str, expected_pads: PadArray | None = None) -> LoadedModel:
     """Read a model file.
 
-    Raises ModelError if the file is damaged, no model, of another version, or was taught on other
-    pads.
-
-    Parameters
-    ----------
-    expected_pads
-        The pads of the cell; None to take those of the model.
+    It is read for the pads of a cell, or for its own. Raises ModelError if the file is damaged, no
+    model, of another version, or was taught on other pads.
     """
     path = Path(path)
     arrays = read_npz(path, error=ModelError, what="model", limit_bytes=MODEL_LIMIT_BYTES)

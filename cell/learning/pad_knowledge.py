@@ -142,14 +142,8 @@ def calibrate_on_gauge(
 ) -> PadKnowledge:
     """Fit stiffness and gain to grasps of a known object.
 
+    ``pads`` are those of the cell; ``foam`` is what the fit begins with, equation (11) by default.
     Raises CellError if the grasps were taken on other pads, or do not suffice.
-
-    Parameters
-    ----------
-    pads
-        Those of the cell.
-    foam
-        Foam and sensor to begin with; equation (11) by default.
     """
     if not grasps[0].pads.same_as(pads):
         raise CellError(
@@ -180,15 +174,9 @@ def calibrate_on_gauge(
 def pad_knowledge(config: CellConfig, gauge: Path | None, gauge_text: str | None) -> PadKnowledge:
     """Return foam and sensor by a gauge, or the usual ones without one.
 
-    Raises ConfigError if a shape is given without grasps, or is none, and CellError if the grasps
-    cannot be read, or do not suffice.
-
-    Parameters
-    ----------
-    gauge
-        Data set or recording of grasps of one known object; None: the usual foam.
-    gauge_text
-        Its shape; None: that of the configured object of the grasps' label.
+    The gauge is a data set or recording of grasps of one known object, its shape by default that of
+    the configured object of their label. Raises ConfigError if a shape is given without grasps, or
+    is none, and CellError if the grasps cannot be read, or do not suffice.
     """
     foam = usual_foam(config)
     if gauge is None:

@@ -26,12 +26,8 @@ _NOUNS = {
 def shape_reader(config: CellConfig, known: PadKnowledge | None = None) -> ReadShape | None:
     """Return the function that reads shape and size on a cell; None where the config wants none.
 
-    Raises ConfigError if there is a gauge, and the config wants no shapes.
-
-    Parameters
-    ----------
-    known
-        Foam and sensor; by default the usual ones, under the config's law.
+    Foam and sensor are by default the usual ones, under the config's law. Raises ConfigError if
+    there is a gauge, and the config wants no shapes.
     """
     if not config.recognition.shape:
         if known is not None and known.fit is not None:

@@ -114,15 +114,9 @@ class TaughtModel:
     ) -> Self:
         """Read a model file, and its training set where there is one.
 
-        Raises ModelError or DatasetError if a file cannot be read, or does not suit the config.
-
-        Parameters
-        ----------
-        config, known
-            As `TaughtModel`.
-        training_set
-            Data set of the grasps that trained it; by default the one that `save` wrote with it,
-            where that still stands beside it.
+        ``training_set`` is the data set of the grasps that trained it, by default the one that
+        `save` wrote with it, where that still stands beside it. Raises ModelError or DatasetError
+        if a file cannot be read, or does not suit the config.
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
         if training_set is None:
@@ -467,13 +461,9 @@ class TaughtModel:
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the model file, and its training set where it is at hand and not written yet.
 
-        The training set goes to ``NAME.grasps.npz`` beside the model. Raises CellStateError if
-        nothing was taught yet, and ModelError or DatasetError if a file cannot be written.
-
-        Parameters
-        ----------
-        followed
-            Whether the model expects the drift that was followed so far.
+        The training set goes to ``NAME.grasps.npz`` beside the model. With ``followed`` the model
+        expects the drift that was followed so far. Raises CellStateError if nothing was taught yet,
+        and ModelError or DatasetError if a file cannot be written.
         """
         path = Path(path)
         with self._lock:

@@ -127,10 +127,7 @@ class ToldApart:
 def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApart:
     """Return how well an object is told from all others, by two trainings with half of the grasps.
 
-    Parameters
-    ----------
-    grasps
-        All taught grasps, those of an object in the order of time.
+    The taught grasps of an object stand in the order of time.
     """
     names = sorted({grasp.label for grasp in grasps})
     if len(names) < 2:

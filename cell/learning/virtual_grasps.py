@@ -235,17 +235,8 @@ class VirtualPads:
     ) -> Grasp:
         """Return one grasp of a drawing.
 
-        Parameters
-        ----------
-        step
-            Pose and force; the roll settles on the nearest side that the object rests on.
-        label, shape, start_ms
-            Label, class of shape and time of the record in ms.
-
-        Raises
-        ------
-        ValueError
-            The object lies beside a pad, or does not fit into the open gripper.
+        The roll of the pose settles on the nearest side that the object rests on. Raises ValueError
+        if the object lies beside a pad, or does not fit into the open gripper.
         """
         course = self._course
         foam = self._drawn_foam(rng)

@@ -118,15 +118,9 @@ class CellWorker:
     ) -> Job:
         """Accept a job; return at once.
 
-        Raises CellStateError if another job is not over yet, or the cell is being closed.
-
-        Parameters
-        ----------
-        work
-            The job; it gets a function to report its progress with.
-        accepted
-            Called with the job once no other one runs and before this one does; what it raises
-            refuses the job.
+        The job gets a function to report its progress with. ``accepted`` is called with it once no
+        other one runs and before this one does; what it raises refuses the job. Raises
+        CellStateError if another job is not over yet, or the cell is being closed.
         """
         with self._changed:
             self.check_free()

@@ -64,14 +64,8 @@ COMMANDS = (
 class Calls:
     """The methods; types are int, float, bool, str and pose only.
 
-    Those of `VALUES` and `COMMANDS` are added below.
-
-    Parameters
-    ----------
-    secret
-        What `acquire` asks for; an empty one is not asked for.
-    door
-        Name of the door in those of its clients.
+    Those of `VALUES` and `COMMANDS` are added below. `acquire` asks for the secret, where it is not
+    empty; the door's name stands in those of its clients.
     """
 
     def __init__(self, service: Service, secret: str = "", *, door: str = "XML-RPC") -> None:

@@ -461,17 +461,11 @@ class Service:
     def begin_hold(self, client: Hashable, name: str, *, connected: bool = False) -> None:
         """Stop what runs, and start nothing that moves until this client ends its hold.
 
+        A client that comes again takes up the hold that a client of the same name has left behind.
+        One whose connection tells when it is gone, by `leave_hold`, is ``connected``. Any other
+        client counts as gone when it has not repeated this for ``serve.lease_timeout_s``. A client
+        that is gone keeps the cell on hold until a person comes: the client again, or a clear.
         Raises RequestRefused if too many clients do so; what runs is stopped.
-
-        Parameters
-        ----------
-        client, name
-            The client and its name for all to see. One that comes again takes up the hold that a
-            client of the same name has left behind.
-        connected
-            Whether its connection tells when it is gone, by `leave_hold`. Any other client counts
-            as gone when it has not repeated this for ``serve.lease_timeout_s``. A client that is
-            gone keeps the cell on hold until a person comes: the client again, or a clear.
         """
         with self._lock:
             for left in [k for k, one in self._holders.items() if one.name == name and k != client]:
