@@ -367,8 +367,8 @@ def _axes(
             operator = OperatorPositioner(ask)
             patient.call(lambda: operator.present(label), supervise)
 
-    moved = [axis.moves for axis in wanted.axes]
-    return AxesPositioner(Axes(axes, watch), moved, bring=bring, phase=phase)
+    moved = tuple(axis.moves for axis in wanted.axes)
+    return AxesPositioner(axes=Axes(axes, watch), moved=moved, bring=bring, phase=phase)
 
 
 def drive_bus(config: CellConfig) -> CanBus:

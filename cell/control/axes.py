@@ -1,8 +1,9 @@
 """The positioner with axes of its own: made from the config, moved between two grasps."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import radians
+from typing import ClassVar
 
 from cell.config.positioner import DriveAxisConfig, ServoAxisConfig
 from cell.control.plan import Pose
@@ -135,37 +136,22 @@ def _servo_settings(config: ServoAxisConfig) -> ServoAxisSettings:
     )
 
 
+@dataclass(kw_only=True)
 class AxesPositioner:
-    """Moves the object with axes of the cell's own: between open fingers, or kept in the grip.
+    """Moves the object with axes of the cell's own: between open fingers, or kept in the grip."""
 
-    Parameters
-    ----------
-    moved
-        What they move, of x, y, rotation and roll.
-    bring
-        Has an object put where the axes carry it.
-    phase
-        Returns the present phase of the gripper.
-    """
-
-    blocks = False
-
-    def __init__(
-        self,
-        axes: Axes,
-        moved: Sequence[str],
-        *,
-        bring: Bring,
-        phase: Callable[[], GripperPhase],
-    ) -> None:
-        self.axes = axes
-        self._moved = tuple(moved)
-        self._bring = bring
-        self._phase = phase
+    axes: Axes
+    moved: tuple[str, ...]
+    """What they move, of x, y, rotation and roll."""
+    bring: Bring
+    """Has an object put where the axes carry it."""
+    phase: Callable[[], GripperPhase]
+    """Returns the present phase of the gripper."""
+    blocks: ClassVar[bool] = False
 
     def present(self, label: str | None, supervise: Callable[[], None] = unwatched) -> None:
         """Have an object put on the axes; see `Positioner`."""
-        self._bring(label, supervise)
+        self.bring(label, supervise)
 
     def move_to(self, pose: Pose, supervise: Callable[[], None] = unwatched) -> Pose:
         """Move all axes to the pose; return where they are.
@@ -201,18 +187,18 @@ class AxesPositioner:
         """Move to a pose in one of some phases of the gripper; return where the axes are."""
         for part, name in _FIELDS.items():
             value = getattr(pose, name)
-            if part not in self._moved and value != 0.0:
+            if part not in self.moved and value != 0.0:
                 raise PositionerError(
                     f"{pose} asks for {part}, which no axis moves; nothing has moved. Plan poses "
                     f"with 0 there, or add an axis (positioner.axes)"
                 )
-        phase = self._phase()
+        phase = self.phase()
         if phase not in phases:
             raise PositionerError(
                 f"the fingers are {phase.value}: axes move only while they rest and hold nothing, "
                 "or carry a part that is kept"
             )
-        targets = {part: getattr(pose, _FIELDS[part]) for part in self._moved}
+        targets = {part: getattr(pose, _FIELDS[part]) for part in self.moved}
         try:
             return self.axes.move(targets, supervise)
         except (AxisLimitExceeded, PositionNotReached) as error:

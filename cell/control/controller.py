@@ -88,12 +88,15 @@ class CellController:
         self.hand = hand
         """Gripper and sensor, for statistics; commands go through the controller."""
         self._life = CellLifecycle(
-            hand, self._journal, shows_nothing=lambda: self.shows_nothing, clock=clock
+            hand=hand,
+            journal=self._journal,
+            shows_nothing=lambda: self.shows_nothing,
+            clock=clock,
         )
         self._grasper = Grasper(
-            config,
-            hand,
-            positioner,
+            config=config,
+            hand=hand,
+            positioner=positioner,
             life=self._life,
             journal=self._journal,
             zeros=self._zeros,

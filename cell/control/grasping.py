@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -71,45 +71,28 @@ _LOOK_FRAMES, _LOOKS_UP_TO_N = 3, 5.0
 """Each so many frames it is looked whether a part is between them, up to that set-point in N."""
 
 
+@dataclass(kw_only=True)
 class Grasper:
-    """Takes hand and positioner through one grasp after the other, and records them.
+    """Takes hand and positioner through one grasp after the other, and records them."""
 
-    Parameters
-    ----------
-    config
-        Of the cell: its name, how the force grows, with which one a part is carried.
-    hand, positioner
-        What grasps, and what moves the object in between.
-    life
-        Holds requested stops and the states to record.
-    zeros
-        The newest self-zero, which grasps carry.
-    """
+    config: CellConfig
+    hand: Hand
+    positioner: Positioner
+    life: CellLifecycle
+    """Holds requested stops and the states to record."""
+    journal: Journal
+    zeros: SelfZeros
+    """The newest self-zero, which grasps carry."""
+    clock: Clock
 
-    def __init__(
-        self,
-        config: CellConfig,
-        hand: Hand,
-        positioner: Positioner,
-        *,
-        life: CellLifecycle,
-        journal: Journal,
-        zeros: SelfZeros,
-        clock: Clock,
-    ) -> None:
-        self._source = CELL_SOURCE + config.name
-        self._hand = hand
-        self._positioner = positioner
-        self._life = life
-        self._journal = journal
-        self._gripper = config.gripper
-        self._sequence = config.sequence
+    def __post_init__(self) -> None:
+        self._source = CELL_SOURCE + self.config.name
+        self._gripper, self._sequence = self.config.gripper, self.config.sequence
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._last_start_ms = 0
-        self._opening_step_m = _opening_step_m(config.linkage)
-        self._zeros = zeros
-        self._patient = PatientCaller(clock, hand.period_s)
-        self.pads: PadArray = pad_array(hand.layout)
+        self._opening_step_m = _opening_step_m(self.config.linkage)
+        self._patient = PatientCaller(self.clock, self.hand.period_s)
+        self.pads: PadArray = pad_array(self.hand.layout)
 
     def check(self, step: GraspStep, label: str = "") -> None:
         """Refuse a step that cannot be carried out, before anything moves.
@@ -125,7 +108,7 @@ class Grasper:
             raise PlanRefused(f"{label!r} is no label; give a text")
         if wrong := text_refused("label", label):
             raise PlanRefused(f"the label {wrong}")
-        self._hand.check_ramp(self._ramp(step))
+        self.hand.check_ramp(self._ramp(step))
 
     def _ramp(self, step: GraspStep) -> ForceRamp:
         return force_ramp(self._sequence.ramp, step.force_n)
@@ -149,7 +132,7 @@ class Grasper:
             judge.begin(record)
             kept = judge.holds and self._judged(record, judge)
         if not kept:
-            self._hand.release(self.watch)
+            self.hand.release(self.watch)
         return record, kept
 
     def grip(self, force_n: float, pose: Pose | None) -> GraspRecord:
@@ -158,7 +141,7 @@ class Grasper:
         reached = step.pose if pose is None else self._move_to(pose)
         record = self._close(step, reached, "", None)
         if record.outcome.result in NOTHING_HELD:
-            self._hand.release(self.watch)
+            self.hand.release(self.watch)
         else:
             zero = open_counts(record.grasp)
             self._held = (zero, self._look_at_held(zero))
@@ -182,7 +165,7 @@ class Grasper:
             raise PartBetweenFingers(
                 f"{between}. The grip is kept. Look; clear the fault and release"
             )
-        self._hand.release(self.watch)
+        self.hand.release(self.watch)
         if found is None or (refused := unsound(found)):
             raise ZeroRefused(refused)
         return self._kept_zero(found)
@@ -194,10 +177,10 @@ class Grasper:
         cell answers as on any day. Returns why there is none; empty where there is one.
         """
         outcome, found, refused = self._meet()
-        self._hand.release(self.watch)
+        self.hand.release(self.watch)
         why = part_between(outcome, found) or refused
         if found is not None:
-            why = why or unsound(found) or self._zeros.far_from_last(found.zero)
+            why = why or unsound(found) or self.zeros.far_from_last(found.zero)
             if not why:
                 self._kept_zero(found)
                 return ""
@@ -206,7 +189,7 @@ class Grasper:
             f"everything out of the grip, then `tactile-cell zero`; with `self_zero: on_demand` "
             f"no start closes the fingers"
         )
-        self._journal.note("note", why)
+        self.journal.note("note", why)
         return why
 
     def _meet(self) -> tuple[GraspOutcome, ZeroMeasurement | None, str]:
@@ -215,9 +198,9 @@ class Grasper:
         Returns while they press: how it ended, what it has shown, and why that is nothing.
         """
         self._held = None
-        self._hand.open(self.watch)
+        self.hand.open(self.watch)
         collector, collect = self._collecting(None)
-        layout, n_seen = self._hand.layout, 0
+        layout, n_seen = self.hand.layout, 0
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             nonlocal n_seen
@@ -227,10 +210,10 @@ class Grasper:
                 if n_seen % _LOOK_FRAMES == 0 and shows_part(
                     collector.grasp(), layout.gripping_pads
                 ):
-                    self._hand.end_ramp()
+                    self.hand.end_ramp()
 
         most_n = min(_ZERO_FORCE_N, self._gripper.ramp_force_max_n)
-        outcome = self._hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
+        outcome = self.hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
         if part_between(outcome):
             return outcome, None, ""
         try:
@@ -245,12 +228,12 @@ class Grasper:
         return outcome, found, ""
 
     def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
-        self._zeros.keep(found.zero)
-        self._journal.note("self_zero", zero_text(found))
-        if self._zeros.unkept:
-            self._journal.note("note", self._zeros.unkept)
-        if dead := dead_taxels_text(found, self._hand.layout):
-            self._journal.note("taxels", dead)
+        self.zeros.keep(found.zero)
+        self.journal.note("self_zero", zero_text(found))
+        if self.zeros.unkept:
+            self.journal.note("note", self.zeros.unkept)
+        if dead := dead_taxels_text(found, self.hand.layout):
+            self.journal.note("taxels", dead)
         return found
 
     def _close(
@@ -258,20 +241,20 @@ class Grasper:
     ) -> GraspRecord:
         """Open, close and follow the ramp; record that, and return while holding."""
         self._held = None
-        self._hand.open(self.watch)
-        collector, collect = self._collecting(self._zeros.newest)
+        self.hand.open(self.watch)
+        collector, collect = self._collecting(self.zeros.newest)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             collect(cycle, frames)
             if looks is not None and any(
                 looks.add_frame(frame.counts, collector.grasp) for frame in frames
             ):
-                self._hand.end_ramp()
+                self.hand.end_ramp()
 
-        outcome = self._hand.grasp(self._ramp(step), watch)
-        self._life.result = outcome.result
+        outcome = self.hand.grasp(self._ramp(step), watch)
+        self.life.result = outcome.result
         if outcome.result in NOTHING_HELD and not collector.n_frames:
-            self._hand.release(self.watch)
+            self.hand.release(self.watch)
             raise NoPartFound(
                 f"{NOTHING_HELD[outcome.result]} at {reached}, and the fingers had closed before a "
                 f"frame of the taxels came: open wider, or close more slowly"
@@ -286,11 +269,11 @@ class Grasper:
         )
         missing = NOTHING_HELD.get(outcome.result)
         if missing is not None:
-            self._journal.note("no part", f"{missing} at {reached}")
+            self.journal.note("no part", f"{missing} at {reached}")
         else:
-            self._journal.grasp(record.grasp)
+            self.journal.grasp(record.grasp)
             if record.ended:
-                self._journal.note("ramp", record.ended)
+                self.journal.note("ramp", record.ended)
         return record
 
     def _judged(self, record: GraspRecord, judge: Judge) -> bool:
@@ -300,9 +283,9 @@ class Grasper:
             if judge.keeps:
                 held = (zero, self._look_at_held(zero))
             else:
-                self._hand.carry(self._sequence.carry_force_n, 0.0, self.watch)
+                self.hand.carry(self._sequence.carry_force_n, 0.0, self.watch)
             verdict = judge.decide()
-            self._life.check_cancelled()
+            self.life.check_cancelled()
             if verdict.further is None:
                 break
             record = self._squeeze(first, replace(verdict.further, pose=first.step.pose))
@@ -315,10 +298,10 @@ class Grasper:
         """Back off and follow a further ramp in the same grip; return its record."""
         from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
         from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
-        self._hand.carry(from_n, 0.0, self.watch)
-        collector, watch = self._collecting(self._zeros.newest)
-        outcome = self._hand.squeeze(self._ramp(step), watch)
-        self._journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
+        self.hand.carry(from_n, 0.0, self.watch)
+        collector, watch = self._collecting(self.zeros.newest)
+        outcome = self.hand.squeeze(self._ramp(step), watch)
+        self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
         return GraspRecord(
             grasp=spliced(first.grasp, collector.grasp(command=step.command), from_n),
             step=step,
@@ -331,9 +314,9 @@ class Grasper:
     def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
         """Hold the part with the force of a carry, and measure it for a comparison."""
         carry_n = self._sequence.carry_force_n
-        self._hand.carry(carry_n, 0.0, self.watch)
+        self.hand.carry(carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
-        self._hand.carry(carry_n, HELD_LOOK_S, watch)
+        self.hand.carry(carry_n, HELD_LOOK_S, watch)
         return measured(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
@@ -342,7 +325,7 @@ class Grasper:
 
     def patiently(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
         """Wait for the positioner while both links stay alive and supervised."""
-        if not self._positioner.blocks:
+        if not self.positioner.blocks:
             return call()
         return self._patient.call(call, supervise)
 
@@ -361,17 +344,17 @@ class Grasper:
         return collector, watch
 
     def _look(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-        self._life.check_cancelled()
-        self._journal.states(self._life.state, self._life.grasp_state)
-        self._journal.cycle(cycle, frames)
+        self.life.check_cancelled()
+        self.journal.states(self.life.state, self.life.grasp_state)
+        self.journal.cycle(cycle, frames)
 
     def _move_to(self, pose: Pose) -> Pose:
         def supervise() -> None:
-            self._hand.tick()
-            self._life.check_cancelled()
+            self.hand.tick()
+            self.life.check_cancelled()
 
-        reached = self.patiently(lambda: self._positioner.move_to(pose, supervise), supervise)
-        self._journal.pose(reached)
+        reached = self.patiently(lambda: self.positioner.move_to(pose, supervise), supervise)
+        self.journal.pose(reached)
         return reached
 
 

@@ -1,7 +1,7 @@
 """The grasp-then-classify sequence: grasp, classify, stop or go on."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from cell.control.keeping import Judge, Keep, PartDecision
@@ -89,40 +89,25 @@ Begin = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
 """Begins to compute, or not yet, and returns the function that waits for the answer."""
 
 
+@dataclass(kw_only=True)
 class SequenceAnswers:
-    """Answers to the grasps of one sequence so far, and the decision after each.
+    """Answers to the grasps of one sequence so far, and the decision after each."""
 
-    Parameters
-    ----------
-    rule
-        When the sequence ends.
-    read_shape
-        Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`.
-    begin
-        How the answers are computed.
-    """
-
-    def __init__(
-        self,
-        recognizer: Recognizer,
-        rule: StopRule,
-        *,
-        read_shape: ReadShape | None,
-        on_grasp: OnGrasp | None,
-        begin: Begin,
-    ) -> None:
-        self._begin = begin
-        self._coming: tuple[GraspRecord, Callable[[], _Answer]] | None = None
-        self._recognizer = recognizer
-        self._rule = rule
-        self._read_shape = read_shape
-        self._on_grasp = on_grasp
-        self.posteriors: list[Posterior] = []
-        self.records: list[GraspRecord] = []
-        """Answers to the grasps so far, and their records, in order."""
-        self._complaints: list[str] = []
-        self._shapes: list[ShapeAnswer | None] = []
-        self._decision: Decision | None = None
+    recognizer: Recognizer
+    rule: StopRule
+    """When the sequence ends."""
+    read_shape: ReadShape | None
+    """Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`."""
+    on_grasp: OnGrasp | None
+    compute: Begin
+    """How the answers are computed."""
+    posteriors: list[Posterior] = field(default_factory=list)
+    records: list[GraspRecord] = field(default_factory=list)
+    """Answers to the grasps so far, and their records, in order."""
+    _coming: tuple[GraspRecord, Callable[[], _Answer]] | None = None
+    _complaints: list[str] = field(default_factory=list)
+    _shapes: list[ShapeAnswer | None] = field(default_factory=list)
+    _decision: Decision | None = None
 
     @property
     def decision(self) -> Decision:
@@ -138,13 +123,13 @@ class SequenceAnswers:
 
     def begin(self, record: GraspRecord) -> None:
         """Begin to compute the answer to a grasp; `add` follows."""
-        self._coming = record, self._begin(lambda: self._answer(record))
+        self._coming = record, self.compute(lambda: self._answer(record))
 
     def _answer(self, record: GraspRecord) -> _Answer:
         """Return the answer to a grasp, perhaps on a thread of its own."""
-        posterior = record.early or self._recognizer.posterior(record.grasp)
+        posterior = record.early or self.recognizer.posterior(record.grasp)
         try:
-            shape = None if self._read_shape is None else self._read_shape(record.grasp)
+            shape = None if self.read_shape is None else self.read_shape(record.grasp)
         except Exception as error:
             return posterior, None, error
         return posterior, shape, None
@@ -161,17 +146,17 @@ class SequenceAnswers:
         number = len(self.records)
         if error is not None:
             self.complain(f"shape of grasp {number}", error)
-        if self._read_shape is not None:
+        if self.read_shape is not None:
             self._shapes.append(shape)
         if shape is not None:
             posterior = posterior.with_size(shape.low_m, shape.high_m)
         self.posteriors.append(posterior)
-        if self._on_grasp is not None:
+        if self.on_grasp is not None:
             try:
-                self._on_grasp(number, record, posterior, shape)
+                self.on_grasp(number, record, posterior, shape)
             except Exception as error:
                 self.complain(f"after grasp {number}", error)
-        self._decision = decide(self.posteriors, self._rule)
+        self._decision = decide(self.posteriors, self.rule)
 
     def identification(self, *, kept: bool) -> Identification:
         """Return the answer of the sequence."""
@@ -183,7 +168,7 @@ class SequenceAnswers:
             posteriors=tuple(self.posteriors),
             fused=fuse(self.posteriors),
             records=tuple(self.records),
-            drift=self._recognizer.grid if isinstance(self._recognizer, DriftFollowing) else None,
+            drift=self.recognizer.grid if isinstance(self.recognizer, DriftFollowing) else None,
             complaints=tuple(self._complaints),
             shapes=tuple(self._shapes),
             shape=shape,
@@ -244,7 +229,7 @@ def grasp_and_classify(
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
     answers = SequenceAnswers(
-        recognizer, rule, read_shape=read_shape, on_grasp=on_grasp, begin=begin
+        recognizer=recognizer, rule=rule, read_shape=read_shape, on_grasp=on_grasp, compute=begin
     )
     heads = None if early is None else early.as_wary_as(recognizer)
     steps = iter(plan)

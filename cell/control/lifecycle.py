@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 from cell.control.journal import Journal
 from cell.control.states import (
@@ -48,65 +49,46 @@ ON_REQUEST = "on request"
 """Reason of a stop that a person or host asked for."""
 
 
+@dataclass(kw_only=True)
 class CellLifecycle:
-    """The walk through the states of `cell.control.states`; keeps the grip whatever goes wrong.
+    """The walk through the states of `cell.control.states`; keeps the grip whatever goes wrong."""
 
-    Parameters
-    ----------
-    hand
-        Whose grip it is.
-    journal
-        Gets stops, faults and each change of state.
-    shows_nothing
-        Whether pads and current showed last that nothing is held.
-    """
-
-    def __init__(
-        self,
-        hand: Hand,
-        journal: Journal,
-        *,
-        shows_nothing: Callable[[], bool],
-        clock: Clock,
-    ) -> None:
-        self._hand = hand
-        self._journal = journal
-        self._shows_nothing = shows_nothing
-        self._clock = clock
-        self._kept: tuple[float, str] | None = None
-        self._state = CellState.STOPPED
-        self._part_lost = False
-        self.result: GraspResult | None = None
-        """How the last grasp ended; None before the first one and after a release."""
-        self.fault: str | None = None
-        self.fault_number = 0
-        """What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`."""
-        self.state_since_s = time.time()
-        """Unix time in s of the last change of the state."""
-        self.fault_since_s: float | None = None
-        """Unix time in s at which the latched fault was; None without one."""
-        self.n_faults = 0
-        """Faults so far."""
-        self.cancelled = False
-        """Whether a stop was requested and nothing has obeyed it yet."""
-        self.stop_reason = ON_REQUEST
-        """Who or what requested the last stop."""
-
-    @property
-    def state(self) -> CellState:
-        """The present state."""
-        return self._state
+    hand: Hand
+    journal: Journal
+    """Gets stops, faults and each change of state."""
+    shows_nothing: Callable[[], bool]
+    """Whether pads and current showed last that nothing is held."""
+    clock: Clock
+    state: CellState = CellState.STOPPED
+    """The present state, which `go` alone changes."""
+    result: GraspResult | None = None
+    """How the last grasp ended; None before the first one and after a release."""
+    fault: str | None = None
+    fault_number: int = 0
+    """What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`."""
+    state_since_s: float = field(default_factory=time.time)
+    """Unix time in s of the last change of the state."""
+    fault_since_s: float | None = None
+    """Unix time in s at which the latched fault was; None without one."""
+    n_faults: int = 0
+    """Faults so far."""
+    cancelled: bool = False
+    """Whether a stop was requested and nothing has obeyed it yet."""
+    stop_reason: str = ON_REQUEST
+    """Who or what requested the last stop."""
+    _kept: tuple[float, str] | None = None
+    _part_lost: bool = False
 
     @property
     def holding(self) -> bool:
         """Whether a part may be in the grip."""
-        return self._hand.phase in _HOLDING
+        return self.hand.phase in _HOLDING
 
     @property
     def grasp_state(self) -> GraspState:
         """State of the grip, beside that of the cell."""
         return grasp_state(
-            self._hand.phase,
+            self.hand.phase,
             result=self.result,
             fault=self.fault is not None,
             part_lost=self._part_lost,
@@ -114,37 +96,37 @@ class CellLifecycle:
 
     def allows(self, event: Event) -> bool:
         """Whether the event is allowed in the present state."""
-        return (self._state, event) in TRANSITIONS
+        return (self.state, event) in TRANSITIONS
 
     def check(self, command: Command) -> None:
         """Raise CellStateError if the command is not allowed in the present state."""
-        if not command_effect(self._state, command).accepted:
-            raise self._refused(refusal(self._state, command))
+        if not command_effect(self.state, command).accepted:
+            raise self._refused(refusal(self.state, command))
 
     def go(self, event: Event) -> None:
         """Go to the state that follows. Raises CellStateError if the event is not allowed now."""
         try:
-            self._state = next_state(self._state, event)
+            self.state = next_state(self.state, event)
         except ValueError as error:
             raise self._refused(str(error)) from None
         self.state_since_s = time.time()
         if event in (Event.RELEASE, Event.RELEASE_HELD, Event.START):
             self._kept = None
-        self._journal.states(self._state, self.grasp_state)
+        self.journal.states(self.state, self.grasp_state)
 
     def _refused(self, text: str) -> CellStateError:
         return CellStateError(text + (f"; fault: {self.fault}" if self.fault else ""))
 
     def complete(self) -> None:
         """Leave the acting state with the event with which it ends when all goes well."""
-        self.go(COMPLETIONS[self._state])
+        self.go(COMPLETIONS[self.state])
 
     def keep(self, *, since: str) -> None:
         """Leave EXECUTE with the part held for the host, ``since`` e.g. the answer.
 
         A fault from then on names the time since then; a part that is kept already stays so.
         """
-        self._kept = self._kept or (self._clock.monotonic(), since)
+        self._kept = self._kept or (self.clock.monotonic(), since)
         self.go(Event.KEPT)
 
     def check_cancelled(self) -> None:
@@ -156,7 +138,7 @@ class CellLifecycle:
         """Acknowledge the fault; see `CellController.clear`."""
         self.go(Event.CLEAR)
         try:
-            self._hand.clear_fault(reboot=reboot)
+            self.hand.clear_fault(reboot=reboot)
         except BaseException as error:
             # An error that a servo has latched needs other steps than the fault that it followed.
             if self.fault is None or isinstance(error, ServoFault):
@@ -184,10 +166,10 @@ class CellLifecycle:
             raise CellStopped(f"stopped {self.stop_reason}; {self._left(stop)}") from stop
         except PositionerError as error:
             # A pose that is not reached is no fault of the cell: its fingers are open and empty.
-            if self._state is not CellState.EXECUTE or self.holding:
+            if self.state is not CellState.EXECUTE or self.holding:
                 self._latch(error)
             else:
-                self._journal.note("positioner", str(error), fault_number(error))
+                self.journal.note("positioner", str(error), fault_number(error))
                 self.go(Event.DONE)
             raise
         except BaseException as error:
@@ -205,11 +187,11 @@ class CellLifecycle:
         self._part_lost = isinstance(error, lost)
         self.go(Event.FAULT)
         try:
-            self._journal.note("fault", self.fault, self.fault_number)
-            self._hand.keep_grip()
+            self.journal.note("fault", self.fault, self.fault_number)
+            self.hand.keep_grip()
         except (GripperError, HandLost) as second:
             text = f"the grip could not be confirmed: {second}"
-            self._journal.note("fault", text, fault_number(second))
+            self.journal.note("fault", text, fault_number(second))
         finally:
             self.complete()
 
@@ -218,25 +200,25 @@ class CellLifecycle:
         if self._kept is None:
             return ""
         since_s, since = self._kept
-        return f"; {self._clock.monotonic() - since_s:.1f} s after the {since}"
+        return f"; {self.clock.monotonic() - since_s:.1f} s after the {since}"
 
     def _left(self, stop: GraspStopped) -> str:
         """Return what a stop has left as text: fingers on their way, a grip, or nothing held."""
         moved = fingers_left(stop)
         if not self.holding:
-            return moved or NO_GRIP[self._shows_nothing()]
+            return moved or NO_GRIP[self.shows_nothing()]
         if moved:
             return f"{moved} until it is released on purpose"
         return "the grip is kept until it is released on purpose"
 
     def _hold(self) -> None:
         """Go where a stop on request leads from the present state, and keep the grip."""
-        if self._state is CellState.STARTING:
+        if self.state is CellState.STARTING:
             self.go(Event.STOP)
-            self._hand.close_sensor()
-        elif self._state is CellState.EXECUTE:
+            self.hand.close_sensor()
+        elif self.state is CellState.EXECUTE:
             self.go(Event.HOLD)
-            self._journal.note("held", f"stopped {self.stop_reason}", 0)
-        self._hand.keep_grip()
-        if self._state.acting:
+            self.journal.note("held", f"stopped {self.stop_reason}", 0)
+        self.hand.keep_grip()
+        if self.state.acting:
             self.complete()

@@ -259,35 +259,29 @@ class OperatorPositioner:
             raise PositionerError("the operator stopped the sequence")
 
 
+@dataclass
 class CallbackPositioner:
-    """Has the host program move: a callback that gets the pose and returns what was reached.
+    """Has the host program move: a callback that gets the pose and returns what was reached."""
 
-    Parameters
-    ----------
-    move
-        Callback that returns None or True when the pose is reached, False to veto it, or the `Pose`
-        that it reached instead.
-    simulated
-        Then places the object there: for a host without a robot yet.
-    """
+    move: Callable[[Pose], Pose | bool | None]
+    """Callback that returns None or True when the pose is reached, False to veto it, or the `Pose`
+    that it reached instead."""
+    simulated: SimulatedPositioner | None = None
+    """Then places the object there: for a host without a robot yet."""
 
-    def __init__(
-        self,
-        move: Callable[[Pose], Pose | bool | None],
-        simulated: SimulatedPositioner | None = None,
-    ) -> None:
-        self._move = move
-        self._simulated = simulated
-        self.blocks = simulated is None
+    @property
+    def blocks(self) -> bool:
+        """Whether the host takes its time; the simulated cell does not."""
+        return self.simulated is None
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Choose the object of the simulated cell; to a real one the host brings it."""
-        if self._simulated is not None:
-            self._simulated.present(label)
+        if self.simulated is not None:
+            self.simulated.present(label)
 
     def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Call the host; see `Positioner`."""
-        reached = self._move(pose)
+        reached = self.move(pose)
         if reached is False:
             raise PositionerError(f"the host refused to move to {pose}")
         if reached is None or reached is True:
@@ -298,7 +292,7 @@ class CallbackPositioner:
                 f"the host answered {reached!r} to a pose: return None or True when it is "
                 "reached, False to refuse, or the Pose reached instead"
             )
-        return reached if self._simulated is None else self._simulated.move_to(reached)
+        return reached if self.simulated is None else self.simulated.move_to(reached)
 
     def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Refuse: the host has given no callback for places; see `HostPlaces`."""

@@ -1,7 +1,7 @@
 """Grasp records: the cycles of the force loop and the frames of the sensor in one grasp."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -69,20 +69,20 @@ def pad_array(layout: TaxelLayout) -> PadArray:
     )
 
 
+@dataclass
 class GraspCollector:
-    """Collects the frames of one grasp, each with opening and set-point of its control period.
+    """Collects the frames of one grasp, each with opening and set-point of its control period."""
 
-    ``pads``, ``source``, ``start_ms`` and ``zero`` are as in `recognition.grasp.Grasp`.
-    """
-
-    def __init__(
-        self, pads: PadArray, *, source: str, start_ms: int, zero: SelfZero | None = None
-    ) -> None:
-        self._pads, self._source, self._start_ms, self._zero = pads, source, start_ms, zero
-        self.cycles: list[Cycle] = []
-        """All periods so far, in order."""
-        self._frames: list[tuple[TactileFrame, Cycle, float]] = []
-        self._since_frame_a: list[float] = []
+    pads: PadArray
+    _: KW_ONLY
+    source: str
+    start_ms: int
+    zero: SelfZero | None = None
+    """As in `recognition.grasp.Grasp`."""
+    cycles: list[Cycle] = field(default_factory=list)
+    """All periods so far, in order."""
+    _frames: list[tuple[TactileFrame, Cycle, float]] = field(default_factory=list)
+    _since_frame_a: list[float] = field(default_factory=list)
 
     def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         """Take one period of the force loop and the frames that arrived in it."""
@@ -115,14 +115,14 @@ class GraspCollector:
         counts = self.counts
         t_s = np.array([frame.t_s for frame, _, _ in self._frames])
         return Grasp(
-            pads=self._pads,
+            pads=self.pads,
             counts=counts,
             t_s=t_s - t_s[0],
             aperture_m=np.array([cycle.state.aperture_m for _, cycle, _ in self._frames]),
             force_n=np.array([cycle.setpoint_n for _, cycle, _ in self._frames]),
             label=label,
-            source=self._source,
-            start_ms=self._start_ms,
+            source=self.source,
+            start_ms=self.start_ms,
             command=command,
-            zero=self._zero,
+            zero=self.zero,
         )

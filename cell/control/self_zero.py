@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import Literal
@@ -66,71 +67,57 @@ def _hand_digest(config: CellConfig) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
+@dataclass
 class SelfZeros:
     """The newest self-zero of a cell, and when the next one is due.
 
     One that is older than a day counts no more: the hand may have changed since.
-
-    Parameters
-    ----------
-    when
-        At which starts it is due, as the config's ``self_zero`` has it. At a daily one nobody has
-        looked whether the fingers are empty.
-    pads_meet
-        Whether the pads of these fingers can press flat on each other.
-    path
-        File that keeps it from program to program; None: this program alone has it. One that cannot
-        be read, or is of another hand, counts as none.
-    hand
-        Digest of the hand that it is of.
-    new_hand
-        Whether each program has a new hand, a simulated one: its first start is the first of a day,
-        and what a program does is the same at each time of the day.
-    now_s
-        Returns the unix time in s.
     """
 
-    def __init__(
-        self,
-        when: SelfZeroWhen = "on_demand",
-        *,
-        pads_meet: bool = True,
-        path: Path | None = None,
-        hand: str = "",
-        new_hand: bool = False,
-        now_s: Callable[[], float] = time.time,
-    ) -> None:
-        self._when = when
-        self._pads_meet = pads_meet
-        self._path = path
-        self._hand, self._new_hand = hand, new_hand
-        self._now_s = now_s
-        self._last: SelfZero | None = None
-        self.measured_s = 0.0
-        """Unix time in s of the last one, however old; 0 where there is none."""
-        self.unkept = ""
-        """Why the newest one is of this program alone, its file cannot be written; else empty."""
-        if path is not None and when != "never":
-            self._read(path)
+    when: SelfZeroWhen = "on_demand"
+    """At which starts it is due, as the config's ``self_zero`` has it. At a daily one nobody has
+    looked whether the fingers are empty."""
+    _: KW_ONLY
+    pads_meet: bool = True
+    """Whether the pads of these fingers can press flat on each other."""
+    path: Path | None = None
+    """File that keeps it from program to program; None: this program alone has it. One that cannot
+    be read, or is of another hand, counts as none."""
+    hand: str = ""
+    """Digest of the hand that it is of."""
+    new_hand: bool = False
+    """Whether each program has a new hand, a simulated one: its first start is the first of a day,
+    and what a program does is the same at each time of the day."""
+    now_s: Callable[[], float] = time.time
+    """Returns the unix time in s."""
+    measured_s: float = field(default=0.0, init=False)
+    """Unix time in s of the last one, however old; 0 where there is none."""
+    unkept: str = field(default="", init=False)
+    """Why the newest one is of this program alone, its file cannot be written; else empty."""
+    _last: SelfZero | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        if self.path is not None and self.when != "never":
+            self._read(self.path)
 
     @property
     def newest(self) -> SelfZero | None:
         """The newest self-zero; None where there is none of the last day."""
-        young = abs(self._now_s() - self.measured_s) <= _LONGEST_S
+        young = abs(self.now_s() - self.measured_s) <= _LONGEST_S
         return self._last if young else None
 
     @property
     def due(self) -> bool:
         """Whether a start measures it now."""
-        if self._when == "daily":
-            last, now = map(date.fromtimestamp, (self.measured_s, self._now_s()))
-            return self._last is None or last != now or self._new_hand
-        return self._when == "always"
+        if self.when == "daily":
+            last, now = map(date.fromtimestamp, (self.measured_s, self.now_s()))
+            return self._last is None or last != now or self.new_hand
+        return self.when == "always"
 
     @property
     def wanted(self) -> bool:
         """Whether somebody wants it at each start, so that what stands in its way is a fault."""
-        return self._when == "always"
+        return self.when == "always"
 
     def far_from_last(self, zero: SelfZero) -> str:
         """Return as text that a self-zero is far from the last one or the config's, else ""."""
@@ -144,26 +131,26 @@ class SelfZeros:
 
     def check(self) -> None:
         """Raise PlanRefused where these fingers have no self-zero."""
-        if not self._pads_meet:
+        if not self.pads_meet:
             raise PlanRefused(
                 "gripper.pads_meet is false: these fingers cannot meet. Gauge them with a taught "
                 "object in a holder: `tactile-cell calibrate --gauge`"
             )
-        if self._when == "never":
+        if self.when == "never":
             raise PlanRefused("self_zero is never: write on_demand, daily or always in the config")
 
     def keep(self, zero: SelfZero) -> None:
         """Keep a self-zero that was measured now; `unkept` has why a file cannot."""
-        self._last, self.measured_s = zero, self._now_s()
-        self._new_hand = False
+        self._last, self.measured_s = zero, self.now_s()
+        self.new_hand = False
         self.unkept = ""
-        if self._path is None:
+        if self.path is None:
             return
-        kept = {"measured_s": self.measured_s, "hand": self._hand} | zero_values(zero)
+        kept = {"measured_s": self.measured_s, "hand": self.hand} | zero_values(zero)
         try:
             with suppress(OSError):  # What it means is told by the writing.
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(self._path, json.dumps(kept, indent=1), error=CellError, what="self-zero")
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(self.path, json.dumps(kept, indent=1), error=CellError, what="self-zero")
         except CellError as error:
             self.unkept = f"today's self-zero counts in this program alone: {error}"
 
@@ -172,7 +159,7 @@ class SelfZeros:
             if path.stat().st_size > _MOST_BYTES:
                 return
             values = json.loads(path.read_text())
-            if values["hand"] != self._hand:
+            if values["hand"] != self.hand:
                 return
             measured_s = float(values["measured_s"])
             date.fromtimestamp(measured_s)

@@ -44,9 +44,9 @@ from tactile.frames.codec import TactileFrame
 class Outbox:
     """Sends events in order, and keeps those that the other end has no room for yet.
 
-    Its connection is a stream socket. Linux calls it writable while three quarters of its buffer of at least
-    200 kB are free: a message of less is then taken whole, and nothing blocks. From ``limit``
-    waiting periods on they are dropped and counted, with all else kept.
+    Its connection is a stream socket. Linux calls it writable while three quarters of its buffer of
+    at least 200 kB are free: a message of less is then taken whole, and nothing blocks. From
+    ``limit`` waiting periods on they are dropped and counted, with all else kept.
     """
 
     def __init__(self, connection: Connection, *, limit: int) -> None:

@@ -8,6 +8,7 @@ import json
 import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -63,33 +64,24 @@ async def refuse(send: Send, status: int, text: str, remedy: str = "") -> None:
     await send_answer(send, status, body, "application/json")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Gate:
-    """ASGI middleware: refuses clients, names, origins and sizes before anything is read.
+    """ASGI middleware: refuses clients, names, origins and sizes before anything is read."""
 
-    Parameters
-    ----------
-    config
-        Has the allow-list.
-    longest
-        Returns the largest body in bytes of a request from a client.
-    pages
-        Whether pages of this very origin may ask; requests of other pages are always refused.
-    """
-
-    def __init__(
-        self, app: Any, config: ServeConfig, longest: Callable[[Scope, str], int], *, pages: bool
-    ) -> None:
-        self._app = app
-        self._config = config
-        self._longest = longest
-        self._pages = pages
+    app: Any
+    config: ServeConfig
+    """Has the allow-list."""
+    longest: Callable[[Scope, str], int]
+    """Returns the largest body in bytes of a request from a client."""
+    pages: bool
+    """Whether pages of this very origin may ask; requests of other pages are always refused."""
 
     async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
         """Pass a request on, or answer 403 or 413."""
         listened = scope["type"] in ("http", "websocket")
         status, reason = self._refusal(scope) if listened else (0, "")
         if not status:
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008})
@@ -100,17 +92,17 @@ class Gate:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
         client, reached = scope.get("client"), scope.get("server")
-        config = self._config
+        config = self.config
         if client is None or reached is None or not may_connect(client[0], config):
             return 403, "this client is not in serve.allow"
         if not is_for_this_machine(hosts, reached[0], config):
             return 403, f"Host {', '.join(hosts)!r:.80} is not this machine; serve.hosts adds names"
         origin = headers.get(b"origin")
-        own = self._pages and (origin or "").partition("://")[2] == headers.get(b"host")
+        own = self.pages and (origin or "").partition("://")[2] == headers.get(b"host")
         if origin is not None and not own:
             return 403, f"a page of another origin, {origin!r:.80}"
         length = headers.get(b"content-length", "0")
-        longest = self._longest(scope, client[0])
+        longest = self.longest(scope, client[0])
         if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > longest:
             return 413, f"a request has a Content-Length of at most {longest}"
         return 0, ""
@@ -240,7 +232,7 @@ class HttpServer:
     ) -> None:
         places = ConnectionPlaces()
         server = uvicorn.Config(
-            Gate(app, config, longest, pages=pages),
+            Gate(app=app, config=config, longest=longest, pages=pages),
             log_config=None,
             access_log=False,
             lifespan="off",

@@ -62,8 +62,8 @@ def teach_drawing(
     pads = pad_array(layout)
     first, second = layout.gripping_pads
     virtual = VirtualPads(
-        pads,
-        (first, second),
+        pads=pads,
+        gripping=(first, second),
         foam=known.foam,
         course=course_of(config, known),
         noise=_noise(config, pads, known.rest),

@@ -186,40 +186,28 @@ class Course:
     """Largest difference in N between the forces on both pads: the object is held a little."""
 
 
+@dataclass(kw_only=True)
 class VirtualPads:
-    """The two gripping pads and their foam; draws grasps.
+    """The two gripping pads and their foam; draws grasps."""
 
-    Parameters
-    ----------
-    foam
-        Foam and sensor, as calibrated.
-    course
-        How the cell moves.
-    noise
-        Noise that is added to the counts.
-    zero
-        Self-zero of the hand that they are of.
-    """
+    pads: PadArray
+    gripping: tuple[int, int]
+    """All taxels, and the two pads that face each other."""
+    foam: FoamModel
+    """Foam and sensor, as calibrated."""
+    course: Course
+    """How the cell moves."""
+    noise: Noise
+    """Noise that is added to the counts."""
+    zero: SelfZero
+    """Self-zero of the hand that they are of."""
 
-    def __init__(
-        self,
-        pads: PadArray,
-        gripping: tuple[int, int],
-        *,
-        foam: FoamModel,
-        course: Course,
-        noise: Noise,
-        zero: SelfZero,
-    ) -> None:
-        self._pads = pads
-        self._zero = zero
-        self._foam = foam
-        self._course = course
-        self._noise = noise
+    def __post_init__(self) -> None:
         # The spread is drawn from few values: the matrices that it needs are worked out once.
-        spreads = foam.spread_m * np.exp(course.spread_sd * np.array([-1.2, -0.4, 0.4, 1.2]))
+        shares = np.exp(self.course.spread_sd * np.array([-1.2, -0.4, 0.4, 1.2]))
         self._beds = [
-            tuple(PadBed(pads, pad, float(spread_m)) for pad in gripping) for spread_m in spreads
+            tuple(PadBed(self.pads, pad, float(spread_m)) for pad in self.gripping)
+            for spread_m in self.foam.spread_m * shares
         ]
 
     def grasp(
@@ -238,7 +226,7 @@ class VirtualPads:
         The roll of the pose settles on the nearest side that the object rests on. Raises ValueError
         if the object lies beside a pad, or does not fit into the open gripper.
         """
-        course = self._course
+        course = self.course
         foam = self._drawn_foam(rng)
         beds = self._beds[int(rng.integers(len(self._beds)))]
         aslant = rng.normal(0.0, course.tilt_rad, 2)
@@ -258,8 +246,8 @@ class VirtualPads:
         aperture_m = touch_m - depth_m
         aperture_m[: len(closing_m)] = closing_m
         return Grasp(
-            pads=self._pads,
-            counts=np.rint(np.clip(counts, 0.0, self._pads.adc_max)),
+            pads=self.pads,
+            counts=np.rint(np.clip(counts, 0.0, self.pads.adc_max)),
             t_s=np.arange(len(force_n), dtype=np.float64) * course.period_s,
             aperture_m=_measured(aperture_m, foam.aperture_offset_m, course, rng),
             force_n=setpoint_n,
@@ -269,12 +257,12 @@ class VirtualPads:
             start_ms=start_ms,
             thickness_m=sum(float(reach_m.max()) for reach_m in upright),
             command=step.command,
-            zero=self._zero,
+            zero=self.zero,
         )
 
     def _drawn_foam(self, rng: np.random.Generator) -> FoamModel:
         """Return foam and sensor within their uncertainty."""
-        course, foam = self._course, self._foam
+        course, foam = self.course, self.foam
         return FoamModel(
             **(
                 foam.as_dict()
@@ -299,7 +287,7 @@ class VirtualPads:
 
         The closing comes first, then the ramp: m is less than n.
         """
-        course = self._course
+        course = self.course
         closed_m, impact_n = self._approach(touch_m, presses, rng)
         force_n, setpoint_n = _force_course(ramp, impact_n, course, rng)
         closing_m = np.maximum(course.aperture_open_m - closed_m, 0.0)
@@ -317,11 +305,11 @@ class VirtualPads:
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return counts (n, n_taxels) with noise, and the depth (n,) in m in both pads together."""
-        course = self._course
+        course = self.course
         of_sensor = rng.spawn(1)[0]
         bend = of_sensor.lognormal(0.0, course.bend_sd)
         lag = course.lag * of_sensor.uniform()
-        counts = of_sensor.lognormal(0.0, course.noise_sd) * self._noise(rng, len(force_n))
+        counts = of_sensor.lognormal(0.0, course.noise_sd) * self.noise(rng, len(force_n))
         slack_n = 0.5 * course.imbalance_n * rng.uniform(-1.0, 1.0)
         depth_sum_m = np.zeros(len(force_n))
         for bed, pressed, sign in zip(beds, presses, (1.0, -1.0), strict=True):
@@ -333,14 +321,14 @@ class VirtualPads:
             )
             felt_n = pressed.taxel_force_n(depth_m)
             felt_n += lag * (_slowly(felt_n, _SLOW_S / course.period_s) - felt_n)
-            counts[:, bed.taxels] += self._pads.adc_max * foam.response(felt_n * gains) ** bend
+            counts[:, bed.taxels] += self.pads.adc_max * foam.response(felt_n * gains) ** bend
         return counts, depth_sum_m
 
     def _approach(
         self, touch_m: float, presses: Sequence["PressedPad"], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], float]:
         """Return how far in m the fingers have closed, and the force they stop with in N."""
-        course = self._course
+        course = self.course
         impact_n = rng.uniform(*course.impact_n)
         depth_m = sum(float(np.interp(impact_n, p.force_n, p.depth_m)) for p in presses)
         way_m = course.aperture_open_m - touch_m + depth_m

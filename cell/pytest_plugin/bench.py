@@ -2,6 +2,7 @@
 
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from cell.config.model import CellConfig
@@ -16,33 +17,24 @@ from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus, close_bus, open_bus
 
 
+@dataclass
 class LinkBench:
-    """Opens the two links when they are asked for, each once; simulated ones share their devices.
+    """Opens the two links when asked for, each once; simulated ones share their devices."""
 
-    Parameters
-    ----------
-    config
-        The cell: rates, servo IDs, node.
-    options
-        Names the real ports.
-    registry
-        Is told what is simulated and what is real.
-    """
-
-    def __init__(
-        self, config: CellConfig, options: HardwareOptions, registry: FaultRegistry
-    ) -> None:
-        self.config = config
-        self.options = options
-        self._registry = registry
-        self._closing = ExitStack()
+    config: CellConfig
+    """The cell: rates, servo IDs, node."""
+    options: HardwareOptions
+    """Names the real ports."""
+    registry: FaultRegistry
+    """Is told what is simulated and what is real."""
+    _closing: ExitStack = field(default_factory=ExitStack, init=False)
 
     @cached_property
     def simulated(self) -> SimulatedCell:
         """The simulated devices, made when first asked for."""
         simulated = SimulatedCell(simulator_settings(simulated_config(self.config)))
         self._closing.callback(simulated.close)
-        self._registry.add(simulated)
+        self.registry.add(simulated)
         return simulated
 
     @cached_property
@@ -50,7 +42,7 @@ class LinkBench:
         """Bytes of the servo line, and the time that passes for it; raises PortLost."""
         port, rate = self.options.servo_port, self.config.gripper.baud_rate
         if port is not None:
-            self._registry.add_hardware(f"servos at {port}")
+            self.registry.add_hardware(f"servos at {port}")
         stream, clock = open_line(self.simulated.servo_port if port is None else port, rate)
         self._closing.callback(stream.close)
         return stream, clock
@@ -70,7 +62,7 @@ class LinkBench:
         interface, channel = self.options.can_interface, self.options.can_channel
         if interface is None or channel is None:
             return self.simulated.can_bus, self.simulated.clock
-        self._registry.add_hardware(f"control unit at {interface} {channel}")
+        self.registry.add_hardware(f"control unit at {interface} {channel}")
         bus = open_bus(interface, channel, bitrate=self.config.tactile.bitrate)
         self._closing.callback(close_bus, bus)
         return bus, time

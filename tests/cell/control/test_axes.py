@@ -109,7 +109,7 @@ def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
     assert isinstance(positioner, AxesPositioner)
     there = Destination(label="ball", place="bin", pose=POSE)
     for phase in GripperPhase:
-        positioner._phase = lambda phase=phase: phase
+        positioner.phase = lambda phase=phase: phase
         if phase in (GripperPhase.OFF, GripperPhase.IDLE):
             positioner.move_to(Pose())
             continue
@@ -181,7 +181,7 @@ def test_a_person_brings_the_object_where_nothing_is_simulated() -> None:
         asked.append(label)
 
     looked: list[bool] = []
-    positioner = AxesPositioner(None, (), bring=bring, phase=lambda: GripperPhase.IDLE)  # type: ignore[arg-type]
+    positioner = AxesPositioner(axes=None, moved=(), bring=bring, phase=lambda: GripperPhase.IDLE)  # type: ignore[arg-type]
     positioner.present("ball", lambda: looked.append(True))
     assert (asked, looked) == (["ball"], [True])
 

@@ -336,7 +336,7 @@ def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
 
     bench.controller.grip(3.0, Pose())
     moves = HostPlaces(OperatorPositioner(lambda _text: ""), places)
-    bench.controller._positioner = bench.controller._grasper._positioner = moves
+    bench.controller._positioner = bench.controller._grasper.positioner = moves
     try:
         with pytest.raises(PartLost):
             bench.controller.carry_to(TO_BIN)
