@@ -13,6 +13,7 @@ from recognition.ramp.ramp import Rest, learn_rest
 from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior, Recognizer, Trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
+from recognition.statistics.array_record import without_prefix
 from recognition.statistics.fusion import StopRule, fuse
 
 _SHARES = (0.5, 0.75)
@@ -67,19 +68,12 @@ class EarlyClassifiers:
 
         Raises KeyError or ValueError where an array is missing or does not fit.
         """
-
-        def part(prefix: str) -> dict[str, NDArray[Any]]:
-            return {
-                name.removeprefix(prefix): array
-                for name, array in arrays.items()
-                if name.startswith(prefix)
-            }
-
         return cls(
-            rest=Rest.from_arrays(part("rest.")),
+            rest=Rest.from_arrays(without_prefix(arrays, "rest.")),
             load_counts=arrays["load_counts"],
             recognizers=tuple(
-                kind.from_arrays(part(f"{number}.")) for number in range(len(arrays["load_counts"]))
+                kind.from_arrays(without_prefix(arrays, f"{number}."))
+                for number in range(len(arrays["load_counts"]))
             ),
         )
 

@@ -1,11 +1,11 @@
 """Class spread: a covariance for each class, between its own grasps and what all classes share."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from recognition.statistics.array_record import ArrayRecord
 
 _PRIOR_GRASPS = 15.0
 """Weight of the shared covariance in that of a class, in grasps."""
@@ -16,7 +16,7 @@ _MOST_AXES = 48
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ClassSpread:
+class ClassSpread(ArrayRecord):
     """Covariances of C classes in a space where the one that all share is the identity."""
 
     centres: NDArray[np.float64]
@@ -39,25 +39,6 @@ class ClassSpread:
         )
         added = np.concatenate([((off @ beyond) * off).sum(axis=-1).T for off in offs])
         return np.asarray(np.maximum(plain + added, 0.0), dtype=np.float64)
-
-    def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
-        """Return everything as plain arrays under names that begin with the prefix."""
-        return {
-            f"{prefix}centres": self.centres,
-            f"{prefix}precision": self.precision,
-            f"{prefix}log_volume": self.log_volume,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self | None:
-        """Rebuild from `to_arrays`; None where there is none, KeyError where a part is missing."""
-        if f"{prefix}centres" not in arrays:
-            return None
-        return cls(
-            centres=arrays[f"{prefix}centres"],
-            precision=arrays[f"{prefix}precision"],
-            log_volume=arrays[f"{prefix}log_volume"],
-        )
 
 
 def fit_class_spread(

@@ -1,12 +1,12 @@
 """Linear discriminant analysis (LDA) with a shrunken covariance."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Self
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, solve_triangular
+
+from recognition.statistics.array_record import ArrayRecord
 
 _RANK_TOLERANCE = 1e-9
 """Singular values of the means below this share of the largest one span no axis."""
@@ -19,7 +19,7 @@ factorisation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LinearDiscriminant:
+class LinearDiscriminant(ArrayRecord):
     """Gaussian classes with one covariance, seen in the space that separates them."""
 
     mean: NDArray[np.float64]
@@ -42,15 +42,6 @@ class LinearDiscriminant:
     def distances(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C): squared distance of each row to each class, in standard deviations."""
         return squared_distances(self.project(features), self.centres)
-
-    def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
-        """Return everything as plain arrays under names that begin with the prefix."""
-        return {prefix + one.name: getattr(self, one.name) for one in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        return cls(**{one.name: arrays[prefix + one.name] for one in fields(cls)})
 
 
 def squared_distances(

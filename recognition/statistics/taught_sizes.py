@@ -1,12 +1,11 @@
 """Sizes of the taught grasps: how far the size of a grasp lies from those of an object."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recognition.statistics.array_record import ArrayRecord
 from recognition.statistics.lda import squared_distances
 
 _PRIOR_MM = (0.5, 0.2)
@@ -24,10 +23,10 @@ grasps, as of a drawing on all foams that may be, some lie where another object 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TaughtSizes:
+class TaughtSizes(ArrayRecord):
     """Sizes of the taught grasps."""
 
-    sizes_mm: NDArray[np.float64]
+    mm: NDArray[np.float64]
     """(n, k) float64: sizes without outliers, as of `recognition.features.aperture.sizes_mm`; k is
     0 where the opening is not used, and nothing is far from any size then."""
     classes: NDArray[np.int64]
@@ -42,28 +41,11 @@ class TaughtSizes:
 
         ``slack_mm`` (O,) adds to the units.
         """
-        off_mm = sizes_mm[:, :, None] - self.sizes_mm
+        off_mm = sizes_mm[:, :, None] - self.mm
         unit_mm2 = self.unit_mm**2 + slack_mm[:, None, None] ** 2
         squared = (off_mm**2 / unit_mm2).sum(axis=-1)
         nearest = [squared[..., self.classes == c].min(axis=-1) for c in np.unique(self.classes)]
         return np.stack(nearest, axis=-1)
-
-    def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
-        """Return everything as plain arrays under names that begin with the prefix."""
-        return {
-            f"{prefix}mm": self.sizes_mm,
-            f"{prefix}classes": self.classes,
-            f"{prefix}unit_mm": self.unit_mm,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        return cls(
-            sizes_mm=arrays[f"{prefix}mm"],
-            classes=arrays[f"{prefix}classes"],
-            unit_mm=arrays[f"{prefix}unit_mm"],
-        )
 
 
 def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> TaughtSizes:
@@ -79,7 +61,7 @@ def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> Taug
     total_mm2 = total_mm2 + _WITHOUT_LARGEST * np.concatenate(usual_mm2).sum(axis=0)
     unit_mm = np.sqrt(total_mm2 / (_PRIOR_GRASPS + sum(map(len, usual_mm2))))
     kept = np.concatenate([_inner(sizes_mm / unit_mm, classes == c) for c in np.unique(classes)])
-    return TaughtSizes(sizes_mm=sizes_mm[kept], classes=classes[kept], unit_mm=unit_mm)
+    return TaughtSizes(mm=sizes_mm[kept], classes=classes[kept], unit_mm=unit_mm)
 
 
 def _inner(sizes: NDArray[np.float64], members: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax
 
 from recognition.errors import MissingExtraError
+from recognition.statistics.array_record import ArrayRecord
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
 
 _HIDDEN = 32
@@ -56,21 +57,12 @@ def missing_extra(kind: str) -> MissingExtraError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Arrays:
-    """A classifier whose fields are arrays: they are what a model keeps."""
+class _Arrays(ArrayRecord):
+    """A classifier whose fields are arrays, whose features show what is new."""
 
     def space(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the rows: novelty goes by the features."""
+        """Return the rows."""
         return rows
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the fields by name."""
-        return {one.name: getattr(self, one.name) for one in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        return cls(**{one.name: arrays[one.name] for one in fields(cls)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -25,6 +25,7 @@ from recognition.ramp.levels import Levels, load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
 from recognition.recognizers.comparators.classifiers import Classifier
+from recognition.statistics.array_record import without_prefix
 from recognition.statistics.calibration import (
     KNOWN_KEPT,
     blocked_folds,
@@ -135,11 +136,7 @@ class Comparator:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
-        learnt = {
-            name.removeprefix(_PREFIX): array
-            for name, array in arrays.items()
-            if name.startswith(_PREFIX)
-        }
+        learnt = without_prefix(arrays, _PREFIX)
         try:
             check_version(arrays)
             taught = cls(

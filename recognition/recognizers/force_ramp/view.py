@@ -238,12 +238,13 @@ class View:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        spread, has_spread = f"{prefix}spread_", f"{prefix}spread_centres" in arrays
         return cls(
             model=ClassModel(
                 discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}discriminant_"),
                 taught=arrays[f"{prefix}taught"],
                 sizes=TaughtSizes.from_arrays(arrays, f"{prefix}sizes_"),
-                spread=ClassSpread.from_arrays(arrays, f"{prefix}spread_"),
+                spread=ClassSpread.from_arrays(arrays, spread) if has_spread else None,
             ),
             limit=arrays[f"{prefix}limit"],
             **{name: float(arrays[f"{prefix}{name}"]) for name in _NUMBERS},

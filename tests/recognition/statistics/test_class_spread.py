@@ -41,4 +41,3 @@ def test_distances_are_those_of_the_covariance(spread):
 def test_it_comes_back_from_its_arrays(spread):
     again = ClassSpread.from_arrays(spread.to_arrays("s_"), "s_")
     assert np.array_equal(again.precision, spread.precision)
-    assert ClassSpread.from_arrays({}, "s_") is None

@@ -64,5 +64,5 @@ def test_a_lonely_one_of_many_grasps_teaches_no_size():
 def test_sizes_come_back_from_their_arrays():
     found = fit_sizes(sizes(0.2), CLASSES)
     again = TaughtSizes.from_arrays(found.to_arrays("s_"), "s_")
-    assert np.array_equal(again.sizes_mm, found.sizes_mm)
+    assert np.array_equal(again.mm, found.mm)
     assert np.array_equal(again.unit_mm, found.unit_mm)
