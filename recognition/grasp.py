@@ -9,9 +9,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-COMMAND_COLUMNS = ("x_m", "y_m", "rotation_rad", "roll_rad", "force_n")
-"""Names of the numbers of a `GraspCommand`, in their order."""
-
 CELL_SOURCE = "cell "
 """Start of the source of a grasp that a cell took; the name of the cell follows."""
 DRAWING_SOURCE = "drawing"
@@ -27,7 +24,21 @@ _SAME_PLACE_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GraspCommand:
+class _Numbers:
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The numbers in the order of the fields."""
+        return tuple(getattr(self, one.name) for one in fields(self))
+
+    @classmethod
+    def from_values(cls, values: Sequence[float]) -> Self:
+        """Rebuild from `values`. Raises ValueError where they do not fit."""
+        names = (one.name for one in fields(cls))
+        return cls(**dict(zip(names, map(float, values), strict=True)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspCommand(_Numbers):
     """Commanded pose and force of one grasp; the pose that was reached may differ.
 
     Raises
@@ -52,32 +63,9 @@ class GraspCommand:
                     f"{name} of a grasp command is {getattr(self, name)}, must be finite"
                 )
 
-    @property
-    def values(self) -> tuple[float, ...]:
-        """The numbers in the order of `COMMAND_COLUMNS`."""
-        return (self.x_m, self.y_m, self.rotation_rad, self.roll_rad, self.force_n)
-
-    @classmethod
-    def from_values(cls, values: Sequence[float]) -> Self:
-        """Rebuild from `values`. Raises ValueError where they are not five finite numbers."""
-        return cls(**dict(zip(COMMAND_COLUMNS, map(float, values), strict=True)))
-
-
-ZERO_COLUMNS = (
-    "opening_m",
-    "opening_sd_m",
-    "log_gain_ratio",
-    "log_gain_ratio_sd",
-    "log_scale",
-    "log_scale_sd",
-    "log_stiffness",
-    "log_stiffness_sd",
-)
-"""Names of the numbers of a `SelfZero`, in their order."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SelfZero:
+class SelfZero(_Numbers):
     """What the empty fingers of a cell show when they press on each other; logarithms are natural.
 
     Raises
@@ -108,15 +96,11 @@ class SelfZero:
         if abs(self.opening_m) > _FARTHEST_ZERO_M:
             raise ValueError(f"opening_m of a self-zero is {self.opening_m}: openings stand in m")
 
-    @property
-    def values(self) -> tuple[float, ...]:
-        """The numbers in the order of `ZERO_COLUMNS`."""
-        return tuple(getattr(self, name) for name in ZERO_COLUMNS)
 
-    @classmethod
-    def from_values(cls, values: Sequence[float]) -> Self:
-        """Rebuild from `values`. Raises ValueError where they do not fit."""
-        return cls(**dict(zip(ZERO_COLUMNS, map(float, values), strict=True)))
+COMMAND_COLUMNS, ZERO_COLUMNS = (
+    tuple(one.name for one in fields(kind)) for kind in (GraspCommand, SelfZero)
+)
+"""Names of the numbers of a `GraspCommand` and of a `SelfZero`, in their order."""
 
 
 def _frozen(values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...], name: str) -> NDArray[Any]:
