@@ -77,11 +77,6 @@ class Pad:
         return self.rows * self.columns
 
     @property
-    def area_m2(self) -> float:
-        """Area of one taxel's cell in m²."""
-        return self.pitch_x_m * self.pitch_y_m
-
-    @property
     def normal(self) -> NDArray[np.float64]:
         """Outward normal in the finger frame, unit vector, shape (3,)."""
         return np.cross(np.array(self.x_axis), np.array(self.y_axis))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recognition.errors import ContactError, QuadricError
 from recognition.grasp import Grasp, PadArray
-from recognition.quadric.contact import Baseline, estimate_baseline, main_patch, noise_threshold
+from recognition.quadric.contact import estimate_baseline, main_patch, noise_threshold
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import fit_height_field
 from recognition.quadric.thresholds import LevelBands
@@ -127,12 +127,11 @@ def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int6
 
 def _surfaces_at(
     grasp: Grasp,
-    baseline: Baseline,
     frames: NDArray[np.int64],
     settings: LevelSettings,
     disturbance: ArrayLike = 0.0,
 ) -> list[NDArray[np.float64]]:
-    pads = grasp.pads
+    pads, baseline = grasp.pads, estimate_baseline(grasp)
     height = grasp.counts[frames].mean(axis=0) - baseline.counts + np.asarray(disturbance)
     threshold = [
         noise_threshold(float(noise), len(frames), pads.adc_max, settings.sigmas)
@@ -161,14 +160,13 @@ def _surfaces_at(
 
 def _level_at(
     grasp: Grasp,
-    baseline: Baseline,
     frames: NDArray[np.int64],
     settings: LevelSettings,
     disturbance: ArrayLike = 0.0,
 ) -> float:
     smallest = [
         float(smallest_eigenvalue(surface, settings.reading).value)
-        for surface in _surfaces_at(grasp, baseline, frames, settings, disturbance)
+        for surface in _surfaces_at(grasp, frames, settings, disturbance)
     ]
     if settings.reading is Reading.ALGEBRAIC_MINIMUM:
         return float(np.mean(smallest))
@@ -188,7 +186,7 @@ def grip_surfaces(
         As `grip_level`.
     """
     frames = frames_at(grasp, settings.force_n, settings)
-    return tuple(_surfaces_at(grasp, estimate_baseline(grasp), frames, settings))
+    return tuple(_surfaces_at(grasp, frames, settings))
 
 
 def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
@@ -206,23 +204,7 @@ def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
         Where no gripping pad carries a surface.
     """
     frames = frames_at(grasp, settings.force_n, settings)
-    return _level_at(grasp, estimate_baseline(grasp), frames, settings)
-
-
-def disturbed_levels(
-    grasp: Grasp, disturbances: NDArray[np.float64], settings: LevelSettings = DEFAULT_LEVEL
-) -> NDArray[np.float64]:
-    """Return the levels (n,) of a grasp with each of n disturbances of its mean frame.
-
-    `disturbances` (n, n_taxels) are in counts: this shows how far noise moves the level. Raises as
-    `grip_level`.
-    """
-    frames = frames_at(grasp, settings.force_n, settings)
-    baseline = estimate_baseline(grasp)
-    return np.array(
-        [_level_at(grasp, baseline, frames, settings, one) for one in disturbances],
-        dtype=np.float64,
-    )
+    return _level_at(grasp, frames, settings)
 
 
 def frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> NDArray[np.int64]:
@@ -263,12 +245,11 @@ def ramp_levels(
     """
     if not all(0.0 < share <= 1.0 for share in shares):
         raise ContactError(f"shares of the force are {list(shares)}, each must be above 0, up to 1")
-    baseline = estimate_baseline(grasp)
     values = np.full(len(shares), np.nan)
     for index, share in enumerate(shares):
         frames = frames_near(grasp, share, settings.tolerance)
         try:
-            values[index] = _level_at(grasp, baseline, frames, settings)
+            values[index] = _level_at(grasp, frames, settings)
         except (ContactError, QuadricError):
             values[index] = np.nan  # documented: this step of the ramp has no level
     return values
@@ -306,7 +287,8 @@ def level_noise_per_count(grasp: Grasp, settings: LevelSettings, rng: np.random.
     noise = averaged_noise(grasp, settings)
     counts = noise * grasp.pads.adc_max / FULL_SCALE_COUNTS
     draws = rng.normal(0.0, counts, (_DRAWS, grasp.pads.n_taxels))
-    levels = disturbed_levels(grasp, draws, settings)
+    frames = frames_at(grasp, settings.force_n, settings)
+    levels = [_level_at(grasp, frames, settings, draw) for draw in draws]
     return float(np.std(levels) / abs(np.mean(levels))) / noise
 
 

@@ -1,6 +1,6 @@
 """The assembler of frames from bursts of messages; a frame that is not whole is dropped."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -74,11 +74,6 @@ class FrameAssembler:
         self._last_counter: int | None = None
         self.counts = FrameStatistics()
         """Counts so far; they go on."""
-
-    @property
-    def statistics(self) -> FrameStatistics:
-        """Counts so far."""
-        return replace(self.counts)
 
     def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:
         """Take one message and return the frame that it completes, if any.

@@ -31,7 +31,7 @@ class FrameFlow:
     late_periods
         Frames that come so many periods later than before, three times, are a fault.
     burst_messages
-        Messages that one unit sends after each SYNC; 0 where they are not counted.
+        Messages that one unit sends after each SYNC.
     """
 
     def __init__(
@@ -41,8 +41,8 @@ class FrameFlow:
         timeout_periods: int,
         max_loss_rate: float,
         window_frames: int,
-        late_periods: int = 2,
-        burst_messages: int = 0,
+        late_periods: int,
+        burst_messages: int,
     ) -> None:
         self._name = name
         self._timeout_periods = timeout_periods
@@ -94,10 +94,6 @@ class FrameFlow:
         """Count frame messages that came."""
         self._messages += n
 
-    def answered(self) -> None:
-        """Note that a SYNC was answered with something whole."""
-        self._unanswered = 0
-
     def on_frame(self, counter: int) -> None:
         """Take the counter of a whole frame; FrameTimeout if too many before it were lost."""
         self._unanswered = 0
@@ -145,8 +141,7 @@ class FrameFlow:
 
     def _weigh_messages(self) -> int:
         n, self._messages = self._messages, 0
-        if self._burst_messages:
-            surplus = self._surplus + n / self._burst_messages - _SURPLUS_SHARE
-            # What is late is still to come, all of it at once.
-            self._surplus = max(surplus, -_DEFICIT_LIMIT - _SURPLUS_SHARE * self._late)
+        surplus = self._surplus + n / self._burst_messages - _SURPLUS_SHARE
+        # What is late is still to come, all of it at once.
+        self._surplus = max(surplus, -_DEFICIT_LIMIT - _SURPLUS_SHARE * self._late)
         return n

@@ -1,7 +1,7 @@
 """The stream of force messages: each is handed out once, none after a newer one. Pure."""
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf
 from operator import itemgetter
 
@@ -48,11 +48,6 @@ class ForceStream:
         self._sent = 0
         self._delays: deque[tuple[float, float]] = deque()
         self._least_s = self._least_before_s = inf
-
-    @property
-    def statistics(self) -> ForceStatistics:
-        """Counts since the start."""
-        return replace(self.counts)
 
     def push(self, data: bytes | bytearray, t_s: float) -> ForceMessage | None:
         """Take a message received at ``t_s`` s and return it if it is whole and newer."""

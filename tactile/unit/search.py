@@ -5,8 +5,9 @@ For commissioning, before anything of the unit is known; nothing is written to i
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from typing import Self
 
 import can
 
@@ -46,14 +47,20 @@ class BusTraffic:
 
 
 class _Listener:
-    """What comes in on a bus from now until `close`."""
+    """What comes in on a bus, from now until the end of the block."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self.clock: Clock = getattr(bus, "clock", time)
         self._source = _source(bus, self.clock)
         self._messages = self._errors = 0
         self._nodes: set[int] = set()
+
+    def __enter__(self) -> Self:
         self._source.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._source.close()
 
     def wait(self, duration_s: float) -> None:
         end_s = self.clock.monotonic() + duration_s
@@ -76,17 +83,11 @@ class _Listener:
             messages=self._messages, errors=self._errors, nodes=tuple(sorted(self._nodes))
         )
 
-    def close(self) -> None:
-        self._source.close()
-
 
 def listen(bus: can.BusABC, duration_s: float) -> BusTraffic:
     """Listen to a bus for ``duration_s`` s; nothing is sent. Raises BusOff as the receiver."""
-    listener = _Listener(bus)
-    try:
+    with _Listener(bus) as listener:
         listener.wait(duration_s)
-    finally:
-        listener.close()
     return listener.heard()
 
 
@@ -95,8 +96,7 @@ def scan_nodes(bus: can.BusABC) -> BusTraffic:
 
     At a wrong bit rate nobody acknowledges: an adapter that refuses to send is heard as nobody.
     """
-    listener = _Listener(bus)
-    try:
+    with _Listener(bus) as listener, suppress(can.CanError, OSError, BusOff):
         for node in _NODES:
             request = can.Message(
                 arbitration_id=od.COB_SDO_REQUEST + node,
@@ -106,10 +106,6 @@ def scan_nodes(bus: can.BusABC) -> BusTraffic:
             bus.send(request)
             listener.wait(_GAP_S)
         listener.wait(_ANSWER_S)
-    except (can.CanError, OSError, BusOff):
-        return listener.heard()
-    finally:
-        listener.close()
     return listener.heard()
 
 

@@ -1,6 +1,7 @@
 """The session of a link, from one start to its end: messages, SYNC, supervision, statistics."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import ceil, inf
 
 import can
@@ -132,8 +133,8 @@ class LinkSession:
     def statistics(self) -> LinkStatistics:
         """Counts since the start."""
         return LinkStatistics(
-            frames=self._assembler.statistics,
-            forces=ForceStatistics() if self._forces is None else self._forces.statistics,
+            frames=replace(self._assembler.counts),
+            forces=ForceStatistics() if self._forces is None else replace(self._forces.counts),
             recent_loss_rate=self._flow.recent_loss_rate,
             syncs=self._syncs,
             late_syncs=self._late_syncs,

@@ -6,7 +6,6 @@ and drops error frames. Every method raises a `LinkFault` at once when its messa
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from canopen.emcy import EMCY_STRUCT, EmcyError
@@ -80,33 +79,13 @@ def state_name(state: int) -> str:
     return NMT_STATES.get(state, f"unknown state {state}").lower()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Emergency:
-    """An emergency message."""
-
-    code: int
-    """Emergency error code; 0 = the error is gone."""
-    register: int
-    """Error register, object 0x1001."""
-    detail: bytes
-    """The five manufacturer-specific bytes."""
-
-    @property
-    def text(self) -> str:
-        """Meaning of the code, or of its group where it has none of its own."""
-        exact = EMERGENCY_TEXTS.get(self.code)
-        if exact is not None:
-            return exact
-        group: str = EmcyError(self.code, self.register, self.detail, 0.0).get_desc()
-        return group.lower() or "unknown code"
-
-
-def decode_emergency(data: bytes) -> Emergency | None:
-    """Return the content of an EMCY message; None unless it has exactly 8 bytes (CiA 301)."""
-    if len(data) != EMCY_STRUCT.size:
-        return None
-    code, register, detail = EMCY_STRUCT.unpack(data)
-    return Emergency(code=code, register=register, detail=detail)
+def emergency_text(code: int) -> str:
+    """Return the meaning of an emergency code, or of its group where it has none of its own."""
+    exact = EMERGENCY_TEXTS.get(code)
+    if exact is not None:
+        return exact
+    group: str = EmcyError(code, 0, b"", 0.0).get_desc()
+    return group.lower() or "unknown code"
 
 
 class TrafficLimit:
@@ -229,12 +208,13 @@ class NodeSupervisor:
             )
 
     def on_emergency(self, data: bytes) -> None:
-        """Take a message of COB-ID 0x080 + node."""
-        emergency = decode_emergency(data)
-        if emergency is None:
+        """Take a message of COB-ID 0x080 + node, which has exactly 8 bytes (CiA 301)."""
+        if len(data) != EMCY_STRUCT.size:
             self.unusable += 1
-        elif emergency.code != ERROR_RESET:
-            raise NodeEmergency(emergency.code, emergency.register, emergency.text, self._name)
+            return
+        code, register, _ = EMCY_STRUCT.unpack(data)
+        if code != ERROR_RESET:
+            raise NodeEmergency(code, register, emergency_text(code), self._name)
 
     def on_error_frame(self, classes: int, data: bytes | bytearray, t_s: float) -> None:
         """Take an error frame of the host's own CAN controller."""

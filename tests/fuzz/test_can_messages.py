@@ -16,7 +16,7 @@ from simulator.can.messages import BurstFormat, force_bytes
 from simulator.devices import CellDevices
 from simulator.settings import SimulatorSettings
 from tactile.can.sdo_client import MAX_OBJECT_BYTES, PolledSdoClient
-from tactile.errors import NodeMissing, TactileError
+from tactile.errors import NodeEmergency, NodeMissing, TactileError
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame
 from tactile.frames.force_message import ForceMessage, ForceStatus
@@ -26,7 +26,7 @@ from tactile.unit import object_dictionary as od
 from tactile.unit.sdo import ObjectAccess
 from tactile.unit.session import LinkSession
 from tactile.unit.settings import LinkSettings
-from tactile.unit.supervision import decode_emergency
+from tactile.unit.supervision import NodeSupervisor
 from tests.fuzz.harness import Clock, bad_input, damages, disturbed, pieces
 
 NODE = 5
@@ -68,7 +68,7 @@ def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, h
             assert_came(frame, size, messages)
             assert not found or 0 < (frame.counter - found[-1].counter) % 0x10000 < 0x8000
             found.append(frame)
-    assert assembler.statistics.complete == len(found)
+    assert assembler.counts.complete == len(found)
     return "whole frames" if found else "dropped"
 
 
@@ -92,7 +92,7 @@ def test_force_messages_are_those_that_came_each_once(sent, harm):
     taken = [force_bytes(message) for message in found if message is not None]
     assert all(data in messages for data in taken)
     assert all(before != after for before, after in pairwise(taken))
-    statistics = stream.statistics
+    statistics = stream.counts
     assert statistics.received == len(taken)
     assert len(messages) == sum(
         (statistics.received, statistics.repeated, statistics.late, statistics.damaged)
@@ -102,13 +102,16 @@ def test_force_messages_are_those_that_came_each_once(sent, harm):
 
 @bad_input(data=eight | st.binary(max_size=64))
 def test_an_emergency_has_eight_bytes_and_a_text(data):
-    emergency = decode_emergency(data)
-    assert (emergency is not None) == (len(data) == 8)
-    if emergency is None:
+    supervisor = NodeSupervisor("the unit", heartbeat_s=0.1)
+    if len(data) != 8 or not any(data[:2]):
+        supervisor.on_emergency(data)
+        assert supervisor.unusable == (len(data) != 8)
         return "dropped"
-    assert int.from_bytes(data[:2], "little") == emergency.code
-    assert bytes([emergency.register]) + emergency.detail == data[2:]
-    assert emergency.text
+    with pytest.raises(NodeEmergency) as raised:
+        supervisor.on_emergency(data)
+    assert raised.value.code == int.from_bytes(data[:2], "little")
+    assert raised.value.register == data[2]
+    assert raised.value.text
     return "understood"
 
 

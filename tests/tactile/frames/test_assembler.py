@@ -74,7 +74,7 @@ def test_undamaged_stream_is_all_there_across_the_counters_turn() -> None:
         assembler, stream_of({c & 0xFFFF: np.full(408, c & 0xFF) for c in range(65530, 65546)})
     )
     assert len(frames) == 16
-    statistics = assembler.statistics
+    statistics = assembler.counts
     assert (statistics.complete, statistics.lost, statistics.torn) == (16, 0, 0)
 
 
@@ -84,7 +84,7 @@ def test_lost_and_torn_are_counted() -> None:
     stream = [m for c in (0, 1, 2, 3, 6, 7) for m in messages[c]]
     assembler = FrameAssembler(PAPER)
     assert [frame.counter for frame in received(assembler, stream)] == [0, 1, 3, 6, 7]
-    statistics = assembler.statistics
+    statistics = assembler.counts
     assert (statistics.lost, statistics.torn) == (3, 1)
 
 
@@ -94,8 +94,8 @@ def test_a_late_message_completes_its_own_frame_while_the_next_one_arrives() -> 
     stream = first + second[:20] + [late] + second[20:]
     assembler = FrameAssembler(PAPER)
     assert [frame.counter for frame in received(assembler, stream)] == [0, 1]
-    assert assembler.statistics.reordered == 1
-    assert assembler.statistics.torn == 0
+    assert assembler.counts.reordered == 1
+    assert assembler.counts.torn == 0
 
 
 def test_a_message_later_than_the_next_frame_does_not_bring_back_an_older_frame() -> None:
@@ -111,8 +111,8 @@ def test_duplicates_and_swaps_are_counted_and_harmless() -> None:
     swapped = [messages[1], messages[0], messages[0], *messages[2:], messages[58], messages[3]]
     assembler = FrameAssembler(PAPER)
     assert len(received(assembler, swapped)) == 1
-    assert assembler.statistics.reordered == 1
-    assert assembler.statistics.duplicate == 3
+    assert assembler.counts.reordered == 1
+    assert assembler.counts.duplicate == 3
 
 
 def test_repeated_and_older_frames_are_stale() -> None:
@@ -120,7 +120,7 @@ def test_repeated_and_older_frames_are_stale() -> None:
     other = SENT.burst(np.full(408, 77), 9, 0)
     assembler = FrameAssembler(PAPER)
     assert len(received(assembler, newer + older + other)) == 1
-    assert assembler.statistics.stale == 2
+    assert assembler.counts.stale == 2
 
 
 @pytest.mark.parametrize("length", [0, 1, 3, 7])
@@ -129,14 +129,14 @@ def test_short_messages_are_dropped_even_if_the_dlc_says_eight(length: int) -> N
     assembler = FrameAssembler(PAPER)
     assert assembler.push(messages[0][:length], 8, 0.0) is None
     assert assembler.push(messages[0], length, 0.0) is None
-    assert assembler.statistics.short == 2
+    assert assembler.counts.short == 2
     assert len(received(assembler, messages)) == 1
 
 
 def test_index_beyond_the_burst_is_refused() -> None:
     assembler = FrameAssembler(PAPER)
     assert assembler.push(bytes([59]) + bytes(7), 8, 0.0) is None
-    assert assembler.statistics.corrupt == 1
+    assert assembler.counts.corrupt == 1
 
 
 def test_wrong_crc_is_refused_and_the_next_frame_is_taken() -> None:
@@ -144,14 +144,14 @@ def test_wrong_crc_is_refused_and_the_next_frame_is_taken() -> None:
     first[58] = first[58][:-1] + bytes([first[58][-1] ^ 1])
     assembler = FrameAssembler(PAPER)
     assert [frame.counter for frame in received(assembler, first + second)] == [5]
-    assert assembler.statistics.corrupt == 1
+    assert assembler.counts.corrupt == 1
 
 
 def test_a_counter_of_another_phase_than_its_messages_is_refused() -> None:
     sent = [bytes([m[0] ^ 1 << PHASE_SHIFT]) + m[1:] for m in stream_of({4: np.full(408, 7)})]
     assembler = FrameAssembler(PAPER)
     assert received(assembler, sent) == []
-    assert assembler.statistics.corrupt == 1
+    assert assembler.counts.corrupt == 1
 
 
 def test_a_buffer_that_the_caller_reuses_does_no_harm() -> None:

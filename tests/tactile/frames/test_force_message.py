@@ -75,7 +75,7 @@ def test_lost_repeated_late_and_damaged_messages_are_told_apart() -> None:
     assert took == [True, True, True, True, False, False, True, True]
     assert stream.push(sent[8][:7], 0.03) is None
     assert stream.push(b"\0" * 8, 0.03) is None
-    statistics = stream.statistics
+    statistics = stream.counts
     assert (statistics.received, statistics.lost, statistics.repeated) == (6, 1, 1)
     assert (statistics.late, statistics.damaged) == (1, 2)
 
@@ -84,16 +84,16 @@ def test_after_a_silence_any_counter_is_newer() -> None:
     stream = ForceStream(0.003)
     assert stream.push(force_bytes(message(4)), 0.0) is not None
     assert stream.push(force_bytes(message(4)), 0.048) is not None
-    assert stream.statistics.lost == 15
+    assert stream.counts.lost == 15
     assert stream.push(force_bytes(message(5, 2.0)), 0.148) is not None
-    assert stream.statistics.lost == 15
+    assert stream.counts.lost == 15
 
 
 def test_a_message_that_comes_again_and_again_stays_old() -> None:
     stream = ForceStream(0.003)
     took = [stream.push(force_bytes(message(4)), 0.003 * n) for n in range(100)]
     assert [n for n, one in enumerate(took) if one is not None] == [0]
-    assert stream.statistics.repeated == 99
+    assert stream.counts.repeated == 99
 
 
 @pytest.mark.parametrize("start", range(16))

@@ -3,10 +3,7 @@
 import pytest
 
 from tactile.errors import BusErrorPassive
-from tactile.unit.supervision import (
-    Emergency,
-    NodeSupervisor,
-)
+from tactile.unit.supervision import NodeSupervisor, emergency_text
 
 
 @pytest.mark.parametrize(
@@ -24,7 +21,7 @@ from tactile.unit.supervision import (
     ],
 )
 def test_texts(code: int, text: str) -> None:
-    assert Emergency(code=code, register=0, detail=bytes(5)).text == text
+    assert emergency_text(code) == text
 
 
 def make() -> NodeSupervisor:
