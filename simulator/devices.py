@@ -11,7 +11,7 @@ from simulator.can.link import CanDevices
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
-from simulator.servo.faults import ServoFaultKnobs, WireFaults
+from simulator.servo.faults import WireFaults
 from simulator.servo.mechanics import FingerMechanics
 from simulator.servo.motor import ServoMotor
 from simulator.servo.wrist import SimulatedWrist
@@ -32,8 +32,6 @@ class CellFaults:
 
     servo_wire: WireFaults
     """The line between host and servos."""
-    servos: dict[int, ServoFaultKnobs]
-    """The servos by their ID."""
     can: CanLinkFaults
     """The way between control unit and host."""
     unit: ControlUnitFaults
@@ -88,10 +86,6 @@ class CellDevices:
         )
         self.faults = CellFaults(
             servo_wire=self.servo_bus.faults,
-            servos={
-                servo.servo_id: ServoFaultKnobs(servo, motor)
-                for servo, motor in zip(servos, motors, strict=True)
-            },
             can=CanLinkFaults(),
             unit=unit_faults,
         )

@@ -47,7 +47,7 @@ def _fault(target: Target) -> None:
     if isinstance(axis, SimulatedDrive):
         axis.fail(int(target.number))
     else:
-        axis.knobs.overload()
+        axis.servo.core.plant.overload()
 
 
 def _reboot(target: Target) -> None:
@@ -55,7 +55,7 @@ def _reboot(target: Target) -> None:
     if isinstance(axis, SimulatedDrive):
         axis.power_cycle()
     else:
-        axis.knobs.reboot(target.now_s)
+        axis.servo.core.boot(target.now_s)
 
 
 def _slip(target: Target) -> None:

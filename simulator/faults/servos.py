@@ -5,6 +5,7 @@ from gripper.dynamixel.models import PULSES_PER_TURN
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
+    Apply,
     Effect,
     FaultEntry,
     FaultKind,
@@ -19,14 +20,16 @@ from simulator.faults.entry import (
     unplugging,
 )
 from simulator.servo.control_table import EEPROM_END
-from simulator.servo.faults import Chatter, ServoFaultKnobs, Trigger
+from simulator.servo.faults import Chatter, Trigger
 from simulator.servo.firmware import ServoCore, WatchdogStop
-from simulator.servo.motor import AMBIENT_C
+from simulator.servo.motor import ServoMotor
 
 _LATE = Number("s", 0.0, 1.0, default=0.04)
 """How late an answer comes in s."""
 _SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M,55.3,M,,*75\r\n"
 """What a GPS receiver sends again and again (NMEA 0183)."""
+_REPORT = "reported_offset_raw"
+"""Knob of a servo's position: counts that it reports more than it goes by itself."""
 _BOOT_APART_S = 0.003
 """Time in s by which servos on one supply boot one after the other; an assumption."""
 _BURST_BYTES = 40
@@ -73,12 +76,30 @@ def _id(target: Target) -> int:
     return target.devices.settings.servos[target.servo].servo_id
 
 
-def _knobs(target: Target) -> ServoFaultKnobs:
-    return target.devices.faults.servos[_id(target)]
-
-
 def _core(target: Target) -> ServoCore:
     return target.devices.servo_bus.servos[target.servo].core
+
+
+def _motor(target: Target) -> ServoMotor:
+    return target.devices.mechanics.motors[target.servo]
+
+
+def _turned_motor(knob: str) -> Apply:
+    return lambda target: Effect(undo=turned(_motor(target), knob, target.number))
+
+
+def _stuck(target: Target) -> Effect:
+    motor = _motor(target)
+    return Effect(undo=turned(motor, "stuck_at_rad", motor.angle_rad))
+
+
+def _jump(target: Target) -> None:
+    _motor(target).encoder_offset_rad += target.number
+
+
+def _turns(target: Target) -> Effect:
+    report_raw = int(target.number) * PULSES_PER_TURN
+    return Effect(undo=turned(_core(target).position, _REPORT, report_raw))
 
 
 def _remount(target: Target, sign: int) -> None:
@@ -98,12 +119,13 @@ def _factory(target: Target) -> None:
 
 
 def _drift(target: Target) -> Effect:
-    knobs = _knobs(target)
+    position = _core(target).position
 
     def act(now_s: float) -> None:
-        knobs.offset_report(round(target.number * (now_s - target.now_s) / RAD_PER_PULSE))
+        drifted_rad = target.number * (now_s - target.now_s)
+        position.reported_offset_raw = round(drifted_rad / RAD_PER_PULSE)
 
-    return Effect(undo=lambda: knobs.offset_report(0), act=act)
+    return Effect(undo=turned(position, _REPORT, 0), act=act)
 
 
 def _check_register(target: Target) -> None:
@@ -190,40 +212,32 @@ SERVO = (
                lambda target: _late(target, frozenset({_id(target)})), "delay", _LATE),
     moment_fault("servoN.reboot", FaultKind.REBOOT,
                  "it reboots by itself: torque off, RAM at its defaults",
-                 lambda target: _knobs(target).reboot(target.now_s)),
+                 lambda target: _core(target).boot(target.now_s)),
     moment_fault("servoN.factory", FaultKind.WRONG,
                  "it is as it left the factory: ID 1, 57600 bit/s, position mode, return delay of "
                  "500 us; with another one like it both answer at once", _factory),
     moment_fault("servoN.overload", FaultKind.OFF,
                  "its overload protection latches and switches the torque off",
-                 lambda target: _knobs(target).overload()),
+                 lambda target: _motor(target).overload()),
     FaultEntry("servoN.overheat", FaultKind.WRONG,
                "its inside has this temperature, and cools down slowly",
-               lasting(lambda target: _knobs(target).overheat(target.number),
-                       lambda target: _knobs(target).overheat(AMBIENT_C)),
-               "temperature", Number("degC", -20.0, 150.0, default=90.0)),
+               _turned_motor("temperature_c"), "temperature",
+               Number("degC", -20.0, 150.0, default=90.0)),
     FaultEntry("servoN.supply", FaultKind.WRONG, "its supply has this voltage",
-               lasting(lambda target: _knobs(target).supply(target.number),
-                       lambda target: _knobs(target).supply()),
-               "supply", Number("V", 0.0, 30.0, default=6.0)),
+               _turned_motor("voltage_v"), "supply", Number("V", 0.0, 30.0, default=6.0)),
     FaultEntry("servoN.error", FaultKind.WRONG,
                "these bits of Hardware Error Status (16 shock, 8 encoder)",
-               lasting(lambda target: _knobs(target).hardware_error(int(target.number)),
-                       lambda target: _knobs(target).hardware_error(0)),
+               lambda target: Effect(
+                   undo=turned(_core(target), "injected_error", int(target.number))),
                "error", Number("bits", 1, 63, default=16, whole=True)),
     FaultEntry("servoN.stuck", FaultKind.STUCK, "its encoder reports the same angle for ever",
-               lasting(lambda target: _knobs(target).stick_encoder(),
-                       lambda target: _knobs(target).stick_encoder(stuck=False)), "stuck"),
+               _stuck, "stuck"),
     moment_fault("servoN.jump", FaultKind.WRONG,
                  "its encoder reports so much more from one moment to the next",
-                 lambda target: _knobs(target).jump_encoder(target.number),
-                 Number("rad", -6.3, 6.3, default=0.5)),
+                 _jump, Number("rad", -6.3, 6.3, default=0.5)),
     FaultEntry("servoN.turn", FaultKind.WRONG,
                "it reports its position so many turns off, and follows its goals as before",
-               lasting(lambda target: _knobs(target).offset_report(
-                           int(target.number) * PULSES_PER_TURN),
-                       lambda target: _knobs(target).offset_report(0)),
-               "report", Number("turns", -10, 10, default=1, whole=True)),
+               _turns, "report", Number("turns", -10, 10, default=1, whole=True)),
     FaultEntry("servoN.drift", FaultKind.WRONG,
                "the position that it reports drifts away, and it follows its goals as before",
                _drift, "report", Number("rad/s", -6.3, 6.3, default=0.1)),

@@ -1,7 +1,6 @@
-"""Fault knobs of the servo link and of the servos; all off until they are turned.
+"""Fault knobs of the line between host and servos; all off until they are turned.
 
-The knobs of the wire act on packets between the host and the servos, those of a servo on the servo
-itself. A run with the same seed and the same traffic is always the same.
+They act on packets. A run with the same seed and the same traffic is always the same.
 """
 
 import math
@@ -10,8 +9,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from simulator.errors import SimulatorSettingsError
-from simulator.servo.device import SimulatedServo
-from simulator.servo.motor import OVERLOAD_BUDGET_S, ServoMotor
 from simulator.servo.protocol2 import crc16
 
 _ROUNDING = 1e-6
@@ -187,52 +184,3 @@ class WireFaults:
         if self._generator is None:
             self._generator = random.Random(self.seed)
         return self._generator
-
-
-class ServoFaultKnobs:
-    """Knobs of one servo: heat, load, supply, reboot, encoder."""
-
-    def __init__(self, servo: SimulatedServo, motor: ServoMotor) -> None:
-        self._servo = servo
-        self._motor = motor
-
-    def overheat(self, temperature_c: float) -> None:
-        """Heat the motor to a temperature in degC; it cools down again by itself."""
-        self._motor.temperature_c = temperature_c
-
-    def overload(self) -> None:
-        """Use up the overload budget, as a long stall does."""
-        self._motor.load_excess_s = 2.0 * OVERLOAD_BUDGET_S
-
-    def supply(self, voltage_v: float | None = None) -> None:
-        """Set the supply in V; None brings the nominal voltage back."""
-        nominal_v = self._motor.model.nominal_voltage_v
-        self._motor.voltage_v = nominal_v if voltage_v is None else voltage_v
-
-    def hardware_error(self, bits: int) -> None:
-        """Force bits of Hardware Error Status (electrical shock 16, encoder 8); 0 ends it."""
-        self._servo.core.injected_error = bits
-
-    def reboot(self, now_s: float) -> None:
-        """Let the servo reboot by itself, as after a dip of its supply."""
-        self._servo.core.boot(now_s)
-
-    def stick_encoder(self, *, stuck: bool = True) -> None:
-        """Let the encoder report its present angle for ever, or work again."""
-        self._motor.stuck_at_rad = self._motor.angle_rad if stuck else None
-
-    def jump_encoder(self, angle_rad: float) -> None:
-        """Let the encoder report so many rad more from now on, until it is cleared."""
-        self._motor.encoder_offset_rad += angle_rad
-
-    def offset_report(self, offset_raw: int) -> None:
-        """Let the servo report so many counts more than it goes by itself; 0 ends it."""
-        self._servo.core.position.reported_offset_raw = offset_raw
-
-    def clear(self) -> None:
-        """Turn every knob of the servo back; latched errors stay until a reboot."""
-        self.offset_report(0)
-        self.supply()
-        self.hardware_error(0)
-        self.stick_encoder(stuck=False)
-        self._motor.encoder_offset_rad = 0.0

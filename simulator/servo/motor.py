@@ -201,6 +201,10 @@ class ServoMotor:
         """Velocity that follows from the encoder, rad/s."""
         return self.velocity_rad_s if self.stuck_at_rad is None else 0.0
 
+    def overload(self) -> None:
+        """Use up the overload budget, as a long stall does."""
+        self.load_excess_s = 2.0 * OVERLOAD_BUDGET_S
+
     def drive(self, command: DriveCommand) -> None:
         """Take a new command; a change of mode starts the profile where the motor is."""
         if command.mode is not self.command.mode:

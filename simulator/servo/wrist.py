@@ -6,7 +6,6 @@ from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
-from simulator.servo.faults import ServoFaultKnobs
 from simulator.servo.mechanics import STICTION_RATIO
 from simulator.servo.motor import ServoMotor
 
@@ -42,10 +41,8 @@ class SimulatedWrist:
         angle_rad = (mount.zero + mount.start * mount.increments) * RAD_PER_PULSE
         self._motor = ServoMotor(mount.model, angle_rad=angle_rad)
         rate = {"baud_rate": BAUD_RATES.index(mount.baud_rate), "return_delay_time": 0}
-        servo = SimulatedServo(mount.servo_id, mount.model, self._motor, settings=rate)
-        self.bus = ServoBusDevice([servo], mount.baud_rate)
-        self.knobs = ServoFaultKnobs(servo, self._motor)
-        """Faults of the servo."""
+        self.servo = SimulatedServo(mount.servo_id, mount.model, self._motor, settings=rate)
+        self.bus = ServoBusDevice([self.servo], mount.baud_rate)
         self.blocked = False
         """Fault knob: something holds it."""
         self.slipped = 0.0

@@ -249,9 +249,8 @@ class Driver:
             self.monitor.pushed()
         self._remounted = False
         self.simulated.injector.clear_all()
-        for knobs in self.simulated.devices.faults.servos.values():
-            knobs.clear()
-            knobs.overheat(25.0)
+        for motor in self.simulated.devices.mechanics.motors:
+            motor.encoder_offset_rad, motor.temperature_c = 0.0, 25.0
         self._end()
 
     def place(self, label: str) -> None:

@@ -542,9 +542,8 @@ class WireDriver(Driver):
                 error = refused
                 self.monitor.attach(None)
             self.simulated.injector.clear_all()
-            for knobs in self.simulated.devices.faults.servos.values():
-                knobs.clear()
-                knobs.overheat(25.0)
+            for motor in self.simulated.devices.mechanics.motors:
+                motor.encoder_offset_rad, motor.temperature_c = 0.0, 25.0
             self.simulated.clock.sleep(0.5)
         raise InvariantBroken(f"no service on healed hardware: {error}")
 

@@ -21,13 +21,33 @@ from gripper.state import Cycle
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.faults import ServoFaultKnobs
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 
 
 def packed(text: str) -> bytes:
     return bytes.fromhex(text.replace(" ", ""))
+
+
+class ServoKnobs:
+    """What may befall a servo: heat, load, supply, a reboot, its encoder."""
+
+    def __init__(self, servo: SimulatedServo) -> None:
+        self.core = servo.core
+        self.overload = servo.core.plant.overload
+        self.reboot = servo.core.boot
+
+    def overheat(self, temperature_c: float) -> None:
+        self.core.plant.temperature_c = temperature_c
+
+    def supply(self, voltage_v: float) -> None:
+        self.core.plant.voltage_v = voltage_v
+
+    def jump_encoder(self, angle_rad: float) -> None:
+        self.core.plant.encoder_offset_rad += angle_rad
+
+    def offset_report(self, offset_raw: int) -> None:
+        self.core.position.reported_offset_raw = offset_raw
 
 
 @dataclass
@@ -208,10 +228,7 @@ class Cell:
             SimulatedServo(i + 1, model, motor, settings=eeprom)
             for i, motor in enumerate(self.motors)
         ]
-        self.knobs = [
-            ServoFaultKnobs(servo, motor)
-            for servo, motor in zip(self.servos, self.motors, strict=True)
-        ]
+        self.knobs = [ServoKnobs(servo) for servo in self.servos]
         self.device = ServoBusDevice(self.servos, 1_000_000)
         self.stream = MemoryServoStream(self.device, self.clock)
         self.bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)

@@ -139,8 +139,8 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
     acts = {
         "block": lambda: setattr(simulated, "blocked", True),
         "silent": lambda: simulated.bus.faults.silent.add(7),
-        "overload": simulated.knobs.overload,
-        "reboot": lambda: simulated.knobs.reboot(bench.clock.monotonic()),
+        "overload": simulated.servo.core.plant.overload,
+        "reboot": lambda: simulated.servo.core.boot(bench.clock.monotonic()),
     }
     once(bench.clock, lambda: simulated.moving, acts[fail])
     with pytest.raises(error, match=words):
@@ -162,7 +162,7 @@ def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(bench: Any) -> None:
 
 def test_a_wrist_that_restarted_meanwhile_is_found(bench: Any) -> None:
     bench.move(0.5)
-    bench.simulated.knobs.reboot(bench.clock.monotonic())
+    bench.simulated.servo.core.boot(bench.clock.monotonic())
     bench.clock.sleep(1.0)
     with pytest.raises(AxisRestarted, match="has lost its torque"):
         bench.move(1.0)
@@ -199,7 +199,7 @@ def test_faults_of_an_earlier_program_are_cleared_without_motion(
     assert bench.simulated.state is State.SWITCH_ON_DISABLED
     bench.move(0.0)
     wrist = make_wrist()
-    wrist.simulated.knobs.overload()
+    wrist.simulated.servo.core.plant.overload()
     wrist.clock.sleep(0.1)
     with pytest.raises(AxisFault, match="hardware error overload"):
         wrist.axes.clear_faults(reboot=False)

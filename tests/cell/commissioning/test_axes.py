@@ -93,7 +93,7 @@ def test_a_wrist_without_supply_or_with_too_little_is_named(
     tmp_path: Path, cell: SimulatedCell
 ) -> None:
     wrist = LinesWithAxes(cell).wrist
-    wrist.knobs.supply(6.0)
+    wrist.servo.core.plant.voltage_v = 6.0
     low = found(tmp_path, cell, Script({"axes.port": "yes"}))
     assert low.status is Verdict.FAIL
     assert "6.0 V" in low.lines[-1]

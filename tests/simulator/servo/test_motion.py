@@ -10,7 +10,6 @@ from gripper.dynamixel.control_table import (
     RAD_S_PER_VELOCITY_UNIT,
 )
 from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350
-from simulator.servo.faults import ServoFaultKnobs
 from simulator.servo.firmware import WatchdogStop
 from simulator.servo.motor import DriveMode
 from simulator.servo.protocol2 import Instruction, encode_instruction
@@ -208,29 +207,25 @@ def test_a_cleared_motor_waits_for_a_goal(bench):
 # Protections
 
 
-def knobs(bench) -> ServoFaultKnobs:
-    return ServoFaultKnobs(bench.servos[0], bench.motors[0])
-
-
 @pytest.mark.parametrize(
     ("provoke", "bits"),
     [
-        (lambda k: k.overload(), 0x20),
-        (lambda k: k.overheat(95.0), 0x04),
-        (lambda k: k.hardware_error(0x10), 0x10),
+        (lambda core: core.plant.overload(), 0x20),
+        (lambda core: setattr(core.plant, "temperature_c", 95.0), 0x04),
+        (lambda core: setattr(core, "injected_error", 0x10), 0x10),
     ],
     ids=["overload", "overheating", "shock"],
 )
 def test_a_latched_error_drops_the_torque_until_a_reboot(bench, provoke, bits: int):
     bench.clock.sleep(0.1)
-    provoke(knobs(bench))
+    provoke(bench.servos[0].core)
     bench.clock.sleep(0.01)
     assert bench.ask(1, Instruction.READ, bytes((70, 0, 1, 0))) == (ALERT, bytes((bits,)))
     assert bench.read(1, 64, 1) == 0
     assert bench.read(1, 126, 2) == 0
     assert bench.write(1, 64, 1, 1) == ALERT | 1
     assert bench.ask(2, Instruction.PING)[0] == 0
-    knobs(bench).clear()
+    bench.servos[0].core.injected_error = 0
     bench.motors[0].temperature_c = 30.0
     assert bench.read(1, 70, 1) == bits
     assert bench.ask(1, Instruction.REBOOT)[0] == ALERT
@@ -241,7 +236,7 @@ def test_a_latched_error_drops_the_torque_until_a_reboot(bench, provoke, bits: i
 
 @pytest.mark.parametrize("voltage_v", [9.0, 16.5])
 def test_a_wrong_supply_alerts_but_keeps_the_torque_by_default(bench, voltage_v: float):
-    knobs(bench).supply(voltage_v)
+    bench.motors[0].voltage_v = voltage_v
     bench.clock.sleep(0.01)
     error, data = bench.ask(1, Instruction.READ, bytes((144, 0, 2, 0)))
     assert (error, int.from_bytes(data, "little")) == (ALERT, round(10 * voltage_v))
@@ -252,13 +247,13 @@ def test_a_wrong_supply_alerts_but_keeps_the_torque_by_default(bench, voltage_v:
 def test_the_xl330_shuts_down_on_a_wrong_supply(servo_bench):
     bench = servo_bench(model=XL330_M288)
     bench.write(1, 64, 1, 1)
-    knobs(bench).supply(3.0)
+    bench.motors[0].voltage_v = 3.0
     bench.clock.sleep(0.01)
     assert bench.read(1, 64, 1) == 0
 
 
 def test_an_error_that_lasts_comes_back_after_the_reboot(bench):
-    knobs(bench).overheat(95.0)
+    bench.motors[0].temperature_c = 95.0
     bench.clock.sleep(0.01)
     bench.ask(1, Instruction.REBOOT)
     bench.clock.sleep(0.5)
@@ -266,11 +261,11 @@ def test_an_error_that_lasts_comes_back_after_the_reboot(bench):
 
 
 def test_a_stuck_encoder_reports_one_position(bench):
-    knobs(bench).stick_encoder()
+    bench.motors[0].stuck_at_rad = bench.motors[0].angle_rad
     stuck = bench.read(1, 132, 4)
     bench.clock.sleep(0.05)
     assert not math.isclose(bench.motors[0].angle_rad, bench.motors[0].sensed_rad, abs_tol=0.01)
     assert bench.read(1, 132, 4) == stuck
     assert bench.read(1, 128, 4) == 0
-    knobs(bench).clear()
+    bench.motors[0].stuck_at_rad = None
     assert bench.read(1, 132, 4) != stuck
