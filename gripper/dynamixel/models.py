@@ -4,11 +4,12 @@ Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Co
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
 from functools import cache
 from math import pi
 from types import MappingProxyType
+from typing import Any
 
 from gripper.errors import LimitExceeded
 
@@ -123,13 +124,14 @@ _ESTIMATE = (
 """Source of torque figures that only the data sheet gives."""
 
 
-def _estimated(stall_torque_nm: float, stall_current_a: float) -> dict[str, float]:
+def _estimated(stall_torque_nm: float, stall_current_a: float) -> dict[str, Any]:
     friction_nm = 0.054 * stall_torque_nm
     return {
         "kt_nm_a": (stall_torque_nm + friction_nm) / stall_current_a,
         "friction_nm": friction_nm,
         "stall_torque_nm": stall_torque_nm,
         "stall_current_a": stall_current_a,
+        "torque_source": _ESTIMATE,
     }
 
 
@@ -154,22 +156,13 @@ XM430_W350 = ServoModel(
     rotor_inertia_kg_m2=0.012,
     torque_source="fit to the vendor's performance graph, forum.robotis.com/t/5827",
 )
-XM430_W210 = ServoModel(
+XM430_W210 = replace(
+    XM430_W350,
     name="XM430-W210",
     number=1030,
-    current_unit_a=2.69e-3,
-    current_limit_raw=1193,
     velocity_limit_raw=330,
-    temperature_limit_c=80,
-    min_voltage_raw=95,
-    max_voltage_raw=160,
-    shutdown_raw=52,
-    position_gains=(0, 0, 800),
-    velocity_gains=(1920, 100),
-    nominal_voltage_v=12.0,
     no_load_rad_s=77 * _RPM,
     rotor_inertia_kg_m2=0.0043,
-    torque_source=_ESTIMATE,
     **_estimated(3.0, 2.3),
 )
 XL330_M288 = ServoModel(
@@ -187,25 +180,18 @@ XL330_M288 = ServoModel(
     nominal_voltage_v=5.0,
     no_load_rad_s=103 * _RPM,
     rotor_inertia_kg_m2=0.0012,
-    torque_source=_ESTIMATE,
     **_estimated(0.52, 1.47),
 )
-XC330_M288 = ServoModel(
+XC330_M288 = replace(
+    XL330_M288,
     name="XC330-M288",
     number=1240,
-    current_unit_a=1e-3,
     current_limit_raw=2352,
     velocity_limit_raw=350,
-    temperature_limit_c=70,
-    min_voltage_raw=35,
-    max_voltage_raw=70,
     shutdown_raw=52,
     position_gains=(500, 0, 1100),
     velocity_gains=(1600, 50),
-    nominal_voltage_v=5.0,
     no_load_rad_s=81 * _RPM,
-    rotor_inertia_kg_m2=0.0012,
-    torque_source=_ESTIMATE,
     **_estimated(0.93, 1.8),
 )
 
