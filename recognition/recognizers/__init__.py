@@ -6,10 +6,8 @@ default, `shrinkage_lda` a plain discriminant to compare with, `level_check` the
 teaches recognisers that answer already during the ramp.
 """
 
-import importlib
 from collections.abc import Mapping
-from dataclasses import dataclass
-from operator import attrgetter
+from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -22,61 +20,45 @@ DEFAULT_TRAINER = "force_ramp"
 _METHODS = "recognition.recognizers.comparators.methods"
 """Module of the comparators."""
 
-
-@dataclass(frozen=True, slots=True)
-class RecognizerEntry:
-    """One kind of recogniser."""
-
-    name: str
-    """Name in tables, models and on the command line."""
-    module: str
-    """Module of its trainer and its recogniser; imported when a trainer is made."""
-    trainer: str
-    """Name in that module of what makes a trainer when called with ``use_aperture``."""
-    comparator: bool = False
-    """Whether it is used only where it is asked for; some are taught by scikit-learn."""
-
-
-RECOGNIZERS: tuple[RecognizerEntry, ...] = (
-    RecognizerEntry(
-        "force_ramp", "recognition.recognizers.force_ramp.recognizer", "ForceRampTrainer"
-    ),
-    RecognizerEntry("level_check", "recognition.recognizers.level_check", "LevelCheckTrainer"),
-    RecognizerEntry("shrinkage_lda", _METHODS, "ShrinkageLda.trainer"),
-    RecognizerEntry("radius_vector", _METHODS, "RadiusVector.trainer", comparator=True),
-    RecognizerEntry("contour_network", _METHODS, "ContourNetwork.trainer", comparator=True),
-    RecognizerEntry("contact_invariants", _METHODS, "ContactInvariants.trainer", comparator=True),
-    RecognizerEntry("extra_trees", _METHODS, "ExtraTrees.trainer", comparator=True),
-    RecognizerEntry("raw_neighbours", _METHODS, "RawNeighbours.trainer", comparator=True),
+RECOGNIZERS: Mapping[str, str] = MappingProxyType(
+    {
+        "force_ramp": "recognition.recognizers.force_ramp.recognizer:ForceRampTrainer",
+        "level_check": "recognition.recognizers.level_check:LevelCheckTrainer",
+        "shrinkage_lda": f"{_METHODS}:ShrinkageLda.trainer",
+        "radius_vector": f"{_METHODS}:RadiusVector.trainer",
+        "contour_network": f"{_METHODS}:ContourNetwork.trainer",
+        "contact_invariants": f"{_METHODS}:ContactInvariants.trainer",
+        "extra_trees": f"{_METHODS}:ExtraTrees.trainer",
+        "raw_neighbours": f"{_METHODS}:RawNeighbours.trainer",
+    }
 )
-"""All kinds of recogniser; names are in the order of tables."""
+"""All kinds of recogniser by name, in the order of tables: the module of trainer and recogniser,
+imported when a trainer is made, and what makes one in it when called with ``use_aperture``."""
 
-_BY_NAME: Mapping[str, RecognizerEntry] = MappingProxyType(
-    {entry.name: entry for entry in RECOGNIZERS}
-)
-
-TRAINERS: tuple[str, ...] = tuple(entry.name for entry in RECOGNIZERS if not entry.comparator)
+TRAINERS = ("force_ramp", "level_check", "shrinkage_lda")
 """Names of the kinds that are compared where none is asked for."""
 
-COMPARATORS: tuple[str, ...] = tuple(entry.name for entry in RECOGNIZERS if entry.comparator)
-"""Names of the comparators."""
+COMPARATORS = tuple(name for name in RECOGNIZERS if name not in TRAINERS)
+"""Names of those that are used only where they are asked for; some are taught by scikit-learn."""
 
 
 def trainer_names() -> tuple[str, ...]:
     """Return the names of all kinds."""
-    return tuple(_BY_NAME)
+    return tuple(RECOGNIZERS)
 
 
 def recognizer_module(name: str) -> str:
     """Return the module of the trainer and recogniser of that name; raises ValueError."""
-    if name not in _BY_NAME:
-        raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(_BY_NAME)}")
-    return _BY_NAME[name].module
+    return _place(name).partition(":")[0]
 
 
 def make_trainer(name: str = DEFAULT_TRAINER, *, use_aperture: bool = True) -> "Trainer":
     """Return the trainer of that name. Raises ValueError, listing the names, for an unknown one."""
-    module = importlib.import_module(recognizer_module(name))
-    maker = attrgetter(_BY_NAME[name].trainer)(module)
-    trainer: Trainer = maker(use_aperture=use_aperture)
+    trainer: Trainer = resolve_name(_place(name))(use_aperture=use_aperture)
     return trainer
+
+
+def _place(name: str) -> str:
+    if name not in RECOGNIZERS:
+        raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(RECOGNIZERS)}")
+    return RECOGNIZERS[name]
