@@ -8,8 +8,6 @@ class Clock(Protocol):
 
     def monotonic(self) -> float:
         """Return the time in s since an arbitrary start; it never goes back."""
-        ...
 
     def sleep(self, seconds: float, /) -> None:
         """Wait for ``seconds`` s."""
-        ...

@@ -47,4 +47,3 @@ class ForceSensor(Protocol):
 
     def latest_force(self) -> ForceSample | None:
         """Return the newest sample, None while there is none; the caller judges its age."""
-        ...

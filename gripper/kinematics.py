@@ -20,23 +20,18 @@ class Linkage(Protocol):
     @property
     def n_servos(self) -> int:
         """Return 1 where one servo drives both fingers, 2 where each finger has its own."""
-        ...
 
     def aperture_m(self, angles_rad: Sequence[float]) -> float:
         """Return the opening between both pads in m for one angle of each servo."""
-        ...
 
     def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
         """Return the angle of each servo for a centred opening; LimitExceeded out of reach."""
-        ...
 
     def effective_radius_m(self, angle_rad: float) -> float:
         """Return the torque of a servo for a grip force of 1 N, in N m / N."""
-        ...
 
     def opening_per_rad_m(self, angle_rad: float) -> float:
         """Return the part of the aperture in m that one servo opens for one rad."""
-        ...
 
 
 _FRICTION_RESERVE = 1.2

@@ -23,44 +23,34 @@ class AxisDevice(Protocol):
 
     def identify(self) -> str:
         """Return state and position in words; nothing moves."""
-        ...
 
     def prepare(self, *, reset: bool) -> None:
         """Set up, enable, find the home; the axis may move. A fault is cleared with ``reset``."""
-        ...
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Clear a fault; a device that must restart for it does so with ``reboot`` only."""
-        ...
 
     def wake(self) -> None:
         """Look whether the device is as it was left."""
-        ...
 
     def go_to(self, target: int) -> None:
         """Begin to move."""
-        ...
 
     def arrived(self) -> bool:
         """Return whether the target is reached; raises what went wrong."""
-        ...
 
     def rest(self) -> None:
         """End a motion that has arrived: nobody has to watch the device any more."""
-        ...
 
     @property
     def position(self) -> int:
         """Present position in increments."""
-        ...
 
     def stop(self) -> None:
         """Send a stop and wait for nothing."""
-        ...
 
     def standing(self) -> bool:
         """Return whether the axis stands still after a stop."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

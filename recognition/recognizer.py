@@ -100,20 +100,16 @@ class Recognizer(Protocol):
     @property
     def labels(self) -> tuple[str, ...]:
         """The taught objects, sorted."""
-        ...
 
     def posterior(self, grasp: Grasp) -> Posterior:
         """Return the posterior of a grasp; ValueError for pads other than the taught ones."""
-        ...
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all that was learnt as plain arrays (numbers and strings, no objects)."""
-        ...
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
-        ...
 
 
 class Trainer(Protocol):
@@ -122,13 +118,10 @@ class Trainer(Protocol):
     @property
     def name(self) -> str:
         """Name in tables, models and on the command line."""
-        ...
 
     @property
     def uses_aperture(self) -> bool:
         """Whether the opening between the fingers is used."""
-        ...
 
     def fit(self, grasps: Sequence[Grasp]) -> Recognizer:
         """Learn from labelled grasps. Raises ValueError where they do not suffice."""
-        ...

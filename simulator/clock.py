@@ -77,11 +77,9 @@ class RealClock(Protocol):
 
     def monotonic(self) -> float:
         """Return the time in s."""
-        ...
 
     def sleep(self, seconds: float, /) -> None:
         """Wait."""
-        ...
 
 
 class Pace:

@@ -79,11 +79,9 @@ class Sensor(Protocol):
 
     def measure(self, now_s: float, force_n: float) -> None:
         """Take the force in N on each pad at a time in s."""
-        ...
 
     def latest_force(self) -> ForceSample | None:
         """Return the newest sample; see `gripper.force_sensor.ForceSensor`."""
-        ...
 
 
 class MessageSensor:

@@ -40,19 +40,15 @@ class ByteStream(Protocol):
 
     def write(self, data: bytes, /) -> None:
         """Send all bytes."""
-        ...
 
     def read(self, size: int, timeout_s: float, /) -> bytes:
         """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
-        ...
 
     def drop_input(self) -> None:
         """Forget what has arrived and was not read."""
-        ...
 
     def close(self) -> None:
         """Give the line back; may be called twice."""
-        ...
 
 
 def open_line(port: str | ByteStream, baudrate: int) -> tuple[ByteStream, Clock]:

@@ -240,12 +240,9 @@ class DriftFollowing(Recognizer, Protocol):
     @property
     def grid(self) -> DriftGrid:
         """The drift since teaching by the grasps so far."""
-        ...
 
     def with_grid(self, grid: DriftGrid, /) -> Self:
         """Return a copy with another estimate of the drift."""
-        ...
 
     def follow(self, grasp: Grasp, /) -> Self:
         """Return a copy after one more grasp, of whatever object."""
-        ...

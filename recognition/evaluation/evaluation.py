@@ -41,7 +41,6 @@ class Mapper(Protocol):
         self, work: Callable[[_Item], _Result], items: Sequence[_Item], /
     ) -> Iterable[_Result]:
         """Return ``work(item)`` for each item; work and items can be pickled."""
-        ...
 
 
 def one_by_one(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Iterable[_Result]:

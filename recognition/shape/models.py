@@ -24,13 +24,11 @@ class Drawing(Protocol):
     @property
     def roll_step_rad(self) -> float:
         """Rolls in which it rests between the pads: multiples of this in rad; 0 allows any."""
-        ...
 
     def heights(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return its reach in m towards both pads at points of its own frame, -inf beside it."""
-        ...
 
 
 def posed(

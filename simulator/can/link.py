@@ -49,19 +49,15 @@ class CanDevice(Protocol):
 
     def connect(self, send: SendBurst) -> None:
         """Plug the device in."""
-        ...
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Take one message."""
-        ...
 
     def advance(self, now_s: float) -> None:
         """Let the time pass."""
-        ...
 
     def next_event_s(self) -> float:
         """Return when the device next sends something by itself, in s."""
-        ...
 
 
 class CanLink:

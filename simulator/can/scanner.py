@@ -20,11 +20,9 @@ class ScannedWorld(Protocol):
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels at this moment; counts (n_taxels,)."""
-        ...
 
     def scan_gripping(self) -> NDArray[np.uint16]:
         """Convert the taxels of the gripping pads; counts (n_taxels,), 0 on the other pads."""
-        ...
 
 
 @dataclass(slots=True)

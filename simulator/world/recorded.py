@@ -17,7 +17,6 @@ class DrivenFingers(Protocol):
 
     def drive_to(self, aperture_m: float) -> None:
         """Put both fingers at the recorded aperture in m."""
-        ...
 
     def step(
         self,
@@ -26,7 +25,6 @@ class DrivenFingers(Protocol):
         contact_stiffness_n_m: tuple[float, float],
     ) -> None:
         """Move on by ``dt_s`` s."""
-        ...
 
 
 class RecordedWorld:

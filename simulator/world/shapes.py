@@ -52,7 +52,6 @@ class Shape(Protocol):
     @property
     def roll_step_rad(self) -> float:
         """Rolls in which it rests between the pads: multiples of this in rad; 0 allows any."""
-        ...
 
     def heights(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
@@ -66,7 +65,6 @@ class Shape(Protocol):
         roll_rad
             Turn about the object's long axis in rad.
         """
-        ...
 
 
 def posed_heights(

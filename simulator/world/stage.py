@@ -27,12 +27,10 @@ class MovedAxis(Protocol):
     @property
     def position(self) -> float:
         """True position in m or rad."""
-        ...
 
     @property
     def moving(self) -> bool:
         """Whether it moves."""
-        ...
 
 
 class Stage:

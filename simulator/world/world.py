@@ -31,7 +31,6 @@ class Fingers(Protocol):
     @property
     def finger_position_m(self) -> tuple[float, float]:
         """Half openings in m: distance of each undeformed pad from the centre plane."""
-        ...
 
     def step(
         self,
@@ -40,7 +39,6 @@ class Fingers(Protocol):
         contact_stiffness_n_m: tuple[float, float],
     ) -> None:
         """Move on by ``dt_s`` s under the forces in N that push the fingers open."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,15 +25,12 @@ class Calibration(Protocol):
     @property
     def adc_max(self) -> int:
         """Full scale of the counts that the calibration is for."""
-        ...
 
     def force_n(self, tared_counts: Array) -> Array:
         """Return the force on each taxel in N, same shape; odd in the noise around zero."""
-        ...
 
     def counts(self, force_n: Array) -> Array:
         """Return the tared counts, not rounded, that forces in N give."""
-        ...
 
 
 def _checked_gain(gain: Array | float) -> Array:

@@ -28,24 +28,19 @@ class Classifier(Protocol):
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
         """Fit to rows (n, F), of each class at least one."""
-        ...
 
     def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C) finite scores."""
-        ...
 
     def space(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return rows (n, r) in the space in which the distance to taught ones is novelty."""
-        ...
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all that was learnt as plain arrays."""
-        ...
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        ...
 
 
 def missing_extra(kind: str) -> MissingExtraError:
