@@ -11,7 +11,6 @@ import numpy as np
 from benchmarks._measure import line, repeats, share
 from benchmarks.recognition._grasps import LEFT_OUT, PAPER, recorded
 from benchmarks.recognition._posed_grasps import Sensing, draw_placing, posed_grasp
-from recognition.evaluation.metrics import expected_calibration_error
 from recognition.evaluation.splits import chronological_split
 from recognition.grasp import Grasp, by_label
 from recognition.recognizer import DEPENDENCE, Posterior, Recognizer
@@ -50,7 +49,7 @@ def windows(rows: Rows, length: int) -> list[tuple[str, list[Posterior]]]:
 
 
 def show_dependence(rows: Rows) -> None:
-    """Print log loss and calibration of fused answers, with dependence and without."""
+    """Print shares right and log loss of fused answers, with dependence and without."""
     for length in (1, 2, 3, 5):
         runs = windows(rows, length)
         if not runs:
@@ -65,11 +64,10 @@ def show_dependence(rows: Rows) -> None:
                     for p, (label, _) in zip(fused, runs, strict=True)
                 ]
             )
-            ece = expected_calibration_error([float(p.probability.max()) for p in fused], right)
-            texts.append(f"{name} {loss:.3f}/{ece:.3f}")
+            texts.append(f"{name} {loss:.3f}")
         line(
             f"    {length} fused",
-            f"{100 * np.mean(right):.1f} % of {len(runs)}; log loss/ECE " + ", ".join(texts),
+            f"{100 * np.mean(right):.1f} % of {len(runs)}; log loss " + ", ".join(texts),
         )
 
 

@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,6 @@ from numpy.typing import NDArray
 from simulator.errors import SimulatorSettingsError
 from tactile.frames.force_message import ForceMessage
 
-_RATES = (
-    "drop_rate",
-    "duplicate_rate",
-    "swap_rate",
-    "corrupt_rate",
-    "truncate_rate",
-    "wrong_dlc_rate",
-)
-"""Knobs that are probabilities."""
 _EMPTY_MESSAGES = 50
 """Messages of the empty pads that are kept to be shown again."""
 _SWAP_S = 1.5e-4
@@ -60,17 +51,7 @@ class CanLinkFaults:
     @property
     def disturbs(self) -> bool:
         """Whether messages to the host are to be looked at one by one."""
-        return bool(
-            self.drop_next
-            or self.delay_s
-            or self.bus_off
-            or self.drop_rate
-            or self.duplicate_rate
-            or self.swap_rate
-            or self.corrupt_rate
-            or self.truncate_rate
-            or self.wrong_dlc_rate
-        )
+        return any(getattr(self, name) for name in ("drop_next", "delay_s", "bus_off", *_RATES))
 
     def check(self) -> None:
         """Refuse impossible values; the bus calls it when a fault is in use."""
@@ -82,6 +63,10 @@ class CanLinkFaults:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise SimulatorSettingsError(f"fault {name} is {value}, must be at least 0")
+
+
+_RATES = tuple(one.name for one in fields(CanLinkFaults) if one.name.endswith("_rate"))
+"""Knobs that are probabilities."""
 
 
 @dataclass(slots=True, kw_only=True)

@@ -74,8 +74,9 @@ class InjectedFault:
 
     def __init__(self, injector: "FaultInjector", text: str, injected_s: float) -> None:
         self._injector = injector
+        devices = injector.devices
         parsed, self.entry, self.servo, self._value = check_fault(
-            text, injector.n_servos, injector.n_axes
+            text, len(devices.settings.servos), len(devices.axes)
         )
         """What it is, and position of the servo or axis that it names."""
         self.text = parsed.text
@@ -143,7 +144,7 @@ class FaultInjector:
     def __init__(
         self, devices: CellDevices, start_s: float, *, plugs: Mapping[str, Plug] | None = None
     ) -> None:
-        self._devices = devices
+        self.devices = devices
         self._plugs = plugs or {
             "can": partial(turned, devices.faults.can, "unplugged", True),
             "servos": partial(turned, devices.faults.servo_wire, "unplugged", True),
@@ -152,16 +153,6 @@ class FaultInjector:
         self._effects: dict[InjectedFault, Effect] = {}
         self._seen_s: dict[InjectedFault, dict[FaultEvent, float]] = {}
         self.now_s = start_s
-
-    @property
-    def n_servos(self) -> int:
-        """Number of servos of the cell."""
-        return len(self._devices.settings.servos)
-
-    @property
-    def n_axes(self) -> int:
-        """Number of axes of the cell."""
-        return len(self._devices.axes)
 
     @property
     def faults(self) -> tuple[InjectedFault, ...]:
@@ -186,9 +177,9 @@ class FaultInjector:
                     "clear it first, or give both a start and an end"
                 )
         if fault.entry.name.startswith("object."):
-            _ = self._devices.physical
+            _ = self.devices.physical
         if fault.entry.check is not None:
-            fault.entry.check(fault.target(self._devices, self._plugs, self.now_s))
+            fault.entry.check(fault.target(self.devices, self._plugs, self.now_s))
         self._seen_s[fault] = {}
         if fault.begins_at_once:
             self._begin(fault, self.now_s)
@@ -253,7 +244,7 @@ class FaultInjector:
                 self.end(fault)
 
     def _begin(self, fault: InjectedFault, now_s: float) -> None:
-        effect = fault.entry.apply(fault.target(self._devices, self._plugs, now_s))
+        effect = fault.entry.apply(fault.target(self.devices, self._plugs, now_s))
         fault.began_s = now_s
         if fault in self._pending:
             self._pending.remove(fault)
@@ -264,7 +255,7 @@ class FaultInjector:
             self._effects[fault] = effect
 
     def _look(self, seen_s: dict[FaultEvent, float], now_s: float) -> None:
-        devices = self._devices
+        devices = self.devices
         if FaultEvent.CONTACT not in seen_s and min(devices.world.contact_force_n()) > CONTACT_N:
             seen_s[FaultEvent.CONTACT] = now_s
         if FaultEvent.MOVING not in seen_s and any(

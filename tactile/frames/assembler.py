@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile.frames.codec import (
+    COUNTER_MASK,
     CRC_BYTES,
     INDEX_BITS,
     MESSAGE_BYTES,
@@ -16,8 +17,6 @@ from tactile.frames.codec import (
     crc16_ccitt,
 )
 
-_COUNTER_MASK = 0xFFFF
-"""The frame counter has 16 bits."""
 _HALF_TURN = 0x8000
 """A counter that is this much or more ahead of the last one is behind it."""
 
@@ -147,7 +146,7 @@ class FrameAssembler:
             self.counts.corrupt += 1
             return None
         if self._last_counter is not None:
-            step = (counter - self._last_counter) & _COUNTER_MASK
+            step = (counter - self._last_counter) & COUNTER_MASK
             if step == 0 or step >= _HALF_TURN:
                 self.counts.stale += 1
                 return None

@@ -25,6 +25,8 @@ TRAILER = struct.Struct("<HBH")
 CRC_BYTES = 2
 CRC_START = 0xFFFF
 """Start value of CRC-16/CCITT-FALSE."""
+COUNTER_MASK = 0xFFFF
+"""The frame counter has 16 bits."""
 PHASES = 4
 """Frames until the phase, the counter's two lowest bits, comes again."""
 PHASE_SHIFT = 6

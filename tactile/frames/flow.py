@@ -3,9 +3,8 @@
 from collections import deque
 
 from tactile.errors import DuplicateNode, FrameTimeout
+from tactile.frames.codec import COUNTER_MASK
 
-_COUNTER_MASK = 0xFFFF
-"""The frame counter has 16 bits."""
 _LAG_FRAMES = 250
 """Frames after which the least lag seen before is forgotten, once or twice."""
 _LATE_SYNCS = 3
@@ -99,7 +98,7 @@ class FrameFlow:
         self._unanswered = 0
         step = 1
         if self._last_counter is not None:
-            step = (counter - self._last_counter) & _COUNTER_MASK
+            step = (counter - self._last_counter) & COUNTER_MASK
             self._arrived.extend([False] * min(step - 1, self._window_frames))
         self._arrived.append(True)
         self._last_counter = counter

@@ -24,6 +24,8 @@ COB_SDO_REQUEST = 0x600
 COB_HEARTBEAT = 0x700
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5). All but those of NMT and SYNC are
 those of a node after adding its node-ID."""
+FUNCTION_BITS, NODE_BITS = 0x780, 0x07F
+"""Bits of an identifier that are its function and its node-ID."""
 
 VENDOR_ID = 0x00005443
 """Placeholder: vendor-IDs are assigned by CiA, this one is not."""

@@ -23,8 +23,6 @@ from tactile.unit.settings import LinkSettings, NodeIdentity
 
 _NODES = range(1, 128)
 """Node-IDs that there are (CiA 301, 7.1.1)."""
-_FUNCTION_BITS, _NODE_BITS = 0x780, 0x07F
-"""Bits of a COB-ID that are its function and its node-ID (CiA 301, 7.3.5)."""
 _READ_DEVICE_TYPE = bytes((0x40, od.DEVICE_TYPE & 0xFF, od.DEVICE_TYPE >> 8, 0, 0, 0, 0, 0))
 """SDO request for object 0x1000, which each CANopen node has."""
 _ANSWER_S = 0.1
@@ -70,8 +68,8 @@ class _Listener:
                     self._errors += 1
                     continue
                 self._messages += 1
-                node = message.arbitration_id & _NODE_BITS
-                kind = message.arbitration_id & _FUNCTION_BITS
+                node = message.arbitration_id & od.NODE_BITS
+                kind = message.arbitration_id & od.FUNCTION_BITS
                 if node and kind in (od.COB_HEARTBEAT, od.COB_SDO_RESPONSE):
                     self._nodes.add(node)
             if (left_s := end_s - self.clock.monotonic()) <= 0.0:

@@ -24,8 +24,6 @@ from tactile.unit.sdo import ObjectAccess
 from tactile.unit.settings import LinkSettings, LinkStatistics
 from tactile.unit.supervision import NodeSupervisor, TrafficLimit
 
-_FUNCTION_BITS, _NODE_BITS = 0x780, 0x07F
-"""Bits of a COB-ID that are its function and its node-ID (CiA 301, 7.3.5)."""
 _SURPLUS_ANSWERS = 3
 """So many SDO answers more than requests are those of a second unit, not a message doubled once."""
 _BURST_S, _LEAST_BURST = 0.05, 10.0
@@ -243,8 +241,8 @@ class LinkSession:
 
     def _dispatch(self, message: can.Message, t_s: float) -> None:
         cob_id = message.arbitration_id
-        if cob_id & _FUNCTION_BITS == od.COB_HEARTBEAT:
-            self._nodes_heard.add(cob_id & _NODE_BITS)
+        if cob_id & od.FUNCTION_BITS == od.COB_HEARTBEAT:
+            self._nodes_heard.add(cob_id & od.NODE_BITS)
         handler = self._handlers.get(cob_id)
         if handler is None:
             self._foreign += 1
