@@ -1,22 +1,24 @@
 """What checks of servos find: torque and errors, and registers against what they must hold."""
 
 from dataclasses import dataclass
+from enum import IntFlag
 
-_HARDWARE_ERROR_BITS = {
-    0: "input voltage",
-    2: "overheating",
-    3: "encoder",
-    4: "electrical shock",
-    5: "overload",
-}
-"""Bits of Hardware Error Status (e-Manual, Control Table, register 70)."""
+
+class HardwareError(IntFlag):
+    """Bits of Hardware Error Status (register 70) and Shutdown (register 63)."""
+
+    INPUT_VOLTAGE = 1
+    OVERHEATING = 4
+    ENCODER = 8
+    ELECTRICAL_SHOCK = 16
+    OVERLOAD = 32
 
 
 def hardware_error_names(bits: int) -> tuple[str, ...]:
     """Return the names of the bits of Hardware Error Status (register 70), lowest bit first."""
-    return tuple(
-        _HARDWARE_ERROR_BITS.get(bit, f"undefined bit {bit}") for bit in range(8) if bits >> bit & 1
-    )
+    names = {int(one): name for name, one in HardwareError.__members__.items()}
+    found = (names.get(1 << n, f"undefined bit {n}") for n in range(8) if bits >> n & 1)
+    return tuple(name.lower().replace("_", " ") for name in found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

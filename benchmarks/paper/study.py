@@ -1,10 +1,11 @@
 """Everything behind the page that puts the paper's figures beside ours, as plain values."""
 
 import multiprocessing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,8 +130,10 @@ def _study(effort: Effort, spread: Spread) -> PaperStudy:
             len(shares), len(LABELS), effort.iterations, len(CONDITIONS)
         ),
         tables=_tables(effort, spread),
-        repeated=_repeated(effort, spread, touches),
-        noise_patch=noise_patch(effort, spread, touches),
+        repeated=dict(enumerate(_repeated(repeated_levels, effort, spread, touches))),
+        noise_patch=dict(
+            zip(FORCES, _repeated(noise_patch_levels, effort, spread, touches), strict=True)
+        ),
         curve=_curve(effort, spread),
         contenders=contenders(effort, spread),
     )
@@ -186,28 +189,18 @@ def _tables(effort: Effort, spread: Spread) -> dict[int, Outcome]:
     return {c: _outcome(found, found, effort.n_taught, c) for c in range(len(CONDITIONS))}
 
 
-def _repeated(effort: Effort, spread: Spread, touches: list[Touch]) -> dict[int, Outcome]:
+def _repeated(
+    levels: Callable[[Any], NDArray[np.float64]],
+    effort: Effort,
+    spread: Spread,
+    touches: list[Touch],
+) -> list[Outcome]:
+    """Return the outcomes by the last axis of the levels, only the noise new."""
     n = effort.n_taught + effort.repeats
-    found = spread(
-        repeated_levels, [(touch, PAPER_NOISE, n, effort.seed + 500) for touch in touches]
-    )
+    found = spread(levels, [(touch, PAPER_NOISE, n, effort.seed + 500) for touch in touches])
     together = [np.array(found)]
-    return {c: _outcome(together, together, effort.n_taught, c) for c in range(len(CONDITIONS))}
-
-
-def noise_patch(
-    effort: Effort, spread: Spread, touches: list[Touch]
-) -> dict[float | None, Outcome]:
-    """Return the outcomes of `noise_patch_levels` by force, only the noise new."""
-    n = effort.n_taught + effort.repeats
-    found = spread(
-        noise_patch_levels, [(touch, PAPER_NOISE, n, effort.seed + 500) for touch in touches]
-    )
-    together = [np.array(found)]
-    return {
-        force_n: _outcome(together, together, effort.n_taught, place)
-        for place, force_n in enumerate(FORCES)
-    }
+    places = range(together[0].shape[-1])
+    return [_outcome(together, together, effort.n_taught, place) for place in places]
 
 
 def _curve(effort: Effort, spread: Spread) -> tuple[NoisePoint, ...]:

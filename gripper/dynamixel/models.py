@@ -5,7 +5,7 @@ Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Co
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from functools import cache
 from math import pi
 from types import MappingProxyType
@@ -26,16 +26,6 @@ class OperatingMode(IntEnum):
     EXTENDED_POSITION = 4
     CURRENT_BASED_POSITION = 5
     PWM = 16
-
-
-class HardwareError(IntFlag):
-    """Bits of Hardware Error Status (register 70) and Shutdown (register 63)."""
-
-    INPUT_VOLTAGE = 1
-    OVERHEATING = 4
-    ENCODER = 8
-    ELECTRICAL_SHOCK = 16
-    OVERLOAD = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

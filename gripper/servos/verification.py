@@ -24,9 +24,9 @@ from gripper.dynamixel.control_table import (
     STATUS_RETURN_LEVEL,
     TEMPERATURE_LIMIT,
 )
-from gripper.dynamixel.models import HardwareError, OperatingMode, ServoModel
+from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import LimitExceeded
-from gripper.servo_checks import VerificationRow
+from gripper.servo_checks import HardwareError, VerificationRow
 from gripper.settings import CORRECTABLE
 
 _DRIVE_MODE_MASK = 0b1101

@@ -32,7 +32,8 @@ from gripper.dynamixel.control_table import (
     WATCHDOG_TRIPPED_RAW,
     WATCHDOG_UNIT_S,
 )
-from gripper.dynamixel.models import PULSES_PER_TURN, HardwareError, OperatingMode, ServoModel
+from gripper.dynamixel.models import PULSES_PER_TURN, OperatingMode, ServoModel
+from gripper.servo_checks import HardwareError
 from simulator.servo.control_table import ServoRegisters, is_x330
 from simulator.servo.motor import (
     OVERLOAD_BUDGET_S,
