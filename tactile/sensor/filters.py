@@ -4,7 +4,7 @@ All of them take and return one value a taxel in counts, shape (n_taxels,).
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,26 +20,19 @@ _BINOMIAL = {0: 4.0, 1: 2.0, 2: 1.0}
 """Weights of the 3 x 3 binomial kernel by distance in steps; sum 16."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Neighbourhood:
     """The 3 x 3 neighbours of each taxel on its own pad; nothing reaches across a pad's border."""
 
-    layout: TaxelLayout
-    """The pads."""
-    index: NDArray[np.int64] = field(init=False)
-    """(n_taxels, 9) int64: neighbours row by row, the taxel itself in the middle; n_taxels where
-    the pad ends."""
-    weight: Values = field(init=False)
-    """(n_taxels, 9) float64: binomial weights, 0 beyond the border."""
-    total: Values = field(init=False)
-    """(n_taxels,) float64: sum of the weights of each taxel."""
-
-    def __post_init__(self) -> None:
-        n = self.layout.n_taxels
-        index = np.full((n, len(_OFFSETS)), n, dtype=np.int64)
-        weight = np.zeros((n, len(_OFFSETS)))
-        for pad_index, pad in enumerate(self.layout.pads):
-            first = self.layout.taxels_of(pad_index).start
+    def __init__(self, layout: TaxelLayout) -> None:
+        self.layout = layout
+        n = layout.n_taxels
+        self.index = index = np.full((n, len(_OFFSETS)), n, dtype=np.int64)
+        """(n_taxels, 9) int64: neighbours row by row, the taxel itself in the middle; n_taxels
+        where the pad ends."""
+        self.weight = weight = np.zeros((n, len(_OFFSETS)))
+        """(n_taxels, 9) float64: binomial weights, 0 beyond the border."""
+        for pad_index, pad in enumerate(layout.pads):
+            first = layout.taxels_of(pad_index).start
             row, column = np.divmod(np.arange(pad.n_taxels), pad.columns)
             for place, (row_step, column_step) in enumerate(_OFFSETS):
                 r, c = row + row_step, column + column_step
@@ -49,9 +42,8 @@ class Neighbourhood:
                 weight[taxels, place] = _BINOMIAL[abs(row_step) + abs(column_step)]
         index.setflags(write=False)
         weight.setflags(write=False)
-        object.__setattr__(self, "index", index)
-        object.__setattr__(self, "weight", weight)
-        object.__setattr__(self, "total", weight.sum(axis=1))
+        self.total: Values = weight.sum(axis=1)
+        """(n_taxels,) float64: sum of the weights of each taxel."""
 
     def gather(self, values: NDArray[Any], outside: float) -> NDArray[Any]:
         """Return each taxel's neighbours' values, ``outside`` beyond the border, (n_taxels, 9)."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import FrameTimeout, require_at_least
-from tactile.frames.codec import TactileFrame
+from tactile.frames.codec import COUNTER_MASK, TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.filters import Neighbourhood, Values
 from tactile.sensor.tare import TareResult
@@ -115,7 +115,7 @@ class QualityWatch:
         same = frame.counts == last.counts
         saturated = frame.counts >= self._layout.adc_max
         self._repeats = np.where(same & ~saturated, self._repeats + 1, 0)
-        if (frame.counter - last.counter) & 0xFFFF <= _CONSECUTIVE:
+        if (frame.counter - last.counter) & COUNTER_MASK <= _CONSECUTIVE:
             self._look_for_jumps(last.counts, frame.counts, saturated)
         if self._tare is None or not same.all():
             self._changed_s, self._aim_at_change = frame.t_s, self._aim

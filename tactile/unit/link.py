@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import can
 
-from tactile.can.bus import close_bus, open_bus
 from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
 from tactile.clock import Clock
 from tactile.errors import LinkFault, LinkStateError, NodeMissing
@@ -29,18 +28,8 @@ from tactile.unit.commissioning import (
 )
 from tactile.unit.mounting import Mounting
 from tactile.unit.session import LinkSession
-from tactile.unit.settings import ExpectedIdentity, LinkSettings, LinkStatistics, NodeIdentity
+from tactile.unit.settings import LinkSettings, LinkStatistics, NodeIdentity
 from tactile.unit.supervision import OPERATIONAL
-
-__all__ = [
-    "ExpectedIdentity",
-    "LinkSettings",
-    "LinkStatistics",
-    "NodeIdentity",
-    "TactileLink",
-    "close_bus",
-    "open_bus",
-]
 
 _Result = TypeVar("_Result")
 

@@ -38,7 +38,8 @@ from motion.drive import Cia402Drive
 from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
 from tactile.frames.codec import TactileFrame
-from tactile.unit.link import LinkSettings, TactileLink
+from tactile.unit.link import TactileLink
+from tactile.unit.settings import LinkSettings
 from tests.faults.scenarios.axes import CHANGES
 
 ANSWER_S = 0.05

@@ -12,7 +12,8 @@ from simulator.clock import VirtualClock
 from tactile.frames.codec import TactileFrame
 from tactile.frames.force_message import ForceMessage
 from tactile.layout import TaxelLayout, paper_layout
-from tactile.unit.link import LinkSettings, TactileLink
+from tactile.unit.link import TactileLink
+from tactile.unit.settings import LinkSettings
 
 NODE = 5
 BOOT_S = 0.05

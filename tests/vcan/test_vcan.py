@@ -19,7 +19,8 @@ from tactile.can.bus import close_bus, open_bus
 from tactile.errors import BusNotOpened, FrameTimeout, HeartbeatLost, NodeMissing
 from tactile.layout import paper_layout
 from tactile.unit import object_dictionary as od
-from tactile.unit.link import LinkSettings, TactileLink
+from tactile.unit.link import TactileLink
+from tactile.unit.settings import LinkSettings
 
 CHANNEL = os.environ.get("TACTILE_CELL_VCAN", "")
 pytestmark = pytest.mark.skipif(not CHANNEL, reason="needs SocketCAN: make vcan")

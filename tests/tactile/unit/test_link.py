@@ -23,7 +23,8 @@ from tactile.errors import (
 from tactile.frames.flow import FrameFlow
 from tactile.layout import paper_layout, pinch_layout
 from tactile.unit import object_dictionary as od
-from tactile.unit.link import ExpectedIdentity, LinkSettings, TactileLink
+from tactile.unit.link import TactileLink
+from tactile.unit.settings import ExpectedIdentity, LinkSettings
 
 NODE = 5
 FRAMES = 0x180 + NODE
