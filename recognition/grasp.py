@@ -103,12 +103,22 @@ COMMAND_COLUMNS, ZERO_COLUMNS = (
 """Names of the numbers of a `GraspCommand` and of a `SelfZero`, in their order."""
 
 
-def _frozen(values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...], name: str) -> NDArray[Any]:
+def keep_array(
+    record: object, name: str, values: ArrayLike, dtype: DTypeLike | None = None
+) -> NDArray[Any]:
+    """Set a field of a frozen record to a read-only copy of an array, and return that."""
     array: NDArray[Any] = np.array(values, dtype=dtype)
-    if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
     array.setflags(write=False)
+    object.__setattr__(record, name, array)
     return array
+
+
+def _keep(
+    record: object, name: str, values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...]
+) -> None:
+    found = keep_array(record, name, values, dtype).shape
+    if found != shape:
+        raise ValueError(f"{name} has shape {found}, expected {shape}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,15 +137,9 @@ class PadArray:
     def __post_init__(self) -> None:
         n_pads = len(np.atleast_2d(self.pad_shape))
         n_taxels = len(np.atleast_1d(self.taxel_pad))
-        object.__setattr__(
-            self, "pad_shape", _frozen(self.pad_shape, np.int64, (n_pads, 2), "pad_shape")
-        )
-        object.__setattr__(
-            self, "taxel_pad", _frozen(self.taxel_pad, np.int64, (n_taxels,), "taxel_pad")
-        )
-        object.__setattr__(
-            self, "taxel_xy_m", _frozen(self.taxel_xy_m, np.float64, (n_taxels, 2), "taxel_xy_m")
-        )
+        _keep(self, "pad_shape", self.pad_shape, np.int64, (n_pads, 2))
+        _keep(self, "taxel_pad", self.taxel_pad, np.int64, (n_taxels,))
+        _keep(self, "taxel_xy_m", self.taxel_xy_m, np.float64, (n_taxels, 2))
         if self.adc_max < 1:
             raise ValueError(f"adc_max is {self.adc_max}, must be at least 1")
         if not np.all(np.isfinite(self.taxel_xy_m)):
@@ -245,16 +249,12 @@ class Grasp:
         largest = int(np.max(self.counts))
         if largest > self.pads.adc_max:
             raise ValueError(f"counts reach {largest}, adc_max is {self.pads.adc_max}")
-        object.__setattr__(
-            self,
-            "counts",
-            _frozen(self.counts, np.uint16, (n_frames, self.pads.n_taxels), "counts"),
-        )
+        _keep(self, "counts", self.counts, np.uint16, (n_frames, self.pads.n_taxels))
         for name in ("t_s", "aperture_m", "force_n"):
             value = getattr(self, name)
             if np.ndim(value) == 0 and name != "t_s":
                 value = np.full(n_frames, value)
-            object.__setattr__(self, name, _frozen(value, np.float64, (n_frames,), name))
+            _keep(self, name, value, np.float64, (n_frames,))
 
     @property
     def n_frames(self) -> int:

@@ -7,7 +7,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.grasp import Grasp
+from recognition.grasp import Grasp, keep_array
 
 UNKNOWN = "UNKNOWN"
 """The answer for an object that was never taught, or that cannot be separated from the others."""
@@ -45,7 +45,7 @@ class Posterior:
     opening reads now; empty where there is none, or the zero of the opening is not known."""
 
     def __post_init__(self) -> None:
-        p = np.array(self.probability, dtype=np.float64)
+        p = keep_array(self, "probability", self.probability, np.float64)
         if p.shape != (len(self.labels),) or not np.all(np.isfinite(p)) or np.any(p < 0):
             raise ValueError(f"probabilities {p} do not fit the {len(self.labels)} labels")
         if abs(float(p.sum()) - 1.0) > 1e-6:
@@ -54,8 +54,6 @@ class Posterior:
             raise ValueError(f"unknown is {self.unknown}, not from 0 to 1")
         if not 0.0 <= self.dependence <= 1.0:
             raise ValueError(f"dependence is {self.dependence}, not from 0 to 1")
-        p.setflags(write=False)
-        object.__setattr__(self, "probability", p)
 
     @property
     def best(self) -> str:

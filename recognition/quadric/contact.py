@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from recognition.errors import ContactError
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import Grasp, PadArray, keep_array
 
 MIN_QUIET_FRAMES = 3
 """Fewer frames before contact than this do not make a baseline of each taxel."""
@@ -44,9 +44,7 @@ class Baseline:
 
     def __post_init__(self) -> None:
         for name in ("counts", "noise_counts", "quiet_frames"):
-            array = np.array(getattr(self, name))
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            keep_array(self, name, getattr(self, name))
 
 
 def robust_noise(values: ArrayLike) -> float:

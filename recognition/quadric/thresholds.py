@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recognition.errors import TrajectoryError
+from recognition.grasp import keep_array
 
 NOISE_SHARE = 0.08
 """Share of a level by which bands are widened: the noise that the paper gives for levels, 8 %."""
@@ -35,9 +36,7 @@ class LevelBands:
 
     def __post_init__(self) -> None:
         for name in ("low", "high", "order", "threshold", "window"):
-            array = np.array(getattr(self, name))
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            keep_array(self, name, getattr(self, name))
 
     @property
     def closed(self) -> tuple[tuple[int, int], ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.errors import TrajectoryError
+from recognition.grasp import keep_array
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import by_inverse, rotation_xyz, scaling, translation
 
@@ -37,11 +38,9 @@ class SweepSettings:
 
     def __post_init__(self) -> None:
         for name in ("scale", "translation", "angle_rad"):
-            values = np.array(getattr(self, name), dtype=np.float64)
+            values = keep_array(self, name, getattr(self, name), np.float64)
             if values.ndim != 1 or not len(values) or not np.all(np.isfinite(values)):
                 raise TrajectoryError(f"{name} must be a list of finite numbers, not {values}")
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
 
     @property
     def n_evaluations(self) -> int:

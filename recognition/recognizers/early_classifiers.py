@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.errors import RecognitionError
-from recognition.grasp import Grasp
+from recognition.grasp import Grasp, keep_array
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior, Recognizer, Trainer
@@ -36,11 +36,9 @@ class EarlyClassifiers:
     """L recognisers, each taught with ramps cut at its load."""
 
     def __post_init__(self) -> None:
-        loads = np.array(self.load_counts, dtype=np.float64)
+        loads = keep_array(self, "load_counts", self.load_counts, np.float64)
         if loads.shape != (len(self.recognizers),) or not np.all(np.diff(loads) > 0.0):
             raise ValueError(f"loads {loads} are not ascending, one for each recogniser")
-        loads.setflags(write=False)
-        object.__setattr__(self, "load_counts", loads)
 
     def as_wary_as(self, whole: Recognizer) -> Self:
         """Return early classifiers with drift and caution of the recogniser of whole ramps."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.errors import TrajectoryError
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import Grasp, PadArray, keep_array
 from recognition.quadric.level import (
     DEFAULT_LEVEL,
     LevelSettings,
@@ -64,11 +64,9 @@ class LevelCheckRecognizer:
 
     def __post_init__(self) -> None:
         for name in _OF_LABELS:
-            array = np.array(getattr(self, name), dtype=np.float64)
+            array = keep_array(self, name, getattr(self, name), np.float64)
             if array.shape != (len(self.labels),):
                 raise ValueError(f"{name} has shape {array.shape}, labels are {len(self.labels)}")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
 
     @property
     def levels(self) -> LevelBands:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import log_softmax
 
-from recognition.grasp import COMMAND_COLUMNS, Grasp
+from recognition.grasp import COMMAND_COLUMNS, Grasp, keep_array
 from recognition.recognizer import Posterior, Trainer
 from recognition.statistics.calibration import blocked_folds
 from recognition.statistics.fusion import evidence, independent_share
@@ -45,14 +45,11 @@ class PoseMemory:
             ("log_evidence", (n, n_labels)),
             ("classes", (n,)),
         ):
-            array = getattr(self, name)
+            array = keep_array(self, name, getattr(self, name))
             if array.shape != shape:
                 raise ValueError(f"{name} of a memory have shape {array.shape}, expected {shape}")
             if not np.all(np.isfinite(array)):
                 raise ValueError(f"{name} of a memory are not finite")
-            array = array.copy()
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
         if self.classes.min() < 0 or self.classes.max() >= n_labels:
             raise ValueError(f"classes of a memory are not from 0 to {n_labels - 1}")
 
