@@ -12,7 +12,7 @@ from cell.errors import NotInCommand
 from gripper.clock import Clock
 
 
-@dataclass(slots=True)
+@dataclass
 class Lease:
     """The lease of one cell; every method from any thread."""
 
