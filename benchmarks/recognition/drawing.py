@@ -17,13 +17,12 @@ from cell.jobs.teach_from_drawing import teach_drawing
 from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge
 from cell.simulation import drawn_shape
 from recognition.grasp import Grasp
-from recognition.recognizers import make_trainer
+from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 from simulator.world.foam import Foam
 
 OTHER_FOAM = Foam(modulus_pa=240e3, densification=0.8, spread_m=1.2e-3)
 """Stiffer by 60 %, other densification, sharper."""
 _GAUGE = "ball"
-_NAMES = ("force_ramp", "shrinkage_lda")
 _ZEROED = {"self_zero": "always"}
 
 
@@ -42,14 +41,13 @@ def drawn(objects: Mapping[str, str], n_grasps: int, known: PadKnowledge | None)
 def score(title: str, train: Sequence[Grasp], test: Sequence[Grasp]) -> None:
     """Train on one, test on the other, print the shares of right names."""
     noisy = with_aperture_noise(test, 0.2e-3, 7)
-    for name in _NAMES:
-        for use_aperture, cases in (
-            (True, {"with aperture": test, "aperture 0.2 mm sd": noisy}),
-            (False, {"tactile only": test}),
-        ):
-            recognizer = make_trainer(name, use_aperture=use_aperture).fit(train)
-            for what, grasps in cases.items():
-                line(f"  {name}", f"{title}, {what}: {figures(asked(recognizer, grasps))}")
+    for use_aperture, cases in (
+        (True, {"with aperture": test, "aperture 0.2 mm sd": noisy}),
+        (False, {"tactile only": test}),
+    ):
+        recognizer = ForceRampTrainer(use_aperture=use_aperture).fit(train)
+        for what, grasps in cases.items():
+            line(f"  {what}", f"{title}: {figures(asked(recognizer, grasps))}")
 
 
 def main(effort: float = 1.0) -> None:
