@@ -2,5 +2,5 @@
 
 `bus` is the half-duplex line and the host's end of it in memory; `device` is a servo as Protocol
 2.0 device (`protocol2`, `control_table`), `firmware` what it does by itself, `motor` and
-`mechanics` the physics, `faults` the knobs of line and servos.
+`mechanics` the physics, `faults` the knobs of the line.
 """
