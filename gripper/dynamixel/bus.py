@@ -94,8 +94,6 @@ class ServoBus:
     ----------
     period_s
         Period of the loop that uses the bus in s: `sync_read` ends within it, retry included.
-    return_delay_s
-        Longest Return Delay Time of the servos in s (register 9; the factory value is 0.5 ms).
     allowance_s
         Time for adapter and operating system in s.
     lock_timeout_s
@@ -111,7 +109,6 @@ class ServoBus:
         baudrate: int,
         clock: Clock,
         period_s: float = 0.005,
-        return_delay_s: float = 0.0005,
         allowance_s: float = 0.0015,
         lock_timeout_s: float = 1.0,
         name: str = "the servo line",
@@ -120,13 +117,7 @@ class ServoBus:
         """IDs of the servos whose last answer had the Alert bit."""
         self.baudrate = baudrate
         self._least_allowance_s = allowance_s
-        self._port = SdkPort(
-            stream,
-            clock,
-            baudrate=baudrate,
-            return_delay_s=return_delay_s,
-            allowance_s=allowance_s,
-        )
+        self._port = SdkPort(stream, clock, baudrate=baudrate, allowance_s=allowance_s)
         self._name = name
         self._clock = clock
         self._period_s = period_s
@@ -155,7 +146,10 @@ class ServoBus:
 
     @property
     def return_delay_s(self) -> float:
-        """Longest Return Delay Time of the servos in s; enters every time-out."""
+        """Longest Return Delay Time of the servos in s (register 9; first 0.5 ms, the factory's).
+
+        It enters every time-out.
+        """
         return float(self._port.return_delay_s)
 
     @return_delay_s.setter

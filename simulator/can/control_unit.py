@@ -154,7 +154,7 @@ class SimulatedControlUnit(CanopenDevice):
         command = bytes((NMT_COMMANDS[state], self.settings.node_id))
         self.receive(od.COB_NMT, command, now_s)
 
-    def emergency(self, code: int, *, register: int = REGISTER_GENERIC, data: bytes = b"") -> None:
+    def emergency(self, code: int, *, register: int = REGISTER_GENERIC) -> None:
         """Report an error: EMCY, error register and history; code 0 reports that all are gone.
 
         Parameters
@@ -163,8 +163,6 @@ class SimulatedControlUnit(CanopenDevice):
             Error code after CiA 301, 16 bit.
         register
             Bits of the error register that it sets.
-        data
-            Up to 5 manufacturer-specific bytes.
         """
         dictionary = self.dictionary
         if code == 0:
@@ -174,7 +172,7 @@ class SimulatedControlUnit(CanopenDevice):
             dictionary.errors.insert(0, code)
             del dictionary.errors[_MAX_HISTORY:]
         if not math.isfinite(self._boot_due_s) and self.state != _STOPPED:
-            self._node.emcy.send(code, dictionary.error_register, data)
+            self._node.emcy.send(code, dictionary.error_register)
 
     def power_cycle(self) -> None:
         """Lose power and come back: all values at their defaults, one boot-up after the boot."""

@@ -30,7 +30,7 @@ _MEAN_BITS = tuple(tuple(_mean_bits(n, quiet) for quiet in range(n + 1)) for n i
 """Bits of a data frame by its data bytes and those of 0x00 or 0xFF among them."""
 
 
-def mean_bits(data: bytes, *, extended: bool = False) -> float:
+def mean_bits(data: bytes) -> float:
     """Return the bits that a data frame of this content takes in the mean.
 
     Stuffing is counted as for random bits (113.8 bits for 8 bytes), plus what bytes of 0x00 and
@@ -38,7 +38,7 @@ def mean_bits(data: bytes, *, extended: bool = False) -> float:
     7 such bytes). Within 3 % of the mean of the exact count (ISO 11898-1), at a fiftieth of its
     cost.
     """
-    (length_s,) = _Queued(Burst(0.0, 0, (data,), extended, None), 1.0).lengths_s
+    (length_s,) = _Queued(Burst(0.0, 0, (data,), False, None), 1.0).lengths_s
     return length_s
 
 

@@ -243,8 +243,8 @@ def test_the_identity_is_that_of_the_settings() -> None:
 
 
 def test_an_emergency_is_sent_and_remembered(line: Line) -> None:
-    line.unit.emergency(0x5000, data=b"\x01\x02")
-    assert line.take() == [(EMCY, bytes.fromhex("00 50 01 01 02 00 00 00"))]
+    line.unit.emergency(0x5000)
+    assert line.take() == [(EMCY, bytes.fromhex("00 50 01 00 00 00 00 00"))]
     line.unit.emergency(0x8110, register=0x10)
     assert line.take() == [(EMCY, bytes.fromhex("10 81 11 00 00 00 00 00"))]
     assert line.number(od.ERROR_HISTORY) == 2
