@@ -17,8 +17,7 @@ from pydantic import TypeAdapter
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Finding, Question, Step, StepFailed, Write
 from cell.commissioning.figures import pads as pads_figure
-from cell.commissioning.first_force import bench_hand, look_after, start_free, told_if_held
-from cell.commissioning.motion import WatchedMotion
+from cell.commissioning.motion import look_after, watched_hand
 from cell.commissioning.pads import taxel_names
 from cell.commissioning.servos import model_name
 from cell.config.model import CellConfig
@@ -311,12 +310,7 @@ def measure_gauge(
         ]
     )
     dialog.confirm("baseline.empty", "Take everything out of the fingers, and your hands away.")
-    with (
-        bench_hand(bench, config) as hand,
-        told_if_held(hand),
-        WatchedMotion(dialog, hand.request_stop) as motion,
-    ):
-        start_free(hand, dialog)
+    with watched_hand(bench, config, dialog) as (hand, motion):
         hand.start_sensor()
         hand.open(motion)
         zero = hand.tare(config.tactile.tare_frames)

@@ -1,8 +1,7 @@
 """First force: empty fingers open, their watchdog is proven, then a soft part is pressed."""
 
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,6 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     Dialog,
     Finding,
-    Left,
     NumberRange,
     Question,
     Step,
@@ -20,23 +18,19 @@ from cell.commissioning.engine import (
     Write,
 )
 from cell.commissioning.figures import Figure, curves
-from cell.commissioning.motion import WatchedMotion
+from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
 from cell.control.self_zero import part_between
-from cell.hand.build import make_hand
-from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
-from cell.hand.lines import Lines
 from gripper.clock import Clock
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
 from gripper.outcome import GraspOutcome, GraspResult
 from gripper.settings import largest_setpoint_n
-from gripper.state import Cycle, GripperPhase
-from tactile.can.bus import MissingBus
+from gripper.state import Cycle
 
 FIRST_FORCE_N = 1.0
 """Force in N of the first ramp: a part that it breaks is held by nothing."""
@@ -59,78 +53,6 @@ _LAST_PERIODS = 20
 """Periods of the loop, 0.1 s, whose mean is the force at the end of a motion."""
 _GAP_S = 0.1
 """Time in s without an asked force that parts two curves in the picture."""
-_TICK_S = 0.08
-"""Time in s for which the grip is controlled between two looks at the person's answer."""
-
-
-@contextmanager
-def bench_hand(bench: Bench, config: CellConfig) -> Iterator[Hand]:
-    """Open the hand of a config on the bench's lines, for a gripper alone that of the servos.
-
-    At the end the torque goes off where nothing is held; what is held stays held. Raises PortLost,
-    LinkFault or HandLost if a line cannot be opened.
-    """
-    gripper, tactile = config.gripper, config.tactile
-    hand: Hand
-    alone = bench.gripper_alone
-    if bench.clock is time and config.loop.own_process and not alone:
-        hand = HandProcess(config)
-    else:
-        lines = Lines(
-            lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
-            lambda: (
-                MissingBus()
-                if alone
-                else bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate)
-            ),
-        )
-        hand = make_hand(config, lines, by_current=alone)
-    try:
-        yield hand
-    finally:
-        try:
-            hand.shutdown()
-        finally:
-            hand.close()
-
-
-def start_free(hand: Hand, dialog: Dialog) -> None:
-    """Verify the servos; fingers that an earlier run left with torque are opened first.
-
-    They may hold a part: the person confirms it.
-    """
-    hand.start()
-    if hand.phase is GripperPhase.HELD_AFTER_FAULT:
-        dialog.confirm(
-            "fingers.held",
-            "The servos have torque from before: a part may be held. Take hold of it; the "
-            "fingers open when you confirm.",
-        )
-        hand.release()
-        hand.start()
-
-
-@contextmanager
-def told_if_held(hand: Hand) -> Iterator[None]:
-    """Say on the way out, where the person leaves, that the fingers still hold what they hold."""
-    try:
-        yield
-    except Left as left:
-        if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
-            raise
-        raise Left(
-            f"{left}. The fingers keep their grip: take hold of the part and run `tactile-cell "
-            "commission` again, it asks to open them first"
-        ) from None
-
-
-def look_after(hand: Hand, clock: Clock) -> str:
-    """Feed the watchdog, and control what is held, for a while; returns the phase as text."""
-    end_s = clock.monotonic() + _TICK_S
-    while clock.monotonic() < end_s:
-        hand.tick()
-        clock.sleep(hand.period_s)
-    return f"fingers: {hand.phase.value.replace('_', ' ')}"
 
 
 def _course(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
@@ -201,11 +123,7 @@ class FirstForceStep(Step):
             "first_force.empty",
             "Take everything out of the fingers, and your hands away from them.",
         )
-        with (
-            bench_hand(bench, config) as hand,
-            told_if_held(hand),
-            WatchedMotion(dialog, hand.request_stop) as motion,
-        ):
+        with watched_hand(bench, config, dialog) as (hand, motion):
             trial = _Trial(
                 config,
                 dialog,
@@ -291,7 +209,6 @@ class _Trial:
     alone: bool
 
     def run(self) -> None:
-        start_free(self.hand, self.dialog)
         if not self.alone:
             self.hand.start_sensor()
         self._open()

@@ -1,54 +1,125 @@
 """Motions that a person watches: shown while they run, and stopped where the person leaves."""
 
-from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Self
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
+from cell.commissioning.bench import Bench
 from cell.commissioning.engine import LIVE_CALL_S, Dialog, Left, StepFailed
+from cell.config.model import CellConfig
+from cell.hand.build import make_hand
+from cell.hand.client import HandProcess
+from cell.hand.interface import Hand
+from cell.hand.lines import Lines
+from gripper.clock import Clock
 from gripper.errors import GraspStopped
-from gripper.state import Cycle
+from gripper.state import Cycle, GripperPhase
+from tactile.can.bus import MissingBus
 from tactile.frames.codec import TactileFrame
 
+_TICK_S = 0.08
+"""Time in s for which the grip is controlled between two looks at the person's answer."""
 
+
+@dataclass(slots=True)
 class WatchedMotion:
-    """Shows opening and force while fingers move; within ``with`` a person who leaves stops them.
+    """Watch of the commands: shows opening and force while fingers move, and asks for a stop."""
 
-    Empty fingers then stand where they are; a part that is held stays held. It is the watch of the
-    commands. ``request_stop`` lets the running command end with GraspStopped.
-    """
-
-    def __init__(self, dialog: Dialog, request_stop: Callable[[], None]) -> None:
-        self._dialog = dialog
-        self._request_stop = request_stop
-        self._left: Left | None = None
-        self._due_s = 0.0
-        self.cycles: list[Cycle] = []
-        self.frames: list[TactileFrame] = []
-        """Periods of the loop and tactile frames of all motions so far."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        error: BaseException | None,
-        _traceback: TracebackType | None,
-    ) -> None:
-        ends = error is None or isinstance(error, GraspStopped | StepFailed)
-        if self._left is not None and ends:
-            raise self._left from None
+    dialog: Dialog
+    request_stop: Callable[[], None]
+    """Lets the running command end with GraspStopped, where the person leaves."""
+    left: Left | None = field(default=None, init=False)
+    """How the person left, once that is so."""
+    cycles: list[Cycle] = field(default_factory=list, init=False)
+    frames: list[TactileFrame] = field(default_factory=list, init=False)
+    """Periods of the loop and tactile frames of all motions so far."""
+    _due_s: float = field(default=0.0, init=False)
 
     def __call__(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
         """Keep one period of the loop, and show it where the last one shown is old enough."""
         self.cycles.append(cycle)
         self.frames += frames
-        if self._left is not None or cycle.t_s < self._due_s:
+        if self.left is not None or cycle.t_s < self._due_s:
             return
         self._due_s = cycle.t_s + LIVE_CALL_S
         force = "" if cycle.force is None else f"{min(cycle.force.force_n):.2f} N, "
         try:
-            self._dialog.live("grip", f"{force}opening {1e3 * cycle.state.aperture_m:.1f} mm")
+            self.dialog.live("grip", f"{force}opening {1e3 * cycle.state.aperture_m:.1f} mm")
         except Left as left:
-            self._left = left
-            self._request_stop()
+            self.left = left
+            self.request_stop()
+
+
+@contextmanager
+def watched_hand(
+    bench: Bench, config: CellConfig, dialog: Dialog
+) -> Iterator[tuple[Hand, WatchedMotion]]:
+    """Open and start the hand of a config on the bench's lines, for a gripper alone without pads.
+
+    A person who leaves stops the fingers: empty ones stand where they are. At the end the torque
+    goes off where nothing is held; what is held stays held, and who leaves is told so. Raises
+    PortLost, LinkFault or HandLost if a line cannot be opened.
+    """
+    hand = _opened(bench, config)
+    motion = WatchedMotion(dialog, hand.request_stop)
+    try:
+        _start_free(hand, dialog)
+        yield hand, motion
+        if motion.left is not None:
+            raise motion.left
+    except (Left, GraspStopped, StepFailed) as error:
+        left = error if isinstance(error, Left) else motion.left
+        if left is None:
+            raise
+        if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
+            raise left from None
+        raise Left(
+            f"{left}. The fingers keep their grip: take hold of the part and run `tactile-cell "
+            "commission` again, it asks to open them first"
+        ) from None
+    finally:
+        try:
+            hand.shutdown()
+        finally:
+            hand.close()
+
+
+def _opened(bench: Bench, config: CellConfig) -> Hand:
+    gripper, tactile, alone = config.gripper, config.tactile, bench.gripper_alone
+    if bench.clock is time and config.loop.own_process and not alone:
+        return HandProcess(config)
+    lines = Lines(
+        lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
+        lambda: (
+            MissingBus()
+            if alone
+            else bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate)
+        ),
+    )
+    return make_hand(config, lines, by_current=alone)
+
+
+def _start_free(hand: Hand, dialog: Dialog) -> None:
+    """Verify the servos; fingers that an earlier run left with torque are opened first.
+
+    They may hold a part: the person confirms it.
+    """
+    hand.start()
+    if hand.phase is GripperPhase.HELD_AFTER_FAULT:
+        dialog.confirm(
+            "fingers.held",
+            "The servos have torque from before: a part may be held. Take hold of it; the "
+            "fingers open when you confirm.",
+        )
+        hand.release()
+        hand.start()
+
+
+def look_after(hand: Hand, clock: Clock) -> str:
+    """Feed the watchdog, and control what is held, for a while; returns the phase as text."""
+    end_s = clock.monotonic() + _TICK_S
+    while clock.monotonic() < end_s:
+        hand.tick()
+        clock.sleep(hand.period_s)
+    return f"fingers: {hand.phase.value.replace('_', ' ')}"
