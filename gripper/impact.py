@@ -170,10 +170,7 @@ def slowing_way_m(
 def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
     """Return the least rate of the opening in m/s on the way of an approach.
 
-    Raises
-    ------
-    LimitExceeded
-        When no approach can be stopped below the cap of the force.
+    Raises LimitExceeded when no approach can be stopped below the cap of the force.
     """
     limit = impact_limit(settings, linkage)
     allowed_m_s = 2.0 * limit.pad_speed_m_s()

@@ -81,10 +81,7 @@ class Axis:
     def target(self, position: float) -> int:
         """Return a position in increments.
 
-        Raises
-        ------
-        AxisLimitExceeded
-            If it is no number or outside the limits of the axis.
+        Raises AxisLimitExceeded if it is no number or outside the limits of the axis.
         """
         if not self.low <= position <= self.high:
             raise AxisLimitExceeded(
@@ -130,15 +127,12 @@ class Axes:
     def clear_faults(self, *, reboot: bool) -> None:
         """Clear the faults of all devices, also those of an earlier program; nothing moves.
 
+        Raises MotionError if a device does not answer or stays at fault.
+
         Parameters
         ----------
         reboot
             True to restart servos at fault, which drop what they carry.
-
-        Raises
-        ------
-        MotionError
-            If a device does not answer or stays at fault.
         """
         self._ready = False
         for axis in self._axes.values():
@@ -151,16 +145,10 @@ class Axes:
 
         The first motion, and the first one after a fault, prepares the devices: it enables them and
         finds their homes, one axis after the other. A fault of a device is cleared only when it was
-        raised before: whoever moves again has seen it.
-
-        Raises
-        ------
-        AxisLimitExceeded
-            If a target is outside its limits; nothing has moved.
-        PositionNotReached
-            If a way takes too long; all axes were stopped.
-        MotionError
-            If a device is at fault or silent. All axes were stopped, and are prepared anew.
+        raised before: whoever moves again has seen it. Raises AxisLimitExceeded if a target is
+        outside its limits; nothing has moved. Raises PositionNotReached if a way takes too long;
+        all axes were stopped. Raises MotionError if a device is at fault or silent. All axes were
+        stopped, and are prepared anew.
 
         What ``supervise`` raises stops all axes too; they know their positions then, and go on from
         there.

@@ -121,10 +121,8 @@ class Cia402Drive:
     def identify(self) -> str:
         """Return state and position in words; nothing is changed and nothing moves.
 
-        Raises
-        ------
-        AxisMissing
-            If nothing answers, or what answers is no CiA 402 drive with the modes that are needed.
+        Raises AxisMissing if nothing answers, or what answers is no CiA 402 drive with the modes
+        that are needed.
         """
         self._supervised = False
         try:
@@ -155,12 +153,8 @@ class Cia402Drive:
     def prepare(self, *, reset: bool) -> None:
         """Set the drive up, enable it and find its home; the axis may move.
 
-        A drive at fault is reset with ``reset`` only.
-
-        Raises
-        ------
-        MotionError
-            If it is missing, stays at fault, refuses its set-up or does not find its home.
+        A drive at fault is reset with ``reset`` only. Raises MotionError if it is missing, stays at
+        fault, refuses its set-up or does not find its home.
         """
         self._bus.drop_old()
         self.identify()
@@ -185,10 +179,7 @@ class Cia402Drive:
     def clear_fault(self, *, reboot: bool) -> None:
         """Clear the fault of the drive; it needs no restart, and is neither enabled nor moved.
 
-        Raises
-        ------
-        MotionError
-            If it is missing, or its fault stays.
+        Raises MotionError if it is missing, or its fault stays.
         """
         del reboot
         self.identify()
@@ -213,10 +204,7 @@ class Cia402Drive:
     def go_to(self, target: int) -> None:
         """Begin to move; the only place where a target is written, and its limits with it.
 
-        Raises
-        ------
-        AxisLimitExceeded
-            If the target is outside the software limits; nothing moves.
+        Raises AxisLimitExceeded if the target is outside the software limits; nothing moves.
         """
         low, high = self._settings.low, self._settings.high
         if not low <= target <= high:
@@ -241,10 +229,8 @@ class Cia402Drive:
     def arrived(self) -> bool:
         """Return whether the target is reached: by the drive's word and by the position.
 
-        Raises
-        ------
-        MotionError
-            If the drive is at fault, silent, restarted, or stopped by a limit switch.
+        Raises MotionError if the drive is at fault, silent, restarted, or stopped by a limit
+        switch.
         """
         self.check()
         status = self._status()

@@ -93,10 +93,8 @@ class ServoAxis:
     def identify(self) -> str:
         """Return state and position in words; nothing is changed and nothing moves.
 
-        Raises
-        ------
-        AxisMissing
-            If nothing answers, or the servo is another model or set up for other goals.
+        Raises AxisMissing if nothing answers, or the servo is another model or set up for other
+        goals.
         """
         self._loss_s = self._settings.loss_s
         try:
@@ -124,12 +122,8 @@ class ServoAxis:
     def prepare(self, *, reset: bool) -> None:
         """Set the servo up and switch its torque on where it stands; nothing moves.
 
-        A servo at fault is restarted with ``reset`` only.
-
-        Raises
-        ------
-        MotionError
-            If it is missing, stays at fault, or stands outside its limits.
+        A servo at fault is restarted with ``reset`` only. Raises MotionError if it is missing,
+        stays at fault, or stands outside its limits.
         """
         self.clear_fault(reboot=reset)
         mode = OperatingMode.EXTENDED_POSITION
@@ -155,10 +149,7 @@ class ServoAxis:
     def clear_fault(self, *, reboot: bool) -> None:
         """Restart a servo at fault, with ``reboot`` only: it loses its torque until it is used.
 
-        Raises
-        ------
-        MotionError
-            If it is missing, or at fault without ``reboot`` or after it.
+        Raises MotionError if it is missing, or at fault without ``reboot`` or after it.
         """
         self.identify()
         error = self._read_error()
@@ -177,10 +168,7 @@ class ServoAxis:
     def go_to(self, target: int) -> None:
         """Begin to move; the only place where a goal is written, and its limits with it.
 
-        Raises
-        ------
-        AxisLimitExceeded
-            If the target is outside the limits; nothing moves.
+        Raises AxisLimitExceeded if the target is outside the limits; nothing moves.
         """
         settings = self._settings
         if not settings.low <= target <= settings.high:
@@ -198,10 +186,7 @@ class ServoAxis:
     def arrived(self) -> bool:
         """Return whether the servo stands at its target.
 
-        Raises
-        ------
-        MotionError
-            If it is silent, at fault, without torque, or stalled.
+        Raises MotionError if it is silent, at fault, without torque, or stalled.
         """
         self._check()
         values = self._feedback()

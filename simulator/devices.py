@@ -142,10 +142,7 @@ class CellDevices:
     def play(self, index: int) -> int:
         """Load one of the settings' grasps; returns the number of its frames.
 
-        Raises
-        ------
-        SimulatorSettingsError
-            If there is no such grasp, or it does not fit the layout.
+        Raises SimulatorSettingsError if there is no such grasp, or it does not fit the layout.
         """
         recorded, grasps = self.recorded, self.settings.grasps
         if not 0 <= index < len(grasps):

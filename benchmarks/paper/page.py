@@ -168,6 +168,9 @@ def reproduce_paper(
 ) -> tuple[PaperStudy, Path]:
     """Run all trials and write page and figures.
 
+    Raises CellError where the folder cannot be made or written; ReportError, a kind of it, if
+    jinja2 or matplotlib are missing; if scikit-learn is missing too.
+
     Parameters
     ----------
     folder
@@ -181,12 +184,6 @@ def reproduce_paper(
     -------
     study, page
         The figures, and where the page is.
-
-    Raises
-    ------
-    CellError
-        The folder cannot be made or written; ReportError, a kind of it, if jinja2 or matplotlib
-        are missing; if scikit-learn is missing too.
     """
     template = page_template("paper.html.j2")
     try:

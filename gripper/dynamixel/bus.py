@@ -363,12 +363,8 @@ class ServoBus:
     def _ask(self, request: Request) -> StatusPacket:
         """Send a request and return the checked answer; ask again when it is lost.
 
-        Raises
-        ------
-        BusTimeout, BusCorrupt
-            When no repetition was answered, or the line never fell quiet.
-        ServoRejected
-            When the servo refuses.
+        Raises BusTimeout or BusCorrupt when no repetition was answered, or the line never fell
+        quiet. Raises ServoRejected when the servo refuses.
         """
         check_id(request.servo_id)
         policy = self._policy
@@ -387,12 +383,9 @@ class ServoBus:
         """Ask several servos for the same block with one sync read; return the answers by ID.
 
         A servo that does not answer is asked alone. In the loop the servos are asked in the order
-        of their lost answers, so that a silent one does not hide one that answers.
-
-        Raises
-        ------
-        BusTimeout, BusCorrupt, ServoRejected
-            As `_ask` does, for the first servo without a right answer.
+        of their lost answers, so that a silent one does not hide one that answers. Raises
+        BusTimeout, BusCorrupt or ServoRejected as `_ask` does, for the first servo without a right
+        answer.
         """
         for servo_id in ids:
             check_id(servo_id)

@@ -108,8 +108,10 @@ def lock_device(device: str) -> int:
 class SerialStream:
     """A serial port of the operating system, held alone.
 
-    A lock file beside the exclusive mode of the port keeps a second program out even where
-    that runs with the rights of an administrator.
+    A lock file beside the exclusive mode of the port keeps a second program out even where that
+    runs with the rights of an administrator. Raises PortLost when the port is missing, taken or
+    refuses; the message names the remedy. Raises LimitExceeded when the baud rate is none that
+    servos support.
 
     Parameters
     ----------
@@ -117,13 +119,6 @@ class SerialStream:
         Device, such as /dev/ttyUSB0 or a link below /dev/serial/by-id.
     baudrate
         One of `BAUD_RATES`.
-
-    Raises
-    ------
-    PortLost
-        When the port is missing, taken or refuses; the message names the remedy.
-    LimitExceeded
-        When the baud rate is none that servos support.
     """
 
     def __init__(self, path: str, baudrate: int = 1_000_000) -> None:

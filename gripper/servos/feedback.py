@@ -107,19 +107,14 @@ class Feedback:
     def read(self, *, under_torque: bool) -> GripperState:
         """Read the feedback of all servos in one transaction.
 
+        Raises BusTimeout or BusCorrupt when an answer is missing, damaged or older than the
+        request. Raises ServoFault when a servo has restarted under torque. Raises
+        FeedbackImplausible when a servo under torque reports what cannot be.
+
         Parameters
         ----------
         under_torque
             True while goals are in force: then the feedback must be possible.
-
-        Raises
-        ------
-        BusTimeout, BusCorrupt
-            When an answer is missing, damaged or older than the request.
-        ServoFault
-            When a servo has restarted under torque.
-        FeedbackImplausible
-            When a servo under torque reports what cannot be.
         """
         sent_s = self._clock.monotonic()
         raws = self._bus.sync_read(self._ids, PRESENT_BLOCK)
@@ -349,17 +344,15 @@ class FeedbackCheck:
     def check(self, servos: tuple[ServoState, ...], now_s: float) -> None:
         """Check the feedback of one transaction.
 
+        Raises FeedbackImplausible where a finger has leapt or stands where it cannot be, or a
+        current cannot be.
+
         Parameters
         ----------
         servos
             Feedback of the servos, whose torque is on.
         now_s
             Monotonic time after the answer in s.
-
-        Raises
-        ------
-        FeedbackImplausible
-            Where a finger has leapt or stands where it cannot be, or a current cannot be.
         """
         for index, servo in enumerate(servos):
             self._check_current(index, servo)

@@ -193,10 +193,7 @@ class GoalGuard:
     def check(self, goals: Sequence[ServoGoal], state: GripperState, now_s: float) -> None:
         """Check goals that are to be written now; those that pass are the next ones' measure.
 
-        Raises
-        ------
-        LimitExceeded
-            When a limit is against the goals; it is named.
+        Raises LimitExceeded when a limit is against the goals; it is named.
         """
         self._check_age(state, now_s)
         lowering = len(goals) == len(self._previous_a) and all(

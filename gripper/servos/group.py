@@ -214,7 +214,9 @@ class ServoGroup:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
         Goals are set to the present positions before the torque goes on and after a watchdog that
-        has tripped, so that nothing jumps.
+        has tripped, so that nothing jumps. Raises ServoFault when the watchdog tripped while a part
+        was held. Raises VerificationFailed when a servo to be released does not match the settings.
+        Raises FeedbackImplausible when a servo under torque reports a position far from its goal.
 
         Parameters
         ----------
@@ -225,15 +227,6 @@ class ServoGroup:
             switched off to correct the mode.
         limp
             Feedback that was just read, where no servo has torque.
-
-        Raises
-        ------
-        ServoFault
-            When the watchdog tripped while a part was held.
-        VerificationFailed
-            When a servo to be released does not match the settings.
-        FeedbackImplausible
-            When a servo under torque reports a position far from its goal.
         """
         health, goals_in_force = self._health, self.goals_in_force
         if releasing and not goals_in_force:
@@ -301,12 +294,8 @@ class ServoGroup:
         """Reboot servos one after the other and wait until each answers; a part is let go.
 
         The servos come back with their torque off and their RAM at its defaults; the next
-        `gripper.gripper.Gripper.start` verifies them.
-
-        Raises
-        ------
-        BusTimeout, BusCorrupt
-            When a servo does not answer within 3 s.
+        `gripper.gripper.Gripper.start` verifies them. Raises BusTimeout or BusCorrupt when a servo
+        does not answer within 3 s.
         """
         for servo_id in ids:
             self._bus.reboot(servo_id)

@@ -87,16 +87,11 @@ def prove_watchdog(
 ) -> None:
     """Let the watchdog trip during a slow motion of the empty, open fingers.
 
-    The torque is on and the watchdog armed before and after it. The motion is a profile of
-    0.1 rad/s that goes on for 0.4 s and three times ``watchdog_s``. A servo without a profile in
-    this mode (330 size) is at its goal at once, and stays unproven.
-
-    Raises
-    ------
-    WatchdogUnproven
-        When a servo did not stop, did not trip or did not move.
-    LimitExceeded
-        When the watchdog's time is too long, or the fingers are too closed, for a safe motion.
+    The torque is on and the watchdog armed before and after it. The motion is a profile of 0.1
+    rad/s that goes on for 0.4 s and three times ``watchdog_s``. A servo without a profile in this
+    mode (330 size) is at its goal at once, and stays unproven. Raises WatchdogUnproven when a servo
+    did not stop, did not trip or did not move. Raises LimitExceeded when the watchdog's time is too
+    long, or the fingers are too closed, for a safe motion.
     """
     way_rad = _way_rad(settings)
     begin = servos.read()

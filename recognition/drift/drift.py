@@ -21,10 +21,7 @@ _MAX_OFFSET_M = 0.1
 class Drift:
     """Drift of the sensors since teaching.
 
-    Raises
-    ------
-    ValueError
-        A value is outside of its range.
+    Raises ValueError where a value is outside of its range.
     """
 
     gains: tuple[float, ...] = (1.0,)

@@ -38,12 +38,8 @@ _LIKELY = 0.9
 class DriftPrior:
     """What is known of the drift since teaching before any object is grasped.
 
-    The default stands for another day. Two self-zeros, at teaching and today, narrow it.
-
-    Raises
-    ------
-    ValueError
-        A value is outside of its range.
+    The default stands for another day. Two self-zeros, at teaching and today, narrow it. Raises
+    ValueError where a value is outside of its range.
     """
 
     log_gain: float = 0.0

@@ -114,6 +114,8 @@ def evaluate(
 ) -> Evaluation:
     """Teach a recogniser with one part of the grasps and test it on the other; again for each pair.
 
+    Raises ValueError where no tested grasp is of a taught object, or a grasp has no label.
+
     Parameters
     ----------
     parts
@@ -128,11 +130,6 @@ def evaluate(
         and must then be found unknown. That many more recognisers are taught; 0 for none.
     mapper
         Maps the work to processes or machines; the figures do not depend on it.
-
-    Raises
-    ------
-    ValueError
-        No tested grasp is of a taught object, or a grasp has no label.
     """
     known: list[Grasp] = []
     posteriors: list[Posterior] = []

@@ -130,6 +130,8 @@ def main_patch(
 ) -> NDArray[np.int64]:
     """Return the taxels of the most loaded patch of a pad, indices among all, ascending.
 
+    Raises ContactError where no taxel exceeds the threshold; the message names the largest height.
+
     Parameters
     ----------
     height : (n_taxels,) float64
@@ -141,11 +143,6 @@ def main_patch(
     rim
         Rings of taxels around each patch that are taken along with the height that they have: they
         show where the contact ends; without them small contacts have no surface.
-
-    Raises
-    ------
-    ContactError
-        Where no taxel exceeds the threshold; the message names the largest height.
     """
     taxels = pads.taxels_of(pad)
     grid = height[taxels].reshape(pads.pad_shape[pad])

@@ -77,17 +77,13 @@ def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
     """Return the one or two pads that hold the object, the most loaded one first.
 
     The second is the counterpart of the first: the same place in the other half of the list of pads
-    if that has the same shape (finger 0, then finger 1), else the most loaded other pad.
+    if that has the same shape (finger 0, then finger 1), else the most loaded other pad. Raises
+    ContactError where no pad is loaded.
 
     Parameters
     ----------
     load : (n_pads,)
         Load of each pad in counts.
-
-    Raises
-    ------
-    ContactError
-        Where no pad is loaded.
     """
     load = np.asarray(load, dtype=np.float64)
     first = int(np.argmax(load))
@@ -178,12 +174,8 @@ def grip_surfaces(
 ) -> tuple[NDArray[np.float64], ...]:
     """Return the surface of each gripping pad that carries one, the most loaded pad first.
 
-    Surfaces are property matrices (4, 4), see `recognition.quadric.quadric`.
-
-    Raises
-    ------
-    ContactError, QuadricError
-        As `grip_level`.
+    Surfaces are property matrices (4, 4), see `recognition.quadric.quadric`. Raises ContactError or
+    QuadricError as `grip_level`.
     """
     frames = frames_at(grasp, settings.force_n, settings)
     return tuple(_surfaces_at(grasp, frames, settings))
@@ -194,14 +186,9 @@ def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
 
     Frames near the force are averaged (the noise filter before the surface), the loaded patch of
     each gripping pad is fitted in the form (7), and the eigenvalues of the pads are averaged,
-    geometrically where they are magnitudes.
-
-    Raises
-    ------
-    ContactError
-        Where no pad is touched, or the ramp never came near ``settings.force_n``.
-    QuadricError
-        Where no gripping pad carries a surface.
+    geometrically where they are magnitudes. Raises ContactError where no pad is touched, or the
+    ramp never came near ``settings.force_n``. Raises QuadricError where no gripping pad carries a
+    surface.
     """
     frames = frames_at(grasp, settings.force_n, settings)
     return _level_at(grasp, frames, settings)

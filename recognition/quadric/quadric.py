@@ -100,6 +100,9 @@ def height_field_matrix(
 def fit_height_field(xy_m: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fit the height field by linear least squares.
 
+    Raises QuadricError for fewer than 7 points, or points that do not span the six unknowns: all on
+    one line, on two parallel rows, or on any other conic.
+
     Parameters
     ----------
     xy_m : (n, 2)
@@ -112,12 +115,6 @@ def fit_height_field(xy_m: NDArray[np.float64], height: NDArray[np.float64]) -> 
     (4, 4) float64
         Form (7). x and y count from the centroid of the points, in their root mean square distance
         from it; z is the height.
-
-    Raises
-    ------
-    QuadricError
-        For fewer than 7 points, or points that do not span the six unknowns: all on one line, on
-        two parallel rows, or on any other conic.
     """
     n = len(xy_m)
     if n < MIN_POINTS:

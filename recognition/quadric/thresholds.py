@@ -61,6 +61,8 @@ class LevelBands:
 def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE) -> LevelBands:
     """Turn the values of each object into bands, thresholds and windows.
 
+    Raises TrajectoryError where no object has a level, or the margin is out of range.
+
     Parameters
     ----------
     values
@@ -68,11 +70,6 @@ def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE)
         and is never named.
     margin
         See `LevelBands`.
-
-    Raises
-    ------
-    TrajectoryError
-        Where no object has a level, or the margin is out of range.
     """
     if not 0.0 <= margin < 1.0:
         raise TrajectoryError(f"margin is {margin}, must be from 0 below 1")
@@ -111,6 +108,8 @@ def _levels(
 def with_noise(levels: LevelBands, noise_share: float) -> LevelBands:
     """Adjust bands and windows to the noise seen, as the paper's windows A to D are to be.
 
+    Raises TrajectoryError where ``noise_share`` is not from 0 below 1.
+
     Parameters
     ----------
     levels
@@ -123,11 +122,6 @@ def with_noise(levels: LevelBands, noise_share: float) -> LevelBands:
     LevelBands
         Every band reaches that much further, every window is as much narrower, and closed where
         nothing is left of it. The margin grows to the noise where that is larger.
-
-    Raises
-    ------
-    TrajectoryError
-        Where ``noise_share`` is not from 0 below 1.
     """
     if not 0.0 <= noise_share < 1.0:
         raise TrajectoryError(f"noise_share is {noise_share}, must be from 0 below 1")

@@ -206,12 +206,8 @@ class LevelCheckTrainer:
         """Teach the level of each label.
 
         An object none of whose grasps carries a surface stays among the labels without a level.
-
-        Raises
-        ------
-        ValueError
-            Where there is no grasp, one without a label, grasps from different pads, or no grasp
-            with a surface at all.
+        Raises ValueError where there is no grasp, one without a label, grasps from different pads,
+        or no grasp with a surface at all.
         """
         if not grasps:
             raise ValueError(f"{NAME}: no grasps to learn from")

@@ -101,10 +101,7 @@ def closed_columns_m(
 class FoamModel:
     """Foam of the pads and the sensor below it.
 
-    Raises
-    ------
-    ValueError
-        A value is not finite or out of its range.
+    Raises ValueError where a value is not finite or out of its range.
     """
 
     thickness_m: float = 3e-3
@@ -180,6 +177,9 @@ class FoamModel:
 class PadBed:
     """One pad: a fine grid over it, and how pressure on the grid reaches the taxels.
 
+    Raises ContactError where the taxels do not lie on a regular grid of at least 2 x 2: their
+    pressure shows no shape.
+
     Parameters
     ----------
     pads, pad
@@ -188,11 +188,6 @@ class PadBed:
         See `FoamModel`.
     cell_m
         Longest side of a cell of the grid in m.
-
-    Raises
-    ------
-    ContactError
-        The taxels do not lie on a regular grid of at least 2 x 2: their pressure shows no shape.
     """
 
     __slots__ = ("across", "along", "cell_area_m2", "taxels", "x_m", "y_m")

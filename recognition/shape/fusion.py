@@ -45,6 +45,9 @@ def fuse_shapes(
 ) -> ShapeAnswer:
     """Return shape and size from several grasps of one object; the order does not matter.
 
+    Raises ValueError where there is no answer, one was fused already, or they were read with
+    different `PadUncertainty`.
+
     Parameters
     ----------
     answers
@@ -54,12 +57,6 @@ def fuse_shapes(
         of foam and objects leaves out is much the same in all.
     placing_m
         Standard deviation in m of the thickness from grasp to grasp.
-
-    Raises
-    ------
-    ValueError
-        There is no answer, one was fused already, or they were read with different
-        `PadUncertainty`.
     """
     _check(answers)
     if len(answers) == 1:

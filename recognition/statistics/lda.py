@@ -66,7 +66,8 @@ def fit_lda(
     """Fit a linear discriminant to labelled rows.
 
     The covariance is shrunken by the oracle approximating shrinkage (Chen et al. 2010, eq. 23),
-    which falls with the number of rows.
+    which falls with the number of rows. Raises ValueError where there are no more rows than
+    classes, or a class has none.
 
     Parameters
     ----------
@@ -85,11 +86,6 @@ def fit_lda(
     least_unit
         Deviation added to that of each feature in its unit, in the feature's own: what few rows do
         not show to vary is known no better.
-
-    Raises
-    ------
-    ValueError
-        There are no more rows than classes, or a class has none.
     """
     n, n_features = features.shape
     count = np.bincount(classes, minlength=n_classes).astype(np.float64)

@@ -21,10 +21,7 @@ _FOLDS = 4
 class PoseMemory:
     """Evidence of each taught grasp, by a recogniser taught without it, with its command.
 
-    Raises
-    ------
-    ValueError
-        Shapes or values do not fit.
+    Raises ValueError where shapes or values do not fit.
     """
 
     labels: tuple[str, ...]
@@ -76,7 +73,8 @@ class PoseMemory:
 def build_pose_memory(trainer: Trainer, grasps: Sequence[Grasp]) -> PoseMemory:
     """Return the memory of labelled grasps; each is answered by a recogniser taught without it.
 
-    Grasps without a command help to teach these recognisers; they are not in the memory.
+    Grasps without a command help to teach these recognisers; they are not in the memory. Raises
+    ValueError where no grasp has a command, or there are too few grasps of a label.
 
     Parameters
     ----------
@@ -84,11 +82,6 @@ def build_pose_memory(trainer: Trainer, grasps: Sequence[Grasp]) -> PoseMemory:
         Trainer of these recognisers; four are taught, each on three quarters of the grasps.
     grasps
         The labelled grasps, those of a label in the order of time.
-
-    Raises
-    ------
-    ValueError
-        No grasp has a command, or there are too few grasps of a label.
     """
     labels, classes = np.unique([g.label for g in grasps], return_inverse=True)
     if not any(grasp.command for grasp in grasps):
@@ -139,7 +132,8 @@ def expected_loss(
 
     A few taught grasps of each label show little of it alone, so the labels are regressed together:
     slopes that all share, and deviations of each label that are drawn towards none the more, the
-    less its grasps show of them.
+    less its grasps show of them. Raises ValueError if candidates or posteriors do not fit the
+    memory.
 
     Parameters
     ----------
@@ -154,11 +148,6 @@ def expected_loss(
     -------
     (m,) float64
         Smaller is better.
-
-    Raises
-    ------
-    ValueError
-        If candidates or posteriors do not fit the memory.
     """
     rows = np.asarray(candidates, dtype=np.float64)
     n_labels = len(memory.labels)

@@ -231,10 +231,7 @@ class CanDevices:
     def send(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
         """Send messages of no device; returns when the last is through, in s.
 
-        Raises
-        ------
-        SimulatorStateError
-            If no bus is connected.
+        Raises SimulatorStateError if no bus is connected.
         """
         if self._send is None:
             raise SimulatorStateError("the devices are not connected to a bus: connect() first")

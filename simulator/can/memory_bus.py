@@ -47,10 +47,8 @@ class InMemoryCanBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a message; it reaches the device before this returns.
 
-        Raises
-        ------
-        can.CanOperationError
-            If the adapter is unplugged, the controller is bus-off or the bus was shut down.
+        Raises can.CanOperationError if the adapter is unplugged, the controller is bus-off or the
+        bus was shut down.
         """
         del timeout
         self._check_open()
@@ -70,14 +68,9 @@ class InMemoryCanBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next message, or None when none comes within ``timeout`` s.
 
-        Waiting moves the clock; with None it moves until something comes.
-
-        Raises
-        ------
-        can.CanOperationError
-            If the adapter is unplugged or the bus was shut down.
-        SimulatorStateError
-            If it shall wait without limit on a bus on which nothing will ever come.
+        Waiting moves the clock; with None it moves until something comes. Raises
+        can.CanOperationError if the adapter is unplugged or the bus was shut down. Raises
+        SimulatorStateError if it shall wait without limit on a bus on which nothing will ever come.
         """
         clock, link = self.clock, self._link
         now_s = clock.monotonic()

@@ -40,10 +40,8 @@ def check_fault(
 ) -> tuple[FaultText, FaultEntry, int, FaultValue]:
     """Return the parts of a text, its entry, the position of the device it names, and its value.
 
-    Raises
-    ------
-    SimulatorSettingsError
-        If the text has no such form, or name, value or moment are not in the vocabulary.
+    Raises SimulatorSettingsError if the text has no such form, or name, value or moment are not in
+    the vocabulary.
     """
     parsed = parse_fault(text)
     name, servo = parsed.name, 0
@@ -162,12 +160,9 @@ class FaultInjector:
     def inject(self, text: str) -> InjectedFault:
         """Inject a fault; without a start it begins before this returns.
 
-        Raises
-        ------
-        SimulatorSettingsError
-            If the text is no fault of the vocabulary, or its value does not fit this cell.
-        SimulatorStateError
-            If a fault on the same knob is there at that time.
+        Raises SimulatorSettingsError if the text is no fault of the vocabulary, or its value does
+        not fit this cell. Raises SimulatorStateError if a fault on the same knob is there at that
+        time.
         """
         fault = InjectedFault(self, text, self.now_s)
         for other in self.faults:
@@ -190,10 +185,7 @@ class FaultInjector:
     def clear(self, text: str) -> int:
         """End the faults with this text, or those of this name; returns how many they were.
 
-        Raises
-        ------
-        SimulatorStateError
-            If there is none.
+        Raises SimulatorStateError if there is none.
         """
         wanted = text.strip()
         found = [

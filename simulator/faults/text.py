@@ -51,10 +51,7 @@ class FaultText:
 def parse_fault(text: str) -> FaultText:
     """Take a text apart; the name and the value are not looked at.
 
-    Raises
-    ------
-    SimulatorSettingsError
-        If it does not have the form of a fault.
+    Raises SimulatorSettingsError if it does not have the form of a fault.
     """
     if not isinstance(text, str) or len(text) > LONGEST_TEXT:
         raise SimulatorSettingsError(f"a fault is a text {FORM} of at most {LONGEST_TEXT} letters")

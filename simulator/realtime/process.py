@@ -158,6 +158,8 @@ def serve(
 ) -> None:
     """Run a simulated cell until SIGTERM or SIGINT, in the main thread of a process of its own.
 
+    Raises EndpointError if terminals or socket cannot be made.
+
     Parameters
     ----------
     announce
@@ -170,11 +172,6 @@ def serve(
         is removed at the end.
     until_parent_ends
         Also end when the process that started this one is gone.
-
-    Raises
-    ------
-    EndpointError
-        If terminals or socket cannot be made.
     """
     parent = os.getppid()
     with ExitStack() as stack:

@@ -50,10 +50,8 @@ class CellRequests:
     def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out one request.
 
-        Raises
-        ------
-        SimulatorSettingsError, SimulatorStateError
-            If it cannot be carried out; nothing has changed then.
+        Raises SimulatorSettingsError or SimulatorStateError if it cannot be carried out; nothing
+        has changed then.
         """
         named = [name for name in self._requests if name in request]
         if len(named) != 1:

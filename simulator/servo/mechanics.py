@@ -208,6 +208,7 @@ class FingerMechanics:
 
         On its way the finger stops at what it touches (`HAND_FORCE_N`) and at its end stops; the
         friction of the gearing keeps it where it is left. A person yields to a motor with torque.
+        Raises SimulatorSettingsError if there is no such servo.
 
         Parameters
         ----------
@@ -215,11 +216,6 @@ class FingerMechanics:
             Index of the servo; one servo takes both fingers along.
         half_opening_m
             Distance of the pad from the centre plane in m; beyond an end stop: up to the stop.
-
-        Raises
-        ------
-        SimulatorSettingsError
-            If there is no such servo.
         """
         if not 0 <= axis < len(self.motors):
             raise SimulatorSettingsError(f"there is no servo {axis + 1} to move by hand")

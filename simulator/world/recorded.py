@@ -62,17 +62,14 @@ class RecordedWorld:
     def load(self, counts: ArrayLike, aperture_m: ArrayLike) -> None:
         """Take a grasp to play from its first frame; the fingers go to its first aperture.
 
+        Raises SimulatorSettingsError if shapes or values do not fit the layout.
+
         Parameters
         ----------
         counts : (n, n_taxels) unsigned
             Frames in the order of time.
         aperture_m : (n,) float
             Opening between the fingers in m; NaN leaves the fingers where they are.
-
-        Raises
-        ------
-        SimulatorSettingsError
-            If shapes or values do not fit the layout.
         """
         frames = np.array(counts)
         openings_m = np.array(aperture_m, dtype=np.float64)

@@ -150,17 +150,13 @@ def _ranges(
 def load_mesh(path: Path) -> MeshShape:
     """Read an STL file, centred on its bounding box.
 
+    Raises SimulatorSettingsError if the file is no STL, too large, no closed surface, or smaller
+    than any part. Raises ModuleNotFoundError if the extra ``mesh`` is not installed.
+
     Parameters
     ----------
     path
         The STL file, binary or text; its unit is 1 mm.
-
-    Raises
-    ------
-    SimulatorSettingsError
-        If the file is no STL, too large, no closed surface, or smaller than any part.
-    ModuleNotFoundError
-        If the extra ``mesh`` is not installed.
     """
     import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
 
@@ -247,13 +243,9 @@ def parse_shape(text: str) -> Shape:
     """Read a shape from text.
 
     Three forms: the name of one of the paper's objects (``ball``); a kind with its lengths and
-    their units (``cylinder:diameter=6mm,length=20mm``); a mesh file in mm
-    (``mesh:file=bolt.stl``).
-
-    Raises
-    ------
-    SimulatorSettingsError
-        If the text is none of them; the message names what is missing or unknown.
+    their units (``cylinder:diameter=6mm,length=20mm``); a mesh file in mm (``mesh:file=bolt.stl``).
+    Raises SimulatorSettingsError if the text is none of them; the message names what is missing or
+    unknown.
     """
     if text in PAPER_OBJECTS:
         return PAPER_OBJECTS[text]

@@ -60,12 +60,8 @@ class Stage:
         """Put an object on the stage; what an axis moves is where the axis is, not as in ``pose``.
 
         Returns where it came to rest. Beside the pads it waits until the axes bring it between
-        them.
-
-        Raises
-        ------
-        SimulatorSettingsError, SimulatorStateError
-            As `PhysicalWorld.place`, for an unknown shape and for fingers that are in the way.
+        them. Raises SimulatorSettingsError or SimulatorStateError as `PhysicalWorld.place`, for an
+        unknown shape and for fingers that are in the way.
         """
         wanted = self._at(pose)
         self._world.shape(label)

@@ -116,6 +116,9 @@ class PhysicalWorld:
     def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
         """Put an object between the open pads, in the place of the present one.
 
+        Raises SimulatorSettingsError if the shape is unknown or lies beside the pads. Raises
+        SimulatorStateError if the fingers are not open wide enough for it, or hold an object.
+
         Parameters
         ----------
         label
@@ -128,13 +131,6 @@ class PhysicalWorld:
         -------
         ObjectPose
             Where it came to rest: a box settles on a face.
-
-        Raises
-        ------
-        SimulatorSettingsError
-            If the shape is unknown or lies beside the pads.
-        SimulatorStateError
-            If the fingers are not open wide enough for it, or hold an object.
         """
         if max(self._force_n) > self._settings.nest_friction_n:
             raise SimulatorStateError(
@@ -204,7 +200,8 @@ class PhysicalWorld:
     def press(self, pad: int, x_m: float, y_m: float, force_n: float) -> None:
         """Press a pad with a person's fingertip, in the place of the last one.
 
-        The finger that carries the pad stands: whoever presses it holds it as well.
+        The finger that carries the pad stands: whoever presses it holds it as well. Raises
+        SimulatorSettingsError if the layout has no such pad, or nothing of the patch is on it.
 
         Parameters
         ----------
@@ -212,11 +209,6 @@ class PhysicalWorld:
             Number of the pad in the layout.
         x_m, y_m
             Place on the pad in its plane in m.
-
-        Raises
-        ------
-        SimulatorSettingsError
-            If the layout has no such pad, or nothing of the patch is on it.
         """
         if not 0 <= pad < self._layout.n_pads:
             raise SimulatorSettingsError(f"pad is {pad}, must be 0 to {self._layout.n_pads - 1}")

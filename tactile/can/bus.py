@@ -134,15 +134,13 @@ class WatchedSocketcandBus(SocketCanDaemonBus):
 def open_socketcand(address: str) -> can.BusABC:
     """Connect to a socketcand server.
 
+    Raises OSError, ValueError or can.CanError when the address is none, or the server refuses or
+    does not answer within 2 s.
+
     Parameters
     ----------
     address
         ``HOST:PORT/CHANNEL``.
-
-    Raises
-    ------
-    OSError, ValueError, can.CanError
-        When the address is none, or the server refuses or does not answer within 2 s.
     """
     place, _, channel = address.partition("/")
     host, _, port = place.rpartition(":")
@@ -305,6 +303,8 @@ def open_bus(
 ) -> can.BusABC:
     """Open a CAN bus; configuration files and environment variables of python-can do not count.
 
+    Raises BusNotOpened when the bus cannot be opened; the message names what to check.
+
     Parameters
     ----------
     interface
@@ -320,11 +320,6 @@ def open_bus(
         ``socketcan`` can be open twice.
     nodes
         CANopen node-IDs whose messages are received; by default all messages are.
-
-    Raises
-    ------
-    BusNotOpened
-        When the bus cannot be opened; the message names what to check.
     """
     try:
         with ExitStack() as opened:

@@ -165,10 +165,8 @@ class ForceCheck:
     def compare(self, frame: FrameForces) -> None:
         """Compare a frame with the messages from around its scan.
 
-        Raises
-        ------
-        ForceContradicted
-            When force or centre of the last frames differ from those of the messages.
+        Raises ForceContradicted when force or centre of the last frames differ from those of the
+        messages.
         """
         first_s, last_s = frame.scanned_s - _BEFORE_S, frame.scanned_s + _AFTER_S
         while self._messages and self._messages[0].t_s < first_s:

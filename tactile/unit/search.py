@@ -148,12 +148,8 @@ _WRITTEN_FORCES = (
 def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
     """Read what a control unit says of itself; nothing is written.
 
-    Raises
-    ------
-    NodeMissing
-        If the node does not answer, or lacks the objects of a control unit.
-    BusOff
-        If the CAN interface fails.
+    Raises NodeMissing if the node does not answer, or lacks the objects of a control unit. Raises
+    BusOff if the CAN interface fails.
     """
     with _objects_of(bus, node_id) as objects:
         return _read(objects, node_id)
@@ -185,10 +181,7 @@ def _read(objects: ObjectAccess, node_id: int) -> FoundUnit:
 def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
     """Return vendor-ID and product code of a node, which tell a control unit from a drive.
 
-    Raises
-    ------
-    NodeMissing
-        If the node does not answer.
+    Raises NodeMissing if the node does not answer.
     """
     with _objects_of(bus, node_id) as objects:
         return (
@@ -200,12 +193,8 @@ def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
 def read_device(bus: can.BusABC, node_id: int) -> tuple[int, str]:
     """Return device profile (object 1000h, lower 16 bits) and name (1008h) of a CANopen node.
 
-    The name is empty where the node has none; it is an optional object.
-
-    Raises
-    ------
-    NodeMissing
-        If the node does not answer.
+    The name is empty where the node has none; it is an optional object. Raises NodeMissing if the
+    node does not answer.
     """
     with _objects_of(bus, node_id) as objects:
         profile = objects.read_unsigned(od.DEVICE_TYPE) & 0xFFFF

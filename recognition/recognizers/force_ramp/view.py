@@ -260,6 +260,8 @@ def fit_view(
 ) -> View:
     """Teach a view.
 
+    Raises ValueError where the grasps do not show how those of a class vary.
+
     Parameters
     ----------
     levels
@@ -268,11 +270,6 @@ def fit_view(
         Class of each grasp, 0 to C - 1.
     opening
         Whether the opening is used; without it each class has a covariance of its own.
-
-    Raises
-    ------
-    ValueError
-        The grasps do not show how those of a class vary.
     """
     n_pads = len(grids)
     unit = np.array([_UNIT[0]] * n_pads + [_UNIT[1]])[: n_pads + opening]
