@@ -20,10 +20,7 @@ def unwatched() -> None:
 class Watch:
     """Supervision of whatever waits: called once a period while an axis moves or answers.
 
-    Parameters
-    ----------
-    period_s
-        Between two calls so much time passes at least.
+    Between two calls at least ``period_s`` passes.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
@@ -59,10 +56,7 @@ _OPERATIONAL = b"\x05"
 class DriveBus:
     """CAN bus of one to three drives, asked by the thread that moves them.
 
-    Parameters
-    ----------
-    loss_s
-        Time in s without a heartbeat after which a drive is lost.
+    A drive is lost after ``loss_s`` without a heartbeat.
     """
 
     def __init__(self, bus: can.BusABC, watch: Watch, loss_s: float) -> None:

@@ -55,12 +55,8 @@ _SETTLED_S = 0.3
 class CentreSensor:
     """A sensor whose samples have the centre of the force too.
 
-    Parameters
-    ----------
-    place_m
-        The centre in m along the fingers at a time in s.
-    scan_n
-        Noise of the grip force of one scan in N; None for frames.
+    ``place_m`` gives the centre in m along the fingers at a time in s; ``scan_n`` is the noise of
+    the grip force of one scan in N, None for frames.
     """
 
     def __init__(
@@ -100,10 +96,7 @@ class CentreSensor:
 class TouchRig(Rig):
     """A gripper on a part to which something happens at a time.
 
-    Parameters
-    ----------
-    part, rate_hz, seed, noise_n, settings
-        As for `Rig`; torque figures and friction are drawn with the seed.
+    Parameters as for `Rig`; torque figures and friction are drawn with the seed.
     """
 
     def __init__(

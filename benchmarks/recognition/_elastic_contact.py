@@ -97,12 +97,7 @@ def _patch_displacement(x: Array, y: Array, a: float, b: float) -> Array:
 class ElasticGrid:
     """A regular grid of ``shape`` cells on a pad, and what pressure on it does.
 
-    Parameters
-    ----------
-    shape
-        Cells along x and y.
-    margin_m
-        How far around the grid the stress is wanted, in m.
+    ``shape`` are the cells along x and y; the stress is wanted ``margin_m`` around the grid.
     """
 
     def __init__(

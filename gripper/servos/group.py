@@ -253,15 +253,9 @@ class ServoGroup:
     def disarm_watchdog(self, *, but: Sequence[int] = (), keep_trips: bool = False) -> None:
         """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
 
-        An error is raised when all servos were tried: a silent one does not hinder the other.
-
-        Parameters
-        ----------
-        but
-            IDs of the servos whose watchdog stays armed.
-        keep_trips
-            True to leave a tripped one as it is: its servo holds less, and the next command finds
-            it so.
+        An error is raised when all servos were tried: a silent one does not hinder the other. With
+        ``keep_trips`` a tripped one is left as it is: its servo holds less, and the next command
+        finds it so.
         """
         failed: GripperError | None = None
         for servo_id in (servo_id for servo_id in self._ids if servo_id not in but):

@@ -60,16 +60,11 @@ def robust_noise(values: ArrayLike) -> float:
 def estimate_baseline(grasp: Grasp) -> Baseline:
     """Return baseline and noise of each pad from the frames of one grasp; the last is kept.
 
-    Frames before contact are those at the start during which a pad's total stays within the
-    noise of its least value among them. Where the commanded force is known they end before it rises
-    above 0: the noise of a whole pad hides the first taxels that are touched. The noise is that of
-    the differences between frames, which the slow rise of a ramp hardly touches; with one frame it
-    is the spread over the pad.
-
-    Parameters
-    ----------
-    grasp
-        A force ramp, from the open gripper on.
+    Frames before contact are those at the start during which a pad's total stays within the noise
+    of its least value among them. Where the commanded force is known they end before it rises above
+    0: the noise of a whole pad hides the first taxels that are touched. The noise is that of the
+    differences between frames, which the slow rise of a ramp hardly touches; with one frame it is
+    the spread over the pad. The grasp is a force ramp, from the open gripper on.
     """
     pads = grasp.pads
     baseline = np.empty(pads.n_taxels)

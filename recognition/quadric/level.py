@@ -77,13 +77,8 @@ def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
     """Return the one or two pads that hold the object, the most loaded one first.
 
     The second is the counterpart of the first: the same place in the other half of the list of pads
-    if that has the same shape (finger 0, then finger 1), else the most loaded other pad. Raises
-    ContactError where no pad is loaded.
-
-    Parameters
-    ----------
-    load : (n_pads,)
-        Load of each pad in counts.
+    if that has the same shape (finger 0, then finger 1), else the most loaded other pad. ``load``
+    (n_pads,) is that of each pad in counts. Raises ContactError where no pad is loaded.
     """
     load = np.asarray(load, dtype=np.float64)
     first = int(np.argmax(load))

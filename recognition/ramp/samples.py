@@ -23,10 +23,7 @@ _STUCK_SIGMAS = 6.0
 def without_spikes(counts: NDArray[np.float64], adc_max: int) -> NDArray[np.float64]:
     """Replace samples that exceed the frames before and after by far with the mean of these.
 
-    Parameters
-    ----------
-    counts : (n_frames, n_taxels)
-        Readings of one pad.
+    ``counts`` (n_frames, n_taxels) are the readings of one pad.
     """
     before, here, after = counts[:-2], counts[1:-1], counts[2:]
     limit = _SPIKE_SHARE * adc_max

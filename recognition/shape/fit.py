@@ -122,12 +122,8 @@ def misfit_of(
 def n_determined(normal: NDArray[np.float64], prior_sd: NDArray[np.float64]) -> float:
     """Return how many parameters the data determine, rather than the prior.
 
-    Parameters
-    ----------
-    normal : (n, n)
-        J^T J of the data alone.
-    prior_sd : (n,)
-        Standard deviations of the prior.
+    ``normal`` (n, n) is J^T J of the data alone, ``prior_sd`` (n,) the standard deviations of the
+    prior.
     """
     return float(np.trace(np.linalg.solve(normal + np.diag(prior_sd**-2), normal)))
 
@@ -177,10 +173,8 @@ class ShapeFit:
     def log_evidence(self, scale: float = 1.0) -> float:
         """Return the log marginal likelihood up to what is the same for all kinds.
 
-        Parameters
-        ----------
-        scale
-            Factor on the variances of the data: above 1 where no kind fits within the noise.
+        ``scale`` is a factor on the variances of the data: above 1 where no kind fits within the
+        noise.
         """
         away = (self.theta - self.prior_mean) / self.prior_sd
         _, volume = np.linalg.slogdet(self._precision(scale))

@@ -73,15 +73,10 @@ class PoseMemory:
 def build_pose_memory(trainer: Trainer, grasps: Sequence[Grasp]) -> PoseMemory:
     """Return the memory of labelled grasps; each is answered by a recogniser taught without it.
 
-    Grasps without a command help to teach these recognisers; they are not in the memory. Raises
-    ValueError where no grasp has a command, or there are too few grasps of a label.
-
-    Parameters
-    ----------
-    trainer
-        Trainer of these recognisers; four are taught, each on three quarters of the grasps.
-    grasps
-        The labelled grasps, those of a label in the order of time.
+    Grasps without a command help to teach these recognisers; they are not in the memory. Four
+    recognisers are taught, each on three quarters of the grasps; those of a label stand in the
+    order of time. Raises ValueError where no grasp has a command, or there are too few grasps of a
+    label.
     """
     labels, classes = np.unique([g.label for g in grasps], return_inverse=True)
     if not any(grasp.command for grasp in grasps):

@@ -25,12 +25,7 @@ _CAN_HEADER = struct.Struct(">LBBBB")
 class PcapWriter:
     """Writes CAN messages to a pcap file, link type 227, nanosecond stamps.
 
-    Raises OSError if the file cannot be written.
-
-    Parameters
-    ----------
-    path
-        File to write; what it held is replaced.
+    What the file held is replaced. Raises OSError if the file cannot be written.
     """
 
     def __init__(self, path: Path) -> None:

@@ -36,11 +36,8 @@ _MAX_DATA_BYTES = 8
 class SlcanAdapter:
     """The adapter between a serial line and the bus.
 
-    Parameters
-    ----------
-    bitrate
-        Bit rate in bit/s that it is set to at first; with another one than that of the bus it hears
-        and reaches nobody.
+    It is set to ``bitrate`` in bit/s at first; with another one than that of the bus it hears and
+    reaches nobody.
     """
 
     def __init__(self, link: CanLink, *, bitrate: int) -> None:

@@ -232,10 +232,7 @@ def knob_fault(
 ) -> FaultEntry:
     """Return a fault that turns one knob of a part of the cell: to its number, or on without one.
 
-    Parameters
-    ----------
-    part
-        ``can``, ``unit`` or ``servo_wire``: a field of `simulator.devices.CellFaults`.
+    The part is ``can``, ``unit`` or ``servo_wire``: a field of `simulator.devices.CellFaults`.
     """
 
     def position(target: Target) -> object:

@@ -134,10 +134,7 @@ class ServoPosition:
     def refresh(self, uptime_s: float, *, following: bool) -> None:
         """Bring registers 120 to 146 up to date.
 
-        Parameters
-        ----------
-        following
-            Whether the motor follows Goal Position.
+        ``following`` is whether the motor follows Goal Position.
         """
         plant, sign, offset = self._plant, self.sign, self._offset()
         data = self._registers.table.data

@@ -136,12 +136,8 @@ class ServoMount:
 class FingerMechanics:
     """Two fingers that one servo drives together, or two servos one each.
 
-    Parameters
-    ----------
-    motors
-        One or two motors; their angles are set to the start aperture.
-    half_opening_min_m
-        Closed end stop in m; below 0 a finger may pass the middle, until the other one stops it.
+    The angles of the motors are set to the start aperture. ``half_opening_min_m`` is the closed end
+    stop in m; below 0 a finger may pass the middle, until the other one stops it.
     """
 
     def __init__(
@@ -208,14 +204,9 @@ class FingerMechanics:
 
         On its way the finger stops at what it touches (`HAND_FORCE_N`) and at its end stops; the
         friction of the gearing keeps it where it is left. A person yields to a motor with torque.
-        Raises SimulatorSettingsError if there is no such servo.
-
-        Parameters
-        ----------
-        axis
-            Index of the servo; one servo takes both fingers along.
-        half_opening_m
-            Distance of the pad from the centre plane in m; beyond an end stop: up to the stop.
+        One servo takes both fingers along. The half opening is the distance of the pad from the
+        centre plane in m; beyond an end stop it goes up to the stop. Raises SimulatorSettingsError
+        if there is no such servo.
         """
         if not 0 <= axis < len(self.motors):
             raise SimulatorSettingsError(f"there is no servo {axis + 1} to move by hand")

@@ -130,13 +130,8 @@ class DriveCommand(NamedTuple):
 class ServoMotor:
     """Motor, gear, winding and encoder of one servo.
 
-    Parameters
-    ----------
-    model
-        Electrical and torque figures. Its torque is that with rising load, so what the load's
-        friction takes from it there is added to what the motor makes.
-    angle_rad
-        Output angle at the start, rad.
+    The torque of the model is that with rising load, so what the load's friction takes from it
+    there is added to what the motor makes.
     """
 
     def __init__(

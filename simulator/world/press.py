@@ -134,13 +134,9 @@ class Press:
 
     The pose in the plane of the pads is fixed while it is gripped, so all that depends on it is
     worked out once: height maps, and force over depth for each pad. The object moves along the
-    closing axis only, without inertia, against the friction of its nest. Raises
-    SimulatorSettingsError if the object lies beside a pad.
-
-    Parameters
-    ----------
-    grids
-        Inner pad of finger 0 and of finger 1.
+    closing axis only, without inertia, against the friction of its nest. The grids are those of the
+    inner pad of finger 0 and of finger 1. Raises SimulatorSettingsError if the object lies beside a
+    pad.
     """
 
     def __init__(

@@ -32,12 +32,9 @@ def interface_failed(error: Exception) -> BusOff:
 class PolledSource:
     """Source that asks the bus in the caller's thread: for buses in memory, in virtual time.
 
-    Such a bus stamps its messages by the same clock; without a stamp the time of asking counts.
-
-    Parameters
-    ----------
-    limit
-        Most messages handed out at once, so that a flooded bus does not hold up the caller.
+    Such a bus stamps its messages by the same clock; without a stamp the time of asking counts. At
+    most ``limit`` messages are handed out at once, so that a flooded bus does not hold up the
+    caller.
     """
 
     def __init__(self, bus: can.BusABC, clock: Clock, *, limit: int = 4096) -> None:

@@ -77,10 +77,7 @@ class FrameAssembler:
     def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:
         """Take one message and return the frame that it completes, if any.
 
-        Parameters
-        ----------
-        dlc
-            Length that the message claims; must be 8 and fit ``data``.
+        ``dlc`` is the length that the message claims; it must be 8 and fit ``data``.
         """
         if dlc != MESSAGE_BYTES or len(data) != MESSAGE_BYTES:
             self.counts.short += 1

@@ -136,10 +136,8 @@ def mean_centre_taxels(messages: Sequence[ForceMessage]) -> tuple[float, float] 
 def encode_table(force_n: NDArray[np.float64]) -> bytes:
     """Return the object of the tables of both pads.
 
-    Parameters
-    ----------
-    force_n : (2, TABLE_NODES) float64
-        Force of a taxel in N at counts from 0 to full scale, rising.
+    ``force_n`` (2, TABLE_NODES) is the force of a taxel in N at counts from 0 to full scale,
+    rising.
     """
     if force_n.shape != (2, TABLE_NODES) or not np.isfinite(force_n).all():
         raise FrameError(f"a force table has shape (2, {TABLE_NODES}), got {force_n.shape}")

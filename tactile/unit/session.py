@@ -43,10 +43,7 @@ _SYNC_EARLY_S = 1e-6
 class LinkSession:
     """One control unit from the start of the link to its end.
 
-    Parameters
-    ----------
-    source
-        Where its messages come from; already started.
+    The source of its messages is already started.
     """
 
     def __init__(

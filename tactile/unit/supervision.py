@@ -131,12 +131,8 @@ class TrafficLimit:
 class NodeSupervisor:
     """Supervisor of one node: its state, its heartbeat, its emergencies, the host's controller.
 
-    Parameters
-    ----------
-    heartbeat_s, heartbeat_factor
-        Period of the unit's heartbeat in s; it is lost after so many periods without one.
-    passive_s
-        Time in s for which the host's controller may be error-passive.
+    The heartbeat, one each ``heartbeat_s``, is lost after ``heartbeat_factor`` periods without one;
+    the host's controller may be error-passive for ``passive_s``.
     """
 
     def __init__(
