@@ -106,16 +106,9 @@ def noise_threshold(
 ) -> float:
     """Return the height in counts that a taxel must exceed to be loaded.
 
-    Parameters
-    ----------
-    noise_counts
-        Standard deviation of one taxel in one frame.
-    n_averaged
-        Frames that the height is the mean of.
-    adc_max
-        Full scale; the threshold is never below 0.4 % of it (one count of 255).
-    sigmas
-        Standard deviations of the mean.
+    The height is the mean of ``n_averaged`` frames, ``noise_counts`` the standard deviation of one
+    taxel in one of them; the threshold lies ``sigmas`` deviations of the mean up, and never below
+    0.4 % of the full scale (one count of 255).
     """
     return max(sigmas * noise_counts / float(np.sqrt(n_averaged)), _LEAST_HEIGHT * adc_max)
 

@@ -213,17 +213,9 @@ def ramp_levels(
 ) -> NDArray[np.float64]:
     """Return lambda(F): the smallest eigenvalue at each share of the full force.
 
-    Parameters
-    ----------
-    shares
-        Parts of the full force, each above 0 and up to 1.
-    settings
-        How each value is taken; ``force_n`` has no part in it.
-
-    Returns
-    -------
-    (n_shares,) float64
-        NaN where there was no contact yet, or no surface to be fitted.
+    Shares are parts of the full force, each above 0 and up to 1; ``force_n`` of the settings has no
+    part in it. Returned are (n_shares,) values, NaN where there was no contact yet, or no surface
+    to be fitted.
     """
     if not all(0.0 < share <= 1.0 for share in shares):
         raise ContactError(f"shares of the force are {list(shares)}, each must be above 0, up to 1")

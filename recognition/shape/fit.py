@@ -103,16 +103,9 @@ def misfit_of(
     """Return the squared residual per degree of freedom: 1 where the noise explains it.
 
     Untouched taxels fit any shape. On pads with little noise they would hide that none fits, so it
-    is that of the informative data where that is larger.
-
-    Parameters
-    ----------
-    squared : (n_data,)
-        Squared residuals over their variances.
-    informative : (n_data,)
-        Which of them depend on a shape: see `PressedPads.informative`.
-    n_determined
-        How many parameters the data determine, see `n_determined`.
+    is that of the informative data where that is larger. ``squared`` (n_data,) are squared
+    residuals over their variances, ``informative`` (n_data,) which of them depend on a shape: see
+    `PressedPads.informative`; the data determine ``n_determined`` parameters.
     """
     overall = float(squared.sum()) / max(1.0, len(squared) - n_determined)
     by_shape = float(squared[informative].sum()) / max(1.0, int(informative.sum()) - n_determined)
@@ -205,16 +198,8 @@ def fit_shape(
 ) -> ShapeFit:
     """Fit one kind of shape: Levenberg-Marquardt from the best of a few starts.
 
-    Parameters
-    ----------
-    model, data
-        The kind of shape, and the pads.
-    foam, uncertainty
-        Foam and sensor, and the uncertainty of both.
-    near
-        A fit of the same kind to the same data under another foam: to start from.
-    pads_of
-        A fit of another kind to the same data under this foam: to start foam and depths from.
+    It starts from ``near``, a fit of the same kind to the same data under another foam, or with
+    foam and depths of ``pads_of``, a fit of another kind to the same data under this foam.
     """
     problem = ShapeProblem(model, data, foam, uncertainty or PadUncertainty())
     starts = problem.starts() if near is None else near.theta[None]
