@@ -127,22 +127,9 @@ def expected_loss(
 
     A few taught grasps of each label show little of it alone, so the labels are regressed together:
     slopes that all share, and deviations of each label that are drawn towards none the more, the
-    less its grasps show of them. Raises ValueError if candidates or posteriors do not fit the
-    memory.
-
-    Parameters
-    ----------
-    memory
-        Evidence of the taught grasps.
-    posteriors
-        The grasps so far, possibly none.
-    candidates : (m, 5)
-        Commands of possible next grasps: `recognition.grasp.COMMAND_COLUMNS`.
-
-    Returns
-    -------
-    (m,) float64
-        Smaller is better.
+    less its grasps show of them. The grasps so far are possibly none; ``candidates`` (m, 5) are
+    commands of possible next ones: `recognition.grasp.COMMAND_COLUMNS`. Of the losses, (m,),
+    smaller is better. Raises ValueError if candidates or posteriors do not fit the memory.
     """
     rows = np.asarray(candidates, dtype=np.float64)
     n_labels = len(memory.labels)

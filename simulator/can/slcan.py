@@ -55,14 +55,11 @@ class SlcanAdapter:
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
         """Take bytes of the client and carry out the commands that are complete.
 
-        Parameters
-        ----------
-        sent_after_s
-            Earliest time in s at which the client may have sent them, where an endpoint cannot
-            date them better: commands that waited there are spread evenly between then and now, a
-            single one to the middle. So two SYNCs, read at once or not, are at least half as far
-            apart as they were sent, however the simulator stalls, and a burst of 7.5 ms ends before
-            the next SYNC that comes after 18 ms. None = ``now_s``.
+        ``sent_after_s`` is the earliest time in s at which the client may have sent them, where an
+        endpoint cannot date them better, None = ``now_s``: commands that waited there are spread
+        evenly between then and now, a single one to the middle. So two SYNCs, read at once or not,
+        are at least half as far apart as they were sent, however the simulator stalls, and a burst
+        of 7.5 ms ends before the next SYNC that comes after 18 ms.
         """
         self._input += data
         *lines, rest = self._input.split(b"\r")

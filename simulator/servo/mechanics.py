@@ -222,14 +222,8 @@ class FingerMechanics:
     def remount(self, axis: int, *, turned: bool = False, off_rad: float = 0.0) -> None:
         """Mount a servo differently; its finger stays where it is.
 
-        Parameters
-        ----------
-        axis
-            Index of the servo.
-        turned
-            Whether it sits the other way round than before.
-        off_rad
-            How much farther open than before its position is.
+        ``turned`` is whether it sits the other way round than before, ``off_rad`` how much farther
+        open than before its position is.
         """
         motor = self.motors[axis]
         direction, zero_rad = self._axes[axis]
@@ -249,14 +243,9 @@ class FingerMechanics:
     ) -> None:
         """Advance the fingers by ``dt_s`` s.
 
-        Parameters
-        ----------
-        dt_s
-            Time step in s; one above `LONGEST_STEP_S` is taken in pieces.
-        contact_force_n
-            Force on each pad in N at the present position, positive when it pushes the finger open.
-        contact_stiffness_n_m
-            How fast that force falls when the finger opens, N/m, at least 0.
+        A step above `LONGEST_STEP_S` is taken in pieces. The force on each pad in N is that at the
+        present position, positive when it pushes the finger open; the stiffness, at least 0, is how
+        fast it falls when the finger opens, in N/m.
         """
         if dt_s <= LONGEST_STEP_S:
             self._step(dt_s, contact_force_n, contact_stiffness_n_m)

@@ -62,14 +62,8 @@ class PadPair:
 class PadsMeet:
     """The two pads that press on each other, foam on foam; nothing is between them.
 
-    Parameters
-    ----------
-    grids
-        Inner pad of finger 0 and of finger 1.
-    foams
-        The sheets on them.
-    pair
-        How they stand to each other.
+    The grids are those of the inner pad of finger 0 and of finger 1, and ``pair`` is how they stand
+    to each other.
     """
 
     def __init__(
@@ -193,20 +187,10 @@ class Press:
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Let the object float to where the pads and its nest hold it.
 
-        It stays where it is while the pads' forces differ by no more than the nest's friction;
-        else it moves until they do.
-
-        Parameters
-        ----------
-        position_m
-            Half openings of finger 0 and finger 1 in m.
-        friction_n
-            Friction of the nest in N.
-
-        Returns
-        -------
-        force_n, stiffness_n_m
-            Force on each pad in N, and how fast each falls as its finger opens, in N/m.
+        It stays where it is while the pads' forces differ by no more than the nest's friction; else
+        it moves until they do. The positions are the half openings of finger 0 and finger 1 in m,
+        the friction is that of the nest in N. Returns the force on each pad in N, and how fast each
+        falls as its finger opens, in N/m.
         """
         near, far = self._tables
         depth_0, depth_1 = self._depths_m(position_m)

@@ -74,14 +74,8 @@ class PolledSource:
 class ThreadedReceiver:
     """Source with one thread that stamps and queues messages; its end is a fault, not a silence.
 
-    Parameters
-    ----------
-    bus
-        An open bus whose ``recv`` may block.
-    limit
-        Most messages that wait to be taken; one more and the receiver gives up.
-    hang_s
-        The receiver counts as hung when it did not come round for this long.
+    The ``recv`` of the bus may block. At most ``limit`` messages wait to be taken; with one more
+    the receiver gives up. It counts as hung when it did not come round for ``hang_s``.
     """
 
     def __init__(

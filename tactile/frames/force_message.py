@@ -149,14 +149,9 @@ def encode_zero(
 ) -> bytes:
     """Return the object of the zero.
 
-    Parameters
-    ----------
-    touch_counts
-        Counts above the zero from which on a taxel counts, in the mean of its neighbourhood.
-    zero_counts : (n,) float64
-        Zero of each taxel of the gripping pads, finger 0 first.
-    bad : (n,) bool
-        Taxels that do not measure.
+    From ``touch_counts`` above the zero on a taxel counts, in the mean of its neighbourhood;
+    ``zero_counts`` (n,) is the zero of each taxel of the gripping pads, finger 0 first, ``bad``
+    (n,) tells which do not measure.
     """
     steps = np.append(touch_counts, zero_counts) * (ZERO_STEPS / adc_max)
     steps = np.clip(np.rint(steps), 0, ZERO_STEPS)

@@ -91,16 +91,8 @@ def emergency_text(code: int) -> str:
 class TrafficLimit:
     """Limit of useless messages, a leaky bucket: messages fill it, time empties it.
 
-    Parameters
-    ----------
-    what
-        The messages, in the plural, for the error.
-    advice
-        What to do about them.
-    rate_hz
-        Sustained rate allowed in 1/s.
-    burst
-        Messages that may come at once.
+    ``what`` are the messages, in the plural, and ``advice`` what to do about them, for the error.
+    Allowed are ``rate_hz`` in 1/s for ever, and ``burst`` messages at once.
     """
 
     def __init__(self, what: str, advice: str, *, rate_hz: float, burst: float) -> None:
