@@ -64,8 +64,11 @@ def impact_limit(
 ) -> ImpactLimit:
     """Return how fast fingers may close under the cap of the force.
 
-    Without ``angles_rad``, the angle of each servo in rad, it is that of the worse end of the way
-    between ``aperture_open_m`` and ``aperture_min_m``.
+    Parameters
+    ----------
+    angles_rad
+        Angle of each servo in rad; None for the worse end of the way between ``aperture_open_m``
+        and ``aperture_min_m``.
     """
     ends_m = (settings.aperture_open_m, settings.aperture_min_m)
     ways = [linkage.angles_rad(end_m) for end_m in ends_m] if angles_rad is None else [angles_rad]

@@ -242,8 +242,10 @@ def fault_response(
     any other                          the goals are frozen
     ================================== ==========================================================
 
-    ``moving`` is True where the fingers were on their way with nothing in their grip yet, or any
-    more.
+    Parameters
+    ----------
+    moving
+        True where the fingers were on their way with nothing in their grip yet, or any more.
     """
     if bus_is_lost(error):
         return FingersLeft.UNCONFIRMED

@@ -10,9 +10,16 @@ from gripper.force_sensor import ForceSample
 class RecentForce:
     """Newest force samples, as many as bring the noise of their mean below a limit.
 
-    A fast sensor needs many in a short time. One that is too slow for that gives its last few. The
-    standard deviation of the mean grip force is low enough at ``noise_n``. At least ``least``
-    samples are kept, and others up to an age of ``longest_s``, counted from the newest one.
+    A fast sensor needs many in a short time. One that is too slow for that gives its last few.
+
+    Parameters
+    ----------
+    noise_n
+        Standard deviation in N of the mean grip force that is low enough.
+    least
+        Samples that are kept although they are older than ``longest_s``.
+    longest_s
+        Largest age in s of other samples, counted from the newest one.
     """
 
     def __init__(self, noise_n: float, *, least: int, longest_s: float) -> None:

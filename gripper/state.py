@@ -90,9 +90,13 @@ def shows_nothing(
 ) -> bool:
     """Return whether pads and current both show that nothing is held.
 
-    None stands for no feedback or force sample. From a force of ``contact_force_n`` in N on
-    something is touched. The current counts while the fingers stand: in motion it is what moves
-    them.
+    Parameters
+    ----------
+    state, force
+        Newest feedback and force sample, None where there is none.
+    contact_force_n
+        Force in N from which on something is touched. The current counts while the fingers stand:
+        in motion it is what moves them.
     """
     if state is None or force is None or not force.valid:
         return False

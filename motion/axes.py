@@ -127,8 +127,12 @@ class Axes:
     def clear_faults(self, *, reboot: bool) -> None:
         """Clear the faults of all devices, also those of an earlier program; nothing moves.
 
-        With ``reboot`` servos at fault are restarted, which drop what they carry. Raises
-        MotionError if a device does not answer or stays at fault.
+        Raises MotionError if a device does not answer or stays at fault.
+
+        Parameters
+        ----------
+        reboot
+            True to restart servos at fault, which drop what they carry.
         """
         self._ready = False
         for axis in self._axes.values():

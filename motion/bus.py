@@ -20,7 +20,10 @@ def unwatched() -> None:
 class Watch:
     """Supervision of whatever waits: called once a period while an axis moves or answers.
 
-    Between two calls at least ``period_s`` passes.
+    Parameters
+    ----------
+    period_s
+        Between two calls so much time passes at least.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
@@ -56,7 +59,10 @@ _OPERATIONAL = b"\x05"
 class DriveBus:
     """CAN bus of one to three drives, asked by the thread that moves them.
 
-    A drive is lost after ``loss_s`` without a heartbeat.
+    Parameters
+    ----------
+    loss_s
+        Time in s without a heartbeat after which a drive is lost.
     """
 
     def __init__(self, bus: can.BusABC, watch: Watch, loss_s: float) -> None:

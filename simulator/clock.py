@@ -85,9 +85,15 @@ class RealClock(Protocol):
 class Pace:
     """The pace of a virtual clock: from now on it does not run ahead of real time.
 
-    A machine that is too slow for it only makes virtual time run later: what is behind by more than
-    0.2 s is not caught up. The virtual clock waits after a piece that leads by 10 ms; ``speed`` is
-    in virtual seconds in a real one.
+    A machine that is too slow for it only makes virtual time run later: what is behind by more
+    than 0.2 s is not caught up.
+
+    Parameters
+    ----------
+    clock
+        The virtual clock; it waits after a piece that leads by 10 ms.
+    speed
+        Virtual seconds in a real one.
     """
 
     def __init__(self, clock: VirtualClock, real: RealClock, *, speed: float = 1.0) -> None:

@@ -210,8 +210,13 @@ class PadMount:
 def taxel_order(layout: TaxelLayout, mounts: Sequence[PadMount]) -> NDArray[np.int64]:
     """Return the place in the unit's frames of each taxel of a layout, (n_taxels,) int64.
 
-    Pads without a mount sit as the layout has them. Raises LayoutError if a pad does not exist,
-    differs in rows or columns from the one whose place it has, or if two pads have the same place.
+    Raises LayoutError if a pad does not exist, differs in rows or columns from the one whose place
+    it has, or if two pads have the same place.
+
+    Parameters
+    ----------
+    mounts
+        Pads that sit otherwise; the others sit as the layout has them.
     """
     by_pad = {mount.pad: mount for mount in mounts}
     places = [by_pad[pad].sent_as if pad in by_pad else pad for pad in range(layout.n_pads)]

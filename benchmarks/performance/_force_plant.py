@@ -46,8 +46,12 @@ class Part:
     def press(self, opening_m: float, relaxed_n: float = 0.0) -> tuple[float, float]:
         """Return grip force in N and its slope over the opening in N/m.
 
-        ``opening_m`` is the distance between the backs of the pads' foam, ``relaxed_n`` the force
-        in N that the foam of each pad has lost by creep.
+        Parameters
+        ----------
+        opening_m
+            Distance between the backs of the pads' foam.
+        relaxed_n
+            Force in N that the foam of each pad has lost by creep.
         """
         pressed_m = self.width_m - opening_m + relaxed_n / self.stiffness_n_m
         if pressed_m <= 0.0:

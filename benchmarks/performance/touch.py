@@ -55,8 +55,12 @@ _SETTLED_S = 0.3
 class CentreSensor:
     """A sensor whose samples have the centre of the force too.
 
-    ``place_m`` gives the centre in m along the fingers at a time in s; ``scan_n`` is the noise of
-    the grip force of one scan in N, None for frames.
+    Parameters
+    ----------
+    place_m
+        The centre in m along the fingers at a time in s.
+    scan_n
+        Noise of the grip force of one scan in N; None for frames.
     """
 
     def __init__(
@@ -96,7 +100,10 @@ class CentreSensor:
 class TouchRig(Rig):
     """A gripper on a part to which something happens at a time.
 
-    Parameters as for `Rig`; torque figures and friction are drawn with the seed.
+    Parameters
+    ----------
+    part, rate_hz, seed, noise_n, settings
+        As for `Rig`; torque figures and friction are drawn with the seed.
     """
 
     def __init__(

@@ -43,10 +43,22 @@ def bonded_layer(alpha: Array, poisson: float) -> tuple[Array, Array]:
     """Return compliance and stress on the ground of a bonded layer in plane strain.
 
     The stress function (A + B s) cosh s + (C + D s) sinh s with s = k z is free of shear at the
-    surface and of displacement on the ground, both along and normal to it. ``alpha`` is the wave
-    number times thickness, positive. Returned are the displacement of the surface over that of a
-    half-space under the same pressure, 1 at large ``alpha``, and the normal stress on the ground
-    over the pressure on the surface, 1 at small ``alpha``.
+    surface and of displacement on the ground, both along and normal to it.
+
+    Parameters
+    ----------
+    alpha
+        Wave number times thickness, positive.
+    poisson
+        Poisson's ratio.
+
+    Returns
+    -------
+    compliance
+        Displacement of the surface over that of a half-space under the same pressure: 1 at large
+        ``alpha``.
+    stress
+        Normal stress on the ground over the pressure on the surface: 1 at small ``alpha``.
     """
     s = np.minimum(alpha, _DEEP)
     sh, ch = np.sinh(s), np.cosh(s)
@@ -85,7 +97,12 @@ def _patch_displacement(x: Array, y: Array, a: float, b: float) -> Array:
 class ElasticGrid:
     """A regular grid of ``shape`` cells on a pad, and what pressure on it does.
 
-    ``shape`` are the cells along x and y; the stress is wanted ``margin_m`` around the grid.
+    Parameters
+    ----------
+    shape
+        Cells along x and y.
+    margin_m
+        How far around the grid the stress is wanted, in m.
     """
 
     def __init__(
@@ -128,9 +145,18 @@ class ElasticGrid:
     def press(self, indentation_m: Array, start_pa: Array | None = None) -> Array:
         """Solve a contact.
 
-        ``indentation_m`` is how far the rigid surface reaches below the untouched pad at each cell
-        in m; negative where there is a gap, -inf where there is no surface. The search starts from
-        ``start_pa``; the pressure in Pa is 0 where there is no contact.
+        Parameters
+        ----------
+        indentation_m
+            How far the rigid surface reaches below the untouched pad at each cell in m; negative
+            where there is a gap, -inf where there is no surface.
+        start_pa
+            Pressure in Pa to start from.
+
+        Returns
+        -------
+        pressure_pa
+            Pressure in Pa on the cells, 0 where there is no contact.
         """
         wanted_m = np.maximum(indentation_m, -1.0)
         size_m = float(wanted_m.max())

@@ -147,9 +147,14 @@ def changed_pads(
 ) -> list[Change]:
     """Return how pads at rest differ from those that were commissioned.
 
-    ``found`` has the values of the findings by the key of the step; nothing touched the pads in the
-    frames (n, n_taxels), at least 8. What was found at rest is in the order in which the unit sends
-    the pads, as ``mounts`` say.
+    Parameters
+    ----------
+    found
+        Values of the findings by the key of the step.
+    layout, frames
+        The taxels, and frames (n, n_taxels) that nothing touched, at least 8.
+    mounts
+        How pads sit; what was found at rest is in the order in which the unit sends them.
     """
     was = found.get("pads_at_rest", {})
     if len(was.get("zero_counts", ())) != layout.n_pads:

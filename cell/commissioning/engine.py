@@ -276,9 +276,17 @@ class Engine:
     """Steps in their order, and what they found so far.
 
     Raises CellError if commissioning.json cannot be read, or a step needs one that does not stand
-    before it. Settings and findings of the bench are filled from commissioning.json. ``finish`` is
-    called with the engine once all steps are done and the config is written; it returns the files
-    that it wrote (the record).
+    before it.
+
+    Parameters
+    ----------
+    steps
+        The steps; each stands behind those that it needs.
+    bench
+        What they work on; its settings and findings are filled from commissioning.json.
+    finish
+        Called with the engine once all steps are done and the config is written; returns the
+        files that it wrote (the record).
     """
 
     def __init__(

@@ -26,7 +26,7 @@ from cell.commissioning.engine import (
     Write,
 )
 from cell.commissioning.servos import torque_off
-from cell.config.gripper import ServoConfig, gripper_settings, linkage_of
+from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, RAD_PER_PULSE, TORQUE_ENABLE
 from gripper.dynamixel.models import PULSES_PER_TURN
@@ -240,26 +240,28 @@ class FingersStep(Step):
         with bench.servo_bus() as bus:
             for servo_id in ids:
                 torque_off(bus, dialog, servo_id, bus.read(servo_id, TORQUE_ENABLE))
-            _Hands(bench, dialog, bus, gripper.servos, notes).run()
+            _Hands(bench, dialog, bus, gripper, notes).run()
 
 
-@dataclass(slots=True)
 class _Hands:
     """One run of the step."""
 
-    bench: Bench
-    dialog: Dialog
-    bus: ServoBus
-    servos: Sequence[ServoConfig]
-    """Those of the fingers, in their order once it is known."""
-    notes: Finding
-    shown: Callable[[], str] | None = None
+    def __init__(
+        self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig, notes: Finding
+    ) -> None:
+        self._bench = bench
+        self._dialog = dialog
+        self._bus = bus
+        self._gripper = gripper
+        self._notes = notes
+        self._servos = list(gripper.servos)
+        self._shown: Callable[[], str] = self._pulses
 
     def run(self) -> None:
         closed, opened = self._ends()
         if crossing := [
             f"servo {s.id}: {a} to {b} pulses"
-            for s, a, b in zip(self.servos, closed, opened, strict=True)
+            for s, a, b in zip(self._servos, closed, opened, strict=True)
             if not (min(a, b) >= 0 and max(a, b) < PULSES_PER_TURN)
         ]:
             raise StepFailed(
@@ -285,15 +287,15 @@ class _Hands:
                 f"{PULSES_PER_TURN - 1}): turn the horn so that the closed finger stands near "
                 f"{_MID_PULSE}"
             )
-        self.servos = [
+        self._servos = [
             servo.model_copy(update={"direction": sign, "zero_pulse": zero})
-            for servo, sign, zero in zip(self.servos, signs, zeros, strict=True)
+            for servo, sign, zero in zip(self._servos, signs, zeros, strict=True)
         ]
         widest_m = fit.linkage.aperture_m(
             [fit.closed_rad + way for way in _turned(opened, closed, signs)]
         )
         self._judge(fit, widest_m, proven=len(measured) > (2 if fit.kind == "swinging" else 1))
-        self.notes.values |= {
+        self._notes.values |= {
             "widest_mm": round(widest_m * 1e3, 2),
             "residual_mm": round(fit.residual_m * 1e3, 3),
             "fits": {one.kind: round(one.residual_m * 1e3, 3) for one in fits},
@@ -304,18 +306,18 @@ class _Hands:
 
     def _read(self) -> tuple[int, ...]:
         """Return Present Position of each servo in pulses, in the order of the fingers."""
-        found = self.bus.sync_read([servo.id for servo in self.servos], PRESENT_BLOCK)
-        return tuple(found[servo.id]["present_position"] for servo in self.servos)
+        found = self._bus.sync_read([servo.id for servo in self._servos], PRESENT_BLOCK)
+        return tuple(found[servo.id]["present_position"] for servo in self._servos)
 
     def _pulses(self) -> str:
         return ", ".join(
             f"servo {servo.id}: {degrees(raw * RAD_PER_PULSE):.1f} deg"
-            for servo, raw in zip(self.servos, self._read(), strict=True)
+            for servo, raw in zip(self._servos, self._read(), strict=True)
         )
 
     def _by_hand(self, key: str, text: str) -> tuple[int, ...]:
         """Ask for a position by hand and return it in pulses."""
-        self.dialog.confirm(f"fingers.{key}", text, watch=self.shown or self._pulses)
+        self._dialog.confirm(f"fingers.{key}", text, watch=self._shown)
         return self._read()
 
     def _ends(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -330,7 +332,7 @@ class _Hands:
         )
         index, opened = None, closed
         while index is None:
-            both = len(self.servos) == 1
+            both = len(self._servos) == 1
             opened = self._by_hand(
                 "open_first",
                 "Open the fingers by hand as far as they go."
@@ -340,24 +342,24 @@ class _Hands:
             )
             index = moved_alone(closed, opened)
             if index is None:
-                self.dialog.say(
+                self._dialog.say(
                     f"One finger should have moved by 5 degrees or more. From closed: "
-                    f"{_ways(self.servos, closed, opened)}. Close both, then open one."
+                    f"{_ways(self._servos, closed, opened)}. Close both, then open one."
                 )
-        if len(self.servos) == 1:
+        if len(self._servos) == 1:
             return closed, opened
         order = [index, 1 - index]
-        self.servos = [self.servos[i] for i in order]
+        self._servos = [self._servos[i] for i in order]
         closed, first = tuple(closed[i] for i in order), opened[index]
         while True:
             both_open = self._by_hand("open_second", "Now open the other one as far as it goes.")
             if abs(both_open[1] - closed[1]) >= _MOVED_PULSES:
                 return closed, (first, both_open[1])
-            self.dialog.say(f"It has not moved: {_ways(self.servos, closed, both_open)}.")
+            self._dialog.say(f"It has not moved: {_ways(self._servos, closed, both_open)}.")
 
     def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[BlockMeasurement]:
         """Return the fingers on blocks of known size: two, a third where no simple law fits."""
-        self.shown = lambda: ", ".join(
+        self._shown = lambda: ", ".join(
             f"finger {number}: {degrees(angle):.1f} deg open"
             for number, angle in enumerate(_turned(self._read(), closed, signs))
         )
@@ -365,7 +367,7 @@ class _Hands:
         for number, (text, least) in enumerate(_BLOCKS, start=1):
             if number > _SIMPLE_BLOCKS and _simple(fit_linkages(measured)[0]):
                 break
-            size_mm = self.dialog.ask(
+            size_mm = self._dialog.ask(
                 Question(
                     key=f"fingers.block{number}",
                     text=f"{text} How thick is it?",
@@ -394,7 +396,7 @@ class _Hands:
 
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
         """Return the linkage that the person sees; the fit proposes one."""
-        answer = self.dialog.choose(
+        answer = self._dialog.choose(
             "fingers.kind",
             "How do the fingers move? The measurements fit the first one best.",
             {
@@ -410,7 +412,7 @@ class _Hands:
 
     def _judge(self, fit: LinkageFit, widest_m: float, *, proven: bool) -> None:
         """Note what was measured by hand, and set it."""
-        notes, drive = self.notes, fit.linkage
+        notes, drive = self._notes, fit.linkage
         if isinstance(drive, ParallelLinkage):
             linkage = {
                 "kind": "parallel_linkage",
@@ -424,18 +426,18 @@ class _Hands:
                 "offset_mm": 0.0,
             }
         notes.settings |= {
-            "gripper.servos": [servo.model_dump(mode="json") for servo in self.servos],
+            "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],
             "gripper.linkage": linkage,
         }
         reach_mm = round((widest_m - _END_MARGIN_M) * 1e3, 2)
-        if reach_mm < self.bench.gripper().aperture_open_mm:
+        if reach_mm < self._gripper.aperture_open_mm:
             notes.settings["gripper.aperture_open_mm"] = reach_mm
-        for number, servo in enumerate(self.servos):
+        for number, servo in enumerate(self._servos):
             notes.fact(
                 f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
                 f"{servo.zero_pulse} pulses"
             )
-        for servo in self.servos:
+        for servo in self._servos:
             off = servo.zero_pulse - _MID_PULSE
             if abs(off) > _OFF_PULSES:
                 notes.fact(
@@ -457,8 +459,8 @@ class _Hands:
 
     def _first_motion(self, widest_m: float) -> None:
         """Open each finger by a little, at the least current."""
-        found = self.notes.settings
-        config = self.bench.gripper(
+        found = self._notes.settings
+        config = self._bench.gripper(
             **{key.removeprefix("gripper."): value for key, value in found.items()}
         )
         linkage = linkage_of(config)
@@ -471,13 +473,13 @@ class _Hands:
             approach_force_n=_FIRST_FORCE_N,
         )
         group = ServoGroup(
-            self.bus, linkage, settings, self.bench.clock, ServoHealth(self.bus, settings)
+            self._bus, linkage, settings, self._bench.clock, ServoHealth(self._bus, settings)
         )
 
         def opening_m() -> float:
             return linkage.aperture_m(group.read_patiently().angles_rad)
 
-        self.shown = lambda: f"opening {opening_m() * 1e3:.1f} mm"
+        self._shown = lambda: f"opening {opening_m() * 1e3:.1f} mm"
         while True:
             self._by_hand(
                 "free",
@@ -486,11 +488,11 @@ class _Hands:
             )
             if _LEAST_ROOM_M <= opening_m() <= widest_m - _LEAST_ROOM_M:
                 break
-            self.dialog.say(
+            self._dialog.say(
                 f"The opening is {opening_m() * 1e3:.1f} mm; {_LEAST_ROOM_M * 1e3:g} to "
                 f"{(widest_m - _LEAST_ROOM_M) * 1e3:.1f} mm leave room for the motion."
             )
-        self.dialog.approve(
+        self._dialog.approve(
             [
                 Write(
                     where=f"finger {number} (servo {servo.id})",
@@ -500,12 +502,12 @@ class _Hands:
                     f"{cap_a:.2f} A at most, then limp",
                     undo="by hand",
                 )
-                for number, servo in enumerate(self.servos)
+                for number, servo in enumerate(self._servos)
             ]
         )
         try:
             group.make_ready(part_possible=False, releasing=False)
-            for number, servo in enumerate(self.servos):
+            for number, servo in enumerate(self._servos):
                 current_a, way_rad = self._open_a_little(group, settings, number)
                 name = f"finger {number} (servo {servo.id})"
                 if way_rad <= -_WRONG_WAY_RAD:
@@ -518,14 +520,14 @@ class _Hands:
                         f"{name}: did not move with {cap_a:.2f} A: look for what blocks or pinches "
                         "it, and check the supply"
                     )
-                self.notes.fact(
+                self._notes.fact(
                     f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
                 )
         except GripperError as error:
             raise StepFailed(f"the first motion ended, the servos are limp: {error}") from error
         finally:
             group.go_limp()
-        answer = self.dialog.choose(
+        answer = self._dialog.choose(
             "fingers.opened",
             "Did each finger open by itself, one after the other?",
             {"yes": "yes, both opened", "no": "no: one closed, or did not move"},
@@ -543,7 +545,7 @@ class _Hands:
 
         The other one holds where it is. Limits stand beside the write, in `gripper.servos.goals`.
         """
-        clock, period_s = self.bench.clock, settings.period_s
+        clock, period_s = self._bench.clock, settings.period_s
         state = group.read_patiently()
         start = state.angles_rad
         hold_a = group.goal_current_a
@@ -556,7 +558,7 @@ class _Hands:
             way_rad = state.angles_rad[index] - start[index]
             if clock.monotonic() >= shown_s:
                 # The person may stop the motion here: the servos go limp then.
-                self.dialog.live(
+                self._dialog.live(
                     f"finger {index}", f"{degrees(way_rad):.1f} deg open, {current_a:.2f} A"
                 )
                 shown_s = clock.monotonic() + LIVE_CALL_S

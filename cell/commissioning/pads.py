@@ -128,8 +128,14 @@ def judge_rest(
 ) -> None:
     """Note why pads at rest are not fit for grasps.
 
-    ``rest`` is what the frames (n, n_taxels) show, ``limits`` are those of the zero. A force of
-    ``contact_force_n`` has to be felt, and one of ``most_force_n`` to be measured.
+    Parameters
+    ----------
+    layout, frames, rest
+        The taxels, frames (n, n_taxels) at rest, and what they show.
+    limits
+        Limits of the zero.
+    contact_force_n, most_force_n
+        Force in N that has to be felt, and the largest one that has to be measured.
     """
     health = rest.health
     kinds = {"dead": health.dead, "stuck": health.stuck, "at full scale": health.saturated}

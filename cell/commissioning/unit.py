@@ -52,9 +52,15 @@ def unit_sensor(
 ) -> Iterator[TactileSensor]:
     """Start the sensor of the config so far, and close it at the end.
 
-    Raises TactileError as `tactile.open_sensor`. Without ``mounted`` the pads are as the layout has
-    them, whatever ``tactile.mounting`` says. ``patient`` lets a busy machine be late, and leaves
-    force messages out: nothing is held; without it all is as for a grip.
+    Raises TactileError as `tactile.open_sensor`.
+
+    Parameters
+    ----------
+    mounted
+        False: pads as the layout has them, whatever ``tactile.mounting`` says.
+    patient
+        Whether a busy machine may be late, and force messages are left out: nothing is held.
+        False: as for a grip.
     """
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
     layout = layout_from_config(tactile)

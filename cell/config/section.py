@@ -57,10 +57,16 @@ def setting_of(
 ) -> Any:
     """Return a key with default and range of a setting, in a unit of the config.
 
-    The field ``name`` of the dataclass ``owner`` has the metadata ``low``, ``above`` and ``high``;
-    ``unit`` is how many SI units one unit of the key has: `MILLI` for mm and ms. ``at_least`` and
-    ``at_most`` are narrower bounds in the key's unit. ``number`` is the type of the key where it is
-    not that of the setting: int for whole ms.
+    Parameters
+    ----------
+    owner
+        Dataclass whose field ``name`` has the metadata ``low``, ``above`` and ``high``.
+    unit
+        SI units in one unit of the key: `MILLI` for mm and ms.
+    at_least, at_most
+        Narrower bounds in the key's unit.
+    number
+        Type of the key where it is not that of the setting: int for whole ms.
     """
     found = next(one for one in fields(owner) if one.name == name)
     default: Any = found.default

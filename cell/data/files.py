@@ -56,9 +56,15 @@ def write_atomically(
 ) -> None:
     """Write a file beside its place and move it there when it is whole and on the disk.
 
-    A file that is there stays until the new one is whole. ``write`` writes the content to the open
-    binary file. Raises ``error``, naming ``what`` was to be written, where the disk is full, the
-    folder missing or not writable, or something other than a plain file stands at ``path``.
+    Parameters
+    ----------
+    path
+        Where the file shall be; a file that is there stays until the new one is whole.
+    write
+        Writes the content to the open binary file.
+    error, what
+        Raised, naming ``what`` was to be written, where the disk is full, the folder missing or
+        not writable, or something other than a plain file stands at ``path``.
     """
     place = Path(os.path.realpath(path))
     if place.exists() and not place.is_file():

@@ -193,10 +193,22 @@ class HandProcess:
     """Implements `cell.hand.interface.Hand` with a process that owns both ports and runs the loop.
 
     A process that ends, or that sends nothing for too long, is a `HandLost` from then on, until
-    `clear_fault` starts another one. The end of this program, or `close`, ends the process; in each
-    case it keeps a held part held. ``silence_s`` is the longest time in s without a message while
-    the loop runs; what does not run the loop may take longer, up to the config's time-outs.
-    ``partial`` is as for `cell.hand.build.open_hand`. Raises as `LoopProcess`.
+    `clear_fault` starts another one. The end of this program, or `close`, ends the process; in
+    each case it keeps a held part held.
+
+    Parameters
+    ----------
+    config
+        The cell; its ports are real.
+    partial
+        As `cell.hand.build.open_hand`.
+    silence_s
+        Longest time in s without a message of the process while the loop runs; what does not run
+        the loop may take longer, up to the config's time-outs.
+
+    Raises
+    ------
+    As `LoopProcess`.
     """
 
     own_process = True

@@ -15,9 +15,17 @@ MISSING = "this line is missing: "
 class Lines:
     """Servo line and CAN bus of one hand; each can be missing, and be opened anew.
 
-    Raises gripper.errors.PortLost or tactile.errors.BusNotOpened, as the openers do, if a line
-    cannot be opened; with ``partial`` if none can: one that is missing then raises why, whatever is
-    asked of it. ``stream`` and ``can_bus`` are open already and belong to somebody else.
+    Raises gripper.errors.PortLost or tactile.errors.BusNotOpened if a line cannot be opened; with
+    ``partial`` if none can.
+
+    Parameters
+    ----------
+    open_servos, open_can
+        Open a line, with PortLost and BusNotOpened where it cannot be opened.
+    partial
+        Whether one of both may be missing: it then raises why, whatever is asked of it.
+    stream, can_bus
+        Ends that are open already and belong to somebody else.
     """
 
     def __init__(

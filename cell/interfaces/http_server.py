@@ -111,8 +111,13 @@ class Gate:
 class HttpConnection(H11Protocol):
     """A connection that has a place at the door, and whose requests have a limit of time.
 
-    ``limit_s`` is the longest time in s from the first to the last byte of a request; a new
-    connection has as much for its first one. What the cell takes for the answer does not count.
+    Parameters
+    ----------
+    places
+        Those of the door.
+    limit_s
+        Longest time in s from the first to the last byte of a request; a new connection has as much
+        for its first one. What the cell takes for the answer does not count.
     """
 
     def __init__(self, places: ConnectionPlaces, limit_s: float, **server: Any) -> None:
@@ -195,10 +200,22 @@ class _Listener(socket.socket):
 class HttpServer:
     """An application behind the gate, at an address and port, in a thread of its own.
 
-    Raises OSError if it cannot listen there, or a file cannot be read. ``port`` 0 is any free one.
-    ``longest`` returns the largest body in bytes of a request from a client, ``pages`` are as for
-    `Gate`, ``idle_s`` is the silence in s between two requests after which a connection is closed,
-    and ``settings`` are further ones of uvicorn.
+    Raises OSError if it cannot listen there, or a file cannot be read.
+
+    Parameters
+    ----------
+    config
+        Address, allow-list and limits.
+    port
+        TCP port; 0: any free one.
+    longest
+        Returns the largest body in bytes of a request from a client.
+    pages
+        As `Gate`.
+    idle_s
+        Silence in s between two requests after which a connection is closed.
+    settings
+        Further ones of uvicorn.
     """
 
     def __init__(

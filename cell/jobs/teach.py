@@ -30,9 +30,17 @@ def teach_to_dataset(
 
     Raises DatasetError if the data set cannot be written; the message names the recording, which
     has the grasps. Else it raises as `Collection.fill`. The grasps until then are in the data set.
-    ``collection`` holds the records at the end; ``before`` are the grasps that the data set holds
-    already, see `dataset_to_extend`. ``note`` is called with how many grasps were added, also where
-    the teaching ends early.
+
+    Parameters
+    ----------
+    collection
+        The object and how often it is grasped; holds the records at the end.
+    dataset
+        Data set to write or extend.
+    before
+        The grasps that it holds already; see `dataset_to_extend`.
+    note
+        Called with how many grasps were added, also where the teaching ends early.
     """
     try:
         collection.fill(

@@ -42,10 +42,20 @@ def teach_drawing(
 ) -> list[Grasp]:
     """Grasp a drawing ``n_grasps`` times as the cell would, at the poses and forces of its plan.
 
-    Raises CellError if the object does not fit between the open pads, or lies beside them. ``kind``
-    is the class of shape; ``known`` is what is known of foam and sensor: by default what is usual,
-    under the config's law. ``seed`` is that of poses, forces, noise and all that is not known
-    exactly. The first grasp is at ``start_ms``, each next one a second later.
+    Raises CellError if the object does not fit between the open pads, or lies beside them.
+
+    Parameters
+    ----------
+    config
+        The cell: pads, speeds, ramp, plan.
+    label, drawing, kind
+        Name, shape and class of shape of the object.
+    known
+        What is known of foam and sensor; by default what is usual, under the config's law.
+    seed
+        Of poses, forces, noise and all that is not known exactly.
+    start_ms
+        Time of the first grasp; each next one counts a second more.
     """
     known = known or PadKnowledge(foam=usual_foam(config))
     layout = layout_from_config(config.tactile)

@@ -83,10 +83,18 @@ def train(
 ) -> Trained:
     """Train one kind of recogniser.
 
-    Raises CellError if the grasps do not suffice; the message names what is missing. ``name`` is
-    one of `recognition.recognizers.trainer_names`. With ``use_aperture`` the opening of the fingers
-    is a feature; with ``early`` ramps cut short train early classifiers too, where `may_end_early`;
-    with ``poses`` a pose memory is built too, which takes four further trainings.
+    Raises CellError if the grasps do not suffice; the message names what is missing.
+
+    Parameters
+    ----------
+    name
+        Kind of recogniser, one of `recognition.recognizers.trainer_names`.
+    use_aperture
+        Whether the opening of the fingers is a feature.
+    early
+        Whether ramps cut short train early classifiers too, where `may_end_early`.
+    poses
+        Whether a pose memory is built too, which takes four further trainings.
     """
     trainer = make_trainer(name, use_aperture=use_aperture)
     try:

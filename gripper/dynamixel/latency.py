@@ -36,8 +36,13 @@ _WRITE_BYTES, _WRITE_BYTES_ONE = 10 + 4, 1 + 18
 def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> float:
     """Fit the time-outs to the measured round trips, and refuse a link that is too slow.
 
-    Returns the median of the round trips in s. No command may run on the bus. Raises LinkTooSlow
-    when the work of a period does not fit into it, or too many answers take longer.
+    Returns the median of the round trips in s. Raises LinkTooSlow when the work of a period does
+    not fit into it, or too many answers take longer.
+
+    Parameters
+    ----------
+    bus
+        The servos; no command may run.
     """
     trips_s = sorted(_trip_s(bus, servo_id) for _ in range(_ROUNDS) for servo_id in ids)
     byte_s = 10.0 / bus.baudrate

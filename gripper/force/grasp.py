@@ -7,7 +7,12 @@ from math import inf
 from gripper.errors import GripContradicted, PartLost
 from gripper.force.approach import STALL_SPEED_M_S, Approach, ApproachEvent
 from gripper.force.contact import ContactRest
-from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
+from gripper.force.grip_control import (
+    FrictionEstimate,
+    GripControl,
+    StiffnessEstimate,
+    driving_n,
+)
 from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.mechanics_proof import (
     ZERO_RANGE_M,
@@ -26,6 +31,8 @@ from gripper.state import GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact: at its rising edge, with a reserve."""
+_ARRIVED_SHARE = 0.8
+"""Share of the last force of a ramp from which on the contact alone has made it."""
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """How much wider in m than all parts so far the next one may begin: the first, and the second over
 the number of these parts, because each is the widest of all as likely as any other."""
@@ -379,17 +386,22 @@ class RampStep:
         return self.control
 
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
-        """Return the control of a part; the fingers close: the drive is at the rising edge."""
+        """Return the control of a part: the fingers close, so the drive is at the rising edge.
+
+        Where momentum alone has made the force of the ramp, they stay where friction locks them.
+        """
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
         reached = self._reached
-        friction_n = reached.friction_share * mean_friction_n(paths)
+        drive_n = force_n + _CONTACT_SHARE * reached.friction_share * mean_friction_n(paths)
+        if force_n > _ARRIVED_SHARE * self._time.ramp.final_n:
+            drive_n = min(drive_n, max(force_n, driving_n(moment.state, paths)))
         return GripControl(
             self._settings,
             self._linkage,
             reached.state,
             touch_m=reached.touch_m,
             force_n=force_n,
-            drive_n=force_n + _CONTACT_SHARE * friction_n,
+            drive_n=drive_n,
             now_s=moment.now_s,
             stiffness=reached.stiffness,
             friction_share=reached.friction_share,

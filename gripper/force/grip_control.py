@@ -65,7 +65,7 @@ _FAST_PERIOD_S = 0.0065
 in a slower loop the fingers would run too far."""
 _LATE_PERIOD_S = 0.012
 """Time in s since the last period from which on a motion is given up for slower control."""
-_CORRECTED_N = {False: 0.05, True: 0.07}
+_CORRECTED_N = {False: 0.05, True: 0.1}
 _CORRECTED_DOUBT_N = 0.06
 """Error in N, beside the doubt of the force, of a hold that is made up for by a motion, up and
 down (True: foam creeps, and the way down costs twice the friction), and how well the force must be
@@ -320,7 +320,7 @@ class GripControl:
     ) -> None:
         """Begin a motion of the force from what it is now."""
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
-        self._measured_n = _driving_n(moment.state, paths)
+        self._measured_n = driving_n(moment.state, paths)
         before = self._last_motion
         if before is not None:
             self._pad_n_m = before.observer.stiffness_n_m
@@ -353,7 +353,7 @@ class GripControl:
     ) -> float:
         """Return the driving force in N of one period of a fast rise."""
         observer = motion.observer
-        measured_n = _driving_n(moment.state, paths)
+        measured_n = driving_n(moment.state, paths)
         jumped = self._controller.jumps(
             sample, observer.unexplained_n(sample), self.setpoint_n, sticking_n=0.0
         )
@@ -399,7 +399,7 @@ class GripControl:
             rate_n_s=self._filter.rate_n_s,
             stiffness_n_m=self._stiffness.stiffness_n_m,
             drive_n=self._controller.drive_n,
-            pressing_n=_driving_n(moment.state, paths) - breakaway_n,
+            pressing_n=driving_n(moment.state, paths) - breakaway_n,
         )
 
     def _check_position(self, dt_s: float, state: GripperState) -> None:
@@ -531,7 +531,7 @@ class GripControl:
         return tuple(goals)
 
 
-def _driving_n(state: GripperState, paths: Sequence[Transmission]) -> float:
+def driving_n(state: GripperState, paths: Sequence[Transmission]) -> float:
     """Return the driving force in N that the measured currents make, friction left aside."""
     return sum(
         -servo.current_a * path.kt_nm_a / path.radius_m

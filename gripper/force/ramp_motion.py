@@ -46,6 +46,11 @@ _LOCKED_SHARE = 0.5
 """Share of the friction beyond the force at which the drive stays: friction locks the fingers."""
 _BREAKAWAY_N = 0.1
 """Drive in N beyond friction at rest with which locked fingers are set in motion."""
+_LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
+"""Share of the friction from which the push of a fall grows, and its rate in N/s: that edge of the
+friction is known to a newton, and where locked fingers come loose by too much the force jumps."""
+_EDGE_DOUBT_N = 0.2
+"""How uncertain in N the edge of the friction is at which slowly pushed fingers have come loose."""
 _NEAR_N = 0.03
 """Distance in N from its end at which a rise is over."""
 _BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
@@ -217,6 +222,19 @@ class ContactObserver:
             self._correct(0, error_n, sample.noise_n**2)
             self._history.shift(self.force_n - before_n)
 
+    def open_from(self, drive_n: float, friction_n: float) -> None:
+        """Take the drive in N at which fingers came loose and open for the edge of the friction.
+
+        Fingers that came loose later than expected show no new edge.
+        """
+        edge_n = drive_n - self.force_n + STICTION * friction_n
+        if edge_n <= self.lacking_n:
+            return
+        self.lacking_n = edge_n
+        for other in range(4):
+            self._p[2][other] = self._p[other][2] = 0.0
+        self._p[2][2] = _EDGE_DOUBT_N**2
+
     def unexplained_n(self, sample: ForceSample) -> float:
         """Return by how much in N a sample is more than the force was when it was measured."""
         return sample.grip_n - self._history.at(sample.measured_s)
@@ -296,6 +314,7 @@ class RampMotion:
         """Whether the force has arrived and the fingers stand."""
         self._corrects = corrects
         self._late_s = 0.0
+        self._locked, self._loosening_s = False, 0.0
         self.plan = ForcePlan(observer.force_n)
         self.observer, self.falls = observer, falls
         self._setpoint_n = setpoint_n
@@ -368,12 +387,19 @@ class RampMotion:
             self._late_s += dt_s
         stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N
         self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
-        centre_n = force_n + observer.lacking_n
         band_n = _LOCKED_SHARE * friction_n
         push_n = sign * (friction_n + sign * observer.mass_kg * accelerates)
         if observer.speed_m_s == 0.0:
             push_n = sign * max(sign * push_n, STICTION * friction_n + _BREAKAWAY_N)
+            if self.falls:
+                self._locked = True
+                self._loosening_s += dt_s
+                grown_n = _LOOSENED_SHARE * friction_n + _LOOSENING_N_S * self._loosening_s
+                push_n = max(push_n, -grown_n)
+        elif self._locked:
+            self._locked = False
+            observer.open_from(acting_n, friction_n)
         if arrived:
             push_n = sign * band_n if stands else 0.0
         push_n = sign * max(sign * push_n, -band_n)
-        return min(centre_n + push_n, drive_max_n)
+        return min(force_n + observer.lacking_n + push_n, drive_max_n)

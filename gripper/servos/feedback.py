@@ -70,7 +70,10 @@ _ADVICE = (
 class Feedback:
     """Reader of the feedback of all servos.
 
-    ``health`` is asked for the torque where a servo seems to have restarted.
+    Parameters
+    ----------
+    health
+        Asked for the torque where a servo seems to have restarted.
     """
 
     def __init__(
@@ -104,10 +107,14 @@ class Feedback:
     def read(self, *, under_torque: bool) -> GripperState:
         """Read the feedback of all servos in one transaction.
 
-        ``under_torque`` is True while goals are in force: then the feedback must be possible.
         Raises BusTimeout or BusCorrupt when an answer is missing, damaged or older than the
         request. Raises ServoFault when a servo has restarted under torque. Raises
         FeedbackImplausible when a servo under torque reports what cannot be.
+
+        Parameters
+        ----------
+        under_torque
+            True while goals are in force: then the feedback must be possible.
         """
         sent_s = self._clock.monotonic()
         raws = self._bus.sync_read(self._ids, PRESENT_BLOCK)
@@ -197,8 +204,12 @@ class TickWatch:
     ) -> BusCorrupt | None:
         """Return what is wrong with an answer, None when it is new.
 
-        The tick is in ms, modulo 32768; the host's times in s are those before the request and
-        after the answer.
+        Parameters
+        ----------
+        tick_ms
+            Its tick in ms, modulo 32768.
+        sent_s, received_s
+            Host's time before the request and after the answer in s.
         """
         clock = self._clocks.get(servo_id)
         if clock is None or received_s - clock.sent_s > _TICK_LONGEST_S:
@@ -230,9 +241,15 @@ class TickClock:
     An answer was made before it was received: the least difference between host and tick so far,
     carried on with the largest possible rate, bounds the age of every later answer. The rate is
     bounded by the tolerance of a servo's clock at first, and soon by what the ticks of the last
-    seconds allow; a drift is followed so. While answers are refused as old the most likely rate is
-    taken instead: a lag that lasts is not accepted after a while. Ticks are in ms, modulo 32768;
-    the host's times in s are those before the request and after the answer.
+    seconds allow; a drift is followed so. While answers are refused as old the most likely rate
+    is taken instead: a lag that lasts is not accepted after a while.
+
+    Parameters
+    ----------
+    tick_ms
+        First tick in ms, modulo 32768.
+    sent_s, received_s
+        Host's time before its request and after the answer in s.
     """
 
     def __init__(self, tick_ms: int, sent_s: float, received_s: float) -> None:
@@ -327,9 +344,15 @@ class FeedbackCheck:
     def check(self, servos: tuple[ServoState, ...], now_s: float) -> None:
         """Check the feedback of one transaction.
 
-        The torque of the servos is on; ``now_s`` is the monotonic time after the answer in s.
         Raises FeedbackImplausible where a finger has leapt or stands where it cannot be, or a
         current cannot be.
+
+        Parameters
+        ----------
+        servos
+            Feedback of the servos, whose torque is on.
+        now_s
+            Monotonic time after the answer in s.
         """
         for index, servo in enumerate(servos):
             self._check_current(index, servo)

@@ -354,9 +354,14 @@ class GoalWriter:
     ) -> None:
         """Write goal current and goal position of all servos at once, if no limit is against it.
 
-        The only place that writes goals. ``state`` is the newest feedback: the goals are reached
-        from there. A ``profile_velocity_raw`` (Profile Velocity, register 112, in raw units) of 0
-        is no limit.
+        The only place that writes goals.
+
+        Parameters
+        ----------
+        state
+            Newest feedback: the goals are reached from there.
+        profile_velocity_raw
+            Profile Velocity (register 112) in raw units; 0 is no limit.
         """
         goals = self._guard.bounded(goals, state)
         self._guard.check(goals, state, self._clock.monotonic())

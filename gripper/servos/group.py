@@ -214,12 +214,19 @@ class ServoGroup:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
         Goals are set to the present positions before the torque goes on and after a watchdog that
-        has tripped, so that nothing jumps. With ``part_possible`` a tripped watchdog is a fault,
-        but not with ``releasing``, when torque that was found on may be switched off to correct the
-        mode. ``limp`` is feedback that was just read, where no servo has torque. Raises ServoFault
-        when the watchdog tripped while a part was held. Raises VerificationFailed when a servo to
-        be released does not match the settings. Raises FeedbackImplausible when a servo under
-        torque reports a position far from its goal.
+        has tripped, so that nothing jumps. Raises ServoFault when the watchdog tripped while a part
+        was held. Raises VerificationFailed when a servo to be released does not match the settings.
+        Raises FeedbackImplausible when a servo under torque reports a position far from its goal.
+
+        Parameters
+        ----------
+        part_possible
+            True when a part may be held: then a tripped watchdog is a fault.
+        releasing
+            True when the part is to be let go: then it is not, and torque that was found on may be
+            switched off to correct the mode.
+        limp
+            Feedback that was just read, where no servo has torque.
         """
         health, goals_in_force = self._health, self.goals_in_force
         if releasing and not goals_in_force:
@@ -246,9 +253,15 @@ class ServoGroup:
     def disarm_watchdog(self, *, but: Sequence[int] = (), keep_trips: bool = False) -> None:
         """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
 
-        An error is raised when all servos were tried: a silent one does not hinder the other. With
-        ``keep_trips`` a tripped one is left as it is: its servo holds less, and the next command
-        finds it so.
+        An error is raised when all servos were tried: a silent one does not hinder the other.
+
+        Parameters
+        ----------
+        but
+            IDs of the servos whose watchdog stays armed.
+        keep_trips
+            True to leave a tripped one as it is: its servo holds less, and the next command finds
+            it so.
         """
         failed: GripperError | None = None
         for servo_id in (servo_id for servo_id in self._ids if servo_id not in but):

@@ -111,10 +111,16 @@ class ServoHealth:
     def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
         """Compare the registers of all servos with their requirements.
 
-        With ``correct`` the registers that may be corrected are rewritten where they differ, which
-        needs the torque off; with ``refuse`` a row that does not agree is an error. Raises
-        ServoFault when nothing is wrong but errors that servos report: `clear` may mend them.
-        Raises VerificationFailed when another row does not agree.
+        Raises ServoFault when nothing is wrong but errors that servos report: `clear` may mend
+        them. Raises VerificationFailed when another row does not agree.
+
+        Parameters
+        ----------
+        correct
+            True to rewrite the registers that may be corrected where they differ; needs the
+            torque off.
+        refuse
+            True to raise when a row does not agree.
         """
         rows: list[VerificationRow] = []
         for servo in self._settings.servos:
@@ -189,9 +195,15 @@ class ServoHealth:
     def poll(self, state: GripperState, *, watchdog: bool = True) -> None:
         """Check one more item of one servo; called now and then while the torque is on.
 
-        An Alert in ``state``, the newest feedback, is followed up at once. Without ``watchdog`` a
-        tripped one does no harm. Raises ServoFault when a servo reports a hardware error, has lost
-        its torque or its watchdog tripped.
+        Raises ServoFault when a servo reports a hardware error, has lost its torque or its watchdog
+        tripped.
+
+        Parameters
+        ----------
+        state
+            Newest feedback; an Alert in it is followed up at once.
+        watchdog
+            False where a tripped watchdog does no harm.
         """
         for servo in state.servos:
             if servo.alert:

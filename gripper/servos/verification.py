@@ -148,8 +148,12 @@ def compare(
 ) -> tuple[VerificationRow, ...]:
     """Return one row for each requirement.
 
-    ``found`` has raw values by name of the register, ``corrected`` the names of those that were
-    rewritten before they were read.
+    Parameters
+    ----------
+    found
+        Raw values by name of the register.
+    corrected
+        Names of the registers that were rewritten before ``found`` was read.
     """
     return tuple(
         VerificationRow(

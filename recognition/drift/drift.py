@@ -83,8 +83,12 @@ def shifted_levels(
 ) -> Levels:
     """Return levels of grasps with a drift undone.
 
-    ``log_gain``, () or (P,), is the logarithm of the gain, common to the gripping pads or of each;
-    ``offset_mm`` is how much more the opening reads, in mm.
+    Parameters
+    ----------
+    log_gain : () or (P,)
+        Logarithm of the gain, common to the gripping pads or of each.
+    offset_mm
+        How much more the opening reads, in mm.
     """
     factors = np.exp(-np.broadcast_to(log_gain, len(levels.maps)))
     return replace(

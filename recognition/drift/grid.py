@@ -111,8 +111,12 @@ class DriftGrid:
     def with_gauge(self, log_likelihood: NDArray[np.float64], placing_mm: float) -> Self:
         """Return the grid after grasps of one known object.
 
-        ``log_likelihood``, (G, O) or (G, 1), is that of the grasps under each hypothesis,
-        ``placing_mm`` the standard deviation of the opening on one object between placings in mm.
+        Parameters
+        ----------
+        log_likelihood : (G, O) or (G, 1)
+            Of the grasps under each hypothesis.
+        placing_mm
+            Standard deviation of the opening on one object between placings in mm.
         """
         shape = (len(self.log_gains), len(self.offsets_mm))
         found = np.broadcast_to(log_likelihood, shape)

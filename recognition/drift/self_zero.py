@@ -89,10 +89,21 @@ def measure_zero(
 ) -> ZeroMeasurement:
     """Return what a ramp of the empty fingers on each other shows.
 
-    The ramp goes from the open fingers to its end; ``current_a`` (n_frames,) is the current of the
-    motors in A at each frame, ``gripping`` the numbers of the two pads in the layout, ``step_m``
-    the step in which the opening is read, in m: of the encoders of both fingers. Raises ValueError
-    where frames of rest or ramp are missing, or the pads felt nothing.
+    Parameters
+    ----------
+    grasp
+        From the open fingers to the end of the ramp.
+    current_a
+        (n_frames,) float64: current of the motors in A at each frame.
+    gripping
+        Numbers of the two pads in the layout.
+    step_m
+        Step in which the opening is read, in m: of the encoders of both fingers.
+
+    Raises
+    ------
+    ValueError
+        Frames of rest or ramp are missing, or the pads felt nothing.
     """
     pressing, before, rise = _risen(grasp, gripping)
     taxels = [grasp.pads.taxels_of(pad) for pad in gripping]

@@ -99,8 +99,12 @@ def describe_footprint(
 ) -> Footprint:
     """Return the footprint of the patches of one pad.
 
-    ``maps`` (n, K, n_taxels) are values above rest, as a fraction of full scale, ``noise`` (n, K)
-    the standard deviation of each value.
+    Parameters
+    ----------
+    maps : (n, K, n_taxels)
+        Values above rest, as a fraction of full scale.
+    noise : (n, K)
+        Standard deviation of each value.
     """
     m = pressed(maps, noise)
     total = m.sum(axis=-1)

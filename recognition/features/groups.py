@@ -98,8 +98,12 @@ def touch_features(
 ) -> NDArray[np.float64]:
     """Return the features by touch of a view, (n, F) float64.
 
-    ``view`` tells which groups are wanted, ``opening`` whether features of the opening stand beside
-    them.
+    Parameters
+    ----------
+    view
+        Which groups are wanted.
+    opening
+        Whether features of the opening stand beside them.
     """
     footprints = [
         describe_footprint(maps, levels.noise[..., pad], grid)

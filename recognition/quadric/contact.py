@@ -60,11 +60,16 @@ def robust_noise(values: ArrayLike) -> float:
 def estimate_baseline(grasp: Grasp) -> Baseline:
     """Return baseline and noise of each pad from the frames of one grasp; the last is kept.
 
-    Frames before contact are those at the start during which a pad's total stays within the noise
-    of its least value among them. Where the commanded force is known they end before it rises above
-    0: the noise of a whole pad hides the first taxels that are touched. The noise is that of the
-    differences between frames, which the slow rise of a ramp hardly touches; with one frame it is
-    the spread over the pad. The grasp is a force ramp, from the open gripper on.
+    Frames before contact are those at the start during which a pad's total stays within the
+    noise of its least value among them. Where the commanded force is known they end before it rises
+    above 0: the noise of a whole pad hides the first taxels that are touched. The noise is that of
+    the differences between frames, which the slow rise of a ramp hardly touches; with one frame it
+    is the spread over the pad.
+
+    Parameters
+    ----------
+    grasp
+        A force ramp, from the open gripper on.
     """
     pads = grasp.pads
     baseline = np.empty(pads.n_taxels)
@@ -106,9 +111,16 @@ def noise_threshold(
 ) -> float:
     """Return the height in counts that a taxel must exceed to be loaded.
 
-    The height is the mean of ``n_averaged`` frames, ``noise_counts`` the standard deviation of one
-    taxel in one of them; the threshold lies ``sigmas`` deviations of the mean up, and never below
-    0.4 % of the full scale (one count of 255).
+    Parameters
+    ----------
+    noise_counts
+        Standard deviation of one taxel in one frame.
+    n_averaged
+        Frames that the height is the mean of.
+    adc_max
+        Full scale; the threshold is never below 0.4 % of it (one count of 255).
+    sigmas
+        Standard deviations of the mean.
     """
     return max(sigmas * noise_counts / float(np.sqrt(n_averaged)), _LEAST_HEIGHT * adc_max)
 

@@ -46,8 +46,12 @@ def smallest_eigenvalue(
 ) -> SmallestEigenvalue:
     """Return the smallest eigenvalue of each property matrix.
 
-    ``Q`` (..., 4, 4) are symmetric matrices. Of the readings the paper's numbers fit the smallest
-    magnitude alone.
+    Parameters
+    ----------
+    Q : (..., 4, 4)
+        Symmetric matrices.
+    reading
+        Which one is meant; the paper's numbers fit the smallest magnitude alone.
     """
     values = eigenvalues(Q)
     n = values.shape[-1]

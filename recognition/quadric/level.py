@@ -77,8 +77,13 @@ def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
     """Return the one or two pads that hold the object, the most loaded one first.
 
     The second is the counterpart of the first: the same place in the other half of the list of pads
-    if that has the same shape (finger 0, then finger 1), else the most loaded other pad. ``load``
-    (n_pads,) is that of each pad in counts. Raises ContactError where no pad is loaded.
+    if that has the same shape (finger 0, then finger 1), else the most loaded other pad. Raises
+    ContactError where no pad is loaded.
+
+    Parameters
+    ----------
+    load : (n_pads,)
+        Load of each pad in counts.
     """
     load = np.asarray(load, dtype=np.float64)
     first = int(np.argmax(load))
@@ -213,9 +218,17 @@ def ramp_levels(
 ) -> NDArray[np.float64]:
     """Return lambda(F): the smallest eigenvalue at each share of the full force.
 
-    Shares are parts of the full force, each above 0 and up to 1; ``force_n`` of the settings has no
-    part in it. Returned are (n_shares,) values, NaN where there was no contact yet, or no surface
-    to be fitted.
+    Parameters
+    ----------
+    shares
+        Parts of the full force, each above 0 and up to 1.
+    settings
+        How each value is taken; ``force_n`` has no part in it.
+
+    Returns
+    -------
+    (n_shares,) float64
+        NaN where there was no contact yet, or no surface to be fitted.
     """
     if not all(0.0 < share <= 1.0 for share in shares):
         raise ContactError(f"shares of the force are {list(shares)}, each must be above 0, up to 1")

@@ -71,9 +71,18 @@ def rotation_xyz(angle_rad: ArrayLike) -> NDArray[np.float64]:
 def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np.float64]:
     """Carry quadrics along with the points, P' = M P: Q' = M^-T Q M^-1 (paper eq. (2)).
 
-    ``Q`` (..., 4, 4) are symmetric property matrices, ``M_inv`` (..., 4, 4) is M^-1, broadcast
-    against ``Q``. The result (..., 4, 4) is exactly symmetric. Rank and signature are those of
-    ``Q``; the eigenvalues are only where M is orthogonal, that is for a rotation about the origin.
+    Parameters
+    ----------
+    Q : (..., 4, 4)
+        Symmetric property matrices.
+    M_inv : (..., 4, 4)
+        M^-1; broadcast against ``Q``.
+
+    Returns
+    -------
+    (..., 4, 4) float64
+        Exactly symmetric. Rank and signature are those of ``Q``; the eigenvalues are only where
+        M is orthogonal, that is for a rotation about the origin.
     """
     out: NDArray[np.float64] = np.swapaxes(M_inv, -1, -2) @ Q @ M_inv
     return 0.5 * (out + np.swapaxes(out, -1, -2))

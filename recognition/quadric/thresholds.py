@@ -108,10 +108,20 @@ def _levels(
 def with_noise(levels: LevelBands, noise_share: float) -> LevelBands:
     """Adjust bands and windows to the noise seen, as the paper's windows A to D are to be.
 
-    ``noise_share`` is the part of its value by which a level is uncertain now: every band reaches
-    that much further, every window is as much narrower, and closed where nothing is left of it. The
-    margin grows to the noise where that is larger. Raises TrajectoryError where ``noise_share`` is
-    not from 0 below 1.
+    Raises TrajectoryError where ``noise_share`` is not from 0 below 1.
+
+    Parameters
+    ----------
+    levels
+        Bands without noise.
+    noise_share
+        Part of its value by which a level is uncertain now.
+
+    Returns
+    -------
+    LevelBands
+        Every band reaches that much further, every window is as much narrower, and closed where
+        nothing is left of it. The margin grows to the noise where that is larger.
     """
     if not 0.0 <= noise_share < 1.0:
         raise TrajectoryError(f"noise_share is {noise_share}, must be from 0 below 1")
@@ -124,8 +134,12 @@ def check_level(levels: LevelBands, value: float) -> int | None:
     """Return the object whose band contains a value.
 
     Inside one band it is that object, inside several (a closed window) none. Between bands it is
-    the object on whose side of the threshold the value lies, as far as that band reaches. Returns
-    the index of the object, None for unknown.
+    the object on whose side of the threshold the value lies, as far as that band reaches.
+
+    Returns
+    -------
+    int or None
+        Index of the object; None for unknown.
     """
     distance = levels.distance(value)
     inside = np.flatnonzero(distance == 0.0)

@@ -73,8 +73,12 @@ class Trajectory:
 def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
     """Return the smallest eigenvalues over the training loops of Algorithm 1.
 
-    ``D`` (n_objects, 4, 4) are the property matrices of the taught objects, symmetric. Raises
-    TrajectoryError where ``D`` is not a list of 4x4 matrices.
+    Raises TrajectoryError where ``D`` is not a list of 4x4 matrices.
+
+    Parameters
+    ----------
+    D : (n_objects, 4, 4)
+        Property matrices of the taught objects, symmetric.
     """
     if D.ndim != 3 or D.shape[1:] != (4, 4):
         raise TrajectoryError(f"taught quadrics have shape {D.shape}, expected (n_objects, 4, 4)")

@@ -127,8 +127,14 @@ class Ramp:
 def learn_rest(grasps: Sequence[Grasp], *, most_pads: int | None = None) -> Rest:
     """Return the rest of the pads, and which of them grip, from grasps.
 
-    The grasps are of one hand. At most ``most_pads`` grip; without that all that rise under load.
     Raises ValueError where there is no grasp, they come from different pads, or are too short.
+
+    Parameters
+    ----------
+    grasps
+        Of one hand.
+    most_pads
+        Most pads that grip; None for all that rise under load.
     """
     if not grasps:
         raise ValueError("no grasps to learn from")

@@ -23,7 +23,10 @@ _STUCK_SIGMAS = 6.0
 def without_spikes(counts: NDArray[np.float64], adc_max: int) -> NDArray[np.float64]:
     """Replace samples that exceed the frames before and after by far with the mean of these.
 
-    ``counts`` (n_frames, n_taxels) are the readings of one pad.
+    Parameters
+    ----------
+    counts : (n_frames, n_taxels)
+        Readings of one pad.
     """
     before, here, after = counts[:-2], counts[1:-1], counts[2:]
     limit = _SPIKE_SHARE * adc_max
@@ -41,8 +44,14 @@ def stuck_taxels(
 ) -> NDArray[np.bool_]:
     """Return which taxels never change and differ from rest by more than a common drift.
 
-    ``counts`` (n_frames, n_taxels) are the readings of one pad, ``taught`` (n_taxels,) those when
-    it was untouched, from teaching, ``noise`` the standard deviation of one sample in counts.
+    Parameters
+    ----------
+    counts : (n_frames, n_taxels)
+        Readings of one pad.
+    taught : (n_taxels,)
+        Their reading in counts when they were untouched, from teaching.
+    noise
+        Standard deviation of one sample in counts.
     """
     change = counts[0] - taught
     change = np.abs(change - np.median(change))
@@ -80,8 +89,14 @@ def with_stuck_replaced(
 ) -> NDArray[np.float64]:
     """Return the rise with each stuck taxel replaced by the mean of its sound neighbours.
 
-    ``rise`` (n_frames, n_taxels) are counts above rest of one pad, ``stuck`` (n_taxels,) tells
-    which taxels are stuck, ``shape`` is rows and columns of the pad.
+    Parameters
+    ----------
+    rise : (n_frames, n_taxels)
+        Counts above rest of one pad.
+    stuck : (n_taxels,)
+        Which taxels are stuck.
+    shape : (2,)
+        Rows and columns of the pad.
     """
     if not stuck.any():
         return rise

@@ -106,8 +106,12 @@ class EarlyDecider:
     def add_frame(self, counts: NDArray[np.uint16], so_far: Callable[[], Grasp]) -> bool:
         """Take the next frame; return whether the evidence suffices with it, for the first time.
 
-        ``counts`` (n_taxels,) uint16 are the frame; ``so_far`` gives the grasp with at least all
-        frames up to this one, and is asked at a look only.
+        Parameters
+        ----------
+        counts : (n_taxels,) uint16
+            The frame.
+        so_far
+            Gives the grasp with at least all frames up to this one; asked at a look only.
         """
         self._seen += 1
         load = self._load.push(counts)

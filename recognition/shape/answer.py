@@ -108,9 +108,19 @@ def shape_of(
 ) -> ShapeAnswer:
     """Return shape and size of a grasped object.
 
-    The grasp goes from the open gripper on; ``rest`` are the untouched pads, by default the grasp's
-    own first frames. Raises ContactError where not both pads were touched, or they do not face each
-    other taxel by taxel.
+    Parameters
+    ----------
+    grasp
+        From the open gripper on.
+    foam, uncertainty
+        Foam and sensor, and the uncertainty of both.
+    rest
+        The untouched pads; the grasp's own first frames by default.
+
+    Raises
+    ------
+    ContactError
+        Not both pads were touched, or they do not face each other taxel by taxel.
     """
     foam = foam or FoamModel()
     return shape_from(reduce_to_pads(grasp, foam, rest), foam=foam, uncertainty=uncertainty)
@@ -131,9 +141,14 @@ def joint_answer(
 ) -> ShapeAnswer:
     """Return the answer that fits of all kinds give together.
 
-    The fits are of all kinds, to the same data; several of one kind are of several possible foams.
-    ``log_prior`` is the logarithm of how likely each is beforehand, equal by default; for
-    ``least_misfit`` see `PadUncertainty.misfit`.
+    Parameters
+    ----------
+    fits
+        Of all kinds, to the same data; several of one kind are of several possible foams.
+    log_prior
+        Logarithm of how likely each is beforehand; equal by default.
+    least_misfit
+        See `PadUncertainty.misfit`.
     """
     prior = [0.0] * len(fits) if log_prior is None else list(log_prior)
     misfit = max(least_misfit, min(fit.misfit for fit in fits))

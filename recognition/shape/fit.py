@@ -103,9 +103,16 @@ def misfit_of(
     """Return the squared residual per degree of freedom: 1 where the noise explains it.
 
     Untouched taxels fit any shape. On pads with little noise they would hide that none fits, so it
-    is that of the informative data where that is larger. ``squared`` (n_data,) are squared
-    residuals over their variances, ``informative`` (n_data,) which of them depend on a shape: see
-    `PressedPads.informative`; the data determine ``n_determined`` parameters.
+    is that of the informative data where that is larger.
+
+    Parameters
+    ----------
+    squared : (n_data,)
+        Squared residuals over their variances.
+    informative : (n_data,)
+        Which of them depend on a shape: see `PressedPads.informative`.
+    n_determined
+        How many parameters the data determine, see `n_determined`.
     """
     overall = float(squared.sum()) / max(1.0, len(squared) - n_determined)
     by_shape = float(squared[informative].sum()) / max(1.0, int(informative.sum()) - n_determined)
@@ -115,8 +122,12 @@ def misfit_of(
 def n_determined(normal: NDArray[np.float64], prior_sd: NDArray[np.float64]) -> float:
     """Return how many parameters the data determine, rather than the prior.
 
-    ``normal`` (n, n) is J^T J of the data alone, ``prior_sd`` (n,) the standard deviations of the
-    prior.
+    Parameters
+    ----------
+    normal : (n, n)
+        J^T J of the data alone.
+    prior_sd : (n,)
+        Standard deviations of the prior.
     """
     return float(np.trace(np.linalg.solve(normal + np.diag(prior_sd**-2), normal)))
 
@@ -166,8 +177,10 @@ class ShapeFit:
     def log_evidence(self, scale: float = 1.0) -> float:
         """Return the log marginal likelihood up to what is the same for all kinds.
 
-        ``scale`` is a factor on the variances of the data: above 1 where no kind fits within the
-        noise.
+        Parameters
+        ----------
+        scale
+            Factor on the variances of the data: above 1 where no kind fits within the noise.
         """
         away = (self.theta - self.prior_mean) / self.prior_sd
         _, volume = np.linalg.slogdet(self._precision(scale))
@@ -198,8 +211,16 @@ def fit_shape(
 ) -> ShapeFit:
     """Fit one kind of shape: Levenberg-Marquardt from the best of a few starts.
 
-    It starts from ``near``, a fit of the same kind to the same data under another foam, or with
-    foam and depths of ``pads_of``, a fit of another kind to the same data under this foam.
+    Parameters
+    ----------
+    model, data
+        The kind of shape, and the pads.
+    foam, uncertainty
+        Foam and sensor, and the uncertainty of both.
+    near
+        A fit of the same kind to the same data under another foam: to start from.
+    pads_of
+        A fit of another kind to the same data under this foam: to start foam and depths from.
     """
     problem = ShapeProblem(model, data, foam, uncertainty or PadUncertainty())
     starts = problem.starts() if near is None else near.theta[None]

@@ -39,8 +39,12 @@ CELL_M = 0.5e-3
 def neighbours(points_m: Array, width_m: float) -> Array:
     """Return the weights (n, n) with which evenly spaced points push each other along one axis.
 
-    ``points_m`` (n,) is where they are in m, ``width_m`` the standard deviation of the Gaussian in
-    m.
+    Parameters
+    ----------
+    points_m : (n,)
+        Where they are in m.
+    width_m
+        Standard deviation of the Gaussian in m.
     """
     step_m = float(abs(points_m[1] - points_m[0])) if len(points_m) > 1 else width_m
     away = (points_m[:, None] - points_m[None, :]) / width_m

@@ -77,9 +77,19 @@ class FoamFit:
 def fit_foam(grasps: Sequence[Grasp], drawing: Drawing, start: FoamModel | None = None) -> FoamFit:
     """Calibrate foam and sensor on grasps of one known object.
 
-    The grasps are at least two, at different poses or forces; ``start`` is the foam as expected
-    beforehand. Raises ContactError where fewer than two of the grasps touched both pads, ValueError
-    where they come from different pads.
+    Parameters
+    ----------
+    grasps
+        At least two, at different poses or forces.
+    start
+        The foam as expected beforehand.
+
+    Raises
+    ------
+    ContactError
+        Fewer than two of the grasps touched both pads.
+    ValueError
+        The grasps come from different pads.
     """
     foam = start or FoamModel()
     rest = learn_rest(grasps, most_pads=2)

@@ -42,9 +42,14 @@ def posed(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the reach in m of a posed object towards both pads at points of the pads' plane.
 
-    The points are broadcast against each other; ``at_m`` is where the object's centre is in the
-    plane in m, the turns in rad are those about the closing axis and about the object's own long
-    axis.
+    Parameters
+    ----------
+    x_m, y_m
+        Points, broadcast against each other.
+    at_m
+        Where the object's centre is in the plane in m.
+    rotation_rad, roll_rad
+        Turns about the closing axis and about the object's own long axis in rad.
     """
     dx_m, dy_m = np.broadcast_arrays(x_m - at_m[0], y_m - at_m[1])
     c, s = math.cos(rotation_rad), math.sin(rotation_rad)

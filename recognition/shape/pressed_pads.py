@@ -92,10 +92,18 @@ class PressedPads:
 def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> PressedPads:
     """Return a grasp reduced to pressed pads.
 
-    The grasp goes from the open gripper on; ``rest`` are the untouched pads, taken from its own
-    first frames by default. Raises ContactError where a pad was not touched, the pads do not face
-    each other taxel by taxel, or their taxels lie on no regular grid. Raises ValueError where the
-    grasp does not come from the pads of ``rest``.
+    Raises ContactError where a pad was not touched, the pads do not face each other taxel by taxel,
+    or their taxels lie on no regular grid. Raises ValueError where the grasp does not come from the
+    pads of ``rest``.
+
+    Parameters
+    ----------
+    grasp
+        From the open gripper on.
+    foam
+        For the spread of the pressure and the offset of the opening.
+    rest
+        The untouched pads; taken from the grasp's own first frames by default.
     """
     rest = rest or learn_rest([grasp], most_pads=2)
     pads = grasp.pads

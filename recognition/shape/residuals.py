@@ -140,7 +140,12 @@ class ShapeProblem:
     def forces_n(self, theta: Array, depths: slice | None = None) -> Array:
         """Return forces (B, K, n_taxels) in N.
 
-        ``theta`` (B, n) are the parameters; without ``depths`` all of the depths are taken.
+        Parameters
+        ----------
+        theta : (B, n)
+            Parameters.
+        depths
+            Of which of the depths; by default of all.
         """
         closed_m, covered = self._closed(theta, depths or slice(self.depth, self.rest))
         pressure = self._relative_pressure(closed_m, covered, theta)

@@ -73,10 +73,15 @@ class PoseMemory:
 def build_pose_memory(trainer: Trainer, grasps: Sequence[Grasp]) -> PoseMemory:
     """Return the memory of labelled grasps; each is answered by a recogniser taught without it.
 
-    Grasps without a command help to teach these recognisers; they are not in the memory. Four
-    recognisers are taught, each on three quarters of the grasps; those of a label stand in the
-    order of time. Raises ValueError where no grasp has a command, or there are too few grasps of a
-    label.
+    Grasps without a command help to teach these recognisers; they are not in the memory. Raises
+    ValueError where no grasp has a command, or there are too few grasps of a label.
+
+    Parameters
+    ----------
+    trainer
+        Trainer of these recognisers; four are taught, each on three quarters of the grasps.
+    grasps
+        The labelled grasps, those of a label in the order of time.
     """
     labels, classes = np.unique([g.label for g in grasps], return_inverse=True)
     if not any(grasp.command for grasp in grasps):
@@ -127,9 +132,22 @@ def expected_loss(
 
     A few taught grasps of each label show little of it alone, so the labels are regressed together:
     slopes that all share, and deviations of each label that are drawn towards none the more, the
-    less its grasps show of them. The grasps so far are possibly none; ``candidates`` (m, 5) are
-    commands of possible next ones: `recognition.grasp.COMMAND_COLUMNS`. Of the losses, (m,),
-    smaller is better. Raises ValueError if candidates or posteriors do not fit the memory.
+    less its grasps show of them. Raises ValueError if candidates or posteriors do not fit the
+    memory.
+
+    Parameters
+    ----------
+    memory
+        Evidence of the taught grasps.
+    posteriors
+        The grasps so far, possibly none.
+    candidates : (m, 5)
+        Commands of possible next grasps: `recognition.grasp.COMMAND_COLUMNS`.
+
+    Returns
+    -------
+    (m,) float64
+        Smaller is better.
     """
     rows = np.asarray(candidates, dtype=np.float64)
     n_labels = len(memory.labels)

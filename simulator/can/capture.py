@@ -25,7 +25,12 @@ _CAN_HEADER = struct.Struct(">LBBBB")
 class PcapWriter:
     """Writes CAN messages to a pcap file, link type 227, nanosecond stamps.
 
-    What the file held is replaced. Raises OSError if the file cannot be written.
+    Raises OSError if the file cannot be written.
+
+    Parameters
+    ----------
+    path
+        File to write; what it held is replaced.
     """
 
     def __init__(self, path: Path) -> None:

@@ -157,8 +157,12 @@ class SimulatedControlUnit(CanopenDevice):
     def emergency(self, code: int, *, register: int = REGISTER_GENERIC) -> None:
         """Report an error: EMCY, error register and history; code 0 reports that all are gone.
 
-        The code is that of CiA 301, 16 bit; ``register`` has the bits of the error register that it
-        sets.
+        Parameters
+        ----------
+        code
+            Error code after CiA 301, 16 bit.
+        register
+            Bits of the error register that it sets.
         """
         dictionary = self.dictionary
         if code == 0:

@@ -15,8 +15,11 @@ class InMemoryCanBus(can.BusABC):
 
     Waiting in ``recv`` moves the clock. What is sent reaches the device before ``send`` returns.
     Messages carry as time stamp the time at which they were through the wire, in s of the clock.
-    The host's adapter is set to ``host_bitrate``, by default that of the bus; with another one
-    nothing passes.
+
+    Parameters
+    ----------
+    host_bitrate
+        What the host's adapter is set to, by default the same; with another one nothing passes.
     """
 
     def __init__(

@@ -54,8 +54,12 @@ class DeviceNetwork:
     """The network of one canopen LocalNode in the time of the simulation: no bus, no thread.
 
     Takes the messages of the node and keeps its periodic ones. It has those methods of
-    ``canopen.Network`` that a LocalNode calls. ``send`` takes time in s, identifier and data of
-    each message.
+    ``canopen.Network`` that a LocalNode calls.
+
+    Parameters
+    ----------
+    send
+        Takes time in s, identifier and data of each message.
     """
 
     def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:

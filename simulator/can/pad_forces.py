@@ -90,8 +90,14 @@ class PadForces:
     ) -> bytes:
         """Return the next message.
 
-        ``counts`` (n,) uint16 are a scan of both gripping pads, finger 0 first, ``status`` is what
-        the unit says of it; ``spoil`` applies the faults of forces and centres.
+        Parameters
+        ----------
+        counts : (n,) uint16
+            Scan of both gripping pads, finger 0 first.
+        status
+            What the unit says of this scan.
+        spoil
+            Applies the faults of forces and centres.
         """
         if np.count_nonzero((counts >= self._adc_max) & ~self._bad):
             status |= ForceStatus.SATURATED

@@ -9,8 +9,12 @@ FOLLOWING_TIME_CONSTANT_S = 0.004
 class ProfileMotion:
     """Set-point with bounded velocity and acceleration, and the mechanism behind it; increments.
 
-    ``position`` is where the mechanism is at the start, in increments of the machine, ``low`` and
-    ``high`` where the limit switches are.
+    Parameters
+    ----------
+    position
+        Where the mechanism is at the start, in increments of the machine.
+    low, high
+        Where the limit switches are.
     """
 
     def __init__(self, position: float, low: float, high: float) -> None:

@@ -36,8 +36,11 @@ _MAX_DATA_BYTES = 8
 class SlcanAdapter:
     """The adapter between a serial line and the bus.
 
-    It is set to ``bitrate`` in bit/s at first; with another one than that of the bus it hears and
-    reaches nobody.
+    Parameters
+    ----------
+    bitrate
+        Bit rate in bit/s that it is set to at first; with another one than that of the bus it hears
+        and reaches nobody.
     """
 
     def __init__(self, link: CanLink, *, bitrate: int) -> None:
@@ -55,11 +58,14 @@ class SlcanAdapter:
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
         """Take bytes of the client and carry out the commands that are complete.
 
-        ``sent_after_s`` is the earliest time in s at which the client may have sent them, where an
-        endpoint cannot date them better, None = ``now_s``: commands that waited there are spread
-        evenly between then and now, a single one to the middle. So two SYNCs, read at once or not,
-        are at least half as far apart as they were sent, however the simulator stalls, and a burst
-        of 7.5 ms ends before the next SYNC that comes after 18 ms.
+        Parameters
+        ----------
+        sent_after_s
+            Earliest time in s at which the client may have sent them, where an endpoint cannot
+            date them better: commands that waited there are spread evenly between then and now, a
+            single one to the middle. So two SYNCs, read at once or not, are at least half as far
+            apart as they were sent, however the simulator stalls, and a burst of 7.5 ms ends before
+            the next SYNC that comes after 18 ms. None = ``now_s``.
         """
         self._input += data
         *lines, rest = self._input.split(b"\r")

@@ -232,7 +232,10 @@ def knob_fault(
 ) -> FaultEntry:
     """Return a fault that turns one knob of a part of the cell: to its number, or on without one.
 
-    The part is ``can``, ``unit`` or ``servo_wire``: a field of `simulator.devices.CellFaults`.
+    Parameters
+    ----------
+    part
+        ``can``, ``unit`` or ``servo_wire``: a field of `simulator.devices.CellFaults`.
     """
 
     def position(target: Target) -> object:

@@ -132,8 +132,11 @@ class InjectedFault:
 class FaultInjector:
     """Begins and ends faults at their moments; `advance` is called as the world moves on.
 
-    ``plugs`` are the cables of the cell, ``can`` and ``servos``; by default those of buses in
-    memory, which are knobs of the devices.
+    Parameters
+    ----------
+    plugs
+        Cables of the cell, ``can`` and ``servos``; by default those of buses in memory, which are
+        knobs of the devices.
     """
 
     def __init__(

@@ -36,7 +36,10 @@ Announce = Callable[[dict[str, Any]], None]
 class RealTimeCell:
     """World, devices and endpoints of a cell in real time; its owner has the loop and the time.
 
-    The links to the terminals and the socket are made in ``folder``.
+    Parameters
+    ----------
+    folder
+        Where the links to the terminals and the socket are made.
     """
 
     def __init__(self, settings: SimulatorSettings, folder: Path, now_s: float) -> None:
@@ -117,7 +120,10 @@ class RealTimeCell:
     def step(self, now_s: float, readable: list[int]) -> float:
         """Let the time pass and serve the clients; return when to come again at the latest, in s.
 
-        ``readable`` are those of `descriptors` that have input.
+        Parameters
+        ----------
+        readable
+            Those of `descriptors` that have input.
         """
         if now_s - self._world_s > FORGIVEN_S:
             self._world_s = now_s - PIECE_S

@@ -28,8 +28,13 @@ class PositionerServer:
     """Serves requests of other processes on this machine.
 
     A request is one JSON object on a line; the reply is one too, ``{"error": text}`` when the
-    request was refused. The socket can be used by its owner only. A socket that is at ``path``
-    already is replaced. Raises EndpointError if the socket cannot be made.
+    request was refused. The socket can be used by its owner only. Raises EndpointError if the
+    socket cannot be made.
+
+    Parameters
+    ----------
+    path
+        Where the socket is made; a socket that is there already is replaced.
     """
 
     def __init__(self, path: Path, handle: Handler) -> None:

@@ -37,8 +37,11 @@ _TERMIOS2 = struct.Struct("=4IB19s2I")
 class Terminal:
     """One pseudo-terminal behind a stable link; it may go and come back under a new name.
 
-    ``link_path`` is a symbolic link that always names the current terminal; None makes none. An
-    existing symbolic link is replaced, anything else is an EndpointError.
+    Parameters
+    ----------
+    link_path
+        Symbolic link that always names the current terminal; None makes none. An existing symbolic
+        link is replaced, anything else is an EndpointError.
     """
 
     def __init__(self, what: str, link_path: Path | None) -> None:

@@ -38,8 +38,10 @@ _READ_REQUEST_BYTES = 5
 class ServoBusDevice:
     """All servos behind one serial port.
 
-    ``baudrate`` is the line rate of the host in baud; a servo with another Baud Rate (8) stays
-    silent.
+    Parameters
+    ----------
+    baudrate
+        Line rate of the host in baud; a servo with another Baud Rate (8) stays silent.
     """
 
     def __init__(self, servos: Sequence[SimulatedServo], baudrate: int) -> None:
@@ -66,9 +68,11 @@ class ServoBusDevice:
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
         """Take bytes that the host sent.
 
-        ``sent_after_s`` is the earliest time in s at which the host may have sent them, where an
-        endpoint cannot date them better: a watchdog that ran out since then was fed in time. None =
-        ``now_s``.
+        Parameters
+        ----------
+        sent_after_s
+            Earliest time in s at which the host may have sent them, where an endpoint cannot date
+            them better: a watchdog that ran out since then was fed in time. None = ``now_s``.
         """
         faults = self.faults
         if faults.unplugged:

@@ -177,8 +177,11 @@ def in_range(item: Item, value: int) -> bool:
 class ServoRegisters:
     """Control table of one servo by the names of its items, with factory values.
 
-    ``settings`` are raw values of EEPROM items by register name, over the factory's;
-    SimulatorSettingsError for an unknown name or a value out of range.
+    Parameters
+    ----------
+    settings
+        Raw values of EEPROM items by register name, over the factory's; SimulatorSettingsError for
+        an unknown name or a value out of range.
     """
 
     def __init__(self, model: ServoModel, settings: Mapping[str, int]) -> None:

@@ -77,8 +77,11 @@ class StatusBody(NamedTuple):
 class SimulatedServo:
     """One servo on the bus.
 
-    ``settings`` are raw values of EEPROM items by register name, over the factory's; the factory
-    leaves the servo at 57600 baud with a return delay of 500 us.
+    Parameters
+    ----------
+    settings
+        Raw values of EEPROM items by register name, over the factory's; the factory leaves the
+        servo at 57600 baud with a return delay of 500 us.
     """
 
     def __init__(

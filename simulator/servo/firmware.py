@@ -134,7 +134,10 @@ class ServoPosition:
     def refresh(self, uptime_s: float, *, following: bool) -> None:
         """Bring registers 120 to 146 up to date.
 
-        ``following`` is whether the motor follows Goal Position.
+        Parameters
+        ----------
+        following
+            Whether the motor follows Goal Position.
         """
         plant, sign, offset = self._plant, self.sign, self._offset()
         data = self._registers.table.data

@@ -136,8 +136,12 @@ class ServoMount:
 class FingerMechanics:
     """Two fingers that one servo drives together, or two servos one each.
 
-    The angles of the motors are set to the start aperture. ``half_opening_min_m`` is the closed end
-    stop in m; below 0 a finger may pass the middle, until the other one stops it.
+    Parameters
+    ----------
+    motors
+        One or two motors; their angles are set to the start aperture.
+    half_opening_min_m
+        Closed end stop in m; below 0 a finger may pass the middle, until the other one stops it.
     """
 
     def __init__(
@@ -204,9 +208,14 @@ class FingerMechanics:
 
         On its way the finger stops at what it touches (`HAND_FORCE_N`) and at its end stops; the
         friction of the gearing keeps it where it is left. A person yields to a motor with torque.
-        One servo takes both fingers along. The half opening is the distance of the pad from the
-        centre plane in m; beyond an end stop it goes up to the stop. Raises SimulatorSettingsError
-        if there is no such servo.
+        Raises SimulatorSettingsError if there is no such servo.
+
+        Parameters
+        ----------
+        axis
+            Index of the servo; one servo takes both fingers along.
+        half_opening_m
+            Distance of the pad from the centre plane in m; beyond an end stop: up to the stop.
         """
         if not 0 <= axis < len(self.motors):
             raise SimulatorSettingsError(f"there is no servo {axis + 1} to move by hand")
@@ -222,8 +231,14 @@ class FingerMechanics:
     def remount(self, axis: int, *, turned: bool = False, off_rad: float = 0.0) -> None:
         """Mount a servo differently; its finger stays where it is.
 
-        ``turned`` is whether it sits the other way round than before, ``off_rad`` how much farther
-        open than before its position is.
+        Parameters
+        ----------
+        axis
+            Index of the servo.
+        turned
+            Whether it sits the other way round than before.
+        off_rad
+            How much farther open than before its position is.
         """
         motor = self.motors[axis]
         direction, zero_rad = self._axes[axis]
@@ -243,9 +258,14 @@ class FingerMechanics:
     ) -> None:
         """Advance the fingers by ``dt_s`` s.
 
-        A step above `LONGEST_STEP_S` is taken in pieces. The force on each pad in N is that at the
-        present position, positive when it pushes the finger open; the stiffness, at least 0, is how
-        fast it falls when the finger opens, in N/m.
+        Parameters
+        ----------
+        dt_s
+            Time step in s; one above `LONGEST_STEP_S` is taken in pieces.
+        contact_force_n
+            Force on each pad in N at the present position, positive when it pushes the finger open.
+        contact_stiffness_n_m
+            How fast that force falls when the finger opens, N/m, at least 0.
         """
         if dt_s <= LONGEST_STEP_S:
             self._step(dt_s, contact_force_n, contact_stiffness_n_m)

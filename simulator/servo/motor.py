@@ -130,8 +130,13 @@ class DriveCommand(NamedTuple):
 class ServoMotor:
     """Motor, gear, winding and encoder of one servo.
 
-    The torque of the model is that with rising load, so what the load's friction takes from it
-    there is added to what the motor makes.
+    Parameters
+    ----------
+    model
+        Electrical and torque figures. Its torque is that with rising load, so what the load's
+        friction takes from it there is added to what the motor makes.
+    angle_rad
+        Output angle at the start, rad.
     """
 
     def __init__(

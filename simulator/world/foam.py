@@ -96,9 +96,16 @@ class FoamPair:
 class ForceTable:
     """Force over depth of one surface against foam; a depth is worked out when it is first reached.
 
-    So an object is placed at once: in real time the buses do not wait for its whole table. The foam
-    is that of a pad under a rigid surface, or of two pads that meet; ``reach_m`` is the reach of
-    the surface towards the pad in m over a grid, -inf where there is none.
+    So an object is placed at once: in real time the buses do not wait for its whole table.
+
+    Parameters
+    ----------
+    foam
+        The pad's foam, under a rigid surface, or that of two pads that meet.
+    reach_m
+        Reach of the surface towards the pad in m over a grid, -inf where there is none.
+    cell_area_m2
+        Area of a cell of the grid in m².
     """
 
     def __init__(

@@ -62,8 +62,14 @@ class PadPair:
 class PadsMeet:
     """The two pads that press on each other, foam on foam; nothing is between them.
 
-    The grids are those of the inner pad of finger 0 and of finger 1, and ``pair`` is how they stand
-    to each other.
+    Parameters
+    ----------
+    grids
+        Inner pad of finger 0 and of finger 1.
+    foams
+        The sheets on them.
+    pair
+        How they stand to each other.
     """
 
     def __init__(
@@ -128,9 +134,13 @@ class Press:
 
     The pose in the plane of the pads is fixed while it is gripped, so all that depends on it is
     worked out once: height maps, and force over depth for each pad. The object moves along the
-    closing axis only, without inertia, against the friction of its nest. The grids are those of the
-    inner pad of finger 0 and of finger 1. Raises SimulatorSettingsError if the object lies beside a
-    pad.
+    closing axis only, without inertia, against the friction of its nest. Raises
+    SimulatorSettingsError if the object lies beside a pad.
+
+    Parameters
+    ----------
+    grids
+        Inner pad of finger 0 and of finger 1.
     """
 
     def __init__(
@@ -187,10 +197,20 @@ class Press:
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Let the object float to where the pads and its nest hold it.
 
-        It stays where it is while the pads' forces differ by no more than the nest's friction; else
-        it moves until they do. The positions are the half openings of finger 0 and finger 1 in m,
-        the friction is that of the nest in N. Returns the force on each pad in N, and how fast each
-        falls as its finger opens, in N/m.
+        It stays where it is while the pads' forces differ by no more than the nest's friction;
+        else it moves until they do.
+
+        Parameters
+        ----------
+        position_m
+            Half openings of finger 0 and finger 1 in m.
+        friction_n
+            Friction of the nest in N.
+
+        Returns
+        -------
+        force_n, stiffness_n_m
+            Force on each pad in N, and how fast each falls as its finger opens, in N/m.
         """
         near, far = self._tables
         depth_0, depth_1 = self._depths_m(position_m)

@@ -32,8 +32,14 @@ class RecordedWorld:
 
     Before a grasp is loaded the pads read zero. After its last frame that frame stays: the hand
     still holds; once `remaining` is 0 the next grasp is due. A record has no contact forces, so
-    `contact_force_n` is zero and the servos' currents are those of the free fingers. The frames are
-    of the taxels of ``layout``; the fingers follow the recorded aperture.
+    `contact_force_n` is zero and the servos' currents are those of the free fingers.
+
+    Parameters
+    ----------
+    layout
+        The taxels that the frames belong to.
+    fingers
+        The mechanics that follow the recorded aperture.
     """
 
     def __init__(
@@ -56,9 +62,14 @@ class RecordedWorld:
     def load(self, counts: ArrayLike, aperture_m: ArrayLike) -> None:
         """Take a grasp to play from its first frame; the fingers go to its first aperture.
 
-        ``counts`` (n, n_taxels), unsigned, are the frames in the order of time, ``aperture_m`` (n,)
-        the opening between the fingers in m; NaN leaves the fingers where they are. Raises
-        SimulatorSettingsError if shapes or values do not fit the layout.
+        Raises SimulatorSettingsError if shapes or values do not fit the layout.
+
+        Parameters
+        ----------
+        counts : (n, n_taxels) unsigned
+            Frames in the order of time.
+        aperture_m : (n,) float
+            Opening between the fingers in m; NaN leaves the fingers where they are.
         """
         frames = np.array(counts)
         openings_m = np.array(aperture_m, dtype=np.float64)

@@ -150,9 +150,13 @@ def _ranges(
 def load_mesh(path: Path) -> MeshShape:
     """Read an STL file, centred on its bounding box.
 
-    The unit of the file, binary or text, is 1 mm. Raises SimulatorSettingsError if the file is no
-    STL, too large, no closed surface, or smaller than any part. Raises ModuleNotFoundError if the
-    extra ``mesh`` is not installed.
+    Raises SimulatorSettingsError if the file is no STL, too large, no closed surface, or smaller
+    than any part. Raises ModuleNotFoundError if the extra ``mesh`` is not installed.
+
+    Parameters
+    ----------
+    path
+        The STL file, binary or text; its unit is 1 mm.
     """
     import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
 

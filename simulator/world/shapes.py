@@ -58,8 +58,12 @@ class Shape(Protocol):
     ) -> Heights:
         """Return the reach towards both fingers at points of the object's own frame.
 
-        The points, arrays of one shape, lie in the plane of the pads, in m; ``roll_rad`` turns
-        about the object's long axis.
+        Parameters
+        ----------
+        x_m, y_m : arrays of one shape
+            Points in the plane of the pads in m.
+        roll_rad
+            Turn about the object's long axis in rad.
         """
 
 

@@ -37,7 +37,11 @@ class Stage:
     """What carries the object: its pose in the world follows the true positions of the axes.
 
     An object that the fingers hold stays between them: the axes move both to another place.
-    ``axes`` are the axes by what they move, of `FIELDS`.
+
+    Parameters
+    ----------
+    axes
+        The axes by what they move, of `FIELDS`.
     """
 
     def __init__(self, world: PhysicalWorld, axes: Mapping[str, MovedAxis]) -> None:

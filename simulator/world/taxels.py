@@ -154,8 +154,12 @@ class PressureGrid:
     ) -> NDArray[np.float64]:
         """Return the force in N on each taxel, shape (rows * columns,), row-major.
 
-        ``pressure_pa`` is the pressure in Pa on the cells of a window; all others carry none.
-        ``shares`` are those of that window.
+        Parameters
+        ----------
+        pressure_pa
+            Pressure in Pa on the cells of a window; all others carry none.
+        shares
+            Of that window, from `shares`.
         """
         along, across = shares
         force_n: NDArray[np.float64] = along @ pressure_pa @ across

@@ -67,8 +67,14 @@ class PhysicalWorld:
 
     Nothing here commands a force: the grip is what foam and object push back with at the positions
     that the mechanics have reached. Without an object the gripping pads meet each other; the other
-    pads touch nothing. The inner pad of each finger grips; the fingers, which carry the pads, are
-    stepped by this world.
+    pads touch nothing.
+
+    Parameters
+    ----------
+    layout
+        The taxels; the inner pad of each finger grips.
+    fingers
+        The mechanics that carry the pads; stepped by this world.
     """
 
     def __init__(
@@ -194,9 +200,15 @@ class PhysicalWorld:
     def press(self, pad: int, x_m: float, y_m: float, force_n: float) -> None:
         """Press a pad with a person's fingertip, in the place of the last one.
 
-        The finger that carries the pad stands: whoever presses it holds it as well. ``x_m`` and
-        ``y_m`` are the place on the pad in its plane in m. Raises SimulatorSettingsError if the
-        layout has no such pad, or nothing of the patch is on it.
+        The finger that carries the pad stands: whoever presses it holds it as well. Raises
+        SimulatorSettingsError if the layout has no such pad, or nothing of the patch is on it.
+
+        Parameters
+        ----------
+        pad
+            Number of the pad in the layout.
+        x_m, y_m
+            Place on the pad in its plane in m.
         """
         if not 0 <= pad < self._layout.n_pads:
             raise SimulatorSettingsError(f"pad is {pad}, must be 0 to {self._layout.n_pads - 1}")

@@ -134,8 +134,13 @@ class WatchedSocketcandBus(SocketCanDaemonBus):
 def open_socketcand(address: str) -> can.BusABC:
     """Connect to a socketcand server.
 
-    The address is ``HOST:PORT/CHANNEL``. Raises OSError, ValueError or can.CanError when the
-    address is none, or the server refuses or does not answer within 2 s.
+    Raises OSError, ValueError or can.CanError when the address is none, or the server refuses or
+    does not answer within 2 s.
+
+    Parameters
+    ----------
+    address
+        ``HOST:PORT/CHANNEL``.
     """
     place, _, channel = address.partition("/")
     host, _, port = place.rpartition(":")

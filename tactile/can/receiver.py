@@ -32,9 +32,12 @@ def interface_failed(error: Exception) -> BusOff:
 class PolledSource:
     """Source that asks the bus in the caller's thread: for buses in memory, in virtual time.
 
-    Such a bus stamps its messages by the same clock; without a stamp the time of asking counts. At
-    most ``limit`` messages are handed out at once, so that a flooded bus does not hold up the
-    caller.
+    Such a bus stamps its messages by the same clock; without a stamp the time of asking counts.
+
+    Parameters
+    ----------
+    limit
+        Most messages handed out at once, so that a flooded bus does not hold up the caller.
     """
 
     def __init__(self, bus: can.BusABC, clock: Clock, *, limit: int = 4096) -> None:
@@ -74,8 +77,14 @@ class PolledSource:
 class ThreadedReceiver:
     """Source with one thread that stamps and queues messages; its end is a fault, not a silence.
 
-    The ``recv`` of the bus may block. At most ``limit`` messages wait to be taken; with one more
-    the receiver gives up. It counts as hung when it did not come round for ``hang_s``.
+    Parameters
+    ----------
+    bus
+        An open bus whose ``recv`` may block.
+    limit
+        Most messages that wait to be taken; one more and the receiver gives up.
+    hang_s
+        The receiver counts as hung when it did not come round for this long.
     """
 
     def __init__(

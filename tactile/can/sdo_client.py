@@ -31,8 +31,14 @@ logging.getLogger(SdoClient.__module__).setLevel(logging.CRITICAL)
 class PolledSdoClient(SdoClient):
     """canopen's client without its queue's real-time wait: works in one thread, in any time.
 
-    ``service`` takes in what was received and calls `on_response` with the responses, ``wait`` lets
-    time pass, at most so many s; one response is waited for ``timeout_s`` at the longest.
+    Parameters
+    ----------
+    service
+        Takes in what was received and calls `on_response` with the responses.
+    wait
+        Lets time pass, at most so many s.
+    timeout_s
+        Longest wait for one response.
     """
 
     def __init__(

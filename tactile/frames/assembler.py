@@ -77,7 +77,10 @@ class FrameAssembler:
     def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:
         """Take one message and return the frame that it completes, if any.
 
-        ``dlc`` is the length that the message claims; it must be 8 and fit ``data``.
+        Parameters
+        ----------
+        dlc
+            Length that the message claims; must be 8 and fit ``data``.
         """
         if dlc != MESSAGE_BYTES or len(data) != MESSAGE_BYTES:
             self.counts.short += 1

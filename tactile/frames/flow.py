@@ -21,9 +21,16 @@ where no frame becomes whole at the same time."""
 class FrameFlow:
     """Watch over SYNCs without an answer, lost frames, late frames and doubled messages.
 
-    Faults are ``timeout_periods`` SYNCs without a whole frame, a larger share than
-    ``max_loss_rate`` lost among the last ``window_frames``, and frames that come ``late_periods``
-    later than before, three times. One unit sends ``burst_messages`` after each SYNC.
+    Parameters
+    ----------
+    timeout_periods
+        So many SYNCs without a whole frame are a fault.
+    max_loss_rate, window_frames
+        A larger share of frames lost among the last so many is a fault.
+    late_periods
+        Frames that come so many periods later than before, three times, are a fault.
+    burst_messages
+        Messages that one unit sends after each SYNC.
     """
 
     def __init__(

@@ -136,8 +136,10 @@ def mean_centre_taxels(messages: Sequence[ForceMessage]) -> tuple[float, float] 
 def encode_table(force_n: NDArray[np.float64]) -> bytes:
     """Return the object of the tables of both pads.
 
-    ``force_n`` (2, TABLE_NODES) is the force of a taxel in N at counts from 0 to full scale,
-    rising.
+    Parameters
+    ----------
+    force_n : (2, TABLE_NODES) float64
+        Force of a taxel in N at counts from 0 to full scale, rising.
     """
     if force_n.shape != (2, TABLE_NODES) or not np.isfinite(force_n).all():
         raise FrameError(f"a force table has shape (2, {TABLE_NODES}), got {force_n.shape}")
@@ -149,9 +151,14 @@ def encode_zero(
 ) -> bytes:
     """Return the object of the zero.
 
-    From ``touch_counts`` above the zero on a taxel counts, in the mean of its neighbourhood;
-    ``zero_counts`` (n,) is the zero of each taxel of the gripping pads, finger 0 first, ``bad``
-    (n,) tells which do not measure.
+    Parameters
+    ----------
+    touch_counts
+        Counts above the zero from which on a taxel counts, in the mean of its neighbourhood.
+    zero_counts : (n,) float64
+        Zero of each taxel of the gripping pads, finger 0 first.
+    bad : (n,) bool
+        Taxels that do not measure.
     """
     steps = np.append(touch_counts, zero_counts) * (ZERO_STEPS / adc_max)
     steps = np.clip(np.rint(steps), 0, ZERO_STEPS)

@@ -33,7 +33,10 @@ class ForceStatistics:
 class ForceStream:
     """The order of force messages: each is handed out once, and none after a newer one.
 
-    Between two messages lies ``period_s``: after a longer silence the counter alone says nothing.
+    Parameters
+    ----------
+    period_s
+        Time between two messages in s: after a longer silence the counter alone says nothing.
     """
 
     def __init__(self, period_s: float) -> None:

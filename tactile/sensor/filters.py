@@ -98,7 +98,10 @@ def regions_from(
 class MovingMean:
     """Mean over the last n frames: settles completely after n frames.
 
-    The window has at least 1 frame.
+    Parameters
+    ----------
+    n_frames
+        Length of the window, at least 1.
     """
 
     def __init__(self, n_frames: int) -> None:
@@ -170,10 +173,15 @@ class ActiveTaxels:
     """Connected regions that stand out of the noise, at two scales: 3 x 3 and 5 x 5 taxels.
 
     The small scale sees a pointed object, the large one a flat object that presses every taxel
-    lightly. Both the regions and their single taxels have hysteresis: a border taxel that comes and
-    goes with its own noise would be summed just when its noise is positive, and bias the force. The
-    thresholds are in standard deviations; ``noise_counts`` (n_taxels,) is that of the counts that
-    `step` gets, above 0.
+    lightly. Both the regions and their single taxels have hysteresis: a border taxel that comes
+    and goes with its own noise would be summed just when its noise is positive, and bias the force.
+
+    Parameters
+    ----------
+    thresholds
+        In standard deviations.
+    noise_counts : (n_taxels,) float64
+        Standard deviation of the counts that `step` gets, above 0.
     """
 
     def __init__(

@@ -91,7 +91,10 @@ class ForceCentres:
     def of(self, force_n: NDArray[np.float64]) -> tuple[float, float] | None:
         """Return the centre in the grip frame in m; None where a pad has no force.
 
-        ``force_n`` (n_taxels,) is the normal force on each taxel in N.
+        Parameters
+        ----------
+        force_n : (n_taxels,) float64
+            Normal force on each taxel in N.
         """
         centre_m = np.zeros(2)
         for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
@@ -107,8 +110,12 @@ class ForceCentres:
     ) -> tuple[float, float]:
         """Return the standard deviation of that centre along and across the fingers in m.
 
-        ``force_n`` (n_taxels,) is the normal force on each taxel in N, with a centre, ``noise_n``
-        (n_taxels,) its standard deviation in N; 0 for a taxel that is left out.
+        Parameters
+        ----------
+        force_n : (n_taxels,) float64
+            Normal force on each taxel in N, with a centre.
+        noise_n : (n_taxels,) float64
+            Its standard deviation in N; 0 for a taxel that is left out.
         """
         variance_m2 = np.zeros(2)
         for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):

@@ -58,7 +58,10 @@ class QualityLimits:
 class QualityWatch:
     """Watch over the raw frames from one tare to the next.
 
-    The tared counts are averaged over ``mean_frames``.
+    Parameters
+    ----------
+    mean_frames
+        Frames that the tared counts are averaged over.
     """
 
     def __init__(self, hood: Neighbourhood, limits: QualityLimits, mean_frames: int) -> None:
@@ -162,8 +165,12 @@ class QualityWatch:
     def drift_beside(self, tared: Values, void: Mask) -> str:
         """Return a message if the pads that no grasp presses are from their zero, else "".
 
-        ``tared`` (n_taxels,) are the tared counts, averaged, ``void`` (n_taxels,) the taxels that
-        are bad or at full scale, which do not count.
+        Parameters
+        ----------
+        tared : (n_taxels,) float64
+            Tared counts, averaged.
+        void : (n_taxels,) bool
+            Taxels that are bad or at full scale, which do not count.
         """
         if self._tare is None:
             return ""

@@ -50,8 +50,12 @@ class TaxelHealth:
 def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
     """Judge the taxels from untouched frames.
 
-    ``frames`` (n_frames, n_taxels) uint16 are raw counts of consecutive frames, at least 8. Raises
-    ValueError for fewer than 8 frames.
+    Raises ValueError for fewer than 8 frames.
+
+    Parameters
+    ----------
+    frames : (n_frames, n_taxels) uint16
+        Raw counts of consecutive frames, at least 8.
     """
     if len(frames) < LEAST_FRAMES:
         raise ValueError(f"{len(frames)} frames, at least {LEAST_FRAMES} are needed")

@@ -156,8 +156,12 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
     """Write the table of counts to force and start the force messages; all of it is read back.
 
     The frames move behind them: a force message must not wait for a burst of 7 ms. Returns the
-    COB-ID of the frames from now on. The table is object 0x2141, see
-    `tactile.frames.force_message.encode_table`.
+    COB-ID of the frames from now on.
+
+    Parameters
+    ----------
+    table
+        Object 0x2141, see `tactile.frames.force_message.encode_table`.
     """
     objects.write(od.FORCE_TABLE, 0, table)
     frame_id = od.COB_TPDO3 + node_id

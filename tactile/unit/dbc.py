@@ -68,9 +68,16 @@ def dbc_text(
 ) -> str:
     """Return a DBC file of one control unit's traffic, ASCII.
 
-    Signal ``taxel_012`` is the sample ``counts[12]`` of a `TactileFrame`. Periods in ms are written
-    as cycle times, 0 where they are not known; the frames make room for the force messages, 0 for a
-    unit without.
+    Parameters
+    ----------
+    layout
+        The taxels; signal ``taxel_012`` is the sample ``counts[12]`` of a `TactileFrame`.
+    node_id
+        CANopen node-ID of the unit, 1 to 127.
+    sync_period_ms, heartbeat_ms
+        Periods in ms, written as cycle times; 0 where they are not known.
+    force_period_ms
+        Period of the force messages in ms, which the frames make room for; 0 for a unit without.
     """
     if not 1 <= node_id <= 127:
         raise ValueError(f"node-ID is {node_id}, must be 1 to 127")

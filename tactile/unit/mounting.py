@@ -14,8 +14,14 @@ from tactile.layout import PadMount, TaxelLayout, taxel_order
 class Mounting:
     """Turns what a control unit sends into the order of the layout, and back.
 
-    ``mounts`` are the pads that sit otherwise; without any, all passes through as it is. Raises
-    LayoutError as `tactile.layout.taxel_order`.
+    Raises LayoutError as `tactile.layout.taxel_order`.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    mounts
+        Pads that sit otherwise; without any, all passes through as it is.
     """
 
     def __init__(self, layout: TaxelLayout, mounts: Sequence[PadMount]) -> None:

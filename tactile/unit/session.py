@@ -43,7 +43,10 @@ _SYNC_EARLY_S = 1e-6
 class LinkSession:
     """One control unit from the start of the link to its end.
 
-    The source of its messages is already started.
+    Parameters
+    ----------
+    source
+        Where its messages come from; already started.
     """
 
     def __init__(

@@ -91,8 +91,16 @@ def emergency_text(code: int) -> str:
 class TrafficLimit:
     """Limit of useless messages, a leaky bucket: messages fill it, time empties it.
 
-    ``what`` are the messages, in the plural, and ``advice`` what to do about them, for the error.
-    Allowed are ``rate_hz`` in 1/s for ever, and ``burst`` messages at once.
+    Parameters
+    ----------
+    what
+        The messages, in the plural, for the error.
+    advice
+        What to do about them.
+    rate_hz
+        Sustained rate allowed in 1/s.
+    burst
+        Messages that may come at once.
     """
 
     def __init__(self, what: str, advice: str, *, rate_hz: float, burst: float) -> None:
@@ -123,8 +131,12 @@ class TrafficLimit:
 class NodeSupervisor:
     """Supervisor of one node: its state, its heartbeat, its emergencies, the host's controller.
 
-    The heartbeat, one each ``heartbeat_s``, is lost after ``heartbeat_factor`` periods without one;
-    the host's controller may be error-passive for ``passive_s``.
+    Parameters
+    ----------
+    heartbeat_s, heartbeat_factor
+        Period of the unit's heartbeat in s; it is lost after so many periods without one.
+    passive_s
+        Time in s for which the host's controller may be error-passive.
     """
 
     def __init__(

@@ -1,4 +1,5 @@
 import can
+import numpy as np
 import pytest
 
 from gripper.dynamixel.control_table import REGISTERS
@@ -61,6 +62,31 @@ class Host:
             )
             if frame is not None:
                 return frame
+
+
+def test_the_servos_current_becomes_the_grip_and_the_grip_becomes_counts() -> None:
+    with SimulatedCell() as cell:
+        host = Host(cell)
+        host.start_unit()
+        cell.place("box")
+        assert host.frame().counts.max() <= 20
+        forces_n, peaks, totals = [], [], []
+        for current_a in (0.2, 0.3, 0.5):
+            host.squeeze(current_a)
+            near_n, far_n = cell.world.contact_force_n()
+            # The nest holds 0.05 N.
+            assert near_n == pytest.approx(far_n, abs=0.06)
+            frame = host.frame()
+            forces_n.append(near_n)
+            peaks.append(int(frame.counts.max()))
+            totals.append(int(frame.counts.sum()))
+        assert forces_n == sorted(forces_n)
+        assert 1.0 < forces_n[0] < forces_n[-1] < 20.0
+        assert peaks == sorted(peaks)
+        assert totals == sorted(totals)
+        gripping = np.isin(cell.settings.layout.taxel_pad, cell.settings.layout.gripping_pads)
+        assert frame.counts[gripping].max() > 60
+        assert frame.counts[~gripping].max() <= 20
 
 
 def test_one_servo_can_drive_both_fingers() -> None:

@@ -48,9 +48,16 @@ def cell_config(
     """Return the config of the cell that a command is for, and print which cell that is.
 
     Raises ConfigError as `load_config`; or if there are faults for real ports: real hardware gets
-    none. ``file`` None is the built-in simulated cell. ``seed`` and ``faults`` are those of a
-    simulated cell, the faults beside the config's own; with ``simulate`` the cell is simulated
-    whatever its ports are.
+    none.
+
+    Parameters
+    ----------
+    file
+        Its config file; None for the built-in simulated cell.
+    seed, faults
+        Another seed, and faults of the simulated cell beside the config's own.
+    simulate
+        Whether the cell is simulated whatever its ports are.
     """
     config = load_config(file)
     if file is None:

@@ -40,24 +40,24 @@ _SHOWN_GRASPS = 100
 """Newest grasps of a teaching that its progress lists."""
 
 
-@dataclass(slots=True)
 class ModelFile:
     """The file that each teaching renews, if there is one; what it did not take is tried again."""
 
-    model: TaughtModel
-    path: Path | None
-    due: bool = False
+    def __init__(self, model: TaughtModel, path: Path | None) -> None:
+        self.model = model
+        self._path = path
+        self.due = False
 
     def write(self) -> None:
         """Write what was taught since the last time, if anything.
 
         Raises ModelError or DatasetError if a file cannot be written; it is due still.
         """
-        if self.path is not None and self.due:
+        if self._path is not None and self.due:
             if self.model.labels:
-                self.model.save(self.path)
+                self.model.save(self._path)
             else:  # all was forgotten: the next start shall not find it
-                self.path.unlink(missing_ok=True)
+                self._path.unlink(missing_ok=True)
         self.due = False
 
     def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> None:

@@ -307,10 +307,18 @@ class Service:
     def start(self, lease: int, goal: Mapping[str, Any], *, number: int = 0) -> int:
         """Start a job and return its number at once; see `TactileCellPlugin.start`.
 
-        ``goal`` has ``task`` and the fields of its goal. ``number`` is the one that the job shall
-        have, to repeat a request whose answer was lost: where it is that of the newest job, this is
-        the job, and nothing is done twice; 0 is not checked. Raises NotInCommand, RequestRefused,
-        ConfigError or CellStateError if it is refused; nothing has moved.
+        Raises NotInCommand, RequestRefused, ConfigError or CellStateError if it is refused; nothing
+        has moved.
+
+        Parameters
+        ----------
+        lease
+            Of this client.
+        goal
+            ``task`` and the fields of its goal.
+        number
+            Number that the job shall have, to repeat a request whose answer was lost: where it is
+            that of the newest job, this is the job, and nothing is done twice. 0: not checked.
         """
         checked: Goal = checked_goal(goal)
         placed = self.config.simulated or self.config.positioner.kind == "simulated"
@@ -326,11 +334,18 @@ class Service:
     def command(
         self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0
     ) -> int:
-        """Start a release, clear, reset or shutdown and return the number of its job, as `start`.
+        """Start a release, clear, reset or shutdown and return the number of its job.
 
-        A release needs `RELEASE_KEY` as its ``key``: the only way to let the part go. A clear
-        acknowledges the holds of clients that are gone, too. ``reboot`` is as for
-        `TactileCellPlugin.begin`.
+        Parameters
+        ----------
+        lease, number
+            As `start`.
+        command, reboot
+            As `TactileCellPlugin.begin`.
+        key
+            `RELEASE_KEY` for a release, the only way to let the part go.
+
+        A clear acknowledges the holds of clients that are gone, too.
         """
 
         def begin() -> Job:
@@ -350,8 +365,15 @@ class Service:
     def request(self, lease: int, name: str, *, number: int = 0, **fields: Any) -> int:
         """Start a task or command as hosts with plain numbers ask for it; return its job.
 
-        Name and fields are of `cell.interfaces.service.host_calls.COMMANDS`. ``keep`` may be a
-        bool; fields of a task that are 0 or empty are as the config has them. Raises as `start`.
+        Parameters
+        ----------
+        lease, number
+            As `start`.
+        name, fields
+            Of `cell.interfaces.service.host_calls.COMMANDS`. ``keep`` may be a bool; fields of a
+            task that are 0 or empty are as the config has them.
+
+        Raises as `start`.
         """
         if name not in TASKS:
             return self.command(lease, Command(name), number=number, **fields)

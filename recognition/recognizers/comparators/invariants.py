@@ -77,8 +77,12 @@ def section_features(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.fl
     """Return invariants of the two principal sections of one pad's patch (n_taxels,), 0 to 1.
 
     Along the long and the short axis through the centroid a cubic is fitted to the heights; its
-    invariants at up to three points follow, without regard to the direction of travel. The (16,)
-    features are finite, compressed by asinh or the logarithm.
+    invariants at up to three points follow, without regard to the direction of travel.
+
+    Returns
+    -------
+    (16,) float64
+        Finite; compressed by asinh or the logarithm.
     """
     centre = centroid_mm(patch, grid)
     delta = grid.xy_mm - centre

@@ -28,7 +28,16 @@ def sample_mm(
 ) -> NDArray[np.float64]:
     """Return values of a patch between the taxels, linear; it falls to 0 one pitch beside the pad.
 
-    ``patch`` (n_taxels,) are values of one pad, row-major; ``points_mm`` (..., 2) lie in its plane.
+    Parameters
+    ----------
+    patch : (n_taxels,)
+        Values of one pad, row-major.
+    points_mm : (..., 2)
+        Where, in the pad's plane.
+
+    Returns
+    -------
+    (...) float64
     """
     rows, columns = grid.shape
     padded = np.pad(patch.reshape(rows, columns), 1)
@@ -48,9 +57,17 @@ def outline_radii_mm(
     """Return the distance from the centroid to the outline in each direction, in mm.
 
     Along each ray the farthest point counts that still carries `OUTLINE_SHARE` of the peak, so two
-    patches side by side have one outline. Directions go once round, the first along x. ``patch``
-    (n_taxels,) are values of one pad, at least 0. The (n_angles,) radii are never below a tenth of
-    a millimetre, and all equal for an empty patch.
+    patches side by side have one outline. Directions go once round, the first along x.
+
+    Parameters
+    ----------
+    patch : (n_taxels,)
+        Values of one pad, at least 0.
+
+    Returns
+    -------
+    (n_angles,) float64
+        Never below a tenth of a millimetre; all equal for an empty patch.
     """
     peak = float(patch.max())
     if peak <= 0.0:
@@ -88,8 +105,17 @@ def canonical_start(radii: NDArray[np.float64]) -> NDArray[np.float64]:
 def polygon(radii_mm: NDArray[np.float64], n_vertices: int) -> NDArray[np.float64]:
     """Return the polygon of an outline: the vertex that bends it least is dropped, again and again.
 
-    ``radii_mm`` (A,) is the outline, see `outline_radii_mm`; at least 3 vertices are left,
-    (n_vertices, 2) counter-clockwise about the centroid, in mm.
+    Parameters
+    ----------
+    radii_mm : (A,)
+        The outline, see `outline_radii_mm`.
+    n_vertices
+        Vertices that are left, at least 3.
+
+    Returns
+    -------
+    (n_vertices, 2) float64
+        Counter-clockwise, about the centroid, in mm.
     """
     angle = np.arange(len(radii_mm)) * (2.0 * np.pi / len(radii_mm))
     points = radii_mm[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)

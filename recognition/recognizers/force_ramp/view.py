@@ -260,9 +260,16 @@ def fit_view(
 ) -> View:
     """Teach a view.
 
-    The grasps of one class stand in the order of time, ``classes`` (n,) are 0 to C - 1; without the
-    opening each class has a covariance of its own. Raises ValueError where the grasps do not show
-    how those of a class vary.
+    Raises ValueError where the grasps do not show how those of a class vary.
+
+    Parameters
+    ----------
+    levels
+        The n grasps; those of one class in the order of time.
+    classes : (n,)
+        Class of each grasp, 0 to C - 1.
+    opening
+        Whether the opening is used; without it each class has a covariance of its own.
     """
     n_pads = len(grids)
     unit = np.array([_UNIT[0]] * n_pads + [_UNIT[1]])[: n_pads + opening]

@@ -129,22 +129,6 @@ def test_teach_then_identify(make_plugin: Any) -> None:
     assert plugin.state() == "IDLE"
 
 
-def test_the_last_answer_stays_until_the_next_identification_begins(plugin: Any) -> None:
-    assert plugin.status().last_answer is None
-    found = done(plugin, IdentifyGoal(present="ball", keep="always"))
-    done(plugin, VerifyGoal())
-    plugin.release()
-    done(plugin, GripGoal(force_n=3.0))
-    plugin.release()
-    last = plugin.status().last_answer
-    assert (last.job, last.label, last.probability) == (1, found.label, found.probability)
-    seen: list[Any] = []
-    when(plugin, GripperPhase.RAMPING, lambda: seen.append(plugin.status().last_answer))
-    done(plugin, IdentifyGoal(present="box"))
-    assert seen == [None]
-    assert plugin.status().last_answer.label == "box"
-
-
 # -- cancelling --------------------------------------------------------------------------------
 
 

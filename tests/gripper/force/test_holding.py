@@ -40,6 +40,39 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
     assert max(quality.holding_n, quality.overshoot_n) <= 0.15
 
 
+@pytest.mark.parametrize("seed", [0, 2, 5])
+def test_a_correction_downwards_does_not_shoot_beyond_where_friction_is_less_than_known(
+    make_cell, seed
+) -> None:
+    cell = make_cell(rate_hz=200.0, kt_error=0.09, friction_error=-0.15, seed=seed)
+    cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0))
+    cell.gripper.hold(0.5)
+    cell.sensor.gain = 1.06
+    corrected_n = 6.0 / cell.sensor.gain
+    cell.least_n = 6.0
+    cell.gripper.hold(1.5)
+    assert cell.force_n == pytest.approx(corrected_n, abs=0.15)
+    assert cell.least_n > corrected_n - 0.2
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_part_met_with_more_than_the_ramp_asks_for_is_pressed_no_harder(make_cell, seed) -> None:
+    cell = make_cell(
+        rate_hz=200.0,
+        kt_error=0.09,
+        friction_error=-0.15,
+        seed=seed,
+        noise_n=0.1,
+        approach_speed_m_s=0.06,
+        approach_force_n=2.0,
+    )
+    forces_n: list[float] = []
+    cell.gripper.start()
+    ramp = ForceRamp.linear(2.0, rate_n_s=10.0)
+    cell.gripper.grasp(ramp, lambda c: forces_n.append(cell.force_n) if c.setpoint_n else None)
+    assert 2.2 < forces_n[0] == max(forces_n)
+
+
 @pytest.mark.parametrize("speed_m_s", [0.0, -1e-9, 1e-9])
 def test_fingers_set_out_with_the_force_beyond_friction_whichever_way_they_crept(
     speed_m_s: float,

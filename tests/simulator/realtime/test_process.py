@@ -1,9 +1,11 @@
 import contextlib
+import errno
 import json
 import math
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -143,6 +145,31 @@ def test_a_burst_goes_out_at_the_rate_of_the_bus(stepped: Stepped) -> None:
     assembler = FrameAssembler(FrameFormat.of(paper_layout()))
     frames = [assembler.push(bytes.fromhex(one[5:].decode()), 8, 0.0) for one in messages]
     assert frames[-1] is not None
+
+
+def test_pulling_and_plugging_the_cables_is_felt(stepped: Stepped) -> None:
+    paths = {"can": stepped.hello["can_channel"], "servos": stepped.hello["servo_port"]}
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    client.connect(stepped.hello["positioner_socket"])
+    client.settimeout(5.0)
+    for name, path in paths.items():
+        with terminal(path) as line:
+            client.sendall(json.dumps({"inject": f"{name}.unplugged"}).encode() + b"\n")
+            stepped.run(0.02)
+            assert json.loads(client.recv(4096)) == {"inject": f"{name}.unplugged"}
+            with pytest.raises(OSError, match="error") as caught:
+                os.write(line, b"V\r")
+            assert caught.value.errno == errno.EIO
+            assert not Path(path).exists()
+        client.sendall(json.dumps({"clear": f"{name}.unplugged"}).encode() + b"\n")
+        stepped.run(0.02)
+        assert json.loads(client.recv(4096)) == {"cleared": 1}
+        assert Path(path).is_symlink()
+    client.close()
+    with terminal(stepped.hello["can_channel"]) as line:
+        os.write(line, b"V\r")
+        stepped.run(0.005)
+        assert received(line) == b"V1013\r"
 
 
 def test_faults_of_the_settings_come_and_go_at_their_times(tmp_path: Path) -> None:

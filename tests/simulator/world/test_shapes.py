@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 
 from simulator.errors import SimulatorSettingsError
 from simulator.world import shape_files
@@ -108,6 +109,24 @@ def test_an_object_comes_to_rest_on_its_nearest_side(
 def test_a_dumbbell_is_thin_in_the_middle_and_rounded_at_its_ends() -> None:
     low, _ = PAPER_OBJECTS["dumbbell"].heights(np.array([0.0, 4e-3, 6.49e-3]), np.zeros(3), 0.0)
     assert low == pytest.approx([3e-3, 5e-3, 3.4e-3], abs=0.2e-3)
+
+
+@given(
+    kind=st.sampled_from(sorted(PAPER_OBJECTS)),
+    rotation_rad=st.floats(-7.0, 7.0),
+    roll_rad=st.floats(-7.0, 7.0),
+)
+@settings(max_examples=25, derandomize=True, deadline=None)
+def test_no_pose_makes_an_object_thicker_than_its_longest_diagonal(
+    kind: str, rotation_rad: float, roll_rad: float
+) -> None:
+    pose = ObjectPose(rotation_rad=rotation_rad, roll_rad=roll_rad)
+    low, high = posed_heights(PAPER_OBJECTS[kind], pose, *GRID)
+    assert np.array_equal(np.isfinite(low), np.isfinite(high))
+    thickness_m = (low + high)[np.isfinite(low)]
+    assert thickness_m.size
+    assert thickness_m.min() >= 0.0
+    assert thickness_m.max() <= 22e-3
 
 
 @pytest.mark.parametrize(

@@ -98,6 +98,16 @@ class Bench:
         return self.world.taxel_force_n()[self.layout.taxels_of(pad)].reshape(shape)
 
 
+def spread_m(bench: Bench) -> tuple[float, float]:
+    """Return the footprint's standard deviations along x and y."""
+    force_n = bench.pad_force_n(0).ravel()
+    xy_m = bench.layout.taxel_xy_m[bench.layout.taxels_of(bench.layout.gripping_pads[0])]
+    weights = force_n / force_n.sum()
+    offset_m = xy_m - weights @ xy_m
+    along_m, across_m = np.sqrt(weights @ offset_m**2)
+    return along_m, across_m
+
+
 @pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=["paper", "pinch"])
 @pytest.mark.parametrize("name", PAPER_OBJECTS)
 def test_the_taxels_carry_the_contact_force(name: str, layout: TaxelLayout) -> None:
@@ -121,6 +131,27 @@ def test_peaks_lie_in_the_useful_range_of_8_bit_counts(name: str) -> None:
     assert peaks == sorted(peaks)
     assert peaks[0] >= 15
     assert 60 <= peaks[-1] <= 230
+
+
+def test_a_ball_prints_round_a_cylinder_long_and_a_box_flat() -> None:
+    layout = pinch_layout()
+    spreads = {}
+    for name in ("ball", "cylinder", "box"):
+        bench = Bench(layout)
+        bench.world.place(name)
+        bench.squeeze(6.0)
+        spreads[name] = spread_m(bench)
+    assert spreads["ball"][0] == pytest.approx(spreads["ball"][1], rel=0.05)
+    # A line of 20 mm has a standard deviation of 5.8 mm, a face of 15.9 x 10 mm 4.6 and 2.9 mm.
+    assert spreads["cylinder"][0] == pytest.approx(6.1e-3, rel=0.07)
+    assert spreads["cylinder"][1] < 0.45 * spreads["cylinder"][0]
+    assert spreads["box"] == pytest.approx((4.9e-3, 3.4e-3), rel=0.1)
+
+    bench = Bench(layout)
+    bench.world.place("box")
+    bench.squeeze(8.0)
+    inside_n = bench.pad_force_n(0)[5:8, 2:4]
+    assert np.ptp(inside_n) < 0.15 * inside_n.mean()
 
 
 def test_an_offset_moves_the_footprint() -> None:
