@@ -54,6 +54,8 @@ class ServoState:
     temperature_c: float
     voltage_v: float
     """Present Temperature and Present Input Voltage."""
+    tick_ms: int
+    """Realtime Tick: the servo's own time, modulo 32768 ms; recordings keep it."""
     alert: bool
     """True while Hardware Error Status (register 70) is not zero."""
 

@@ -24,6 +24,7 @@ _SERVO = ServoState(
     position_raw=2048,
     temperature_c=31.0,
     voltage_v=12.1,
+    tick_ms=4711,
     alert=False,
 )
 

@@ -115,7 +115,7 @@ class Recorder:
                 f"cannot record to {path}: {cause.strerror}; check folder and rights"
             ) from cause
         self._writer = Writer(
-            self._sink,  # type: ignore[arg-type]
+            _Marked(self._sink, self._mark),  # type: ignore[arg-type]
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
@@ -125,7 +125,8 @@ class Recorder:
         entries = dict(metadata or {}) | started
         self._channels: dict[str, int] = {}
         self._guarded(lambda: self._channels.update(begin(writer, entries)))
-        self._mark()
+        if self._fault is None:
+            self._marks.append((self._sink.tell(), 0))
 
     @property
     def fault(self) -> RecordingError | None:
@@ -231,15 +232,14 @@ class Recorder:
         self._guarded(
             lambda: writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
         )
-        self._mark()
 
     def _mark(self) -> None:
-        """Keep how long the file is with all frames so far, where a chunk has just been ended.
+        """Keep how long the file is with all frames so far, where a chunk has just been written.
 
         The first mark is the description of the recording, without which nothing can be read.
         """
         length = self._sink.tell()
-        if self._fault is None and (not self._marks or length > self._marks[-1][0]):
+        if self._marks and self._fault is None and length > self._marks[-1][0]:
             self._marks.append((length, self._n_frames))
 
     def _what_is_left(self) -> str:
@@ -264,3 +264,19 @@ class Recorder:
                 f"{self._what_is_left()}; free space or choose another disk, then repeat"
             )
             self._fault.__cause__ = cause
+
+
+class _Marked:
+    """The file as its writer sees it; calls ``mark`` after each write.
+
+    The index that follows a chunk is a write of its own: a chunk without it can be read.
+    """
+
+    def __init__(self, sink: DirectFile, mark: Callable[[], None]) -> None:
+        self.tell, self.flush = sink.tell, sink.flush
+        self._sink, self._mark = sink, mark
+
+    def write(self, data: bytes, /) -> int:
+        n_bytes = self._sink.write(data)
+        self._mark()
+        return n_bytes

@@ -159,6 +159,7 @@ class Feedback:
             position_raw=position_raw,
             temperature_c=float(raw[PRESENT_TEMPERATURE.name]),
             voltage_v=raw[PRESENT_INPUT_VOLTAGE.name] * VOLTAGE_UNIT_V,
+            tick_ms=raw[REALTIME_TICK.name],
             alert=self._bus.alert(servo.servo_id),
         )
 
