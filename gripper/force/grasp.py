@@ -31,8 +31,6 @@ from gripper.state import GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact: at its rising edge, with a reserve."""
-_ARRIVED_SHARE = 0.8
-"""Share of the last force of a ramp from which on the contact alone has made it."""
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """How much wider in m than all parts so far the next one may begin: the first, and the second over
 the number of these parts, because each is the widest of all as likely as any other."""
@@ -393,7 +391,7 @@ class RampStep:
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
         reached = self._reached
         drive_n = force_n + _CONTACT_SHARE * reached.friction_share * mean_friction_n(paths)
-        if force_n > _ARRIVED_SHARE * self._time.ramp.final_n:
+        if force_n > self._time.ramp.final_n:
             drive_n = min(drive_n, max(force_n, driving_n(moment.state, paths)))
         return GripControl(
             self._settings,
