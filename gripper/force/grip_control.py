@@ -65,7 +65,7 @@ _FAST_PERIOD_S = 0.0065
 in a slower loop the fingers would run too far."""
 _LATE_PERIOD_S = 0.012
 """Time in s since the last period from which on a motion is given up for slower control."""
-_CORRECTED_N = {False: 0.05, True: 0.07}
+_CORRECTED_N = {False: 0.05, True: 0.1}
 _CORRECTED_DOUBT_N = 0.06
 """Error in N, beside the doubt of the force, of a hold that is made up for by a motion, up and
 down (True: foam creeps, and the way down costs twice the friction), and how well the force must be
