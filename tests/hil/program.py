@@ -10,6 +10,7 @@ LIMIT_S = 60.0
 """Patience in s with a program."""
 PROGRAM = (sys.executable, "-c", "from cell.interfaces.cli import main; main()")
 CONFIG = """
+self_zero: on_demand
 tactile: {tare_frames: 15, sync_period_ms: 30.0, force_period_ms: 10}
 gripper:
   loop_rate_hz: 100.0

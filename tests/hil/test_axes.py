@@ -18,6 +18,7 @@ from tests.hil.program import first
 pytestmark = pytest.mark.real_time
 
 CONFIG = """
+self_zero: on_demand
 tactile: {tare_frames: 15, sync_period_ms: 50.0, force_period_ms: 10}
 gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0, force_stale_ms: 300.0}
 sequence:

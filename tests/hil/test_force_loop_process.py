@@ -29,6 +29,7 @@ pytestmark = pytest.mark.real_time
 
 LIMIT_S = 30.0
 CONFIG = """
+self_zero: on_demand
 tactile: {tare_frames: 25, sync_period_ms: 30.0, force_period_ms: 10}
 gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0}
 sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
@@ -45,11 +46,8 @@ def simulator(free_machine: None) -> Iterator[CellProcess]:
 
 
 @pytest.fixture
-def make_cell(
-    simulator: CellProcess, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Iterator[Callable[[], Cell]]:
+def make_cell(simulator: CellProcess, tmp_path: Path) -> Iterator[Callable[[], Cell]]:
     """Return the maker of a cell with its loop in a process; what it holds is let go at last."""
-    monkeypatch.chdir(tmp_path)  # where it keeps its self-zero
     cells: list[Cell] = []
 
     def make() -> Cell:

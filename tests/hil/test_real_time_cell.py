@@ -38,10 +38,7 @@ def hurried() -> Iterator[None]:
 def simulator(
     free_machine: None,
     cell_process: Callable[..., CellProcess],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
 ) -> CellProcess:
-    monkeypatch.chdir(tmp_path)  # where the cell's programs keep its self-zero
     one = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
     first(one.pid)
     return one
@@ -64,10 +61,11 @@ def test_the_program_teaches_and_identifies_over_real_ports(
     config = load_config(simulator.config_path)
     assert not config.simulated
     assert config.gripper.port == simulator.servo_port
-    report = tmp_path / "run.json"
+    report, out = tmp_path / "run.json", ("--out", tmp_path / "out")
+    assert "pads meet at " in run("zero", "--config", simulator.config_path, *out)
     run(
         *("run", "--config", simulator.config_path, "--object", "box", "--teach", 3, "--trials", 1),
-        *("--out", tmp_path / "out", "--json", report),
+        *(*out, "--json", report),
     )
     data = json.loads(report.read_text())
     assert (data["n_taught"], data["n_trials"]) == (3, 1)

@@ -39,11 +39,8 @@ class Program:
 
 
 @pytest.fixture
-def start(
-    free_machine: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Iterator[Callable[..., Program]]:
+def start(free_machine: None) -> Iterator[Callable[..., Program]]:
     """Return what starts a program; all are ended."""
-    monkeypatch.chdir(tmp_path)  # where a cell keeps its self-zero
     made: list[Program] = []
 
     def run(*arguments: object) -> Program:
