@@ -57,7 +57,7 @@ bench: $(DEV)  ## each figure that README and docs quote
 
 campaign: $(DEV)  ## every fault, then 2,000 new inputs for each parser and new random walks; ROUNDS=500 for a million inputs
 	$(TESTS) -m "not real_time" -o junit_family=xunit1 --junitxml=out/fault-campaign.xml tests/faults/test_fault_rows.py
-	$(BIN)/python -m pytest -m real_time tests/faults/test_fault_rows.py
+	$(BIN)/python -m pytest -m real_time tests/faults/test_fault_rows.py tests/hil
 	for round in $$(seq $(or $(ROUNDS),1)); do \
 	TACTILE_CELL_INPUTS=2000 $(TESTS) -m "not real_time" --timeout=3600 tests/fuzz tests/faults/test_state_machine.py || exit; done
 

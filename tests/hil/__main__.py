@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 import pytest
 
 PYTEST = ("-m", "pytest", "-m", "real_time and not long")
-"""What is long, as the whole commissioning in a terminal, runs with the option
-``-m "real_time and long"``."""
+"""What is long (the whole commissioning in a terminal, further faults of the servo line) runs with
+the option ``-m "real_time and long"``."""
 ATTEMPTS = 2
 
 

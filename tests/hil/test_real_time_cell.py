@@ -183,9 +183,9 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     ("fault", "errors"),
     [
         ("servos.unplugged", "PortLost|BusTimeout"),
-        ("servos.corrupt=1", "BusCorrupt|BusTimeout"),
-        ("servos.lagging", "Bus"),
-        ("servos.chatter", "Bus|FingerSilent"),
+        pytest.param("servos.corrupt=1", "BusCorrupt|BusTimeout", marks=pytest.mark.long),
+        pytest.param("servos.lagging", "Bus", marks=pytest.mark.long),
+        pytest.param("servos.chatter", "Bus|FingerSilent", marks=pytest.mark.long),
         ("can.unplugged", "BusOff"),
         ("can.garbage=1", "FrameTimeout|BusDisturbed"),
     ],
