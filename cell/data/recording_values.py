@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from recognition.grasp import Grasp, PadArray
     from recognition.shape.answer import ShapeAnswer
 
+_AS_IT_IS = (int, str)
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
@@ -144,17 +145,17 @@ def begin(writer: "Writer", entries: Mapping[str, str]) -> dict[str, int]:
 
 def plain_fields(value: Any) -> dict[str, Any]:
     """Return the fields of a dataclass as plain values, leaving out what is not known."""
-    plain = ((field.name, _plain(getattr(value, field.name))) for field in fields(value))
-    return {name: item for name, item in plain if item is not None}
+    plain = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    return {name: item for name, item in plain.items() if item is not None}
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, enum.Enum):
-        return value.name
-    if isinstance(value, bool | int | str):
-        return value
     if isinstance(value, float):
         return round(float(value), 7) if math.isfinite(value) else None
+    if isinstance(value, enum.Enum):
+        return value.name
+    if value is None or isinstance(value, _AS_IT_IS):
+        return value
     if isinstance(value, Iterable):
         return [_plain(item) for item in value]
-    return None if value is None else str(value)
+    return str(value)

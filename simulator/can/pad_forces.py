@@ -131,7 +131,8 @@ class PadForces:
         self._active = (smooth > self._touch_counts) | (self._active & (smooth > 0.0))
         if len(smooth) == 2 * self._n_first:
             facing = smooth.reshape(2, -1).min(axis=0) > _FACING_SHARE * self._touch_counts
-            self._active |= np.tile(facing, 2)
+            both = self._active.reshape(2, -1)
+            both |= facing
         force_n = np.zeros(len(tared))
         if not np.count_nonzero(self._active):
             return force_n
