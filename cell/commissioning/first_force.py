@@ -158,7 +158,7 @@ def _asked(dialog: Dialog, limit_n: float) -> float:
 
 def meets(config: CellConfig) -> bool:
     """Return whether the empty fingers may be pressed on each other."""
-    return config.gripper.pads_meet and config.gripper.ramp_force_max_n >= MEET_FORCE_N
+    return config.gripper.pads_meet and config.largest_ramp_n >= MEET_FORCE_N
 
 
 def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Write]:

@@ -20,7 +20,7 @@ from cell.config.sort import SortConfig
 from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
-from gripper.force.ramp import check_ramp
+from gripper.force.ramp import check_ramp, largest_ramp_n
 from gripper.impact import check_approach
 from gripper.kinematics import Linkage
 from gripper.settings import GripperSettings
@@ -247,6 +247,11 @@ class CellConfig(Section):
     def gripper_settings(self) -> GripperSettings:
         """Limits and tuning of the gripper in SI; raises gripper.errors.LimitExceeded."""
         return gripper_settings(self.gripper, overruns_max=self.loop.overruns_max)
+
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force of a ramp in N; raises gripper.errors.LimitExceeded."""
+        return largest_ramp_n(self.gripper_settings, self.linkage)
 
     @property
     def linkage(self) -> Linkage:
