@@ -35,7 +35,7 @@ from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
 from gripper.gripper import Gripper
-from gripper.outcome import ReleaseReport
+from gripper.outcome import GraspResult, ReleaseReport
 from gripper.state import GripperPhase, shows_nothing
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import PadArray, SelfZero
@@ -55,6 +55,9 @@ _UNSUPERVISED = (
 """States in which nothing looks at the hand, so that nothing is measured."""
 MISSES_IN_A_ROW = 3
 """Grasps of a known object that find no part after which it is taken for absent."""
+
+_CLOSED_MM = 0.5
+"""How much farther open than their smallest opening in mm fingers are that did not close so far."""
 
 
 class CellController:
@@ -632,9 +635,18 @@ class CellController:
         """Raise NoPartFound where a grasp has found nothing."""
         missing = NOTHING_HELD.get(record.outcome.result)
         if missing is not None:
+            gripper, ended_mm = self._config.gripper, 1e3 * record.outcome.final_aperture_m
+            late = record.outcome.result is GraspResult.NO_CONTACT and (
+                ended_mm > gripper.aperture_min_mm + _CLOSED_MM
+            )
             raise NoPartFound(
-                f"{missing} at pose {record.step.pose}, at an opening of "
-                f"{record.outcome.final_aperture_m * 1e3:.1f} mm; is the object in place?"
+                f"{missing} at pose {record.step.pose}, at an opening of {ended_mm:.1f} mm; "
+                + (
+                    f"in gripper.contact_timeout_s = {gripper.contact_timeout_s:g} s the fingers "
+                    "came no farther"
+                    if late
+                    else "is the object in place?"
+                )
             )
 
     def _checked(self, plan: Sequence[GraspStep], label: str = "") -> tuple[GraspStep, ...]:

@@ -1,7 +1,7 @@
 """Closing of both fingers until the pads are touched."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from math import inf
 
@@ -14,6 +14,7 @@ from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import (
     ServoGoal,
     closing_margin_rad,
+    most_closed_rad,
     running_lead_rad,
 )
 from gripper.settings import GripperSettings
@@ -114,6 +115,7 @@ class Approach:
         self._linkage = linkage
         paths = transmissions(settings, linkage, state.angles_rad)
         self._current_max_a = closing_current_max_a(settings, paths)
+        self._least_rad = most_closed_rad(settings, linkage)
         self._slow_at_m = inf
         if widest_m is not None:
             self._slow_at_m = widest_m + slowing_way_m(
@@ -206,6 +208,11 @@ class Approach:
             for finger, brake in enumerate(self._brakes):
                 if brake is not None and not (touched[finger] and len(goals) > 1):
                     goals[finger] = self._slow_goal(moment, finger, brake)
+        # A lead in mm is a large angle of a small pinion.
+        goals = [
+            replace(goal, angle_rad=max(goal.angle_rad, min(least_rad, servo.angle_rad)))
+            for goal, least_rad, servo in zip(goals, self._least_rad, state.servos, strict=True)
+        ]
         return Action(goals=goals, done=self.event is not ApproachEvent.CLOSING)
 
     def _new_speed_m_s(self, state: GripperState) -> float:

@@ -31,10 +31,10 @@ _HISTORY_LENGTH = 128
 """Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor."""
 _IMPLAUSIBLE_S = 0.3
 """Time in s for which sensor and model may disagree: 15 samples at 50 Hz."""
-_JUMP_N, _JUMP_SHARE, _JUMP_SIGMAS = 0.8, 0.15, 4.0
-"""Sudden growth of the measured force that no drive makes: in N, as a share of the set-point, and
-beside the noise of a sample in its standard deviations. Friction that breaks makes 0.6 N at most
-where the fingers do not give back force."""
+_JUMP_N, _JUMP_SHARE, _JUMP_FRICTION_SHARE, _JUMP_SIGMAS = 0.8, 0.15, 0.17, 4.0
+"""Sudden growth of the measured force that no drive makes: in N, as a share of the set-point and of
+the friction, and beside the noise of a sample in its standard deviations. Friction that breaks
+makes an eighth of it at most where the fingers do not give back force."""
 _JUMP_S = 0.015
 """Time in s that it must last: two samples at 50 Hz."""
 _AFTER_FALL_S, _STICKS_SHARE = 0.1, 0.6
@@ -328,7 +328,9 @@ class ForceController:
         settings = self._settings
         seen_n = sample.grip_n - self._history.at(sample.measured_s)
         sticking_n = friction_n if now_s - self._fell_s < _AFTER_FALL_S else 0.0
-        jumped = standing and self.jumps(sample, seen_n - self._bias_n, setpoint_n, sticking_n)
+        jumped = standing and self.jumps(
+            sample, seen_n - self._bias_n, setpoint_n, friction_n, sticking_n
+        )
         if sample.t_s > self._sample_s and not jumped:
             step_s = sample.t_s - self._sample_s
             drift_n_rs = settings.bias_drift_n_rs * (1.0 + rate_n_s / settings.bias_rate_n_s)
@@ -347,7 +349,12 @@ class ForceController:
         self._check_bias(now_s, sample, setpoint_n, friction_n)
 
     def jumps(
-        self, sample: ForceSample, jump_n: float, setpoint_n: float, sticking_n: float
+        self,
+        sample: ForceSample,
+        jump_n: float,
+        setpoint_n: float,
+        friction_n: float,
+        sticking_n: float,
     ) -> bool:
         """Return whether a sample shows far more force than before though no drive made it.
 
@@ -361,6 +368,8 @@ class ForceController:
             What it shows beyond the force that the drive explains, in N.
         setpoint_n
             Grip force that is asked for in N.
+        friction_n
+            Half the width of the friction band as grip force.
         sticking_n
             Friction in N that may still hold more force, as after a fall.
 
@@ -369,7 +378,8 @@ class ForceController:
         LimitExceeded
             When it lasts.
         """
-        least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n) + _JUMP_SIGMAS * sample.noise_n
+        least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n, _JUMP_FRICTION_SHARE * friction_n)
+        least_n += _JUMP_SIGMAS * sample.noise_n
         least_n += _STICKS_SHARE * sticking_n
         if jump_n <= least_n:
             self._jumped_s = None

@@ -108,7 +108,7 @@ class GraspRun:
                 return _without_contact(contact)
             self._widest_m = max(self._widest_m, reached.touch_m)
             self._touched += 1
-            return self._press(ramp, reached)
+            return self._press(ramp, reached, slip=LevelSlip(self._settings))
 
     def meet(self, ramp: ForceRamp) -> GraspOutcome:
         """Close the empty fingers onto each other and follow a ramp; see `Gripper.meet`."""
@@ -121,12 +121,14 @@ class GraspRun:
         with self._end.counting():
             if contact.aperture_m > ZERO_RANGE_M:
                 self._end.request()
-            return self._press(ramp, reached)
+            return self._press(ramp, reached, slip=None)
 
-    def _press(self, ramp: ForceRamp, reached: "Reached") -> GraspOutcome:
+    def _press(
+        self, ramp: ForceRamp, reached: "Reached", *, slip: LevelSlip | None
+    ) -> GraspOutcome:
         """Follow a ramp on what was touched; a part that was lost on it is forgotten."""
         self._set_phase(GripperPhase.RAMPING)
-        self._ramp_step = step = RampStep(self._linkage, ramp, reached, self._end)
+        self._ramp_step = step = RampStep(self._linkage, ramp, reached, self._end, slip=slip)
         final = self._runner.run(step.step)
         if step.lost:
             ran = step.control is not None and step.control.ran
@@ -308,9 +310,19 @@ class RampStep:
         How the approach ended.
     end
         Request to end the ramp early.
+    slip
+        Watches over what is held; None where nothing is that could slip.
     """
 
-    def __init__(self, linkage: Linkage, ramp: ForceRamp, reached: Reached, end: RampEnd) -> None:
+    def __init__(
+        self,
+        linkage: Linkage,
+        ramp: ForceRamp,
+        reached: Reached,
+        end: RampEnd,
+        *,
+        slip: LevelSlip | None,
+    ) -> None:
         self.control: GripControl | None = None
         """Control of the grip force; None during the rest at the contact."""
         self.lost = False
@@ -325,7 +337,7 @@ class RampStep:
             hard_n=reached.settings.contact_force_n,
             hard_until_s=reached.braked_s + _TOUCH_S,
         )
-        self._slip = LevelSlip(reached.settings)
+        self._slip = slip
         self._peak_n = 0.0
         self._ended = False
 
@@ -345,7 +357,7 @@ class RampStep:
                 replace(goal, angle_rad=angle_rad)
                 for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
             )
-        elif not control.doubts:
+        elif self._slip is not None and not control.doubts:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
         done = self.lost or self._time.settled(control.force_n)
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)

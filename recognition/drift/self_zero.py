@@ -363,11 +363,14 @@ def _ratio(load: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _scale(load: NDArray[np.float64], current_a: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the logarithm of counts for each A, and its deviation, by the slope of the ramp."""
+    """Return the logarithm of counts for each A, and its deviation, by the slope of the ramp.
+
+    Unknown where friction hides what the current grows by, as on a short lever.
+    """
     off_load, off_current = load - load.mean(), current_a - current_a.mean()
     a_count = float(off_load @ off_current / (off_load @ off_load))
     if a_count <= 0.0:
-        raise ValueError("the motors' current has not grown while the fingers pressed")
+        return 0.0, _UNKNOWN_SD
     left = off_current - a_count * off_load
     sd = float(np.sqrt(left @ left / max(len(load) - 2, 1) / (off_load @ off_load)))
     return -float(np.log(a_count)), sd / a_count

@@ -13,7 +13,7 @@ from gripper.errors import (
     LimitExceeded,
     VerificationFailed,
 )
-from gripper.force.ramp import ForceRamp
+from gripper.force.ramp import ForceRamp, largest_ramp_n
 from gripper.gripper import Gripper
 from gripper.kinematics import ParallelLinkage
 from gripper.outcome import GraspResult
@@ -256,6 +256,15 @@ def test_a_ramp_so_near_to_the_cap_that_it_may_overshoot_it_is_refused(make_cell
     with pytest.raises(LimitExceeded, match=r"14\.9 N, the limit is 14\.29 N, so that its over"):
         cell.gripper.check_ramp(ForceRamp.linear(14.9, 5.0))
     assert make_cell(force_max_n=2.0).settings.grasp_force_limit_n == pytest.approx(1.8)
+
+
+@pytest.mark.parametrize("current_max_a", [0.5, 2.0])
+def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max_a: float) -> None:
+    cell = make_cell(current_max_a=current_max_a)
+    most_n = largest_ramp_n(cell.settings, cell.linkage)
+    cell.gripper.check_ramp(ForceRamp.linear(most_n, 5.0))
+    with pytest.raises(LimitExceeded, match=r"the limit is 14\.29|current_max_a is 0\.5 A"):
+        cell.gripper.check_ramp(ForceRamp.linear(1.001 * most_n, 5.0))
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.3])

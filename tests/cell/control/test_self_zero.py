@@ -59,6 +59,35 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
 
 
 @pytest.mark.parametrize(
+    "hand",
+    [
+        pytest.param({"gripper__servos": [{"id": 1}]}, id="one servo makes less than 10 N"),
+        pytest.param(
+            {
+                "gripper__servos": [{"id": 1}],
+                "gripper__linkage": {"kind": "rack_pinion", "pinion_radius_mm": 9.0},
+                "gripper__aperture_open_mm": 14.0,
+            },
+            id="a lead of 6 mm is a third of a turn",
+        ),
+        pytest.param(
+            {
+                "gripper__servos": [{"id": 1, "model": "XM430-W210"}],
+                "gripper__linkage": {"kind": "rack_pinion", "pinion_radius_mm": 14.0},
+                "simulator__noise_level": 1.5,
+                "tactile__sync_period_ms": 40.0,
+            },
+            id="noise moves the centre of flat pads",
+        ),
+    ],
+)
+def test_it_is_measured_on_other_hands(make_bench, hand: dict[str, Any]) -> None:
+    bench = make_bench(small_config(self_zero="daily", **hand)).start()
+    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.self_zero.opening_m * 1e3 == pytest.approx(0.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
     "part",
     [
         "sphere:diameter=9.5mm",

@@ -849,6 +849,14 @@ def test_an_empty_gripper_tells_that_nothing_is_held(
     assert "is the object in place? nothing is held; recording so far" in said
 
 
+def test_fingers_that_do_not_close_in_time_are_told_as_that(tmp_path: Path, fail: Any) -> None:
+    slow = "self_zero: never\ngripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n"
+    (tmp_path / "cell.yaml").write_text(slow)
+    files = ("-o", tmp_path / "d.npz", "--out", tmp_path / "out")
+    said = fail("teach", "ball", *files, "-c", tmp_path / "cell.yaml")
+    assert "in gripper.contact_timeout_s = 1 s the fingers came no farther" in said
+
+
 def test_output_that_nobody_takes_is_an_error_in_plain_words() -> None:
     program = [sys.executable, "-c", "from cell.interfaces.cli import main; main()", "simulate"]
     with open("/dev/full", "w") as full:

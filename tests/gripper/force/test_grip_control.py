@@ -83,6 +83,14 @@ def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
     assert min(least_n) > 0.05
 
 
+def test_friction_that_breaks_on_a_short_lever_is_no_jump_of_the_zero(make_cell, make_part) -> None:
+    part = make_part(stiffness_n_m=3000.0)
+    cell = make_cell(linkage="rack", part=part, rate_hz=200.0, noise_n=0.05, delay_s=0.005)
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=1.0, hold_s=0.5))
+    assert outcome.result is GraspResult.FORCE_REACHED
+
+
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
 @pytest.mark.parametrize("final_n", [0.7, 4.0])
 @pytest.mark.parametrize("moment", ["ramp", "hold"])
