@@ -236,6 +236,15 @@ def transmissions(
     )
 
 
+def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Transmission]:
+    """Return the transmissions of all servos at both ends of the way, one of which is the worst."""
+    return [
+        path
+        for aperture_m in (settings.aperture_min_m, settings.aperture_open_m)
+        for path in transmissions(settings, linkage, linkage.angles_rad(aperture_m))
+    ]
+
+
 def mean_friction_n(paths: Sequence[Transmission]) -> float:
     """Return half the width of the friction band in N, the mean of the servos."""
     return sum(path.friction_n for path in paths) / len(paths)

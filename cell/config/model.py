@@ -22,12 +22,17 @@ from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
 from gripper.impact import check_approach
-from gripper.kinematics import Linkage
+from gripper.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
 
 TAXELS_OF_SMALL_PART = 8
 """Taxels of a pad that a small part presses: a cylinder of 6 x 20 mm on taxels of 3.4 x 5 mm."""
+
+
+_MUCH_FRICTION_N = 10.0
+"""Friction of a servo at the pads in N from which on a hold in four ends 0.3 N and more too high
+(51 grasps of simulated hands)."""
 
 
 class RecognitionConfig(Section):
@@ -267,8 +272,16 @@ class CellConfig(Section):
                 "force ramps go on to their end: sequence.decide_early works out answers while the "
                 "force loop runs, which needs loop.own_process",
             )
+        settings, linkage = self.gripper_settings, self.linkage
+        friction_n = max(path.friction_n for path in end_transmissions(settings, linkage))
+        if friction_n > _MUCH_FRICTION_N:
+            found += (
+                f"the servos' friction is {friction_n:.0f} N at the pads: where it breaks, the "
+                "force may jump by 1 N and more, and stay above the one asked for. Take longer "
+                "links, a larger pinion or servos with less friction where that matters",
+            )
         asked_mm_s = self.gripper.approach_speed_mm_s
-        speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
+        speed_mm_s = 1e3 * check_approach(settings, linkage)
         if speed_mm_s >= asked_mm_s:
             return found
         way_mm = speed_mm_s * self.gripper.contact_timeout_s

@@ -8,7 +8,7 @@ from math import cos, inf, isfinite, pi
 
 from gripper.errors import LimitExceeded
 from gripper.impact import check_approach
-from gripper.kinematics import Linkage, Transmission, transmissions
+from gripper.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 
 
@@ -208,17 +208,10 @@ def largest_ramp_n(settings: GripperSettings, linkage: Linkage) -> float:
     """Return the force in N up to which cap and current allow a ramp, at any opening."""
     # A hair less than the whole current, which rounding would make too much.
     current_a = (1.0 - 1e-9) * settings.current_max_a
-    by_current_n = (path.force_band_n(current_a)[0] for path in _ends(settings, linkage))
+    by_current_n = (
+        path.force_band_n(current_a)[0] for path in end_transmissions(settings, linkage)
+    )
     return min(settings.grasp_force_limit_n, *by_current_n)
-
-
-def _ends(settings: GripperSettings, linkage: Linkage) -> list[Transmission]:
-    """Return the transmissions at both ends of the way: a force takes most current at one."""
-    return [
-        path
-        for aperture_m in (settings.aperture_min_m, settings.aperture_open_m)
-        for path in transmissions(settings, linkage, linkage.angles_rad(aperture_m))
-    ]
 
 
 def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> None:
@@ -245,7 +238,9 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
             f"the ramp ends at {ramp.final_n} N, below contact_force_n = "
             f"{settings.contact_force_n} N: it could not hold a part"
         )
-    needed_a = max(path.loading_current_a(largest_n) for path in _ends(settings, linkage))
+    needed_a = max(
+        path.loading_current_a(largest_n) for path in end_transmissions(settings, linkage)
+    )
     if needed_a > settings.current_max_a:
         raise LimitExceeded(
             f"{largest_n} N take {needed_a:.3f} A, current_max_a is {settings.current_max_a} "

@@ -263,7 +263,7 @@ def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max
     cell = make_cell(current_max_a=current_max_a)
     most_n = largest_ramp_n(cell.settings, cell.linkage)
     cell.gripper.check_ramp(ForceRamp.linear(most_n, 5.0))
-    with pytest.raises(LimitExceeded, match=r"the limit is 14\.29|current_max_a is 0\.5 A"):
+    with pytest.raises(LimitExceeded, match=r"the limit is 47\.62 N|current_max_a is 0\.5 A"):
         cell.gripper.check_ramp(ForceRamp.linear(1.001 * most_n, 5.0))
 
 

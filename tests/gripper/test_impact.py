@@ -97,6 +97,9 @@ def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
     assert re.match(
         r"the fingers approach with as little as 5\d\.\d mm/s, not with gripper.approach_sp", note
     )
+    rack = {"kind": "rack_pinion", "pinion_radius_mm": 14.0}
+    friction, _ = changed_config(CellConfig(), {"gripper.linkage": rack}).notes
+    assert "the servos' friction is 16 N at the pads" in friction
     with pytest.raises(ConfigError, match=r"gripper: force_max_n is 2 N: .* Raise force_max_n"):
         changed_config(
             CellConfig(),
