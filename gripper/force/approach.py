@@ -186,11 +186,9 @@ class Approach:
             self._was_touched |= max(sample.force_n) >= self._settings.contact_force_n
         self._brake(moment)
         touched = self._touched()
-        # The goal runs ahead of the fingers by a little only: that is how far they would go on
-        # if nobody wrote a new one.
         self._aperture_m = max(
             self._aperture_m - self._speed_m_s * moment.dt_s,
-            state.aperture_m - LEAD_M,
+            state.aperture_m - self._most_lead_m(state),
         )
         paused_rad = self._paused_rad(moment.now_s, state)
         angles_rad = self._angles_rad(state, touched, paused_rad)
@@ -247,6 +245,22 @@ class Approach:
                 self._settings.servos, paths, state.angles_rad, strict=True
             )
         )
+
+    def _most_lead_m(self, state: GripperState) -> float:
+        """Return how far in m the goal may run ahead of the fingers.
+
+        A little only: that is how far they would go on if nobody wrote a new one. Fingers that
+        stand untouched get as far ahead a goal as their current takes, or a position controller
+        with a small gain would never reach it.
+        """
+        if self._boost <= 1.0:
+            return LEAD_M
+        pressing_m = sum(
+            self._linkage.opening_per_rad_m(now.angle_rad)
+            * closing_margin_rad(servo.servo_model, self.current_a)
+            for servo, now in zip(self._settings.servos, state.servos, strict=True)
+        )
+        return max(LEAD_M, pressing_m)
 
     def _touched(self) -> tuple[bool, bool]:
         """Return which fingers are in contact: what stopped a braked one need press half as hard.

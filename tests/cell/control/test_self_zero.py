@@ -79,6 +79,21 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
             },
             id="noise moves the centre of flat pads",
         ),
+        pytest.param(
+            {
+                "gripper__servos": [
+                    {"id": 1, "model": "XL330-M288"},
+                    {"id": 2, "model": "XL330-M288"},
+                ],
+                "tactile__force_period_ms": 0,
+                "tactile__sync_period_ms": 40.0,
+                "sequence__force_n": [1.0, 3.0],
+                "sequence__carry_force_n": 3.0,
+                "simulator__pads__stiffness": [1.6, 1.9],
+                "simulator__noise_level": 0.5,
+            },
+            id="a small position gain",
+        ),
     ],
 )
 def test_it_is_measured_on_other_hands(make_bench, hand: dict[str, Any]) -> None:
