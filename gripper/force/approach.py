@@ -250,14 +250,14 @@ class Approach:
         """Return how far in m the goal may run ahead of the fingers.
 
         A little only: that is how far they would go on if nobody wrote a new one. Fingers that
-        stand untouched get as far ahead a goal as their current takes, or a position controller
-        with a small gain would never reach it.
+        stand untouched get as far ahead a goal as their current takes: a position controller
+        with a small gain would never reach it otherwise.
         """
         if self._boost <= 1.0:
             return LEAD_M
         pressing_m = sum(
             self._linkage.opening_per_rad_m(now.angle_rad)
-            * closing_margin_rad(servo.servo_model, self.current_a)
+            * closing_margin_rad(servo.servo_model, self._closing_a)
             for servo, now in zip(self._settings.servos, state.servos, strict=True)
         )
         return max(LEAD_M, pressing_m)
