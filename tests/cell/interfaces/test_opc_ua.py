@@ -372,9 +372,9 @@ async def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
 
 
 async def test_faults_refusals_and_the_end_reach_who_subscribes(
-    open_cell: Any, plc: Identity
+    serve: Any, folder: Path, plc: Identity
 ) -> None:
-    served = open_cell()
+    served = serve(serve__opcua_folder=str(folder))
     door = OpcUaDoor(served.service)
     events: asyncio.Queue[Any] = asyncio.Queue()
     listener = SimpleNamespace(event_notification=events.put_nowait)

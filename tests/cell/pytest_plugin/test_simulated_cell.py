@@ -69,7 +69,7 @@ def test_a_recording_is_made_on_request(simulated_cell: Any, tmp_path: Path) -> 
 def test_objects_are_taught_and_told_apart(simulated_cell: Any) -> None:
     short = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 1}
     cell = simulated_cell(objects=PIN | {"ball": "sphere:diameter=9.5mm"}, changes=short).start()
-    recognizer = cell.teach(["pin", "ball"], grasps=20)
+    recognizer = cell.teach(["pin", "ball"], grasps=10)
     assert cell.identify(recognizer, "pin").label == "pin"
     assert cell.identify(recognizer, "ball").label == "ball"
 
