@@ -259,6 +259,12 @@ class CellConfig(Section):
         return largest_ramp_n(self.gripper_settings, self.linkage)
 
     @property
+    def friction_n(self) -> float:
+        """Largest friction of a servo on the way of the fingers, as grip force in N."""
+        ends = end_transmissions(self.gripper_settings, self.linkage)
+        return max(path.friction_n for path in ends)
+
+    @property
     def linkage(self) -> Linkage:
         """Mechanics between servos and fingers."""
         return linkage_of(self.gripper)
@@ -272,16 +278,14 @@ class CellConfig(Section):
                 "force ramps go on to their end: sequence.decide_early works out answers while the "
                 "force loop runs, which needs loop.own_process",
             )
-        settings, linkage = self.gripper_settings, self.linkage
-        friction_n = max(path.friction_n for path in end_transmissions(settings, linkage))
-        if friction_n > _MUCH_FRICTION_N:
+        if self.friction_n > _MUCH_FRICTION_N:
             found += (
-                f"the servos' friction is {friction_n:.0f} N at the pads: where it breaks, the "
-                "force may jump by 1 N and more, and stay above the one asked for. Take longer "
+                f"the servos' friction is {self.friction_n:.0f} N at the pads: where it breaks, "
+                "the force may jump by 1 N and more, and stay above the one asked for. Take longer "
                 "links, a larger pinion or servos with less friction where that matters",
             )
         asked_mm_s = self.gripper.approach_speed_mm_s
-        speed_mm_s = 1e3 * check_approach(settings, linkage)
+        speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
         if speed_mm_s >= asked_mm_s:
             return found
         way_mm = speed_mm_s * self.gripper.contact_timeout_s

@@ -1,5 +1,7 @@
 """Building the hand of a config: links, sensor and gripper; no simulator."""
 
+from dataclasses import replace
+
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.hand.lines import Lines
@@ -19,6 +21,10 @@ SHARED_PROCESS = (
     "loop.own_process to true"
 )
 """Note of a real cell whose loop has no process of its own."""
+
+_HELD_SHARE = 0.25
+"""Share of the friction by which the wanted force may change while friction holds the one there
+is: as that breaks, by a sixth, and half as much again."""
 
 
 def open_hand(
@@ -57,7 +63,7 @@ def make_hand(
         make_calibration(config.tactile, layout),
         node_id=config.tactile.node_id,
         link=link_settings(config.tactile),
-        settings=sensor_settings(config.tactile),
+        settings=sensor_settings(config.tactile, config.friction_n),
     )
     force = GripForce(sensor, ForceSample)
     gripper = open_gripper(
@@ -72,10 +78,12 @@ def make_hand(
     )
 
 
-def sensor_settings(config: TactileConfig) -> SensorSettings:
-    """Return the settings of the way from frames to forces."""
+def sensor_settings(config: TactileConfig, friction_n: float = 0.0) -> SensorSettings:
+    """Return the settings of the way from frames to forces, of fingers with a friction in N."""
+    limits = QualityLimits(drift_share=config.drift_max_share)
+    step_n = max(limits.force_step_n, _HELD_SHARE * friction_n)
     return SensorSettings(
         bad_share=config.bad_taxels_max_share,
-        quality=QualityLimits(drift_share=config.drift_max_share),
+        quality=replace(limits, force_step_n=step_n),
         tare_limits=TareLimits(bad_share=config.bad_taxels_max_share),
     )
