@@ -532,7 +532,8 @@ class TactileSensor:
     def _grip_objection(self, saturated: NDArray[np.bool_], bad: NDArray[np.bool_]) -> str:
         for finger, taxels in enumerate(self._grips):
             if saturated[taxels].any():
-                return f"{np.count_nonzero(saturated[taxels])} taxels of finger {finger} saturated"
+                n_full = np.count_nonzero(saturated[taxels])
+                return f"{n_full} taxels of finger {finger} saturated: press with less force"
             n_bad = int(np.count_nonzero(bad[taxels]))
             if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
                 return f"{np.count_nonzero(bad[taxels])} taxels of finger {finger} bad"

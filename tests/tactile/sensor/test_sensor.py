@@ -293,7 +293,7 @@ def test_a_hard_touch_is_no_broken_taxel(sensor, frames) -> None:
     frames.base = CALIBRATION.counts(forces)
     reading = readings(sensor, frames, 4)[-1]
     assert not reading.bad.any()
-    assert reading.reason == "1 taxels of finger 0 saturated"
+    assert reading.reason == "1 taxels of finger 0 saturated: press with less force"
 
 
 def test_more_broken_taxels_than_allowed_make_the_force_invalid(sensor, frames) -> None:
