@@ -64,6 +64,8 @@ class LoopProcess:
             f"import sys; sys.path[:] = {sys.path!r}; from cell.hand.server import main; "
             f"main({theirs.fileno()}, {stop_fd}, {os.getpid()})"
         )
+        # Ctrl-C is for the program: the mask is inherited, before the process can set anything.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", code, "tactile-cell-force-loop"],
@@ -73,6 +75,7 @@ class LoopProcess:
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
             )
         finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
             theirs.close()
             os.close(stop_fd)
         try:

@@ -112,8 +112,6 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
 
     The descriptors are those of the socket for requests and events, and of the pipe for stops.
     """
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
     connection = Connection(connection_fd)
     outbox = Outbox(connection, limit=WAITING_PERIODS)
     try:

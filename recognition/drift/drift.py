@@ -52,10 +52,12 @@ class Drift:
     def apply(self, grasp: Grasp) -> Grasp:
         """Return the grasp as a sensor with this drift would have recorded it.
 
-        Counts are scaled, rounded and clipped to full scale, the opening is moved. Raises
-        ValueError where the grasp has another number of pads than there are gains.
+        Counts are scaled, rounded and clipped to full scale, the opening is moved. A self-zero is
+        left out: it is of before. Raises ValueError where the grasp has another number of pads than
+        there are gains.
         """
-        return self._scaled(grasp, self._taxel_gains(grasp), self.aperture_offset_m)
+        drifted = self._scaled(grasp, self._taxel_gains(grasp), self.aperture_offset_m)
+        return replace(drifted, zero=None)
 
     def undo(self, grasp: Grasp) -> Grasp:
         """Return a grasp recorded under this drift as the taught sensor would have recorded it.

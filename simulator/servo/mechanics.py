@@ -191,11 +191,15 @@ class FingerMechanics:
         return first + second
 
     def drive_to(self, aperture_m: float) -> None:
-        """Put both fingers evenly at a recorded aperture in m; steps leave them where they are."""
+        """Put both fingers evenly at a recorded aperture in m; steps leave them where they are.
+
+        Below 0 pads press on each other.
+        """
         half_m = 0.5 * aperture_m
-        if not (math.isfinite(half_m) and 0.0 <= half_m <= self._linkage.half_opening_max_m):
+        low_m, high_m = self._linkage.half_opening_min_m, self._linkage.half_opening_max_m
+        if not low_m <= half_m <= high_m:
             raise SimulatorSettingsError(
-                f"aperture {aperture_m} m is outside 0 to {2 * self._linkage.half_opening_max_m} m"
+                f"aperture {aperture_m} m is outside {2 * low_m} to {2 * high_m} m"
             )
         theta = self._linkage.angle_rad(half_m)
         self._driven = True

@@ -64,7 +64,7 @@ def hit(**trigger: Any) -> None:
         (lambda: servo(return_delay_time=255), "return_delay_time"),
         (lambda: fingers(0), "one or two motors"),
         (lambda: fingers(half_opening_min_m=-0.1), "half_opening_min_m"),
-        (lambda: fingers().drive_to(-0.001), "aperture -0.001 m"),
+        (lambda: fingers().drive_to(-1.0), "aperture -1.0 m"),
         (lambda: fingers().drive_to(1.0), "aperture 1.0 m"),
         (lambda: fingers().drive_to(math.nan), "aperture nan m"),
         (lambda: ServoMount(direction=0), "direction"),

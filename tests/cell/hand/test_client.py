@@ -1,14 +1,18 @@
 """The program's side of the process of the force loop, with the process played by the test."""
 
+import signal
+import subprocess
 import time
 from collections import deque
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
+from cell.config.file import parse_config
 from cell.config.model import CellConfig
 from cell.errors import HandLost
 from cell.hand import client
@@ -21,7 +25,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
 from gripper.force_sensor import ForceSample
 from gripper.state import GripperPhase
-from tactile.errors import HeartbeatLost
+from tactile.errors import HeartbeatLost, LinkFault
 from tactile.frames.codec import TactileFrame
 from tests.values import make_cycle, make_link_statistics
 
@@ -261,3 +265,21 @@ def test_a_process_that_says_nothing_between_commands_is_lost(
         hand.tick()
     hand.clear_fault(reboot=False)
     hand.tick()
+
+
+def test_ctrl_c_while_the_process_comes_up_is_the_programs_business(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its ports do not exist: it lives to say so."""
+    start = subprocess.Popen
+
+    def start_and_interrupt(*arguments: Any, **options: Any) -> Any:
+        process = start(*arguments, **options)
+        process.send_signal(signal.SIGINT)
+        return process
+
+    monkeypatch.setattr(client.subprocess, "Popen", start_and_interrupt)
+    line = f"{{interface: slcan, channel: {tmp_path}/can}}"
+    text = f"gripper: {{port: {tmp_path}/servos}}\ntactile: {line}"
+    with pytest.raises(LinkFault, match="cannot be opened"):
+        HandProcess(parse_config(f"{text}\npositioner: {{kind: operator}}", source="test"))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from recognition.drift.drift import Drift, drift_text, drift_values, parse_drift, shifted_levels
+from recognition.drift.self_zero import drawn_zero
 from recognition.evaluation.splits import a_day_later
 from recognition.features.aperture import aperture_features
 from recognition.ramp.levels import load_levels
@@ -47,8 +48,9 @@ def test_values_out_of_range_are_refused(values):
 
 
 def test_applied_it_scales_clips_and_moves_and_undone_it_is_gone(fresh):
-    grasp = fresh[0]
+    grasp = dataclasses.replace(fresh[0], zero=drawn_zero())
     drifted = DRIFT.apply(grasp)
+    assert drifted.zero is None
     assert np.array_equal(drifted.counts, np.rint(grasp.counts * 0.7))
     assert drifted.aperture_m == pytest.approx(grasp.aperture_m - 4e-3)
     back = DRIFT.undo(drifted)

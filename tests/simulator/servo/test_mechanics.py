@@ -200,6 +200,8 @@ def test_a_record_moves_the_fingers_exactly():
         mechanics.drive_to(aperture_m)
         mechanics.step(STEP_S, (5.0, 5.0))
         assert mechanics.aperture_m == pytest.approx(aperture_m, abs=1e-12)
+    mechanics.drive_to(-5e-5)  # as of pads that press on each other
+    assert mechanics.aperture_m == pytest.approx(0.0, abs=1e-4)
     press(mechanics, 0.0, 0.0, 0.05)
     assert mechanics.motors[0].current_a == pytest.approx(-0.5, abs=0.01)
 
