@@ -257,6 +257,8 @@ class _Checker:
         self._path = path
         self._arrays = arrays
         missing = [name for name in _REQUIRED if name not in arrays]
+        if missing and "model" in arrays:
+            raise DatasetError(f"{path} is a model: name the data sets that taught it")
         if missing:
             raise DatasetError(f"{path} is no grasp data set: {', '.join(missing)} missing")
         unknown = [name for name in arrays if name not in _REQUIRED + _OPTIONAL]

@@ -7,6 +7,7 @@ when it begins; `simulator.faults.text` has the form. Nothing here can reach rea
 import math
 import re
 from collections.abc import Mapping
+from difflib import get_close_matches
 from functools import partial
 
 from simulator.clock import ROUNDING_S
@@ -51,8 +52,12 @@ def check_fault(
         name = f"{match[1]}N.{match[3]}"
     entry = VOCABULARY.get(name)
     if entry is None:
-        known = ", ".join(VOCABULARY)
-        raise SimulatorSettingsError(f"there is no fault {parsed.name!r}; there are {known}")
+        near = get_close_matches(name, VOCABULARY, n=1)
+        meant = f"is {near[0].replace('N.', f'{servo + 1}.')} meant? " if near else ""
+        raise SimulatorSettingsError(
+            f"there is no fault {parsed.name!r}; {meant}`tactile-cell simulate --list-faults` "
+            "lists all"
+        )
     if name.startswith("axisN") and servo >= n_axes:
         raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_axes} axes")
     if name.startswith("servoN") and servo >= n_servos:

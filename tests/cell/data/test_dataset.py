@@ -118,6 +118,7 @@ DAMAGE: dict[str, tuple[Change, str]] = {
     "other format": (lambda a: a.update(format=np.array("grasp-dataset/2")), "expected"),
     "format not text": (lambda a: a.update(format=np.array(1)), "not one text"),
     "array missing": (lambda a: a.pop("counts"), "counts missing"),
+    "a model": (lambda a: a.update(model=a.pop("counts")), "is a model: name the data sets"),
     "misspelt array": (lambda a: a.update(force_N=a.pop("force_n")), "unknown arrays 'force_N'"),
     "wide counts": (lambda a: a.update(counts=a["counts"].astype(np.int32)), "expected uint16"),
     "flat counts": (lambda a: a.update(counts=a["counts"].ravel()), "shape"),

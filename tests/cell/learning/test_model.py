@@ -195,6 +195,7 @@ class Bomb:
     [
         ({"model": np.array([Bomb()], dtype=object)}, "no pickled objects"),
         ({"counts": np.zeros(3)}, "it has no header; train a model first"),
+        ({"grasp_offsets": np.zeros(3)}, "is a data set: `tactile-cell train"),
         ({"model": np.zeros(3)}, "it has no header"),
         ({"model": np.array("{")}, "no JSON"),
         ({"model": np.array("[" * 100_000)}, "no JSON"),

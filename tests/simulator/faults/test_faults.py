@@ -45,7 +45,7 @@ def test_a_text_is_name_value_start_and_end() -> None:
     ("text", "complaint"),
     [
         ("loss", "not of the form COMPONENT.FAULT"),
-        ("can.los", r"no fault 'can.los'; there are can.loss, can.intermittent"),
+        ("can.los", r"no fault 'can.los'; is can.loss meant\? `tactile-cell simulate --list"),
         ("can.loss=2", r"takes share, 0 to 1, default 0.05; got '2'"),
         ("can.loss=nan", "takes share"),
         ("can.loss=", "no value behind its '='"),
@@ -56,6 +56,7 @@ def test_a_text_is_name_value_start_and_end() -> None:
         ("unit.reboot@1s..2s", "it has no end"),
         ("servo3.off", "this cell has 2 servos"),
         ("servo0.off", "there is no fault"),
+        ("servo2.of", r"is servo2\.off meant"),
         ("axis3.silence", "this cell has 2 axes"),
         ("axis2.limit_switch", "one of a drive, and the axis is a servo"),
         ("unit.emergency=0x10000", "code, 0 to 65535"),
