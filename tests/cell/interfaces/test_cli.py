@@ -705,7 +705,7 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
         (1, "evaluate {other}", "cannot be evaluated"),
         (1, "evaluate {dataset} --split x --fuse 1", "not understood"),
         (1, "identify {other} -m {model}", "teach on these pads"),
-        (1, "identify -m {dataset}", "is no model file"),
+        (1, "identify -m {dataset}", "is a data set"),
         (1, "identify -m {model} -c {pinch}", "teach again on these pads"),
         (1, "run -m {model} -c {pinch}", "teach again on these pads"),
         (1, "identify {dataset} -m {model} --json {config}/x", "cannot be written"),
