@@ -216,7 +216,6 @@ class StubPlugin:
         end: tuple[CellState, bool, Any],
     ) -> Job:
         self._check(needed)
-        self.asked.append(asked)
         self._goal = asked
         if isinstance(asked, IdentifyGoal):
             self._last_answer = None
@@ -229,6 +228,8 @@ class StubPlugin:
         if not self._paused:
             self.go_on()
         self._paused = False
+        # At last: a test in another thread goes on as soon as it is there.
+        self.asked.append(asked)
         return job
 
     def _over(
