@@ -31,7 +31,7 @@ TAXELS_OF_SMALL_PART = 8
 
 
 _MUCH_FRICTION_N = 10.0
-"""Friction of a servo at the pads in N from which on a hold in four ends 0.3 N and more too high
+"""Friction of a servo at the pads in N from which on one hold in five ends 0.3 N and more too high
 (51 grasps of simulated hands)."""
 
 
