@@ -68,7 +68,7 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
                 "gripper__linkage": {"kind": "rack_pinion", "pinion_radius_mm": 9.0},
                 "gripper__aperture_open_mm": 14.0,
             },
-            id="a lead of 6 mm is a third of a turn",
+            id="a lead of 6 mm is 19 degrees of the pinion",
         ),
         pytest.param(
             {
