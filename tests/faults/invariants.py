@@ -27,7 +27,6 @@ from recognition.recognizers.early_classifiers import EarlyClassifiers
 from simulator.cell import SimulatedCell
 from simulator.faults.injector import InjectedFault
 from simulator.world.world import PhysicalWorld
-from tactile.frames.force_stream import ForceStatistics
 
 CONTACT_N = 0.02
 """Force in N above which a pad touches the part."""
@@ -65,14 +64,13 @@ _SILENT = (
 _FAULTED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING, CellState.RESETTING)
 _COUNTERS = (
     attrgetter("lost", "torn", "duplicate", "reordered", "stale", "short", "corrupt"),
-    attrgetter("_foreign", "supervisor.error_frames"),
+    attrgetter("foreign", "malformed", "error_frames"),
     attrgetter("lost", "repeated", "late", "damaged"),
-    attrgetter("_saturated_frames", "_void_frames"),
+    attrgetter("bad_taxels", "saturated_frames", "void_frames"),
     attrgetter("retries", "timeouts", "corrupt", "late"),
 )
 """Counters of frames, CAN link, force messages, sensor and servo bus that move only when something
-is wrong, of their owners inside: their copies for reading take longer than a step of the world."""
-_NO_FORCES = ForceStatistics()
+is wrong."""
 _FIRST_CHUNK_BYTES = 1024
 """A recording of a host that was killed before its first chunk is smaller."""
 _SPOILING = ("taxels.off", "taxels.stuck", "taxels.saturated")
@@ -355,17 +353,9 @@ class InvariantMonitor:
 
 def link_counters(cell: Cell) -> list[tuple[int, ...]]:
     """Return the counters of both links; `Cell.health` gives the same, too slowly for each step."""
-    session, sensor = cell.link._session, cell.controller.local_hand.sensor
-    forces = session._forces
-    owners = (
-        session._assembler.counts,
-        session,
-        _NO_FORCES if forces is None else forces.counts,
-        sensor,
-        cell.bus.statistics,
-    )
-    computed = session._unusable_now(), int(np.count_nonzero(sensor._quality.bad))
-    return [computed, *(read(owner) for read, owner in zip(_COUNTERS, owners, strict=True))]
+    link, sensor = cell.link.statistics, cell.controller.local_hand.sensor.statistics
+    owners = (link.frames, link, link.forces, sensor, cell.bus.statistics)
+    return [read(owner) for read, owner in zip(_COUNTERS, owners, strict=True)]
 
 
 # Data
