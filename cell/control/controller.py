@@ -636,17 +636,13 @@ class CellController:
         missing = NOTHING_HELD.get(record.outcome.result)
         if missing is not None:
             gripper, ended_mm = self._config.gripper, 1e3 * record.outcome.final_aperture_m
-            late = record.outcome.result is GraspResult.NO_CONTACT and (
-                ended_mm > gripper.aperture_min_mm + _CLOSED_MM
-            )
+            left_mm = ended_mm - gripper.aperture_min_mm
+            why = "is the object in place?"
+            if record.outcome.result is GraspResult.NO_CONTACT and left_mm > _CLOSED_MM:
+                limit_s = gripper.contact_timeout_s
+                why = f"in gripper.contact_timeout_s = {limit_s:g} s the fingers came no farther"
             raise NoPartFound(
-                f"{missing} at pose {record.step.pose}, at an opening of {ended_mm:.1f} mm; "
-                + (
-                    f"in gripper.contact_timeout_s = {gripper.contact_timeout_s:g} s the fingers "
-                    "came no farther"
-                    if late
-                    else "is the object in place?"
-                )
+                f"{missing} at pose {record.step.pose}, at an opening of {ended_mm:.1f} mm; {why}"
             )
 
     def _checked(self, plan: Sequence[GraspStep], label: str = "") -> tuple[GraspStep, ...]:

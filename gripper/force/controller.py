@@ -327,9 +327,9 @@ class ForceController:
         """
         settings = self._settings
         seen_n = sample.grip_n - self._history.at(sample.measured_s)
-        sticking_n = friction_n if now_s - self._fell_s < _AFTER_FALL_S else 0.0
+        fell = now_s - self._fell_s < _AFTER_FALL_S
         jumped = standing and self.jumps(
-            sample, seen_n - self._bias_n, setpoint_n, friction_n, sticking_n
+            sample, seen_n - self._bias_n, setpoint_n, friction_n, fell=fell
         )
         if sample.t_s > self._sample_s and not jumped:
             step_s = sample.t_s - self._sample_s
@@ -354,7 +354,8 @@ class ForceController:
         jump_n: float,
         setpoint_n: float,
         friction_n: float,
-        sticking_n: float,
+        *,
+        fell: bool = False,
     ) -> bool:
         """Return whether a sample shows far more force than before though no drive made it.
 
@@ -370,8 +371,8 @@ class ForceController:
             Grip force that is asked for in N.
         friction_n
             Half the width of the friction band as grip force.
-        sticking_n
-            Friction in N that may still hold more force, as after a fall.
+        fell
+            Whether the modelled force has just fallen: friction may still hold more.
 
         Raises
         ------
@@ -380,7 +381,8 @@ class ForceController:
         """
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n, _JUMP_FRICTION_SHARE * friction_n)
         least_n += _JUMP_SIGMAS * sample.noise_n
-        least_n += _STICKS_SHARE * sticking_n
+        if fell:
+            least_n += _STICKS_SHARE * friction_n
         if jump_n <= least_n:
             self._jumped_s = None
             return False

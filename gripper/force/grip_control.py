@@ -355,7 +355,7 @@ class GripControl:
         observer = motion.observer
         measured_n = driving_n(moment.state, paths)
         jumped = self._controller.jumps(
-            sample, observer.unexplained_n(sample), self.setpoint_n, friction_n, sticking_n=0.0
+            sample, observer.unexplained_n(sample), self.setpoint_n, friction_n
         )
         observer.step(
             moment.now_s,
