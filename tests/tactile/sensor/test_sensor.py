@@ -275,6 +275,7 @@ def test_without_noise_the_width_counts_only_while_something_is_touched() -> Non
 
 def test_without_noise_the_first_force_that_is_wanted_is_no_change() -> None:
     sensor, frames = noiseless()
+    sensor.aim(0.0, 0.010)
     frames.press(3.0)
     readings(sensor, frames, 10)
     sensor.aim(3.4, 0.010)
