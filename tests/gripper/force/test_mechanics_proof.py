@@ -6,6 +6,7 @@ import pytest
 
 from gripper.errors import (
     GripContradicted,
+    LimitExceeded,
     MechanicsContradicted,
     PositionContradicted,
     ServoFault,
@@ -217,6 +218,17 @@ def test_a_release_after_it_goes_limp_again(make_cell, make_part, aperture_m, mo
             gripper.release()
         assert cell.torques == [0, 0]
     assert stop.most_n < most_n
+
+
+def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(
+    make_cell, make_part
+) -> None:
+    slow = {"approach_speed_m_s": 0.004, "contact_timeout_s": 1.0}
+    cell = make_cell(part=make_part(present=False), **slow)
+    cell.gripper.start()
+    with pytest.raises(LimitExceeded, match=r"after 3 s they have closed .*contact_timeout_s"):
+        cell.gripper.meet(ForceRamp.linear(3.0, 5.0))
+    assert cell.torques == [1, 1]
 
 
 def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
