@@ -27,6 +27,7 @@ from cell.config.tactile import (
     make_calibration,
 )
 from cell.errors import ConfigError
+from gripper.dynamixel.latency import largest_rate_hz
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
 from gripper.impact import check_approach
@@ -211,6 +212,13 @@ class CellConfig(Section):
         except LimitExceeded as error:
             raise ValueError(f"gripper: {error}") from error
         gripper, tactile = self.gripper, self.tactile
+        most_hz = largest_rate_hz(gripper.baud_rate, len(gripper.servos))
+        if gripper.loop_rate_hz > most_hz:
+            raise ValueError(
+                f"gripper.loop_rate_hz is {gripper.loop_rate_hz:g}, at gripper.baud_rate = "
+                f"{gripper.baud_rate} the servos can be read and written {most_hz:.0f} times a "
+                f"second at most: raise the baud rate, in the servos too, or lower the loop rate"
+            )
         self._check_closing()
         if tactile.force_period_ms == 0 and gripper.force_stale_ms < 2.5 * tactile.sync_period_ms:
             raise ValueError(

@@ -33,6 +33,17 @@ _WRITE_BYTES, _WRITE_BYTES_ONE = 10 + 4, 1 + 18
 """Sync write of registers 102 to 119: the request, and for each servo its ID and its data."""
 
 
+def _wire_s(baud_rate: int, n_servos: int) -> float:
+    """Return the time in s of the bytes that are read and written in one period."""
+    n_bytes = _READ_BYTES + _WRITE_BYTES + n_servos * (_READ_BYTES_ONE + _WRITE_BYTES_ONE)
+    return 10.0 * n_bytes / baud_rate
+
+
+def largest_rate_hz(baud_rate: int, n_servos: int) -> float:
+    """Return the rate of the loop in Hz up to which the bytes of a period fit into it."""
+    return _WORK_SHARE / _wire_s(baud_rate, n_servos)
+
+
 def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> float:
     """Fit the time-outs to the measured round trips, and refuse a link that is too slow.
 
@@ -45,13 +56,11 @@ def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> float:
         The servos; no command may run.
     """
     trips_s = sorted(_trip_s(bus, servo_id) for _ in range(_ROUNDS) for servo_id in ids)
-    byte_s = 10.0 / bus.baudrate
-    wire_s = byte_s * (_READ_BYTES + _WRITE_BYTES + len(ids) * (_READ_BYTES_ONE + _WRITE_BYTES_ONE))
     typical_s = median(trips_s)
     high_s = trips_s[int(_HIGH_QUANTILE * (len(trips_s) - 1))]
-    waiting_s = max(0.0, typical_s - _PING_BYTES * byte_s)
+    waiting_s = max(0.0, typical_s - _PING_BYTES * 10.0 / bus.baudrate)
     slow_share = sum(trip_s > period_s for trip_s in trips_s) / len(trips_s)
-    work_s = wire_s + waiting_s
+    work_s = _wire_s(bus.baudrate, len(ids)) + waiting_s
     if work_s > _WORK_SHARE * period_s:
         rate_hz = int(_WORK_SHARE / work_s)
         raise LinkTooSlow(

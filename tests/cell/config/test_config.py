@@ -111,6 +111,10 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
             ["with 6.0 mm/s, all that force_max_n, contact.approach_force_n and", "timeout_s 4 or"],
         ),
         (
+            "gripper: {baud_rate: 115200}\n",
+            ["gripper.loop_rate_hz is 200, at gripper.baud_rate = 115200 the", "64 times a second"],
+        ),
+        (
             "tactile: {bitrate: 250000}\n",
             [
                 "at tactile.bitrate = 250000 the control unit loads the bus by up to 171%",
