@@ -42,7 +42,8 @@ def teach_drawing(
 ) -> list[Grasp]:
     """Grasp a drawing ``n_grasps`` times as the cell would, at the poses and forces of its plan.
 
-    Raises CellError if the object does not fit between the open pads, or lies beside them.
+    Raises CellError if the object does not fit between the open pads, is too thin to be felt, or
+    lies beside them.
 
     Parameters
     ----------
@@ -70,9 +71,12 @@ def teach_drawing(
         zero=known.zero,
     )
     rng = np.random.default_rng([seed, 1])
-    grasps = []
-    for number, step in enumerate(plan(config.sequence, n_grasps, seed=seed)):
+    grasps: list[Grasp] = []
+    steps = plan(config.sequence, n_grasps, seed=seed)
+    for number, step in enumerate(steps):
         try:
+            if not grasps:
+                virtual.check(drawing, steps)
             grasp = virtual.grasp(
                 drawing,
                 step,
@@ -91,19 +95,21 @@ def teach_drawing(
 
 def course_of(config: CellConfig, known: PadKnowledge) -> Course:
     """Return how the configured cell moves."""
-    drive = config.gripper.linkage
+    drive, settings = config.gripper.linkage, config.gripper_settings
     arm_mm = drive.link_mm if isinstance(drive, ParallelLinkageConfig) else drive.pinion_radius_mm
     step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
     further = max(known.other_foams - 1.0, 0.0)
     return Course(
         period_s=1e-3 * config.tactile.sync_period_ms,
-        aperture_open_m=1e-3 * config.gripper.aperture_open_mm,
-        approach_speed_m_s=1e-3 * config.gripper.approach_speed_mm_s,
-        travel_speed_m_s=1e-3 * config.gripper.travel_speed_mm_s,
+        aperture_open_m=settings.aperture_open_m,
+        aperture_min_m=settings.aperture_min_m,
+        approach_speed_m_s=settings.approach_speed_m_s,
+        travel_speed_m_s=settings.travel_speed_m_s,
         aperture_step_m=1e-3 * step_mm,
         aperture_sd_m=known.aperture_sd_m,
         # What stops a finger is a contact from half of that force on.
-        impact_n=(0.5 * config.gripper.contact_force_n, config.gripper.contact_force_n + 0.3),
+        contact_n=settings.contact_force_n,
+        impact_n=(0.5 * settings.contact_force_n, settings.contact_force_n + 0.3),
         modulus_sd=(1.0 + _MODULUS_FURTHER * further) * known.modulus_sd,
         gain_sd=known.other_foams * known.gain_sd,
         spread_sd=known.other_foams * known.spread_sd,

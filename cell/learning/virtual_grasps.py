@@ -91,7 +91,9 @@ def reaches_m(
                 roll_rad=resting_roll_rad(drawing, pose.roll_rad),
             )
         if not np.isfinite(heights_m[side]).any():
-            raise ValueError(f"the object lies beside the pads at {pose}")
+            beside = abs(pose.x_m) > np.abs(bed.x_m).max() or abs(pose.y_m) > np.abs(bed.y_m).max()
+            why = "lies beside the pads" if beside else "is too narrow for the pads"
+            raise ValueError(f"the object {why} at {pose}")
         if aslant_rad is None:
             both.append(heights_m[side])
         else:
@@ -150,7 +152,8 @@ class Course:
     period_s: float
     """Time between two frames in s."""
     aperture_open_m: float
-    """Opening at the start in m."""
+    aperture_min_m: float
+    """Opening in m at the start, and where fingers that have touched nothing end."""
     approach_speed_m_s: float
     travel_speed_m_s: float
     """Closing speed of the opening in m/s, where a part may begin and before that."""
@@ -158,6 +161,8 @@ class Course:
     """Smallest step of the measured opening in m."""
     aperture_sd_m: float
     """Standard deviation in m of the measured opening, the same over one grasp."""
+    contact_n: float
+    """Force on each pad in N that counts as contact."""
     impact_n: tuple[float, float]
     """(low, high): grip force in N with which the ramp begins."""
     slip_n: float = 0.1
@@ -210,6 +215,25 @@ class VirtualPads:
             for spread_m in self.foam.spread_m * shares
         ]
 
+    def check(self, drawing: Drawing, steps: Sequence[GraspStep]) -> None:
+        """Refuse a drawing that the fingers would not feel before they are closed.
+
+        Raises ValueError for the thinnest pose, or where the object lies beside a pad.
+        """
+        beds, course = self._beds[len(self._beds) // 2], self.course
+        reached = [(reaches_m(drawing, step.pose, beds), step.pose) for step in steps]
+        reach_m, pose = min(reached, key=lambda one: sum(float(r.max()) for r in one[0]))
+        presses = [pressed_pad(bed, r, self.foam) for bed, r in zip(beds, reach_m, strict=True)]
+        touch_m = sum(press.reach_max_m for press in presses)
+        sinks_m = sum(np.interp(course.contact_n, p.force_n, p.depth_m) for p in presses)
+        if touch_m - sinks_m <= course.aperture_min_m:
+            raise ValueError(
+                f"the object is {1e3 * touch_m:.3g} mm thick at {pose}. It sinks into the foam: "
+                f"the fingers are closed, at {1e3 * course.aperture_min_m:g} mm "
+                f"(gripper.aperture_min_mm), before they feel {course.contact_n:g} N "
+                f"(gripper.contact_force_n). Check the unit of the drawing, or turn the object"
+            )
+
     def grasp(
         self,
         drawing: Drawing,
@@ -238,8 +262,9 @@ class VirtualPads:
         touch_m = sum(p.reach_max_m for p in presses)
         if touch_m >= course.aperture_open_m:
             raise ValueError(
-                f"the object is {1e3 * touch_m:.1f} mm thick at {step.pose}, the gripper opens to "
-                f"{1e3 * course.aperture_open_m:.1f} mm: open it further, or turn the object"
+                f"the object is {1e3 * touch_m:.6g} mm thick at {step.pose}, and the gripper opens "
+                f"to {1e3 * course.aperture_open_m:g} mm (gripper.aperture_open_mm). Check the unit "
+                f"of the drawing, open wider, or turn the object"
             )
         force_n, setpoint_n, closing_m = self._motion(ramp, touch_m, presses, rng)
         counts, depth_m = self._counts(force_n, beds, presses, foam, rng)

@@ -9,6 +9,8 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from simulator.errors import SimulatorSettingsError
 from simulator.world.shapes import (
@@ -28,8 +30,13 @@ _MAX_BYTES = 300 * MAX_FACES
 """Largest file in bytes: 300 for each triangle as text, 50 as binary."""
 _LARGEST = 1e6
 """Largest coordinate of a corner in units of the file: a kilometre in mm."""
-_SMALLEST_M = 1e-3
-"""Least length of the longest side in m: less lies between two taxels."""
+_SMALLEST_M, _LONGEST_M = 1e-3, 1.0
+"""Least and largest length of the longest side in m: less lies between two taxels, and more is no
+part of a gripper."""
+_THINNEST_M = 5e-5
+"""Least mean thickness in m: twice the volume over the surface."""
+_MOST_BODIES = 100
+"""Bodies that are compared with each other."""
 _HEAD_BYTES = 84
 """Bytes before the triangles of a binary file: 80 of comment, 4 of their number."""
 _EDGE_ON_M2 = 1e-18
@@ -173,14 +180,47 @@ def load_mesh(path: Path) -> MeshShape:
         )
     corners_m = triangles_m.reshape(-1, 3)
     size_m = np.ptp(corners_m, axis=0)
-    if size_m.max() < _SMALLEST_M:
+    if not _SMALLEST_M <= size_m.max() <= _LONGEST_M:
         size_mm = " x ".join(f"{1e3 * side_m:.3g}" for side_m in size_m)
         raise SimulatorSettingsError(
-            f"{path} is {size_mm} mm in size, expected {1e3 * _SMALLEST_M:g} mm or more on one "
-            f"side: its unit is {1e3 * _UNIT_M:g} mm; was it drawn in inches or m? Export it in mm"
+            f"{path} is {size_mm} mm in size, expected {1e3 * _SMALLEST_M:g} to "
+            f"{1e3 * _LONGEST_M:g} mm on the longest side: its unit is {1e3 * _UNIT_M:g} mm; was "
+            f"it drawn in another one? Export it in mm"
+        )
+    thick_m = _UNIT_M * 2.0 * abs(mesh.volume) / mesh.area
+    if not thick_m >= _THINNEST_M:
+        raise SimulatorSettingsError(
+            f"{path} is {1e3 * thick_m:.3g} mm thick in the mean, expected {1e3 * _THINNEST_M:g} "
+            f"mm or more: no gripper feels that; is a side of it drawn in another unit?"
+        )
+    n_bodies = _bodies_apart(mesh.triangles, mesh.face_adjacency)
+    if n_bodies > 1:
+        raise SimulatorSettingsError(
+            f"{path} holds {n_bodies} separate bodies, and a gripper holds one part: export one"
         )
     centre_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
     return MeshShape(triangles_m=triangles_m - centre_m)
+
+
+def _bodies_apart(triangles: NDArray[np.float64], adjacent: NDArray[np.int64]) -> int:
+    """Return the number of bodies whose bounding boxes lie apart; a cavity lies in its body's.
+
+    Parameters
+    ----------
+    triangles
+        (n, 3, 3) float64: corners.
+    adjacent
+        (m, 2) int64: triangles that share an edge.
+    """
+    edges = coo_array((np.ones(len(adjacent)), adjacent.T), shape=(len(triangles),) * 2)
+    n, body = connected_components(edges, directed=False)
+    if not 1 < n <= _MOST_BODIES:
+        return int(n)
+    low, high = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+    np.minimum.at(low, body, triangles.min(axis=1))
+    np.maximum.at(high, body, triangles.max(axis=1))
+    meet = (low[:, None] <= high[None]).all(axis=2)
+    return int(connected_components(meet & meet.T, directed=False, return_labels=False))
 
 
 def _triangles(path: Path) -> NDArray[np.float64]:

@@ -307,7 +307,13 @@ def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
         (("--mesh", "missing.stl"), "cannot be read"),
         (("--shape", BALL, "--gauge-shape", BALL), "name its grasps with --gauge"),
         (("--gauge", "g.npz"), "add --shape or --mesh"),
-        (("--shape", "sphere:diameter=30mm"), "open it further"),
+        (("--shape", "sphere:diameter=30mm"), "to 18 mm (gripper.aperture_open_mm)"),
+        (("--shape", "box:length=20mm,width=10mm,height=0.01mm"), "is too narrow for the pads"),
+        (("--shape", "cylinder:diameter=0.3mm,length=20mm"), "is 0.247 mm thick at x"),
+        (
+            ("--shape", "sphere:diameter=2mm"),
+            "closed, at 0.5 mm (gripper.aperture_min_mm), before they feel 0.6 N",
+        ),
     ],
 )
 def test_wrong_drawings_are_refused(tmp_path: Path, options: tuple[str, ...], message: str) -> None:

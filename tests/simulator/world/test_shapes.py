@@ -245,14 +245,49 @@ def test_a_mesh_as_programs_export_it_is_read(tmp_path: Path) -> None:
     assert low[0] + high[0] == pytest.approx(6e-3)
 
 
-def test_a_mesh_in_another_unit_is_refused_with_its_size(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("size_mm", "shown"),
+    [((0.6, 0.4, 0.2), r"0\.6 x 0\.4 x 0\.2"), ((1e5, 5.0, 5.0), r"1e\+05 x 5 x 5")],
+)
+def test_a_mesh_in_another_unit_is_refused_with_its_size(
+    tmp_path: Path, size_mm: tuple[float, float, float], shown: str
+) -> None:
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "box.stl"
-    path.write_bytes(trimesh.creation.box(extents=(0.6, 0.4, 0.2)).export(file_type="stl"))
-    with pytest.raises(SimulatorSettingsError, match=r"0\.6 x 0\.4 x 0\.2 mm .* Export it in mm"):
+    path.write_bytes(trimesh.creation.box(extents=size_mm).export(file_type="stl"))
+    with pytest.raises(SimulatorSettingsError, match=f"{shown} mm .* Export it in mm"):
         load_mesh(path)
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(SimulatorSettingsError, match=r"677 bytes, its count of 12 .* needs 684"):
+        load_mesh(path)
+
+
+def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    disc = trimesh.creation.cylinder(radius=5.0, height=1e-2)
+    disc.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1.0, 1.0, 0.0)))
+    path = tmp_path / "disc.stl"
+    path.write_bytes(disc.export(file_type="stl"))
+    with pytest.raises(SimulatorSettingsError, match=r"is 0\.00998 mm thick in the mean"):
+        load_mesh(path)
+
+
+@pytest.mark.parametrize(("along_mm", "n_bodies"), [(30.0, 2), (9.0, 1), (0.0, 1)])
+def test_a_mesh_of_bodies_that_lie_apart_is_refused(
+    tmp_path: Path, along_mm: float, n_bodies: int
+) -> None:
+    """Bodies that overlap are one part, and so is a body with a cavity."""
+    trimesh = pytest.importorskip("trimesh")
+    first, second = (trimesh.creation.box(extents=(side,) * 3) for side in (10.0, 8.0))
+    if along_mm == 0.0:
+        second.invert()
+    second.apply_translation((along_mm, 0.0, 0.0))
+    path = tmp_path / "two.stl"
+    path.write_bytes(trimesh.util.concatenate(first, second).export(file_type="stl"))
+    if n_bodies == 1:
+        assert load_mesh(path).triangles_m.shape == (24, 3, 3)
+        return
+    with pytest.raises(SimulatorSettingsError, match="2 separate bodies, and a gripper holds one"):
         load_mesh(path)
 
 
