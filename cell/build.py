@@ -27,7 +27,7 @@ from cell.control.positioner import (
 )
 from cell.control.records import pad_array
 from cell.control.self_zero import kept_zeros
-from cell.data.recorder import Recorder, Tap
+from cell.data.recorder import Recorder
 from cell.errors import ConfigError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
@@ -104,7 +104,7 @@ class Cell:
 
     @property
     def records(self) -> bool:
-        """Whether anything takes what is recorded: a file, or a tap."""
+        """Whether a recording is made."""
         return self._recorder is not None
 
     @property
@@ -180,7 +180,6 @@ def build_cell(
     capture: Path | None = None,
     simulated: SimulatedCell | None = None,
     partial: bool = False,
-    tap: Tap | None = None,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -203,8 +202,6 @@ def build_cell(
     partial
         Whether one line of the hand may be missing, for those who look or let go; see
         `Cell.missing`.
-    tap
-        Gets what is recorded, also where no recording is made.
 
     Raises
     ------
@@ -231,15 +228,14 @@ def build_cell(
         hand = _hand(config, simulated, partial=partial)
         undo.callback(hand.close)
         recorder = None
-        if folder is not None or tap is not None:
+        if folder is not None:
             recorder = Recorder(
-                None if folder is None else folder / "recording.mcap",
+                folder / "recording.mcap",
                 clock,
                 pads=pad_array(hand.layout),
                 metadata={"cell": config.name, "config": config.model_dump_json()},
                 vital=config.recording.when_lost == "hold",
                 background=simulated is None,
-                tap=tap,
             )
             undo.callback(recorder.close)
             for note in hand.notes:

@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 
     from cell.control.controller import CellController
     from cell.control.positioner import CarryCallback
-    from cell.data.recorder import Tap
     from cell.interfaces.plugin.part_report import OnPart
     from cell.jobs.sort import Places
     from gripper.clock import Clock
@@ -114,7 +113,6 @@ class TactileCellPlugin:
         gauge_shape: str | None = None,
         folder: Path | None = None,
         save: Path | str | None = None,
-        tap: "Tap | None" = None,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -146,8 +144,6 @@ class TactileCellPlugin:
             Model file that each teaching writes before its job succeeds, as `save` does. One that
             cannot be written aborts the job, though what was taught is in use, and is tried again
             after each job that leaves the grip empty, and by `close`. None writes none.
-        tap
-            Gets what is recorded, also where no recording is made.
 
         Raises
         ------
@@ -184,7 +180,7 @@ class TactileCellPlugin:
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
-        self._cell = build_cell(checked, folder=folder, mover=mover, places=places, tap=tap)
+        self._cell = build_cell(checked, folder=folder, mover=mover, places=places)
         controller, file = self._cell.controller, self._file
         listeners: list[OnPart] = []
         newtons = TaxelNewtons(checked, controller)
