@@ -10,7 +10,6 @@ from cell.control.identification import (
     Identification,
     OnGrasp,
     ReadShape,
-    StepChooser,
     grasp_and_classify,
 )
 from cell.control.journal import Journal
@@ -547,7 +546,6 @@ class CellController:
         plan: Sequence[GraspStep],
         *,
         early: EarlyClassifiers | None = None,
-        chooser: StepChooser | None = None,
         read_shape: ReadShape | None = None,
         on_grasp: OnGrasp | None = None,
         keep: Keep = Keep.NEVER,
@@ -559,8 +557,7 @@ class CellController:
         go meanwhile.
 
         With ``early`` a ramp ends as soon as it satisfies the stop rule together with the grasps
-        before it. With a ``chooser`` each step of the plan is a proposal that it may replace. With
-        ``read_shape`` the answer has shape and size too.
+        before it. With ``read_shape`` the answer has shape and size too.
 
         Raises
         ------
@@ -586,7 +583,6 @@ class CellController:
             keep=keep,
             regrasps=self._config.sequence.regrasp == "fixture",
             early=early,
-            chooser=chooser,
             read_shape=read_shape,
             on_grasp=on_grasp,
             begin=self._begin_answer,
