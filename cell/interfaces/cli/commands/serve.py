@@ -130,7 +130,7 @@ def serve(
         service = Service(
             plugin, checked, poses=poses, photos_beside=save or model, note=print_note
         )
-        with announced_doors(service):
+        with _announced_doors(service):
             if untaught and model is None:
                 _teach_first(service, plugin, own, over, keep=not faults)
             plugin.follow_real_time(speed)
@@ -139,7 +139,7 @@ def serve(
 
 
 @contextmanager
-def announced_doors(service: "Service") -> Iterator[None]:
+def _announced_doors(service: "Service") -> Iterator[None]:
     """Open the doors of a service and print their addresses; close all at the end."""
     from cell.interfaces.cli.terminal import print_note, print_page
     from cell.interfaces.service.serving import open_doors, page_address, warnings
