@@ -33,9 +33,9 @@ from cell.interfaces.plugin.goals import (
     checked_goal,
     goal_of,
 )
+from cell.interfaces.plugin.lease import Lease
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
-from cell.interfaces.service.lease import Lease
 from cell.interfaces.service.photos import Photos
 from cell.interfaces.service.pose_handshake import PoseHandshake
 from cell.interfaces.service.shift import Shift
@@ -51,8 +51,6 @@ _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
 _HEALTH_S = 0.5
 """Time in s for which the health of the cell is not worked out again."""
-_LOOKS = 10
-"""Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
 OUTCOME_NUMBERS = {
     JobOutcome.ACCEPTED: 1,
     JobOutcome.EXECUTING: 2,
@@ -136,8 +134,8 @@ class Service:
     Parameters
     ----------
     plugin
-        The cell, without a host watch: the lease watches the clients, each by itself. It is closed
-        with the service.
+        The cell, without ``host_timeout_s``: the lease watches the clients, each by itself. It is
+        closed with the service.
     poses
         Mover of a cell with a positioner of kind ``callback``; other cells move by themselves.
     photos_beside
@@ -171,7 +169,6 @@ class Service:
         self._plugin = plugin
         self._poses = PoseHandshake() if poses is None else poses
         self._clock = clock
-        self._note = note
         self._lock = threading.RLock()
         self.lease = Lease(
             config.serve.lease_timeout_s,
@@ -186,9 +183,7 @@ class Service:
         self._newest = 0
         self._health: tuple[float, dict[str, Any]] = (-inf, {})
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
-        self._over = threading.Event()
-        self._watch = threading.Thread(target=self._run_watch, name="lease", daemon=True)
-        self._watch.start()
+        self.lease.watch(note)
 
     # -- questions -----------------------------------------------------------------------------
 
@@ -556,18 +551,11 @@ class Service:
 
         Raises ModelError or DatasetError if what was taught cannot be saved; all has ended then.
         """
-        self._over.set()
+        self.lease.end_watch()
         self.hold("because the service ends")
         self._poses.stop()
-        self._watch.join()
+        self.lease.close()
         self._plugin.close(timeout_s)
-
-    def _run_watch(self) -> None:
-        while not self._over.wait(self.config.serve.lease_timeout_s / _LOOKS):
-            try:
-                self.lease.look()
-            except Exception as error:  # the watch over the lease must outlive whatever it meets
-                self._note(f"watch over the lease: {error_text(error)}")
 
     def _answered(self, status: HostStatus) -> JobView | None:
         """Return the job of the last answer, also where it is no longer among those kept."""
