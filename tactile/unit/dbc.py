@@ -14,8 +14,9 @@ from cantools.database.can import Database, Message, Node, Signal
 from cantools.database.conversion import BaseConversion
 
 from tactile.frames.codec import MESSAGE_BYTES, TRAILER, FrameFormat
-from tactile.frames.force_message import CENTRE_TAXELS, COUNTERS, FORCE_N, ForceStatus
+from tactile.frames.force_message import CENTRE_TAXELS, COUNTERS, FORCE_N
 from tactile.layout import TaxelLayout
+from tactile.source import ForceStatus
 from tactile.unit import object_dictionary as od
 from tactile.unit.supervision import EMERGENCY_TEXTS, state_name
 

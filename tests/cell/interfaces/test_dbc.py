@@ -14,8 +14,8 @@ from cell.config.file import config_text
 from cell.interfaces.cli.app import app
 from simulator.can.messages import BurstFormat, force_bytes
 from tactile.frames.codec import FrameFormat, crc16_ccitt
-from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import Pad, TaxelLayout, paper_layout, pinch_layout
+from tactile.source import ForceMessage, ForceStatus
 from tactile.unit.dbc import dbc_text
 from tests.cell.conftest import small_config
 
@@ -65,7 +65,7 @@ def test_a_whole_grasp_decodes_to_the_same_samples(layout: TaxelLayout, make_ben
         lambda _t_s, can_id, data: traffic.append((can_id, data))
     )
     record = bench.ready().grasp(4.0)
-    frames = bench.cell.link.statistics.frames.complete
+    frames = bench.cell.controller.hand.statistics.source.frames.complete
     bench.cell.close()
     bench.simulated.can_bus.flush()
 
