@@ -102,7 +102,7 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
             HandStatistics(
                 loop=LoopStatistics(cycles=7, worst_lateness_s=0.5),
                 servo_bus=BusStatistics(),
-                link=make_source_statistics(),
+                source=make_source_statistics(),
             )
         )
         grasps = [record_grasp(recorder, clock, f"object {i}") for i in range(n_grasps)]

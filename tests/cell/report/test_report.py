@@ -295,7 +295,7 @@ def test_health_marks_what_is_wrong() -> None:
         error_frames=11,
     )
     marks = states(source_health(link))
-    assert (marks["late SYNC"], marks["malformed"], marks["error frames"]) == ("warn", "ok", "bad")
+    assert (marks["late requests"], marks["malformed"], marks["error frames"]) == ("warn", "ok", "bad")
     assert marks["whole frames"] == "ok"
 
 
