@@ -14,8 +14,11 @@ from cell.control.plan import Pose
 from cell.control.records import GraspRecord
 from cell.control.self_zero import zero_text, zero_values
 from cell.errors import CellError, NoPartFound
-from cell.interfaces.plugin.answer import Answer, SortAnswer, Verification
-from cell.interfaces.plugin.goals import (
+from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
+from cell.learning.collection import Collection
+from cell.learning.taught_model import TaughtModel
+from cell.plugin.answer import Answer, SortAnswer, Verification
+from cell.plugin.goals import (
     GaugeGoal,
     GripGoal,
     IdentifyGoal,
@@ -24,11 +27,8 @@ from cell.interfaces.plugin.goals import (
     VerifyGoal,
     ZeroGoal,
 )
-from cell.interfaces.plugin.part_report import Seen
-from cell.interfaces.plugin.worker import Report
-from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
-from cell.learning.collection import Collection
-from cell.learning.taught_model import TaughtModel
+from cell.plugin.part_report import Seen
+from cell.plugin.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
