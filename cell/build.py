@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, assert_never
+from typing import Any, assert_never
 
 from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
@@ -49,9 +49,7 @@ from motion.bus import Watch
 from simulator.cell import SimulatedCell
 from simulator.clock import Pace
 from tactile.can.bus import CanBus, close_bus, open_bus
-
-if TYPE_CHECKING:
-    from tactile.unit.link import TactileLink
+from tactile.source import FrameSource
 
 _IDLE_STEP_S = 0.02
 """Virtual time in s from one look at a paced cell with empty fingers to the next: one frame."""
@@ -119,11 +117,6 @@ class Cell:
         return None if fault is None else str(fault)
 
     @property
-    def link(self) -> "TactileLink":
-        """The link to the control unit, of a cell whose loop runs in this process, for tests."""
-        return self.controller.local_hand.link
-
-    @property
     def bus(self) -> ServoBus:
         """The servo bus, of a cell whose loop runs in this process, for tests."""
         return self.controller.local_hand.bus
@@ -141,7 +134,7 @@ class Cell:
     def health(self) -> dict[str, Any]:
         """Return the counters of both links and the loop."""
         statistics = self.controller.hand.statistics
-        links, sensor, forces = link_values(statistics), statistics.sensor, statistics.link.forces
+        links, sensor, forces = link_values(statistics), statistics.sensor, statistics.source.forces
         return {
             "tactile": links["tactile"]
             | {
@@ -172,6 +165,7 @@ def build_cell(
     capture: Path | None = None,
     simulated: SimulatedCell | None = None,
     partial: bool = False,
+    source: FrameSource | None = None,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -194,6 +188,8 @@ def build_cell(
     partial
         Whether one line of the hand may be missing, for those who look or let go; see
         `Cell.missing`.
+    source
+        Frame source of a simulated cell, in the place of its control unit.
 
     Raises
     ------
@@ -217,7 +213,7 @@ def build_cell(
         axes = positioner.axes if isinstance(positioner, AxesPositioner) else None
         if places is not None:
             positioner = HostPlaces(positioner, places)
-        hand = _hand(config, simulated, partial=partial)
+        hand = _hand(config, simulated, source, partial=partial)
         undo.callback(hand.close)
         recorder = None
         if folder is not None:
@@ -261,7 +257,13 @@ def _zero_folder(config: CellConfig, folder: Path | None) -> Path | None:
     return None if folder is None else folder.parent
 
 
-def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:
+def _hand(
+    config: CellConfig,
+    simulated: SimulatedCell | None,
+    source: FrameSource | None,
+    *,
+    partial: bool,
+) -> Hand:
     if simulated is None:
         if config.loop.own_process:
             return HandProcess(config, partial=partial)
@@ -272,7 +274,7 @@ def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool)
         stream=simulated.servo_port,
         can_bus=simulated.can_bus,
     )
-    return make_hand(config, lines)
+    return make_hand(config, lines, source=source, clock=simulated.clock)
 
 
 def _positioner(

@@ -288,7 +288,7 @@ class CellController:
     def reset(self) -> None:
         """Leave the cleared fault behind; the next `start` verifies everything anew."""
         self._life.go(Event.RESET)
-        self.hand.close_sensor()
+        self.hand.stop_sensor()
 
     def cancel(self, reason: str = ON_REQUEST) -> None:
         """Stop the running sequence, or else the next one, and keep the grip.
@@ -351,7 +351,7 @@ class CellController:
         """
         self._life.go(Event.RELEASE_HELD)
         self._life.cancelled = False
-        self.hand.close_sensor()
+        self.hand.stop_sensor()
         self._journal.note("release", "on request, before the start")
         with self._life.latching_faults():
             report = self.hand.release()

@@ -14,7 +14,7 @@ from cell.hand.interface import HandStatistics
 from gripper.force.timing import Distribution, LoopStatistics
 from gripper.state import Cycle
 from recognition.grasp import Grasp
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 DISTRIBUTIONS = ("lateness", "transaction", "sensor_age")
 """Durations of the force loop that are recorded with their quantiles."""
@@ -35,11 +35,11 @@ def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str
 
 
 def link_values(statistics: HandStatistics) -> dict[str, dict[str, int]]:
-    """Return the counts of the tactile link and the servo bus, as `recording_schema` has them."""
-    link = statistics.link
-    counts = ("syncs", "late_syncs", "foreign", "malformed", "error_frames")
+    """Return the counts of the frame source and the servo bus, as `recording_schema` has them."""
+    source = statistics.source
+    counts = ("requests", "late_requests", "foreign", "malformed", "error_frames")
     return {
-        "tactile": asdict(link.frames) | {name: getattr(link, name) for name in counts},
+        "tactile": asdict(source.frames) | {name: getattr(source, name) for name in counts},
         "servo_bus": asdict(statistics.servo_bus),
     }
 

@@ -27,7 +27,7 @@ from recognition.grasp import Grasp, PadArray
 
 if TYPE_CHECKING:
     from gripper.state import Cycle
-    from tactile.frames.codec import TactileFrame
+    from tactile.source import TactileFrame
 
 CHUNK_BYTES = 64 << 10
 """Size of a chunk before compression: what a killed program loses at most."""

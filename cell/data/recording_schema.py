@@ -185,7 +185,7 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         **_durations("lateness", "how late periods began"),
         **_durations("transaction", "time to read the servos"),
         **_durations("sensor_age", "age of the force when it was used"),
-        tactile=_counts("frames, messages and SYNCs of the tactile link since its last start"),
+        tactile=_counts("frames, messages and requests of the tactile sensor since its last start"),
         servo_bus=_counts("transactions and wrong answers of the servo bus since it was opened"),
     ),
     GRASP: _schema(

@@ -91,12 +91,12 @@ def _count(name: str, value: int, *, bad: bool = False, note: str = "") -> Healt
     return HealthRow(name=name, value=f"{value:,}", state=state, note=note)
 
 
-def link_health(counts: Mapping[str, int]) -> HealthGroup:
-    """Return the counts of tactile frames, and of the link to the control unit."""
+def source_health(counts: Mapping[str, int]) -> HealthGroup:
+    """Return the counts of tactile frames, and of the line that they come over."""
     complete, lost = counts["complete"], counts["lost"]
     share = lost / max(1, complete + lost)
     return HealthGroup(
-        title="Tactile frames (CAN)",
+        title="Tactile frames",
         rows=(
             HealthRow(
                 name="whole frames", value=f"{complete:,}", state="ok" if complete else "bad"
@@ -108,8 +108,8 @@ def link_health(counts: Mapping[str, int]) -> HealthGroup:
             _count("stale", counts["stale"], note="older than the last, dropped"),
             _count("short", counts["short"], note="messages, dropped"),
             _count("corrupt", counts["corrupt"], bad=True, note="refused by checksum or phase"),
-            _count("late SYNC", counts["late_syncs"], note=f"of {counts['syncs']:,}"),
-            _count("malformed", counts["malformed"], note="other messages of the unit, dropped"),
+            _count("late requests", counts["late_requests"], note=f"of {counts['requests']:,}"),
+            _count("malformed", counts["malformed"], note="other messages, dropped"),
             _count("error frames", counts["error_frames"], bad=counts["error_frames"] > 10),
         ),
     )

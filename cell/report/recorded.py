@@ -23,11 +23,11 @@ from cell.learning.training import train
 from cell.report.build import (
     BASELINE,
     level_windows,
-    link_health,
     loop_health,
     paper_table,
     score_tables,
     servo_health,
+    source_health,
 )
 from cell.report.data import (
     Answered,
@@ -305,7 +305,7 @@ def _health(recording: Recording) -> tuple[HealthGroup, ...]:
     last = recording.statistics[-1]
     groups = [
         health(last[name])
-        for name, health in (("tactile", link_health), ("servo_bus", servo_health))
+        for name, health in (("tactile", source_health), ("servo_bus", servo_health))
         if name in last
     ]
     if len(recording.cycles) > 1:

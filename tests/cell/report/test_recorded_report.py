@@ -46,7 +46,7 @@ def test_figures_tables_and_files_of_a_run(recording: Recording, taught: Any) ->
     )
     assert "Simulated cell" in data.notes[-1]
     assert [group.title for group in data.health] == [
-        "Tactile frames (CAN)", "Servo bus", "Force loop"
+        "Tactile frames", "Servo bus", "Force loop"
     ]  # fmt: skip
     assert [one.caption for one in data.key_figures] == [
         *("right", "right with one grasp", "right by the paper's method", "grasps until sure")

@@ -16,7 +16,7 @@ import pytest
 from cell.control.journal import loop_values
 from cell.data.recording_reader import RecordedCycles, read_recording
 from cell.errors import ReportError
-from cell.report.build import level_windows, link_health, loop_health, paper_table, servo_health
+from cell.report.build import level_windows, loop_health, paper_table, servo_health, source_health
 from cell.report.data import Answered, ConfusionTable, HealthGroup, HealthState, ReportData
 from cell.report.pad_pictures import level_pictures, pressure_levels
 from cell.report.page import (
@@ -259,7 +259,7 @@ def test_health_marks_what_is_wrong() -> None:
         return {row.name: row.state for row in group.rows}
 
     def frames(**counts: int) -> dict[str, str]:
-        return states(link_health(defaultdict(int, counts)))
+        return states(source_health(defaultdict(int, counts)))
 
     def loop(**counts: Any) -> dict[str, str]:
         return states(loop_health(loop_values(LoopStatistics(**counts)), 0.005))
@@ -277,8 +277,12 @@ def test_health_marks_what_is_wrong() -> None:
     }  # fmt: skip
     assert loop(cycles=10, late=1)["late"] == "bad"
     assert loop(worst_lateness_s=0.004)["worst lateness"] == "warn"
-    marks = frames(complete=10, syncs=10, late_syncs=1, error_frames=11)
-    assert (marks["late SYNC"], marks["malformed"], marks["error frames"]) == ("warn", "ok", "bad")
+    marks = frames(complete=10, requests=10, late_requests=1, error_frames=11)
+    assert (marks["late requests"], marks["malformed"], marks["error frames"]) == (
+        "warn",
+        "ok",
+        "bad",
+    )
     assert marks["whole frames"] == "ok"
 
 
