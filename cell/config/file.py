@@ -243,6 +243,23 @@ def parse_config(text: str, *, source: str) -> CellConfig:
         raise ConfigError(_complaints(error, root, source)) from error
 
 
+def recorded_config(text: str) -> CellConfig | None:
+    """Return the config that a recording keeps as JSON; None for one that is not valid now.
+
+    Keys that are `GONE` are left out.
+    """
+    try:
+        data = json.loads(text)
+        for place in GONE:
+            path, _, value = place.partition(": ")
+            section, key = path.split(".")
+            if not value or data[section].get(key) == value:
+                data[section].pop(key, None)
+        return CellConfig.model_validate_json(json.dumps(data))
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
 def config_schema() -> dict[str, Any]:
     """Return the JSON schema of the config file."""
     schema = CellConfig.model_json_schema()

@@ -403,7 +403,9 @@ class CellController:
             self._check_cancelled_between()
             self.tick()
 
+        self._journal.brought = None
         self._grasper.patiently(lambda: self._positioner.present(label, supervise), supervise)
+        self._journal.brought = label
 
     def grasp(
         self, step: GraspStep, looks: EarlyDecider | None = None, *, label: str = ""
