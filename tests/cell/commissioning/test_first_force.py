@@ -90,7 +90,7 @@ def test_a_person_stops_a_motion_while_it_runs(one: Stand, moment: str) -> None:
 
 
 def test_fingers_that_find_no_part_fail_the_step(one: Stand) -> None:
-    finding = one.run(STEP, first_force__part=None)
+    finding = one.run(STEP, first_force__part=lambda: None)
     assert finding.status is Verdict.FAIL
     assert "The fingers hold nothing (no_contact)" in finding.lines[-1]
     assert one.torques == [0, 0]
