@@ -1,12 +1,13 @@
 """Hands of a person at a simulated cell, by words: `open finger 0`, `press finger0.inner tip`."""
 
 from collections.abc import Callable
+from inspect import signature
 from typing import Any
 
 from simulator.errors import SimulatorSettingsError
 
 HELP = """\
-look                    where the fingers are, what is between them, the names of the pads
+look                    where the fingers are, what is between them
 close                   close both fingers by hand until they touch something
 open [finger N]         open both fingers, or finger 0 or 1, as far as they go
 half                    open both fingers half way
@@ -24,7 +25,7 @@ help                    this list
 A hand moves limp fingers only: it yields to a motor with torque."""
 """What a person can do, one thing a line."""
 
-_FILLERS = frozenset("a and at edge finger fingers g mm near of on servo the to with".split())
+_FILLERS = frozenset({"and", "at", "edge", "finger", "g", "mm", "near", "of", "on", "servo", "the"})
 """Words that may be left out."""
 _WIDE_M = 1.0
 """Half opening in m beyond every end stop."""
@@ -51,6 +52,20 @@ class Hands:
         self, ask: Callable[[dict[str, Any]], dict[str, Any]], sleep: Callable[[float], None]
     ) -> None:
         self._ask, self._sleep = ask, sleep
+        self._acts: dict[str, Callable[..., object]] = {
+            "look": lambda: None,
+            "close": lambda: self._move(0.0),
+            "open": lambda *fingers: self._move(_WIDE_M, *map("01".index, fingers)),
+            "half": self._half,
+            "block": self._block,
+            "part": lambda *name: ask({"place": " ".join(name) or "ball"}),
+            "press": lambda pad, *places: self._press(pad, at=list(places)),
+            "load": lambda pad, grams: self._press(pad, force_n=float(grams) * _GRAVITY_N_G),
+            "lift": lambda: ask({"lift": True}),
+            "empty": self._empty,
+            "disconnect": lambda number: ask({"inject": f"servo{int(number)}.off"}),
+            "connect": lambda number: ask({"clear": f"servo{int(number)}.off"}),
+        }
 
     def do(self, text: str) -> str:
         """Do what a text says; returns what it looks like then.
@@ -58,48 +73,35 @@ class Hands:
         Raises SimulatorSettingsError for what nobody can do, and what the requests raise.
         """
         word, *values = [one for one in text.split() if one not in _FILLERS] or ["help"]
+        if word == "help":
+            return f"{HELP}\nThe pads here: {', '.join(self._state['pads'])}"
         try:
-            match word, values:
-                case "help", []:
-                    return HELP
-                case "look", []:
-                    return f"{self._look()}; pads: {', '.join(self._state['pads'])}"
-                case "close", []:
-                    self._move(0.0)
-                case "open", []:
-                    self._move(_WIDE_M)
-                case "open", ["0" | "1" as finger]:
-                    self._move(_WIDE_M, int(finger))
-                case "half", []:
-                    self._move(_WIDE_M)
-                    self._move(0.25 * self._state["aperture_m"])
-                case "block", [mm]:
-                    self._ask({"remove": True})
-                    self._move(_WIDE_M)
-                    self._ask({"place": f"box:length=20mm,width=12mm,height={float(mm)}mm"})
-                    self._move(0.0)
-                case "part", _:
-                    self._ask({"place": " ".join(values) or "ball"})
-                case "press", [pad, *places]:
-                    self._press(pad, at=places)
-                case "load", [pad, grams]:
-                    self._press(pad, force_n=float(grams) * _GRAVITY_N_G)
-                case "lift", []:
-                    self._ask({"lift": True})
-                case "empty", []:
-                    self._ask({"remove": True})
-                    self._ask({"lift": True})
-                case "disconnect", [number]:
-                    self._ask({"inject": f"servo{int(number)}.off"})
-                case "connect", [number]:
-                    self._ask({"clear": f"servo{int(number)}.off"})
-                case _:
-                    raise ValueError
-        except ValueError:
+            act = self._acts[word]
+            signature(act).bind(*values)
+        except (KeyError, TypeError):
             raise SimulatorSettingsError(
                 f"{text!r:.60} is nothing that a hand does: `help` prints what is"
             ) from None
+        try:
+            act(*values)
+        except ValueError as error:
+            raise SimulatorSettingsError(f"{text!r:.60}: {error}; see `help`") from error
         return self._look()
+
+    def _half(self) -> None:
+        self._move(_WIDE_M)
+        self._move(0.25 * self._state["aperture_m"])
+
+    def _block(self, mm: str) -> None:
+        shape = f"box:length=20mm,width=12mm,height={float(mm):g}mm"
+        self._ask({"remove": True})
+        self._move(_WIDE_M)
+        self._ask({"place": shape})
+        self._move(0.0)
+
+    def _empty(self) -> None:
+        self._ask({"remove": True})
+        self._ask({"lift": True})
 
     @property
     def _state(self) -> dict[str, Any]:

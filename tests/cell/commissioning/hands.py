@@ -34,6 +34,7 @@ PRACTICE: Practice = {
     r"Nothing may touch the pads while": ("empty", ""),
     r"Load \d of \d on (\S+): about (\d+) g": (r"load \1 \2 g", r"\2"),
     r"With which force may it be": ("", "4"),
+    r"Take hold of": ("", ""),
     r"Take everything out|Take the part away": ("empty", ""),
     r"Hold .*between the pads, (and keep|until)": ("part", ""),
 }

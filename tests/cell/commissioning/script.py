@@ -20,8 +20,8 @@ class Script(Dialog):
     """Implements `Dialog`: answers by the keys of the questions, and keeps what was shown.
 
     A list of replies is used up one by one, its last one stays. A question without a reply takes
-    that of ``otherwise``, or its default; one without a default fails the test. ``leave_at`` names a question, or ``approve``
-    or ``approve.STEP``, at which the person leaves, once.
+    that of ``otherwise``, or its default; one without a default fails the test. ``leave_at`` names
+    a question, or ``approve`` or ``approve.STEP``, at which the person leaves, once.
     """
 
     replies: Mapping[str, Reply | list[Reply]] = field(default_factory=dict)

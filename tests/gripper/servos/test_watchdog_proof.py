@@ -74,5 +74,7 @@ def test_it_is_off_unless_asked_for_and_refuses_a_long_way(make_cell) -> None:
 def test_it_needs_open_fingers(make_cell, make_part) -> None:
     cell = make_cell(watchdog_self_test=True, aperture_min_m=0.01, part=make_part(present=False))
     cell.gripper.start()
-    with pytest.raises(LimitExceeded, match="closes the fingers by .* mm: open them further first"):
+    with pytest.raises(
+        LimitExceeded, match=r"closes the fingers by .* mm: open them further first"
+    ):
         cell.gripper.open(0.0105)
