@@ -181,6 +181,7 @@ def teach_and_identify(
         drift=model.drift,
         remarks=(
             *(str(one) for one in taught if one.n_missed),
+            *(f"{one.label}: {one.short}" for one in taught if one.short),
             *(trial.found.remark for trial in trials if trial.found.remark),
         ),
     )

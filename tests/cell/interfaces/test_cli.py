@@ -196,6 +196,10 @@ def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path)
     assert "2 were there" in text
     grasps = read_dataset(path)
     assert [grasp.label for grasp in grasps] == ["ball", "ball", "part_7"]
+    sunk = tmp_path / "sunk.yaml"
+    sunk.write_text("gripper:\n  aperture_min_mm: 9.0\nself_zero: never\n")
+    text = call("teach", "box", "-n", 1, "-o", path, "-c", sunk)
+    assert "1 of 1 ramps ended early: the part is too small or too soft for" in text
 
 
 def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(

@@ -15,14 +15,14 @@ from cell.control.identification import Identification
 from cell.data.recording_reader import read_recording
 from cell.errors import ConfigError, ModelError
 from cell.interfaces.cli.app import app
-from cell.interfaces.plugin import tasks
-from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal
-from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.jobs.calibrate import calibrate_model
 from cell.jobs.identify import identify_recorded
 from cell.learning.model import load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import Trained, train
+from cell.plugin import tasks
+from cell.plugin.goals import IdentifyGoal, TeachGoal
+from cell.plugin.plugin import TactileCellPlugin
 from gripper.outcome import GraspResult
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid
