@@ -13,8 +13,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
+from cell.config.file import recorded_config
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, layout_from_pads, make_calibration
 from cell.control.live import FRESH_S, LiveValues
@@ -406,8 +406,8 @@ class _ReplayedShift(Shift):
 def _config(recording: Recording) -> CellConfig:
     """Return the config of a recording; the built-in one where it has none that is valid now."""
     try:
-        return CellConfig.model_validate_json(recording.metadata.get("config", "{}"))
-    except ValidationError:
+        return recorded_config(recording.metadata.get("config", "{}"))
+    except ValueError:
         return CellConfig(name=recording.metadata.get("cell", "recorded cell")[:80])
 
 

@@ -131,22 +131,22 @@ class Person:
         self.pressed_n = 0.0
         """Largest force on the soft part in N."""
         self._presses = presses
-        self._hands = Hands(cell)
+        self.hands = Hands(cell)
         told: dict[str, Any] = {
             f"pads_law.{finger}.{number}": self._load(finger, force_n)
             for finger in (0, 1)
             for number, force_n in enumerate((2.0, 5.0, 8.0), start=1)
         }
         told |= {
-            "pads_law.with": self._hands.empty,
+            "pads_law.with": self.hands.empty,
             "first_force.most": 4.0,
-            "first_force.empty": self._hands.empty,
+            "first_force.empty": self.hands.empty,
             "first_force.part": lambda: cell.place("ball") and None,
-            "first_force.empty_again": self._hands.empty,
-            "baseline.empty": self._hands.empty,
+            "first_force.empty_again": self.hands.empty,
+            "baseline.empty": self.hands.empty,
             "baseline.place": lambda: cell.place("ball") and None,
         }
-        told |= self._hands.replies()
+        told |= self.hands.replies()
         told |= {key.replace("__", "."): reply for key, reply in replies.items()}
         self.script = Script(told, moment=self.moment)
 
@@ -154,7 +154,7 @@ class Person:
         # Whose finger it is, whatever the control unit calls it.
         def reply() -> float:
             pad = self._layout.gripping_pads[finger]
-            self._hands.load(pad, force_n)
+            self.hands.load(pad, force_n)
             return force_n / GRAVITY_N_KG * 1e3
 
         return reply
@@ -169,6 +169,6 @@ class Person:
         names = [pad.name for pad in self._layout.pads]
         pad = self._presses(names.index(press[1])) if press else None
         if pad is None:
-            self._hands.ask(lift=True)
+            self.hands.ask(lift=True)
         else:
-            self._hands.press(self._layout, pad)
+            self.hands.press(self._layout, pad)
