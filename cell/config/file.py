@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
-from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.nodes import CollectionNode, MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 
 from cell.config.model import CellConfig
@@ -298,8 +298,9 @@ def _without(text: str, found: _Gone) -> tuple[str, str]:
         start, end, new = value.start_mark.index, value.end_mark.index, gone[value.value]
         change = f"{found.name}: {new} in the place of {value.value}"
         return f"{text[:start]}{new}{text[end:]}", change
-    while isinstance(value, MappingNode) and not value.flow_style:
-        value = value.value[-1][1]  # a block ends where the next key begins, behind comments
+    while isinstance(value, CollectionNode) and not value.flow_style and value.value:
+        last = value.value[-1]  # the block itself ends where the next key begins, behind comments
+        value = last[1] if isinstance(last, tuple) else last
     before, after = text[: key.start_mark.index], text[value.end_mark.index :]
     if found.section.flow_style:
         comma = re.match(r"\s*,\s*", after)

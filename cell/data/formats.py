@@ -67,10 +67,12 @@ def present_config(values: dict[str, Any], way: str = "") -> dict[str, Any]:
     found = {}
     for name, value in values.items():
         gone = GONE_KEYS.get(f"{way}{name}", {})
+        if gone is None:
+            continue
         if isinstance(value, dict):
             found[name] = present_config(value, f"{way}{name}.")
-        elif gone is not None:
-            found[name] = gone.get(value, value) if gone else value
+        else:
+            found[name] = gone.get(value, value) if isinstance(value, str) else value
     return found
 
 
