@@ -241,15 +241,15 @@ def _parsed(text: str, source: str) -> tuple[Node | None, dict[Any, Any]]:
     return root, data or {}
 
 
-def recorded_config(text: str) -> CellConfig:
-    """Return the config that a recording keeps as JSON, of this version or one before.
+def recorded_config(text: str) -> CellConfig | None:
+    """Return the config that a recording keeps as JSON; None for one that is not valid now.
 
-    Raises ValueError if it is none.
+    What is gone since is left out.
     """
-    values = json.loads(text)
-    if isinstance(values, dict):
-        values = present_config(values)
-    return CellConfig.model_validate_json(json.dumps(values))
+    try:
+        return CellConfig.model_validate_json(json.dumps(present_config(json.loads(text))))
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return None
 
 
 def converted_text(text: str, *, source: str) -> tuple[str, tuple[str, ...]]:

@@ -10,7 +10,6 @@ from cell.control.identification import (
     Identification,
     OnGrasp,
     ReadShape,
-    StepChooser,
     grasp_and_classify,
 )
 from cell.control.journal import Journal
@@ -291,7 +290,7 @@ class CellController:
     def reset(self) -> None:
         """Leave the cleared fault behind; the next `start` verifies everything anew."""
         self._life.go(Event.RESET)
-        self.hand.close_sensor()
+        self.hand.stop_sensor()
 
     def cancel(self, reason: str = ON_REQUEST) -> None:
         """Stop the running sequence, or else the next one, and keep the grip.
@@ -354,7 +353,7 @@ class CellController:
         """
         self._life.go(Event.RELEASE_HELD)
         self._life.cancelled = False
-        self.hand.close_sensor()
+        self.hand.stop_sensor()
         self._journal.note("release", "on request, before the start")
         with self._life.latching_faults():
             report = self.hand.release()
@@ -549,7 +548,6 @@ class CellController:
         plan: Sequence[GraspStep],
         *,
         early: EarlyClassifiers | None = None,
-        chooser: StepChooser | None = None,
         read_shape: ReadShape | None = None,
         on_grasp: OnGrasp | None = None,
         keep: Keep = Keep.NEVER,
@@ -561,8 +559,7 @@ class CellController:
         go meanwhile.
 
         With ``early`` a ramp ends as soon as it satisfies the stop rule together with the grasps
-        before it. With a ``chooser`` each step of the plan is a proposal that it may replace. With
-        ``read_shape`` the answer has shape and size too.
+        before it. With ``read_shape`` the answer has shape and size too.
 
         Raises
         ------
@@ -588,7 +585,6 @@ class CellController:
             keep=keep,
             regrasps=self._config.sequence.regrasp == "fixture",
             early=early,
-            chooser=chooser,
             read_shape=read_shape,
             on_grasp=on_grasp,
             begin=self._begin_answer,

@@ -45,7 +45,7 @@ from gripper.state import Cycle
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
 from recognition.grasp import CELL_SOURCE, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyDecider
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 _T = TypeVar("_T")
 

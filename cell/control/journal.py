@@ -13,7 +13,7 @@ from cell.hand.interface import HandStatistics
 from gripper.force.timing import Distribution, LoopStatistics
 from gripper.state import Cycle
 from recognition.grasp import Grasp
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 DISTRIBUTIONS = ("lateness", "transaction", "sensor_age")
 """Durations of the force loop that are recorded with their quantiles."""

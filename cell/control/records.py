@@ -12,8 +12,8 @@ from gripper.outcome import GraspOutcome
 from gripper.state import Cycle
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizer import Posterior
-from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
+from tactile.source import TactileFrame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

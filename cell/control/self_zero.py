@@ -16,7 +16,7 @@ from gripper.outcome import GraspOutcome, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import ZERO_COLUMNS, SelfZero
 from tactile.layout import TaxelLayout
-from tactile.unit.settings import NodeIdentity
+from tactile.source import SourceIdentity
 
 SelfZeroWhen = Literal["always", "daily", "on_demand", "never"]
 
@@ -125,7 +125,7 @@ class SelfZeros:
         """Whether somebody wants it at each start, so that what stands in its way is a fault."""
         return self.when == "always"
 
-    def of_unit(self, unit: NodeIdentity) -> None:
+    def of_unit(self, unit: SourceIdentity) -> None:
         """Take the serial numbers of the control unit that answers, as a part of the hand."""
         self.hand = {**self.hand, "unit.serial": unit.serial, "unit.boards": list(unit.boards)}
         self._refuse_other_hand()

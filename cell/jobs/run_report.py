@@ -11,10 +11,10 @@ from cell.jobs.run import BASELINE, MainResult
 from cell.learning.blas import one_blas_thread
 from cell.report.build import (
     level_windows,
-    link_health,
     loop_health,
     paper_table,
     servo_health,
+    source_health,
 )
 from cell.report.data import (
     ConfusionTable,
@@ -57,7 +57,7 @@ def report_data(result: MainResult, config: CellConfig, cell: Cell) -> ReportDat
         sequences=tuple((trial.truth, trial.found) for trial in result.trials),
         confusions=_confusions(result),
         health=(
-            link_health(statistics.link),
+            source_health(statistics.source),
             servo_health(statistics.servo_bus),
             loop_health(statistics.loop, hand.period_s),
         ),

@@ -18,7 +18,7 @@ from recognition.quadric.thresholds import LevelBands
 if TYPE_CHECKING:
     from gripper.dynamixel.transactions import BusStatistics
     from gripper.force.timing import LoopStatistics
-    from tactile.unit.settings import LinkStatistics
+    from tactile.source import SourceStatistics
 
 
 def level_windows(levels: LevelBands, labels: Sequence[str]) -> tuple[Window, ...]:
@@ -52,13 +52,13 @@ def _count(name: str, value: int, *, bad: bool = False, note: str = "") -> Healt
     return HealthRow(name=name, value=f"{value:,}", state=state, note=note)
 
 
-def link_health(statistics: "LinkStatistics") -> HealthGroup:
-    """Return the counts of tactile frames, and of the link to the control unit."""
+def source_health(statistics: "SourceStatistics") -> HealthGroup:
+    """Return the counts of tactile frames, and of the line that they come over."""
     frames = statistics.frames
     share = frames.lost / max(1, frames.complete + frames.lost)
     whole: HealthState = "ok" if frames.complete else "bad"
     return HealthGroup(
-        title="Tactile frames (CAN)",
+        title="Tactile frames",
         rows=(
             HealthRow(name="whole frames", value=f"{frames.complete:,}", state=whole),
             _count("lost", frames.lost, bad=share > 0.01, note=f"{share:.2%} of all"),
@@ -68,8 +68,8 @@ def link_health(statistics: "LinkStatistics") -> HealthGroup:
             _count("stale", frames.stale, note="older than the last, dropped"),
             _count("short", frames.short, note="messages, dropped"),
             _count("corrupt", frames.corrupt, bad=True, note="refused by checksum or phase"),
-            _count("late SYNC", statistics.late_syncs, note=f"of {statistics.syncs:,}"),
-            _count("malformed", statistics.malformed, note="other messages of the unit, dropped"),
+            _count("late requests", statistics.late_requests, note=f"of {statistics.requests:,}"),
+            _count("malformed", statistics.malformed, note="other messages, dropped"),
             _count("error frames", statistics.error_frames, bad=statistics.error_frames > 10),
         ),
     )

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.interfaces.modbus.registers import ModbusDoor
+from cell.interfaces.plugin.lease import Lease
 from cell.interfaces.service.host_calls import Calls
-from cell.interfaces.service.lease import Lease
 from cell.interfaces.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action

@@ -12,7 +12,6 @@ from cell.interfaces.cli.commands import (
     clear,
     commission,
     config,
-    dbc,
     doctor,
     evaluate,
     identify,
@@ -79,7 +78,6 @@ for command in (
     serve.serve,
     simulate.simulate,
     doctor.doctor,
-    dbc.dbc,
 ):
     app.command()(command)
 app.add_typer(config.app, name="config")

@@ -2,5 +2,5 @@
 
 For hosts: `plugin.TactileCellPlugin`. Inside: `goals` (requests and their checks), `answer` (what
 an identification returns), `tasks` (teach and identify), `worker` (the thread of a cell),
-`host_watch` (a host that falls silent).
+`lease` (who commands; a host that falls silent).
 """

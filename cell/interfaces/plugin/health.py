@@ -53,13 +53,13 @@ def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
 
 def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
     """Newest frames that were lost: one is worth a look, the share of the limit is a fault."""
-    link = cell.controller.hand.statistics.link
+    source = cell.controller.hand.statistics.source
     frame = cell.controller.measured.frame
     age_s = None if frame is None else max(0.0, cell.controller.now_s - frame.t_s)
-    lost = link.recent_loss_rate
+    lost = source.recent_loss_rate
     return _level(watch=lost > 0.0, bad=lost > config.tactile.loss_max_share) | {
-        "frames": link.frames.complete,
-        "lost": link.frames.lost,
+        "frames": source.frames.complete,
+        "lost": source.frames.lost,
         "age_s": age_s,
     }
 

@@ -16,7 +16,6 @@ from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
 from cell.interfaces.plugin.answer import Answer
-from recognition.grasp import Grasp
 from tactile.sensor.tare import TareResult
 from tactile.sensor.taxel_forces import TaxelForces
 
@@ -92,48 +91,19 @@ def part_reporter(
 
 
 def _curves(record: GraspRecord, newtons: TaxelNewtons) -> dict[str, Any]:
-    cycles = record.cycles
-    return thinned_curves(
-        record.grasp,
-        newtons.of,
-        t_s=np.array([one.t_s - cycles[0].t_s for one in cycles]),
-        force_n=np.array([np.nan if one.force is None else one.force.grip_n for one in cycles]),
-        setpoint_n=np.array([one.setpoint_n for one in cycles]),
-        aperture_m=np.array([one.state.aperture_m for one in cycles]),
-    )
-
-
-def thinned_curves(
-    grasp: Grasp,
-    newtons: Callable[[NDArray[np.uint16]], NDArray[np.float32] | None],
-    *,
-    t_s: NDArray[np.float64],
-    force_n: NDArray[np.float64],
-    setpoint_n: NDArray[np.float64],
-    aperture_m: NDArray[np.float64],
-) -> dict[str, Any]:
-    """Return `PartReport.curves` of a grasp.
-
-    Parameters
-    ----------
-    grasp
-        Its frames; the one with the highest load is shown.
-    newtons
-        Turns counts into the force on each taxel; None where no zero is known.
-    t_s, force_n, setpoint_n, aperture_m : (n,)
-        Time from its beginning, grip force, set-point and opening in each period; NaN becomes None.
-    """
-    at = np.unique(np.linspace(0, len(t_s) - 1, POINTS_MAX).round().astype(int))
+    """Return `PartReport.curves`, with the frame of the highest load; NaN becomes None."""
+    grasp, cycles = record.grasp, record.cycles
+    at = np.unique(np.linspace(0, len(cycles) - 1, POINTS_MAX).round().astype(int))
     highest = int(np.argmax(grasp.counts.sum(axis=1, dtype=np.int64)))
-    frame_n = newtons(grasp.counts[highest])
+    frame_n = newtons.of(grasp.counts[highest])
 
-    def column(values: NDArray[np.float64]) -> list[float | None]:
-        return [round(float(v), 3) if np.isfinite(v) else None for v in values[at]]
+    def column(values: list[float]) -> list[float | None]:
+        return [round(values[n], 3) if np.isfinite(values[n]) else None for n in at]
 
     return {
-        "t_s": column(t_s),
-        "force_n": column(force_n),
-        "setpoint_n": column(setpoint_n),
-        "opening_mm": column(1e3 * aperture_m),
+        "t_s": column([one.t_s - cycles[0].t_s for one in cycles]),
+        "force_n": column([np.nan if one.force is None else one.force.grip_n for one in cycles]),
+        "setpoint_n": column([one.setpoint_n for one in cycles]),
+        "opening_mm": column([1e3 * one.state.aperture_m for one in cycles]),
         "frame": None if frame_n is None else [round(float(one), 3) for one in frame_n],
     }

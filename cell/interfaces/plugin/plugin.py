@@ -42,7 +42,7 @@ from cell.interfaces.plugin.goals import (
     ZeroGoal,
     checked_goal,
 )
-from cell.interfaces.plugin.host_watch import HostWatch
+from cell.interfaces.plugin.lease import Lease
 from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
 from gripper.errors import ServoFault
 
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 
     from cell.control.controller import CellController
     from cell.control.positioner import CarryCallback
-    from cell.data.recorder import Tap
     from cell.interfaces.plugin.part_report import OnPart
     from cell.jobs.sort import Places
     from gripper.clock import Clock
@@ -114,7 +113,6 @@ class TactileCellPlugin:
         gauge_shape: str | None = None,
         folder: Path | None = None,
         save: Path | str | None = None,
-        tap: "Tap | None" = None,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -146,8 +144,6 @@ class TactileCellPlugin:
             Model file that each teaching writes before its job succeeds, as `save` does. One that
             cannot be written aborts the job, though what was taught is in use, and is tried again
             after each job that leaves the grip empty, and by `close`. None writes none.
-        tap
-            Gets what is recorded, also where no recording is made.
 
         Raises
         ------
@@ -184,7 +180,7 @@ class TactileCellPlugin:
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
-        self._cell = build_cell(checked, folder=folder, mover=mover, places=places, tap=tap)
+        self._cell = build_cell(checked, folder=folder, mover=mover, places=places)
         controller, file = self._cell.controller, self._file
         listeners: list[OnPart] = []
         newtons = TaxelNewtons(checked, controller)
@@ -212,21 +208,19 @@ class TactileCellPlugin:
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
         )
         self._ending = threading.Lock()
-        self._watch: HostWatch | None = None
+        self._lease: Lease | None = None
         self._closed = False
         if checked.host_timeout_s is not None:
-            # Weakly: the thread of the watch must not keep a cell that its host has dropped.
+            # Weakly: the thread of the lease must not keep a cell that its host has dropped.
             worker, cell = weakref.ref(self._worker), weakref.ref(controller)
 
-            def running() -> bool:
-                watched = worker()
-                return watched is not None and watched.running
+            def lost(reason: str) -> None:
+                working, watched = worker(), cell()
+                if working is not None and watched is not None and working.running:
+                    watched.cancel(reason)
 
-            def silent(silent_s: float) -> None:
-                if (watched := cell()) is not None:
-                    watched.cancel(f"because the host was silent for {silent_s:.2f} s")
-
-            self._watch = HostWatch(checked.host_timeout_s, running=running, silent=silent)
+            self._lease = Lease(checked.host_timeout_s, given=lambda _name: None, lost=lost)
+            self._lease.watch(warnings.warn)
 
     # -- questions -----------------------------------------------------------------------------
 
@@ -586,8 +580,8 @@ class TactileCellPlugin:
         with self._ending:
             if self._closed:
                 return
-            if self._watch is not None:
-                self._watch.close()
+            if self._lease is not None:
+                self._lease.close()
             self._stop_jobs()
             self._worker.close(timeout_s)
             _write_remarks(self._cell.controller, self._remarks)
@@ -600,8 +594,8 @@ class TactileCellPlugin:
     def __del__(self) -> None:
         if self._closed or sys.is_finalizing():
             return
-        if self._watch is not None:
-            self._watch.end()
+        if self._lease is not None:
+            self._lease.end_watch()
         self._stop_jobs()
         self._worker.end(self._cell.close)
         warnings.warn(
@@ -668,7 +662,7 @@ class TactileCellPlugin:
             return self._worker.start(recorded, accepted=accepted)
 
     def _calling(self) -> AbstractContextManager[None]:
-        return nullcontext() if self._watch is None else self._watch.calling()
+        return nullcontext() if self._lease is None else self._lease.calling("the host")
 
 
 def cell_values(config: CellConfig, layout: "TaxelLayout") -> dict[str, Any]:

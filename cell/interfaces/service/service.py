@@ -33,12 +33,11 @@ from cell.interfaces.plugin.goals import (
     checked_goal,
     goal_of,
 )
+from cell.interfaces.plugin.lease import Lease
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
-from cell.interfaces.service.lease import Lease
 from cell.interfaces.service.photos import Photos
 from cell.interfaces.service.pose_handshake import PoseHandshake
-from cell.interfaces.service.replay import NOTHING_RUNS, Replay
 from cell.interfaces.service.shift import Shift
 from gripper.clock import Clock
 
@@ -52,8 +51,6 @@ _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
 _HEALTH_S = 0.5
 """Time in s for which the health of the cell is not worked out again."""
-_LOOKS = 10
-"""Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
 OUTCOME_NUMBERS = {
     JobOutcome.ACCEPTED: 1,
     JobOutcome.EXECUTING: 2,
@@ -137,8 +134,8 @@ class Service:
     Parameters
     ----------
     plugin
-        The cell, without a host watch: the lease watches the clients, each by itself. It is closed
-        with the service.
+        The cell, without ``host_timeout_s``: the lease watches the clients, each by itself. It is
+        closed with the service.
     poses
         Mover of a cell with a positioner of kind ``callback``; other cells move by themselves.
     photos_beside
@@ -151,7 +148,7 @@ class Service:
 
     def __init__(
         self,
-        plugin: TactileCellPlugin | Replay,
+        plugin: TactileCellPlugin,
         config: CellConfig,
         *,
         poses: PoseHandshake | None = None,
@@ -164,9 +161,7 @@ class Service:
         self.boot = int(time.time()) % 0xFFFF + 1
         """Number of this start, 1 to 65535: seconds of its time, so that it differs after each
         start."""
-        self.replay = plugin if isinstance(plugin, Replay) else None
-        """The replay that stands for the cell; None for a cell."""
-        self.shift = Shift() if self.replay is None else self.replay.shift
+        self.shift = Shift()
         """The ledger of the parts."""
         plugin.watch_parts(self.shift.add)
         self.photos = Photos(photos_beside)
@@ -174,7 +169,6 @@ class Service:
         self._plugin = plugin
         self._poses = PoseHandshake() if poses is None else poses
         self._clock = clock
-        self._note = note
         self._lock = threading.RLock()
         self.lease = Lease(
             config.serve.lease_timeout_s,
@@ -189,9 +183,7 @@ class Service:
         self._newest = 0
         self._health: tuple[float, dict[str, Any]] = (-inf, {})
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
-        self._over = threading.Event()
-        self._watch = threading.Thread(target=self._run_watch, name="lease", daemon=True)
-        self._watch.start()
+        self.lease.watch(note)
 
     # -- questions -----------------------------------------------------------------------------
 
@@ -239,7 +231,7 @@ class Service:
                     return last
                 raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
             job, task, _, since_s = self._jobs[wanted]
-            return self._view(wanted, task, self._cell.feedback(job), since_s)
+            return self._view(wanted, task, self._plugin.feedback(job), since_s)
 
     def jobs(self) -> tuple[JobView, ...]:
         """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
@@ -285,20 +277,13 @@ class Service:
     def info(self) -> dict[str, Any]:
         """Return what stays as it is, as plain data; lengths in mm, forces in N."""
         return self._plugin.info() | {
-            "mode": "cell" if self.replay is None else "replay",
+            "mode": "cell",
             "version": self.version,
             "labels": list(self.labels),
             "lease_timeout_s": self.config.serve.lease_timeout_s,
         }
 
     # -- commands ------------------------------------------------------------------------------
-
-    @property
-    def _cell(self) -> TactileCellPlugin:
-        """What jobs run on. Raises RequestRefused where a recording stands in its place."""
-        if isinstance(self._plugin, Replay):
-            raise RequestRefused(NOTHING_RUNS)
-        return self._plugin
 
     def _lose(self, reason: str) -> None:
         self._plugin.remark("lease", f"nobody is in command, {reason}")
@@ -329,7 +314,7 @@ class Service:
             fed = tuple(entry.label for entry in self.config.simulator.objects)
             checked = checked.model_copy(update={"feed": fed})
         given = checked.model_dump(exclude_defaults=True)
-        return self._begin(lease, checked.task, given, number, lambda: self._cell.start(checked))
+        return self._begin(lease, checked.task, given, number, lambda: self._plugin.start(checked))
 
     def command(
         self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0
@@ -352,9 +337,9 @@ class Service:
             if command is Command.RELEASE and key != RELEASE_KEY:
                 raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
             if command is not Command.CLEAR:
-                return self._cell.begin(command, reboot=reboot)
+                return self._plugin.begin(command, reboot=reboot)
             gone = self._gone
-            job = self._cell.begin(command, reboot=reboot, needless=bool(gone))
+            job = self._plugin.begin(command, reboot=reboot, needless=bool(gone))
             for client in gone:
                 self.end_hold(client)
             return job
@@ -386,7 +371,7 @@ class Service:
 
         Raises as `start`.
         """
-        return self._begin(lease, "forget_drift", {}, number, self._cell.begin_forget_drift)
+        return self._begin(lease, "forget_drift", {}, number, self._plugin.begin_forget_drift)
 
     # -- taught objects ------------------------------------------------------------------------
 
@@ -416,7 +401,7 @@ class Service:
             "forget",
             {"label": label, "last": last},
             0,
-            lambda: self._cell.forget(
+            lambda: self._plugin.forget(
                 label, last=last, forgotten=lambda: self.photos.remove(label)
             ),
         )
@@ -436,10 +421,10 @@ class Service:
         """Stop what runs and keep the grip; anyone may."""
         with self._lock:
             entry = self._jobs.get(self._newest)
-            if entry is not None and not self._cell.feedback(entry[0]).outcome.terminal:
+            if entry is not None and not self._plugin.feedback(entry[0]).outcome.terminal:
                 self._plugin.remark("hold", reason)
                 # First the cell, then the pose: the job ends as held, not as refused by the host.
-                self._cell.cancel(entry[0], reason)
+                self._plugin.cancel(entry[0], reason)
                 self._poses.stop()
 
     @property
@@ -566,18 +551,11 @@ class Service:
 
         Raises ModelError or DatasetError if what was taught cannot be saved; all has ended then.
         """
-        self._over.set()
+        self.lease.end_watch()
         self.hold("because the service ends")
         self._poses.stop()
-        self._watch.join()
+        self.lease.close()
         self._plugin.close(timeout_s)
-
-    def _run_watch(self) -> None:
-        while not self._over.wait(self.config.serve.lease_timeout_s / _LOOKS):
-            try:
-                self.lease.look()
-            except Exception as error:  # the watch over the lease must outlive whatever it meets
-                self._note(f"watch over the lease: {error_text(error)}")
 
     def _answered(self, status: HostStatus) -> JobView | None:
         """Return the job of the last answer, also where it is no longer among those kept."""

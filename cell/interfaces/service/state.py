@@ -35,7 +35,6 @@ def state_values(service: Service) -> dict[str, Any]:
             "taught_revision": service.taught_revision,
             "health": service.health(),
             "shift": service.shift.values(n_faults=now.status.n_faults),
-            "replay": None if service.replay is None else service.replay.values(),
         }
     )
     return state

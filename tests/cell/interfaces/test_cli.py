@@ -446,7 +446,6 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
         "recognizer": "level_check",
         "n_grasps": 20,
         "early": False,
-        "n_remembered": 0,
         "labels": ["ball", "box"],
     }
 

@@ -206,7 +206,7 @@ def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
     assert host.plugin.result(job, LIMIT_S).label == "ball"
     threads = [host.plugin._worker._thread]
     if host_timeout_s is not None:
-        threads.append(host.plugin._watch._thread)
+        threads.append(host.plugin._lease._thread)
     disconnected: list[bool] = []
     host.plugin._cell._closing.callback(disconnected.append, True)
     del host

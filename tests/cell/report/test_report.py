@@ -18,7 +18,7 @@ from cell.control.identification import Identification
 from cell.control.records import GraspRecord
 from cell.errors import ReportError
 from cell.jobs.run_report import report_data
-from cell.report.build import level_windows, link_health, loop_health, paper_table, servo_health
+from cell.report.build import level_windows, loop_health, paper_table, servo_health, source_health
 from cell.report.data import ConfusionTable, HealthGroup, HealthState, HeldAndFound, ReportData
 from cell.report.pad_pictures import level_pictures, pressure_levels
 from cell.report.page import (
@@ -35,10 +35,10 @@ from gripper.force.timing import LoopStatistics
 from recognition.quadric.thresholds import find_thresholds
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.answer import ShapeAnswer
-from tactile.frames.assembler import FrameStatistics
 from tactile.layout import TaxelLayout, paper_layout
+from tactile.source import FrameStatistics
 from tests.cell.conftest import plain_grasp
-from tests.values import make_identification, make_link_statistics, make_record, make_shape
+from tests.values import make_identification, make_record, make_shape, make_source_statistics
 
 LAYOUT = paper_layout()
 RECORD = make_record(plain_grasp(""))
@@ -268,7 +268,7 @@ def test_health_marks_what_is_wrong() -> None:
         return {row.name: row.state for row in group.rows}
 
     def frames(**counts: int) -> dict[str, str]:
-        return states(link_health(make_link_statistics(frames=FrameStatistics(**counts))))
+        return states(source_health(make_source_statistics(frames=FrameStatistics(**counts))))
 
     assert set(frames(complete=1000).values()) == {"ok"}
     some = frames(complete=1000, lost=1, corrupt=1)
@@ -287,11 +287,19 @@ def test_health_marks_what_is_wrong() -> None:
         states(loop_health(LoopStatistics(worst_lateness_s=0.004), 0.005))["worst lateness"]
         == "warn"
     )
-    link = make_link_statistics(
-        frames=FrameStatistics(complete=10), syncs=10, late_syncs=1, foreign=3, error_frames=11
+    link = make_source_statistics(
+        frames=FrameStatistics(complete=10),
+        requests=10,
+        late_requests=1,
+        foreign=3,
+        error_frames=11,
     )
-    marks = states(link_health(link))
-    assert (marks["late SYNC"], marks["malformed"], marks["error frames"]) == ("warn", "ok", "bad")
+    marks = states(source_health(link))
+    assert (marks["late requests"], marks["malformed"], marks["error frames"]) == (
+        "warn",
+        "ok",
+        "bad",
+    )
     assert marks["whole frames"] == "ok"
 
 

@@ -184,7 +184,7 @@ def host_is_silent(row: FaultRow) -> Observed:
         status, state = plugin.feedback(job), plugin.state()
         if state == CellState.HELD:
             plugin.release()
-        silent = re.search(r"host was silent for ([0-9.]+) s", status.error)
+        silent = re.search(r"host' was silent for ([0-9.]+) s", status.error)
         return Observed(
             "HOLD" if silent is not None else status.outcome.value,
             None if silent is None else float(silent[1]),

@@ -1,15 +1,16 @@
 """A host that falls silent while a job runs."""
 
-from contextlib import closing
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cell.control.controller import CellController
 from cell.control.states import CellState
 from cell.data.recorder_sink import DirectFile
 from cell.errors import RecordingError
-from cell.interfaces.plugin.host_watch import HostWatch
+from cell.interfaces.plugin.lease import Lease
 from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
 from cell.interfaces.plugin.worker import JobOutcome
 from tests.cell.conftest import small_config
@@ -17,28 +18,38 @@ from tests.cell.interfaces.conftest import LIMIT_S, until
 from tests.fuzz.harness import Clock
 
 
-def test_a_silence_while_a_job_runs_is_told_once_and_again_after_the_host_was_heard() -> None:
-    clock, silences, running = Clock(), [], [True]
-    watch = HostWatch(3600.0, running=lambda: running[0], silent=silences.append, clock=clock)
+def test_a_silence_is_told_once_and_again_after_the_host_was_heard() -> None:
+    clock, silences = Clock(), []
+    lease = Lease(3600.0, given=lambda _name: None, lost=silences.append, clock=clock)
 
-    def look(now_s: float) -> list[float]:
+    def look(now_s: float) -> list[str]:
         clock.now_s = now_s
-        watch.look()
-        return silences
+        lease.look()
+        return [re.findall(r"[0-9.]+", text)[0] for text in silences]
 
-    with closing(watch):
-        assert look(3600.0) == []
-        assert look(3601.0) == look(9000.0) == [3601.0]
-        with watch.calling():
-            pass
-        with watch.calling():
-            assert look(20_000.0) == [3601.0]  # a host that waits in a call is there
-        assert look(23_600.0) == [3601.0]
-        assert look(23_601.0) == [3601.0, 3601.0]
-        with watch.calling():
-            pass
-        running[0] = False
-        assert look(50_000.0) == [3601.0, 3601.0]
+    assert look(1.0) == []
+    with lease.calling("host"):
+        pass
+    assert look(3601.0) == []
+    assert look(3602.0) == look(9000.0) == ["3601.00"]
+    with lease.calling("host"), lease.calling("host"):
+        pass
+    with lease.calling("host"):
+        assert look(20_000.0) == ["3601.00"]  # a host that waits in a call is there
+    assert look(23_600.0) == ["3601.00"]
+    assert look(23_601.0) == ["3601.00", "3601.00"]
+
+
+def test_nothing_is_stopped_where_no_job_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    with TactileCellPlugin(small_config(host_timeout_s=0.2)) as plugin:
+        stopped: list[str] = []
+        with monkeypatch.context() as watched:
+            watched.setattr(CellController, "cancel", lambda _cell, why="": stopped.append(why))
+            plugin.alive()
+            until(lambda: not plugin._lease.number)
+        assert stopped == []
+        job = plugin.start(TeachGoal(label="ball", grasps=3))
+        assert plugin.result(job, LIMIT_S) == 3
 
 
 def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
@@ -48,9 +59,9 @@ def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
         until(lambda: not plugin._worker.running)
         status = plugin.feedback(job)
         assert status.outcome is JobOutcome.CANCELED
-        assert "stopped because the host was silent for 0." in status.error
+        assert "stopped because 'the host' was silent for 0." in status.error
         assert controller.state in (CellState.HELD, CellState.IDLE)
-        with pytest.raises(JobFailed, match="the host was silent"):
+        with pytest.raises(JobFailed, match="'the host' was silent"):
             plugin.result(job, 1.0)
         if controller.state is CellState.HELD:
             plugin.release(LIMIT_S)
@@ -60,9 +71,9 @@ def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
 def test_each_call_of_the_host_is_heard() -> None:
     with TactileCellPlugin(small_config(host_timeout_s=1000.0)) as plugin:
         for call in (plugin.alive, plugin.state, plugin.status, plugin.fault, plugin.forget_drift):
-            plugin._watch._heard_s = -1.0
+            plugin._lease._heard_s = -1.0
             call()
-            assert plugin._watch._heard_s > 0.0, call
+            assert plugin._lease._heard_s > 0.0, call
 
 
 def test_a_lost_recording_holds_the_grasp_where_the_config_says_so(
