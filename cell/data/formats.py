@@ -7,7 +7,7 @@ by tactile-cell 28346af4 or before.
 import hashlib
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,8 +32,8 @@ class Format:
     """Together what such a file names: ``grasp-dataset/1``."""
     remedy: str
     """What a person does with such a file that cannot be read."""
-    unnamed: Callable[[dict[str, Any]], dict[str, Any]] | None = None
-    """Makes what is read now of the values of one that names no format; None: it is refused."""
+    unnamed: frozenset[str] = frozenset()
+    """Keys of a JSON file that names no format, and is read; empty: it is refused."""
 
     def __str__(self) -> str:
         return f"{self.name}/{self.version}"
@@ -48,10 +48,8 @@ class Format:
                 f"{source} has the format {found}; this program reads up to {self}: update "
                 "tactile-cell"
             )
-        raise error(
-            f"{source} is no {self.what}: its format is {str(found)!a:.60}, expected {self}; "
-            f"{self.remedy}"
-        )
+        named = "it names no format" if found is None else f"its format is {str(found)!a:.60}"
+        raise error(f"{source} is no {self.what}: {named}, expected {self}; {self.remedy}")
 
 
 GONE_KEYS: Mapping[str, Mapping[Any, Any] | None] = {
@@ -97,14 +95,14 @@ COMMISSIONING = Format(
     name="tactile-cell-commissioning",
     version=1,
     remedy="move it away to commission anew",
-    unnamed=lambda values: {name: v for name, v in values.items() if name != "version"},
+    unnamed=frozenset({"version", "steps", "approved"}),
 )
 SERVO_BACKUP = Format(
     what="backup of a servo",
     name="tactile-cell-servo-backup",
     version=1,
     remedy="take another copy of it",
-    unnamed=dict,
+    unnamed=frozenset({"servo_id", "baud_rate", "found"}),
 )
 SELF_ZERO = Format(
     what="self-zero",
@@ -138,10 +136,8 @@ def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, 
         raise error(f"{path} is damaged, it is no JSON; {kind.remedy}") from cause
     if not isinstance(values, dict):
         raise error(f"{path} is no {kind.what}: it holds no object; {kind.remedy}")
-    if values.keys().isdisjoint(("format", _CHECKSUM)):
-        if kind.unnamed is None:
-            raise error(f"{path} is of a version before {kind}; {kind.remedy}")
-        return kind.unnamed(values)
+    if values.keys() == kind.unnamed:
+        return values
     kind.check(values.get("format"), path, error)
     stated = values.pop(_CHECKSUM, None)
     if stated != _digest(values):

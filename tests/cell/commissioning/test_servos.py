@@ -139,7 +139,7 @@ NO_SUM = {"format": None, "sha256": None}
     [
         ({"return_delay_time": 251}, "checksum"),
         ({"sha256": None}, "checksum"),
-        ({"format": None}, "its format is 'None'"),
+        ({"format": None}, "names no format"),
         (NO_SUM | {"id": 300}, "id is 300, must be from 0 to 255"),
         (NO_SUM | {"id": 253}, "must be from 0 to 252"),
         (NO_SUM | {"baud_rate": 77}, "baud"),
@@ -147,7 +147,7 @@ NO_SUM = {"format": None, "sha256": None}
         (NO_SUM | {"model_number": None}, "model_number is missing"),
         (NO_SUM | {"servo_id": 1}, "it is of servo 1"),
         (NO_SUM | {"found": {"id": "x"}}, "found.id"),
-        (NO_SUM | {"found": None}, "found: Field required"),
+        (NO_SUM | {"found": None}, "names no format"),
         ({"format": "tactile-cell-servo-backup/2"}, "update tactile-cell"),
     ],
 )
