@@ -440,21 +440,30 @@ def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Pat
     assert not other.controller.zero_note
 
 
-@pytest.mark.parametrize("asked_mm", [None, 3.0])
-def test_daily_zeros_do_not_drift_away_from_the_config(asked_mm: float | None) -> None:
-    """Sheets of 1.8, 3.6 and 5.4 mm, one a day, then empty fingers."""
-    zeros = SelfZeros("daily")
-    if asked_mm is not None:
-        zeros.keep(replace(ZERO, opening_m=1e-3 * asked_mm))
-    taken = []
-    for opening_mm in (1.8, 3.6, 5.4, 0.0):
-        found = replace(ZERO, opening_m=1e-3 * opening_mm)
-        if not (why := zeros.far_off(found)):
-            zeros.keep(found)
-            taken.append(opening_mm)
+def test_daily_zeros_do_not_drift_away_from_the_config(make_bench, tmp_path: Path) -> None:
+    """Sheets of 1.8, 3.6 and 5.4 mm, one a start, then empty fingers."""
+    config, taken = small_config(self_zero="daily"), []
+    for sheet_mm in (1.8, 3.6, 5.4, 0.0):
+        (tmp_path / f"{sheet_mm}").mkdir()
+        bench = make_bench(config, folder=tmp_path / f"{sheet_mm}")
+        bench.simulated.remove()
+        if sheet_mm:
+            bench.simulated.place(f"box:length=80mm,width=40mm,height={sheet_mm}mm")
+        bench.controller.start()
+        if not (note := bench.controller.zero_note):
+            taken.append(sheet_mm)
+            assert 1e3 * bench.controller.self_zero.opening_m == pytest.approx(sheet_mm, abs=0.3)
         else:
-            assert "+0.00 mm is where the config has it" in why
+            assert "+0.00 mm is where the config has it" in note
     assert taken == [1.8, 0.0]
+
+
+def test_a_zero_far_from_the_last_one_is_no_daily_one() -> None:
+    zeros = SelfZeros("daily")
+    assert not zeros.far_off(replace(ZERO, opening_m=0.0))
+    zeros.keep(replace(ZERO, opening_m=3e-3))  # somebody has asked for it
+    assert "+3.00 mm is where they met last" in zeros.far_off(replace(ZERO, opening_m=0.5e-3))
+    assert "+0.00 mm is where the config has it" in zeros.far_off(replace(ZERO, opening_m=3e-3))
 
 
 def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
