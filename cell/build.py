@@ -11,7 +11,7 @@ from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
 from cell.control.axes import AxesPositioner, drive_axes, servo_axis
 from cell.control.controller import CellController
-from cell.control.journal import Journal, loop_values
+from cell.control.journal import Journal, link_values, loop_values
 from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
@@ -134,27 +134,19 @@ class Cell:
     def health(self) -> dict[str, Any]:
         """Return the counters of both links and the loop."""
         statistics = self.controller.hand.statistics
-        source, servos, loop = statistics.source, statistics.servo_bus, statistics.loop
+        links, sensor, forces = link_values(statistics), statistics.sensor, statistics.source.forces
         return {
-            "tactile": {
-                name: getattr(owner, name)
-                for owner, names in (
-                    (source.frames, ("complete", "lost", "torn", "duplicate", "reordered")),
-                    (source.frames, ("stale", "short", "corrupt")),
-                    (source, ("foreign", "malformed", "error_frames")),
-                    (statistics.sensor, ("bad_taxels", "saturated_frames", "void_frames")),
-                )
-                for name in names
+            "tactile": links["tactile"]
+            | {
+                name: getattr(sensor, name)
+                for name in ("bad_taxels", "saturated_frames", "void_frames")
             }
             | {
-                f"force_{name}": getattr(source.forces, name)
+                f"force_{name}": getattr(forces, name)
                 for name in ("received", "lost", "repeated", "late", "damaged")
             },
-            "servo_bus": {
-                name: getattr(servos, name)
-                for name in ("transactions", "retries", "timeouts", "corrupt", "late")
-            },
-            "loop": loop_values(loop, undelivered=statistics.undelivered),
+            "servo_bus": links["servo_bus"],
+            "loop": loop_values(statistics.loop, undelivered=statistics.undelivered),
             "recording": self.recording_fault,
         }
 

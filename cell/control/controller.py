@@ -55,8 +55,8 @@ _UNSUPERVISED = (
 MISSES_IN_A_ROW = 3
 """Grasps of a known object that find no part after which it is taken for absent."""
 
-_CLOSED_MM = 0.5
-"""How much farther open than their smallest opening in mm fingers are that did not close so far."""
+_CLOSED_M = 0.0005
+"""How much farther open than their smallest opening in m fingers are that did not close so far."""
 
 
 class CellController:
@@ -405,7 +405,9 @@ class CellController:
             self._check_cancelled_between()
             self.tick()
 
+        self._journal.brought = None
         self._grasper.patiently(lambda: self._positioner.present(label, supervise), supervise)
+        self._journal.brought = label
 
     def grasp(
         self, step: GraspStep, looks: EarlyDecider | None = None, *, label: str = ""
@@ -633,14 +635,15 @@ class CellController:
         """Raise NoPartFound where a grasp has found nothing."""
         missing = NOTHING_HELD.get(record.outcome.result)
         if missing is not None:
-            gripper, ended_mm = self._config.gripper, 1e3 * record.outcome.final_aperture_m
-            left_mm = ended_mm - gripper.aperture_min_mm
+            gripper, opening_m = self._config.gripper_settings, record.outcome.final_aperture_m
+            left_m = opening_m - gripper.aperture_min_m
             why = "is the object in place?"
-            if record.outcome.result is GraspResult.NO_CONTACT and left_mm > _CLOSED_MM:
+            if record.outcome.result is GraspResult.NO_CONTACT and left_m > _CLOSED_M:
                 limit_s = gripper.contact_timeout_s
                 why = f"in gripper.contact_timeout_s = {limit_s:g} s the fingers came no farther"
             raise NoPartFound(
-                f"{missing} at pose {record.step.pose}, at an opening of {ended_mm:.1f} mm; {why}"
+                f"{missing} at pose {record.step.pose}, at an opening of {1e3 * opening_m:.1f} mm; "
+                f"{why}"
             )
 
     def _checked(self, plan: Sequence[GraspStep], label: str = "") -> tuple[GraspStep, ...]:

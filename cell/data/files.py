@@ -100,7 +100,9 @@ def write_atomically(
     """
     place = Path(os.path.realpath(path))
     if place.exists() and not place.is_file():
-        raise error(f"cannot write {what} to {path}: not a plain file; move it away, or choose another name")
+        raise error(
+            f"cannot write {what} to {path}: not a plain file; move it away, or choose another name"
+        )
     part = place.with_name(f".{place.name}.{secrets.token_hex(4)}.part")
     try:
         handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)

@@ -17,7 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cell.config.serve import ServeConfig
 from cell.fault_catalogue import BY_NUMBER
-from cell.interfaces.service.doors import (
+from cell.interfaces.access import (
     BUSY_MAX,
     ConnectionPlaces,
     is_for_this_machine,

@@ -21,11 +21,11 @@ from cell.errors import RequestRefused
 from cell.fault_catalogue import CATALOGUE
 from cell.interfaces.http_server import REQUEST_BYTES, Scope
 from cell.interfaces.live_socket import LiveMessage
-from cell.interfaces.plugin.goals import goal_schema
-from cell.interfaces.service.photos import LONGEST_PHOTO
-from cell.interfaces.service.service import Service
-from cell.interfaces.service.state import plain_data, state_values
 from cell.interfaces.web_server import Paths, RequestBody, WebServer
+from cell.plugin.goals import goal_schema
+from cell.service.photos import LONGEST_PHOTO
+from cell.service.service import Service
+from cell.service.state import plain_data, state_values
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A number in a request."""

@@ -30,11 +30,11 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import Refusal
+from cell.interfaces.access import read_secret, same_secret
 from cell.interfaces.http_server import REQUEST_BYTES, HttpServer, Scope, refusal_values
 from cell.interfaces.live_socket import LiveFeed, LiveLink, LiveMessage
 from cell.interfaces.page import mount_page
-from cell.interfaces.plugin.lease import Lease
-from cell.interfaces.service.doors import read_secret, same_secret
+from cell.plugin.lease import Lease
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 

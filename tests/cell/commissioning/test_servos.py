@@ -98,7 +98,8 @@ def test_a_restore_brings_back_what_a_kill_left_half_done(stand: MakeStand, n_wr
     with killed_after(n_writes) as written:
         one.run(STEP)
     assert len(written) == n_writes
-    one.person.hands.connect(1, 2)
+    if "servo2.off" in [fault.text for fault in one.cell.injector.faults]:
+        one.person.does("connect servo 2")()
     restore(one.bench, Script(), PORT)
     assert eeproms(one) == before
     one.passes(STEP)
@@ -112,7 +113,7 @@ def test_a_restore_brings_back_what_a_kill_left_half_done(stand: MakeStand, n_wr
 def test_a_servo_that_is_not_there_is_named_with_the_way_to_find_it(new: Stand) -> None:
     new.passes(STEP)
     before = eeproms(new)
-    new.person.hands.connect(1)
+    new.person.does("disconnect servo 2")()
     with pytest.raises(CellError, match=r"servo 2 answers neither .*`tactile-cell commission`"):
         restore(new.bench, Script(), PORT)
     assert eeproms(new) == before

@@ -18,11 +18,11 @@ import pytest
 from cell.config.model import CellConfig
 from cell.errors import CellError
 from cell.interfaces.cli.commands import serve as serving
-from cell.interfaces.service.serving import open_doors, page_address
+from cell.interfaces.opening import open_doors, page_address
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
-from tests.cell.interfaces.conftest import LIMIT_S, until
 from tests.cell.interfaces.hosts import Client
+from tests.cell.served import LIMIT_S, until
 
 PROGRAM = "from cell.interfaces.cli import main; main()"
 SMALL = "tactile:\n  tare_frames: 25\nserve:\n  lease_timeout_s: 20\n"

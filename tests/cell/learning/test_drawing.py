@@ -17,7 +17,6 @@ from cell.control.records import pad_array
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
-from cell.interfaces.plugin.goals import checked_goal
 from cell.jobs.identify import identify_recorded
 from cell.jobs.teach_from_drawing import course_of, teach_drawing
 from cell.learning.model import load_model, save_model
@@ -25,6 +24,7 @@ from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_
 from cell.learning.shape_reading import reader_under, shape_reader
 from cell.learning.training import train
 from cell.learning.virtual_grasps import reaches_m
+from cell.plugin.goals import checked_goal
 from cell.simulation import drawn_shape, simulator_settings
 from recognition.ramp.ramp import find_ramp, learn_rest
 from recognition.recognizer import UNKNOWN

@@ -14,7 +14,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.records import GraspCollector, GraspRecord
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped
-from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
+from cell.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
 from gripper.state import GripperPhase
 from recognition.recognizer import Posterior
 from tests.faults.campaign import (

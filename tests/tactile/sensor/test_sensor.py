@@ -284,6 +284,18 @@ def test_without_noise_the_width_counts_only_while_something_is_touched() -> Non
         readings(sensor, frames, 2)
 
 
+def test_without_noise_the_first_force_that_is_wanted_is_no_change() -> None:
+    sensor, frames = noiseless()
+    sensor.aim(0.0, 0.010)
+    frames.press(3.0)
+    readings(sensor, frames, 10)
+    sensor.aim(3.4, 0.010)
+    assert readings(sensor, frames, 20)[-1].ok
+    sensor.aim(4.5, 0.010)
+    with pytest.raises(FrameTimeout, match=r"the force changed by 1\.1 N"):
+        readings(sensor, frames, 2)
+
+
 @pytest.mark.parametrize(("stuck", "pressed"), [(255, 24), (255, 41), (0, 33)])
 def test_a_taxel_that_jumps_beside_calm_neighbours_is_masked_at_once(
     sensor, frames, stuck: int, pressed: int

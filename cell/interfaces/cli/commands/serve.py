@@ -14,8 +14,8 @@ from cell.interfaces.cli.options import ConfigOption, FaultOption, ModelOption
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
-    from cell.interfaces.plugin.plugin import TactileCellPlugin
-    from cell.interfaces.service.service import Service
+    from cell.plugin.plugin import TactileCellPlugin
+    from cell.service.service import Service
 
 SIGNAL_LOOK_S = 0.25
 """Wait in s after which signals are looked for; Python carries them out between two waits."""
@@ -96,10 +96,10 @@ def serve(
     from cell.interfaces.cli.session import cell_config, with_faults
     from cell.interfaces.cli.signals import END_WITHIN_S, stopping
     from cell.interfaces.cli.terminal import print_note
-    from cell.interfaces.service.service import Service
-    from cell.interfaces.service.serving import open_plugin
     from cell.jobs.common import job_folder
     from cell.jobs.taught_cache import cached_model
+    from cell.service.opening import open_plugin
+    from cell.service.service import Service
 
     own = cell_config(config)
     if config is None and http_port is None:
@@ -142,7 +142,7 @@ def serve(
 def _announced_doors(service: "Service") -> Iterator[None]:
     """Open the doors of a service and print their addresses; close all at the end."""
     from cell.interfaces.cli.terminal import print_note, print_page
-    from cell.interfaces.service.serving import open_doors, page_address, warnings
+    from cell.interfaces.opening import open_doors, page_address, warnings
 
     with closing(service), open_doors(service) as found:
         for note in warnings(service):
@@ -184,8 +184,8 @@ def _teach_first(
     """Teach the objects of the built-in cell before all eyes; keep the model of a sound one."""
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import print_note
-    from cell.interfaces.plugin.worker import JobOutcome
     from cell.jobs.taught_cache import MODEL_FILE, keep_model
+    from cell.plugin.worker import JobOutcome
 
     labels = [entry.label for entry in config.simulator.objects]
     print_note(

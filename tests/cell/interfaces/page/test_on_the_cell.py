@@ -7,9 +7,9 @@ import pytest
 
 from cell.control.states import Command
 from gripper.errors import PartSlipped
-from tests.cell.interfaces.conftest import Served, until
 from tests.cell.interfaces.page.line import Line
 from tests.cell.interfaces.page.test_page import OpenPage, becomes, press
+from tests.cell.served import Served, until
 
 pytestmark = pytest.mark.long
 

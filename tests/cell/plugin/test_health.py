@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from cell.interfaces.plugin.health import health_values
+from cell.plugin.health import health_values
 from tests.cell.conftest import small_config
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cell.errors import RequestRefused
-from cell.interfaces.service.photos import LONGEST_PHOTO, Photos
+from cell.service.photos import LONGEST_PHOTO, Photos
 
 JPEG = b"\xff\xd8\xff\xe0 a photo"
 PNG = b"\x89PNG\r\n\x1a\n a drawing"

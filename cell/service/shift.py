@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any
 
-from cell.interfaces.plugin.part_report import PartReport
+from cell.plugin.part_report import PartReport
 
 KEPT_ANSWERS = 20
 """Newest answers that are kept, each with its last grasp."""

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 from cell.errors import ConfigError, NotMeasured, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
-from cell.interfaces.service.doors import same_secret
-from cell.interfaces.service.host_values import PLATE, VALUES, Value, ur_pose
-from cell.interfaces.service.service import Service
+from cell.interfaces.access import same_secret
+from cell.interfaces.host_values import PLATE, VALUES, Value, ur_pose
+from cell.service.service import Service
 
 CLIENT: ContextVar[str] = ContextVar("client", default="")
 """Address of the client whose call is answered; empty where that is not known."""

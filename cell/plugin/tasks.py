@@ -14,8 +14,11 @@ from cell.control.plan import Pose
 from cell.control.records import GraspRecord
 from cell.control.self_zero import zero_text, zero_values
 from cell.errors import CellError, NoPartFound
-from cell.interfaces.plugin.answer import Answer, SortAnswer, Verification
-from cell.interfaces.plugin.goals import (
+from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
+from cell.learning.collection import Collection
+from cell.learning.taught_model import TaughtModel
+from cell.plugin.answer import Answer, SortAnswer, Verification
+from cell.plugin.goals import (
     GaugeGoal,
     GripGoal,
     IdentifyGoal,
@@ -24,11 +27,8 @@ from cell.interfaces.plugin.goals import (
     VerifyGoal,
     ZeroGoal,
 )
-from cell.interfaces.plugin.part_report import Seen
-from cell.interfaces.plugin.worker import Report
-from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
-from cell.learning.collection import Collection
-from cell.learning.taught_model import TaughtModel
+from cell.plugin.part_report import Seen
+from cell.plugin.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
@@ -107,7 +107,8 @@ class Tasks:
         def progress(now: Collection) -> None:
             if len(now.records) > shown["grasps"]:
                 each.append(_felt(now.records[-1], self.model))
-            shown.update(grasps=len(now.records), missed=now.n_missed, each=list(each))
+            shown.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
+            shown["each"] = list(each)
             report(dict(shown))
 
         shown: dict[str, Any] = {"task": "teach", "label": goal.label, "grasps": 0, "missed": 0}
@@ -183,6 +184,7 @@ class Tasks:
                     "force_n": record.step.force_n,
                     "shape": None if shape is None else str(shape),
                     "ended_early": record.early is not None,
+                    "short": record.outcome.short,
                 }
             )
 
@@ -213,9 +215,9 @@ class Tasks:
         gripped = {"task": "grip", "force_n": goal.force_n, "held_with_n": controller.carry_force_n}
         report(gripped)
         controller.present(goal.present)
-        controller.grip(goal.force_n, None if goal.present is None else Pose())
+        record = controller.grip(goal.force_n, None if goal.present is None else Pose())
         found = self.verify(None, report)
-        report(gripped)
+        report(gripped | {"short": record.outcome.short})
         return found
 
     def verify(self, _goal: VerifyGoal | None, report: Report) -> Verification:

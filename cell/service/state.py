@@ -8,8 +8,8 @@ from typing import Any
 
 from cell.control.states import CellStatus
 from cell.fault_catalogue import BY_NUMBER, Refusal
-from cell.interfaces.plugin.answer import HostStatus
-from cell.interfaces.service.service import Service
+from cell.plugin.answer import HostStatus
+from cell.service.service import Service
 
 
 def state_values(service: Service) -> dict[str, Any]:

@@ -23,14 +23,14 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, error_text
-from cell.interfaces.plugin.answer import (
+from cell.plugin.answer import (
     Answer,
     FeltShape,
     HostStatus,
     SortAnswer,
     Verification,
 )
-from cell.interfaces.plugin.goals import (
+from cell.plugin.goals import (
     TASKS,
     GaugeGoal,
     Goal,
@@ -42,8 +42,8 @@ from cell.interfaces.plugin.goals import (
     ZeroGoal,
     checked_goal,
 )
-from cell.interfaces.plugin.lease import Lease
-from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
+from cell.plugin.lease import Lease
+from cell.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
 from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ if TYPE_CHECKING:
 
     from cell.control.controller import CellController
     from cell.control.positioner import CarryCallback
-    from cell.interfaces.plugin.part_report import OnPart
     from cell.jobs.sort import Places
+    from cell.plugin.part_report import OnPart
     from gripper.clock import Clock
     from gripper.outcome import ReleaseReport
     from tactile.layout import TaxelLayout
@@ -164,11 +164,11 @@ class TactileCellPlugin:
                 update={"positioner": checked.positioner.model_copy(update={"kind": "callback"})}
             )
         from cell.build import build_cell  # noqa: PLC0415
-        from cell.interfaces.plugin import tasks  # noqa: PLC0415
-        from cell.interfaces.plugin.health import health_values  # noqa: PLC0415
-        from cell.interfaces.plugin.part_report import TaxelNewtons, part_reporter  # noqa: PLC0415
         from cell.learning.pad_knowledge import pad_knowledge  # noqa: PLC0415
         from cell.learning.taught_model import TaughtModel  # noqa: PLC0415
+        from cell.plugin import tasks  # noqa: PLC0415
+        from cell.plugin.health import health_values  # noqa: PLC0415
+        from cell.plugin.part_report import TaxelNewtons, part_reporter  # noqa: PLC0415
 
         self._config = checked
         self._starting = threading.Lock()

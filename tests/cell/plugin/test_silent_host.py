@@ -10,11 +10,11 @@ from cell.control.controller import CellController
 from cell.control.states import CellState
 from cell.data.recorder_sink import DirectFile
 from cell.errors import RecordingError
-from cell.interfaces.plugin.lease import Lease
-from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
-from cell.interfaces.plugin.worker import JobOutcome
+from cell.plugin.lease import Lease
+from cell.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
+from cell.plugin.worker import JobOutcome
 from tests.cell.conftest import small_config
-from tests.cell.interfaces.conftest import LIMIT_S, until
+from tests.cell.served import LIMIT_S, until
 from tests.fuzz.harness import Clock
 
 

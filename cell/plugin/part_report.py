@@ -15,7 +15,7 @@ from cell.config.tactile import make_calibration
 from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
-from cell.interfaces.plugin.answer import Answer
+from cell.plugin.answer import Answer
 from tactile.sensor.tare import TareResult
 from tactile.sensor.taxel_forces import TaxelForces
 

@@ -6,11 +6,11 @@ import pytest
 
 from cell.config.model import CellConfig
 from cell.errors import NoPartFound
-from cell.interfaces.plugin import tasks
-from cell.interfaces.plugin.answer import Answer
-from cell.interfaces.plugin.goals import IdentifyGoal, SortGoal
-from cell.interfaces.plugin.part_report import PartReport
-from cell.interfaces.service.shift import KEPT_ANSWERS, Shift
+from cell.plugin import tasks
+from cell.plugin.answer import Answer
+from cell.plugin.goals import IdentifyGoal, SortGoal
+from cell.plugin.part_report import PartReport
+from cell.service.shift import KEPT_ANSWERS, Shift
 
 
 class Wall:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from cell.errors import CellStateError
-from cell.interfaces.plugin.worker import CellWorker, Job, JobOutcome
+from cell.plugin.worker import CellWorker, Job, JobOutcome
 
 
 @pytest.fixture

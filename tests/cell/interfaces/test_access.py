@@ -11,10 +11,10 @@ from unittest.mock import Mock
 
 import pytest
 
-from cell.interfaces.service.doors import BUSY_MAX, ConnectionPlaces
-from cell.interfaces.service.host_calls import COMMANDS
-from cell.interfaces.service.host_values import PLATE, REFUSAL, VALUES
-from tests.cell.interfaces.conftest import until
+from cell.interfaces.access import BUSY_MAX, ConnectionPlaces
+from cell.interfaces.host_calls import COMMANDS
+from cell.interfaces.host_values import PLATE, REFUSAL, VALUES
+from tests.cell.served import until
 
 HOLD = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 7, 1)
 CALL = b"<methodCall><methodName>hold</methodName></methodCall>"

@@ -23,8 +23,8 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import CellError, HeldByClient, RequestRefused, error_text
-from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
-from cell.interfaces.plugin.goals import (
+from cell.plugin.answer import Answer, HostStatus, Verification
+from cell.plugin.goals import (
     TASKS,
     Goal,
     GripGoal,
@@ -33,12 +33,12 @@ from cell.interfaces.plugin.goals import (
     checked_goal,
     goal_of,
 )
-from cell.interfaces.plugin.lease import Lease
-from cell.interfaces.plugin.plugin import TactileCellPlugin
-from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
-from cell.interfaces.service.photos import Photos
-from cell.interfaces.service.pose_handshake import PoseHandshake
-from cell.interfaces.service.shift import Shift
+from cell.plugin.lease import Lease
+from cell.plugin.plugin import TactileCellPlugin
+from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
+from cell.service.photos import Photos
+from cell.service.pose_handshake import PoseHandshake
+from cell.service.shift import Shift
 from gripper.clock import Clock
 
 RELEASE_KEY = 0x4F50
@@ -129,7 +129,7 @@ class _Holder:
 class Service:
     """One cell, its lease, its jobs and its pose handshake; every method from any thread.
 
-    `open_service` of `cell.interfaces.service.serving` opens a cell behind one.
+    `open_service` of `cell.interfaces.opening` opens a cell behind one.
 
     Parameters
     ----------
@@ -355,7 +355,7 @@ class Service:
         lease, number
             As `start`.
         name, fields
-            Of `cell.interfaces.service.host_calls.COMMANDS`. ``keep`` may be a bool; fields of a
+            Of `cell.interfaces.host_calls.COMMANDS`. ``keep`` may be a bool; fields of a
             task that are 0 or empty are as the config has them.
 
         Raises as `start`.

@@ -1,8 +1,7 @@
-"""Opens a service: the cell behind it, and all its configured doors, closed in order."""
+"""Opening all configured interfaces of a service, closed in order."""
 
 import socket
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from errno import EACCES, EADDRINUSE
 from importlib import import_module
@@ -10,13 +9,9 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
-from cell.config.model import CellConfig
 from cell.config.serve import ServeConfig
 from cell.errors import CellError, ConfigError
-from cell.interfaces.plugin.plugin import TactileCellPlugin
-from cell.interfaces.service.pose_handshake import PoseHandshake
-from cell.interfaces.service.service import Service
-from gripper.clock import Clock
+from cell.service.service import Service
 
 _DOORS = (
     ("modbus_port", "--modbus", "serve", "cell.interfaces.modbus.registers", "ModbusDoor"),
@@ -26,43 +21,6 @@ _DOORS = (
 )
 """Port in the config, option, extra, module and class of each door, which has ``port`` and
 ``close``; what it needs is loaded only where it is opened."""
-
-
-def open_service(
-    config: CellConfig,
-    *,
-    note: Callable[[str], None] = lambda _text: None,
-    clock: Clock = time,
-    **cell: Any,
-) -> Service:
-    """Open a cell and return the service of it.
-
-    Parameters
-    ----------
-    config
-        The cell. A positioner of kind ``callback`` is the pose handshake; ``host_timeout_s`` does
-        not count, because the service watches its clients by the lease.
-    note, clock
-        As `Service`.
-    cell
-        Model, folder of the recording and more, as `TactileCellPlugin` takes them.
-
-    Raises
-    ------
-    As `TactileCellPlugin`.
-    """
-    plugin, poses = open_plugin(config, **cell)
-    beside = cell.get("save") or cell.get("model")
-    photos_beside = None if beside is None else Path(beside)
-    return Service(plugin, config, poses=poses, photos_beside=photos_beside, note=note, clock=clock)
-
-
-def open_plugin(config: CellConfig, **cell: Any) -> tuple[TactileCellPlugin, PoseHandshake]:
-    """Open a cell for a service, as `open_service`, and return it with its pose handshake."""
-    config = config.model_copy(update={"host_timeout_s": None})
-    poses = PoseHandshake()
-    mover = poses.move if config.positioner.kind == "callback" else None
-    return TactileCellPlugin(config, mover=mover, **cell), poses
 
 
 def warnings(service: Service) -> tuple[str, ...]:

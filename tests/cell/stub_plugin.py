@@ -23,10 +23,10 @@ from cell.control.states import (
 )
 from cell.errors import CellStateError, CellStopped, error_text
 from cell.fault_catalogue import fault_number
-from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus, Verification
-from cell.interfaces.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
-from cell.interfaces.plugin.part_report import OnPart, PartReport
-from cell.interfaces.plugin.worker import Job, JobOutcome, JobStatus
+from cell.plugin.answer import Answer, FeltShape, HostStatus, Verification
+from cell.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
+from cell.plugin.part_report import OnPart, PartReport
+from cell.plugin.worker import Job, JobOutcome, JobStatus
 from recognition.recognizer import UNKNOWN
 
 GRIP_N = 3.25

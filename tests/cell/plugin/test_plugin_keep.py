@@ -8,14 +8,14 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.positioner import Destination
 from cell.errors import ConfigError
-from cell.interfaces.plugin.plugin import (
+from cell.plugin.plugin import (
     GripGoal,
     IdentifyGoal,
     JobFailed,
     SortGoal,
     TactileCellPlugin,
 )
-from tests.cell.interfaces.conftest import LIMIT_S, done, grip_n
+from tests.cell.served import LIMIT_S, done, grip_n
 
 HELD = ("COMPLETE", 17, False, True)
 

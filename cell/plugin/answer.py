@@ -77,7 +77,8 @@ class Answer:
     drift: "DriftGrid | None" = None
     """The drift of the sensors that it rests on; None where it is not followed."""
     remark: str = ""
-    """Message for the operator, as that the sensors have drifted: once, empty otherwise."""
+    """Message for the operator: the sensors have drifted, told once, or the part is too small or
+    too soft for the force of the ramp. Empty otherwise."""
     job: int = 0
     """Number of the job that found it."""
 
@@ -94,6 +95,7 @@ class Answer:
     @classmethod
     def of(cls, found: "Identification") -> Self:
         """Return the answer of an identification."""
+        shorts = (record.outcome.short for record in found.records)
         return cls(
             label=found.label,
             probabilities=found.probabilities,
@@ -101,7 +103,7 @@ class Answer:
             shape=None if found.shape is None else FeltShape.of(found.shape),
             n_ended_early=sum(record.early is not None for record in found.records),
             drift=found.drift,
-            remark=found.remark,
+            remark=found.remark or next(filter(None, shorts), ""),
             kept=found.kept,
         )
 

@@ -15,11 +15,12 @@ import pytest
 
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.interfaces.plugin.plugin import TactileCellPlugin
-from cell.interfaces.service.service import JobView, Service
-from cell.interfaces.service.serving import open_doors, open_service
+from cell.interfaces.opening import open_doors
+from cell.plugin.plugin import TactileCellPlugin
+from cell.service.opening import open_service
+from cell.service.service import JobView, Service
 from tests.cell.conftest import small_config
-from tests.cell.interfaces.stub_plugin import GRIP_N, StubPlugin
+from tests.cell.stub_plugin import GRIP_N, StubPlugin
 from tests.fuzz.harness import Clock
 
 LIMIT_S = 60.0

@@ -21,8 +21,9 @@ from cell.errors import (
     ModelError,
     NoPartFound,
 )
-from cell.interfaces.plugin.goals import checked_goal
-from cell.interfaces.plugin.plugin import (
+from cell.learning.taught_model import TaughtModel
+from cell.plugin.goals import checked_goal
+from cell.plugin.plugin import (
     Answer,
     GripGoal,
     IdentifyGoal,
@@ -30,14 +31,13 @@ from cell.interfaces.plugin.plugin import (
     TeachGoal,
     VerifyGoal,
 )
-from cell.interfaces.plugin.worker import Job, JobOutcome
-from cell.learning.taught_model import TaughtModel
+from cell.plugin.worker import Job, JobOutcome
 from gripper.errors import ServoFault, VerificationFailed
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import NodeMissing
 from tests.cell.conftest import once, small_config
-from tests.cell.interfaces.conftest import LIMIT_S, done, grip_n, until
+from tests.cell.served import LIMIT_S, done, grip_n, until
 
 
 @pytest.fixture(scope="module")

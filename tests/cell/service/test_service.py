@@ -12,13 +12,13 @@ import pytest
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, ConfigError, HeldByClient, NotInCommand, RequestRefused
-from cell.interfaces.plugin import worker
-from cell.interfaces.service import service as service_module
-from cell.interfaces.service.doors import is_for_this_machine, may_connect
-from cell.interfaces.service.service import RELEASE_KEY
+from cell.interfaces.access import is_for_this_machine, may_connect
+from cell.plugin import worker
+from cell.service import service as service_module
+from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import small_config
-from tests.cell.interfaces.conftest import LEASE_S, until
+from tests.cell.served import LEASE_S, until
 
 IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
 KEEP = IDENTIFY | {"keep": "always"}
