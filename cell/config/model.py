@@ -18,6 +18,7 @@ from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
+from cell.data.formats import CONFIG
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
@@ -80,6 +81,8 @@ class LoopConfig(Section):
 class CellConfig(Section):
     """Everything that a cell needs to know. Without a file: the simulated cell."""
 
+    format: Annotated[str, OneOf((str(CONFIG),))] = str(CONFIG)
+    """Format of this file and its version. A file without it is read as of any version so far."""
     name: str = Field(default="simulated cell", min_length=1, max_length=80)
     """Name of the cell, for reports."""
     seed: int = Field(default=2008, ge=0, le=2**32 - 1)

@@ -177,9 +177,10 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
     kept = kept_zeros(config, Path(config.recording.directory))
     if kept.newest is None:
         last = datetime.fromtimestamp(kept.measured_s).date()
+        none = f"none of today, the last is of {last}" if kept.measured_s else "not measured"
         return _result(
             "self-zero",
-            f"none of today, the last is of {last}" if kept.measured_s else "not measured",
+            kept.refused or none,
             f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, at "
             "the start of a session and after each change of pads or servos",
         )
