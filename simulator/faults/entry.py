@@ -211,6 +211,8 @@ def moment_fault(
     meaning: str,
     act: Callable[[Target], object],
     value: Number | None = None,
+    *,
+    check: Callable[[Target], object] | None = None,
 ) -> FaultEntry:
     """Return a fault that is over as it happens."""
 
@@ -218,7 +220,7 @@ def moment_fault(
         act(target)
         return Effect(undo=nothing)
 
-    return FaultEntry(name, kind, meaning, apply, value=value, moment=True)
+    return FaultEntry(name, kind, meaning, apply, value=value, moment=True, check=check)
 
 
 def knob_fault(
