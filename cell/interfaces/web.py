@@ -77,6 +77,12 @@ class CommandBody(LeaseBody):
     reboot: bool = False
 
 
+class FaultBody(RequestBody):
+    """A fault of the simulated cell, as `serve --fault` takes it."""
+
+    fault: str
+
+
 class ReplayBody(RequestBody):
     """To pause or go on; seconds of the recording in a real one; number of a grasp, from 1."""
 
@@ -152,6 +158,12 @@ class WebDoor(WebServer):
             ("/commands", "POST", self.command),
             ("/pose", "POST", self.pose),
         )
+        if service.simulated:
+            paths += (
+                ("/simulation/faults", "GET", self.simulated_faults),
+                ("/simulation/faults", "POST", self.begin_fault),
+                ("/simulation/faults", "DELETE", self.end_fault),
+            )
         if service.replay is not None:
             paths += (
                 ("/replay", "POST", self.control_replay),
@@ -255,6 +267,23 @@ class WebDoor(WebServer):
         reached = None if body.pose is None else Pose(**body.pose.model_dump())
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
+
+    def simulated_faults(self) -> dict[str, Any]:
+        """List the kinds of faults that fit this simulated cell, and the faults that run.
+
+        A fault is a text ``NAME[=VALUE][@START[..END]]``; one that waits has not begun.
+        """
+        return self._service.simulated_faults()
+
+    def begin_fault(self, body: FaultBody) -> dict[str, Any]:
+        """Begin a fault of the simulated cell; it needs no lease. Returns what GET does."""
+        self._service.simulate_fault(body.fault)
+        return self._service.simulated_faults()
+
+    def end_fault(self, fault: str) -> dict[str, Any]:
+        """End the faults with this text or name, those of `serve --fault` too."""
+        self._service.simulate_fault(fault, end=True)
+        return self._service.simulated_faults()
 
     def control_replay(self, body: ReplayBody) -> dict[str, Any]:
         """Pause the replay, set its speed, or go to a grasp; all clients see the same."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 from simulator.devices import CellDevices
@@ -28,6 +28,8 @@ class CellRequests:
     - ``{"hand": {"1": 0.02, "2": 0}}``: a person moves the fingers of these servos, without torque,
       to half openings in m: ``{"moving": true}``; "state" shows when they are left
     - ``{"state": true}``: what is placed, forces, opening, frames left, axes, faults
+    - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, kind, meaning,
+      value (null for none), and whether it is a moment, without an end
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
     - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
     """
@@ -43,6 +45,7 @@ class CellRequests:
             "play": self._play,
             "hand": self._hand,
             "state": self._state,
+            "kinds": self._kinds,
             "inject": self._inject,
             "clear": self._clear,
         }
@@ -139,6 +142,21 @@ class CellRequests:
                 for moves, axis in devices.axes.items()
             },
             "faults": {fault.text: fault.began_s for fault in self._injector.faults},
+        }
+
+    def _kinds(self, request: dict[str, Any]) -> dict[str, Any]:
+        _is_true(request, "kinds")
+        return {
+            "kinds": [
+                {
+                    "name": name,
+                    "kind": entry.kind.value,
+                    "meaning": entry.meaning,
+                    "value": None if entry.value is None else asdict(entry.value),
+                    "moment": entry.moment,
+                }
+                for name, entry in self._injector.kinds().items()
+            ]
         }
 
     def _inject(self, request: dict[str, Any]) -> dict[str, Any]:
