@@ -226,8 +226,7 @@ def parse_config(text: str, *, source: str) -> CellConfig:
     if data is None:
         data = {}
     if not isinstance(data, dict):
-        kind = type(data).__name__
-        raise ConfigError(f"{source}:1:1: a config is a mapping of sections, not a {kind}")
+        raise ConfigError(f"{source}:1:1: a config is a mapping of sections, as `gripper:`")
     try:
         return CellConfig.model_validate_json(json.dumps(data, default=str))
     except TypeError as error:

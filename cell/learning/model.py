@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cell.data.dataset import text_refused
 from cell.data.files import read_npz, savez, write_atomically
-from cell.errors import ModelError
+from cell.errors import ModelError, reason_text
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer
@@ -256,7 +256,7 @@ def _built(path: Path, build: Callable[[], _T]) -> _T:
             return build()
     except _UNSUITABLE as cause:
         raise ModelError(
-            f"{path} does not suit this program ({type(cause).__name__}: {cause}); train it again"
+            f"{path} does not suit this program ({reason_text(cause)}); train it again"
         ) from cause
 
 

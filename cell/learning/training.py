@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from cell.config.model import RecognitionConfig
 from cell.config.sequence import SequenceConfig
 from cell.errors import CellError, ModelError
+from cell.installation import extra
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import Arrays, LoadedModel, rehearse
 from recognition.grasp import Grasp
@@ -98,7 +99,8 @@ def train(
     """
     trainer = make_trainer(name, use_aperture=use_aperture)
     try:
-        recognizer = trainer.fit(grasps)
+        with extra("comparators", needed_by=f"teaching {name}"):
+            recognizer = trainer.fit(grasps)
     except ValueError as error:
         raise CellError(
             f"{name} cannot be trained on these {len(grasps)} grasps: {error}"

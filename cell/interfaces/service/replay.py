@@ -21,7 +21,7 @@ from cell.control.live import FRESH_S, LiveValues
 from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState, named_states
 from cell.data.recording_reader import Recording, read_recording
-from cell.errors import RecordingError, RequestRefused
+from cell.errors import RecordingError, RequestRefused, reason_text
 from cell.fault_catalogue import BY_NUMBER
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus
 from cell.interfaces.plugin.part_report import OnPart, PartReport, thinned_curves
@@ -83,8 +83,7 @@ class Tape:
                 self.report(number)
         except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as cause:
             raise RecordingError(
-                f"{recording.path}: a message has values that no cell has "
-                f"({type(cause).__name__}: {cause})"
+                f"{recording.path}: a message has values that no cell has ({reason_text(cause)})"
             ) from cause
 
     def grasp_at(self, t_s: float) -> int:

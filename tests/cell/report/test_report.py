@@ -16,7 +16,7 @@ import pytest
 from cell.build import build_cell
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
-from cell.errors import ReportError
+from cell.errors import MissingExtraError, ReportError
 from cell.jobs.run_report import report_data
 from cell.report.build import level_windows, link_health, loop_health, paper_table, servo_health
 from cell.report.data import ConfusionTable, HealthGroup, HealthState, HeldAndFound, ReportData
@@ -313,7 +313,7 @@ def test_missing_extra_is_said_with_the_remedy(
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(
-        ReportError, match=rf"needs {missing}; install this project with its extra `report`"
+        MissingExtraError, match=rf"needs {missing}; install this project with its extra `report`"
     ):
         render_report(run)
 

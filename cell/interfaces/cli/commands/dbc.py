@@ -9,14 +9,12 @@ def dbc(config: ConfigOption = None, output: TextOutOption = None) -> None:
     For cantools, SavvyCAN, CANalyzer and others. Needs the extra `dbc`.
     """
     from cell.config.tactile import layout_from_config
-    from cell.errors import ConfigError
-    from cell.installation import missing_packages, remedy
+    from cell.installation import extra
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import print_or_write
 
-    if missing_packages("dbc"):
-        raise ConfigError(f"a DBC file is written by cantools: {remedy('dbc')}")
-    from tactile.unit.dbc import dbc_text
+    with extra("dbc", needed_by="a DBC file"):
+        from tactile.unit.dbc import dbc_text
 
     tactile = cell_config(config).tactile
     text = dbc_text(

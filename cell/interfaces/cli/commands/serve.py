@@ -99,7 +99,7 @@ def serve(
     """
     from cell.config.file import changed_config
     from cell.interfaces.cli.session import cell_config, with_faults
-    from cell.interfaces.cli.signals import END_WITHIN_S, stopping
+    from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
     from cell.interfaces.cli.terminal import print_note
     from cell.interfaces.service.service import Service
     from cell.interfaces.service.serving import open_plugin
@@ -124,7 +124,10 @@ def serve(
     )
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
-    with stopping(over.set, end_within_s=END_WITHIN_S), _foxglove(checked) as tap:
+    with (
+        stopping(over.set, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
+        _foxglove(checked) as tap,
+    ):
         untaught = config is None and model is None and training_set is None
         if untaught:
             model = cached_model(own)
@@ -150,13 +153,10 @@ def _foxglove(config: "CellConfig") -> Iterator["FoxgloveDoor | None"]:
     if config.serve.foxglove_port is None:
         yield None
         return
-    from cell.errors import ConfigError
-    from cell.installation import remedy
+    from cell.installation import extra
 
-    try:
+    with extra("foxglove", needed_by="serve.foxglove_port"):
         from cell.interfaces.foxglove import FoxgloveDoor
-    except ImportError as error:
-        raise ConfigError(f"serve.foxglove_port: {remedy('foxglove')} ({error})") from error
     with closing(FoxgloveDoor(config.serve.foxglove_port)) as door:
         yield door
 
@@ -185,11 +185,11 @@ def announced_doors(
 
 def free_page_port(listen: str) -> int | None:
     """Return the port of the page, or the next free one; None, and a note, without its extra."""
-    from cell.installation import missing_packages, remedy
+    from cell.installation import missing_note
     from cell.interfaces.cli.terminal import print_note
 
-    if missing := missing_packages("serve"):
-        print_note(f"no page: {' and '.join(missing)} missing; {remedy('serve')}")
+    if no_page := missing_note("serve", "page"):
+        print_note(no_page)
         return None
     family = socket.AF_INET6 if ":" in listen else socket.AF_INET
     for port in range(_PAGE_PORT, _PAGE_PORT + _PAGE_PORTS):
