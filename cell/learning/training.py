@@ -12,8 +12,9 @@ from cell.config.sequence import SequenceConfig
 from cell.errors import CellError, ModelError
 from cell.installation import extra
 from cell.learning.blas import one_blas_thread
-from cell.learning.model import Arrays, LoadedModel, rehearse
+from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
 from recognition.grasp import Grasp
+from recognition.ramp.running_load import load_so_far
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, teach_early
@@ -131,11 +132,12 @@ def load_early(model: LoadedModel) -> EarlyClassifiers | None:
 
     def build(arrays: Arrays) -> EarlyClassifiers:
         heads = EarlyClassifiers.from_arrays(arrays, kind)
-        heads.rest.check(model.pads)
+        grasp = made_up_grasp(model.pads)
+        load_so_far(grasp, heads.rest)
         for head in heads.recognizers:
             if head.labels != model.recognizer.labels:
                 raise ValueError(f"ramps cut short name {head.labels}")
-            rehearse(head, model.pads)
+            rehearse(head, grasp)
         return heads
 
     return model.section(EARLY_SECTION, build)
