@@ -35,6 +35,9 @@ _CONTRADICTED_ADVICE = (
     "the goals are frozen and the grip kept. Look at the part, check encoder, horn and linkage, "
     "then clear the fault and release"
 )
+_SINKS_S, _CREEP_M = 0.1, 0.0005
+"""Time in s after a rise until the fingers stand, and the way in m by which foam may go on yielding
+after it: a sixth of what two pads of 3 mm give."""
 _TORQUE_DOUBT = 0.03
 """Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
 _LEVER_M = 0.06
@@ -154,6 +157,7 @@ class GripControl:
         self._widest_m = state.aperture_m + _GIVE_RAD * sum(
             linkage.opening_per_rad_m(angle_rad) for angle_rad in state.angles_rad
         )
+        self._sunk_m, self._rose_s = state.aperture_m, now_s
         self._contradicted_s = 0.0
         # Loaded so much at the first touch: stiff, or no part at all.
         yielded_m = max(touch_m - state.aperture_m, _SHORTEST_M)
@@ -244,6 +248,10 @@ class GripControl:
             self._motion = None
             return self._servo_goals(state, paths)
         self._watch.take(sample)
+        if rises_n > 0.0:
+            self._rose_s = moment.now_s
+        if moment.now_s - self._rose_s <= _SINKS_S:
+            self._sunk_m = state.aperture_m
         self._check_position(moment.dt_s, state)
         self._check_balance(moment.dt_s)
         end_n = setpoint_n if arrival_n is None else arrival_n
@@ -407,8 +415,9 @@ class GripControl:
 
         No part presses on both pads where the fingers stand wider open than at the contact, or
         closed: then the count of a position drifts, and what is gripped is gripped all the same.
+        A small part that has sunk into the foam may go on sinking as far as foam creeps.
         """
-        least_m = self._settings.aperture_min_m
+        least_m = min(self._settings.least_pressed_m, self._sunk_m - _CREEP_M)
         if least_m <= state.aperture_m <= self._widest_m or not self._watch.loaded:
             self._contradicted_s = 0.0
             return
