@@ -301,8 +301,10 @@ def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 def _check_numbers(path: Path, arrays: Arrays) -> None:
     for name, array in arrays.items():
+        if array.dtype.kind != "f":
+            continue
         known = ~np.isnan(array) if name.endswith(_UNKNOWN_ALLOWED) else ...
-        if array.dtype.kind == "f" and not np.all(np.abs(array[known]) <= _LARGEST):
+        if not np.all(np.abs(array[known]) <= _LARGEST):
             raise ModelError(
                 f"{path}: {name} holds a value that is no number up to {_LARGEST:g}; train it again"
             )
