@@ -23,6 +23,7 @@ from cell.config.tactile import (
 from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
 from cell.errors import CellStateError, ConfigError, PositionerError, RequestRefused
+from cell.installation import extra
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
@@ -240,10 +241,7 @@ def simulated_objects(config: CellConfig) -> dict[str, Shape]:
     """Return the shapes of the configured objects by their labels. Raises ConfigError."""
     objects = {}
     for entry in config.simulator.objects:
-        try:
-            objects[entry.label] = parse_shape(entry.shape)
-        except (SimulatorError, ImportError) as error:
-            raise ConfigError(f"simulator.objects: {entry.label}: {error}") from error
+        objects[entry.label] = _shape(entry.shape, f"simulator.objects: {entry.label}")
     return objects
 
 
@@ -252,10 +250,15 @@ def drawn_shape(text: str) -> Shape:
 
     Raises ConfigError if the text is no shape, or a mesh file cannot be read.
     """
+    return _shape(text, f"shape {text!r}")
+
+
+def _shape(text: str, where: str) -> Shape:
     try:
-        return parse_shape(text)
-    except (SimulatorError, ImportError) as error:
-        raise ConfigError(f"shape {text!r}: {error}") from error
+        with extra("mesh", needed_by=f"{where}: a mesh file"):
+            return parse_shape(text)
+    except SimulatorError as error:
+        raise ConfigError(f"{where}: {error}") from error
 
 
 def converter_noise(

@@ -212,4 +212,4 @@ class AxesPositioner:
         except (AxisLimitExceeded, PositionNotReached) as error:
             raise PositionerError(str(error)) from error
         except MotionError as error:
-            raise PositionerFault(f"{type(error).__name__}: {error}") from error
+            raise PositionerFault(str(error)) from error

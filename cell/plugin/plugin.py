@@ -22,14 +22,8 @@ from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
-from cell.errors import (
-    CellError,
-    CellStateError,
-    ConfigError,
-    PartInGrip,
-    RequestRefused,
-    error_text,
-)
+from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, RequestRefused
+from cell.fault_catalogue import error_text
 from cell.plugin.answer import (
     Answer,
     FeltShape,

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import CellError, HeldByClient, RequestRefused, error_text
+from cell.errors import CellError, HeldByClient, RequestRefused
+from cell.fault_catalogue import error_text
 from cell.plugin.answer import Answer, HostStatus, Verification
 from cell.plugin.goals import (
     TASKS,

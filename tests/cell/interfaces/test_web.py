@@ -450,7 +450,10 @@ def test_a_defect_is_answered_in_the_same_shape(
     served.plugin.info = broken
     status, found = host.ask("GET", "/api/info")
     check_refusal(status, found, status=500)
-    assert (found["fault_number"], found["error"]) == (599, "ZeroDivisionError: a defect")
+    assert (found["fault_number"], found["error"]) == (
+        599,
+        "unexpected error (ZeroDivisionError): a defect",
+    )
     until(lambda: "a defect" in caplog.text)  # for those who mend it
 
 
