@@ -24,9 +24,9 @@ from gripper.errors import (
     VerificationFailed,
 )
 from gripper.force.by_current import ForceByCurrent, cap_by_current_n
+from gripper.force.control.grip_control import GripControl
 from gripper.force.free_motion import MoveTo, StandStill
 from gripper.force.grasp import GraspRun
-from gripper.force.grip_control import GripControl
 from gripper.force.loop import LoopRunner, Running
 from gripper.force.mechanics_proof import FirstMotion, standing_rows
 from gripper.force.ramp import ForceRamp, check_ramp

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import LimitExceeded
 from gripper.settings import GripperSettings
+from gripper.state import GripperState
 
 
 class Linkage(Protocol):
@@ -248,6 +249,14 @@ def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Trans
 def mean_friction_n(paths: Sequence[Transmission]) -> float:
     """Return half the width of the friction band in N, the mean of the servos."""
     return sum(path.friction_n for path in paths) / len(paths)
+
+
+def driving_n(state: GripperState, paths: Sequence[Transmission]) -> float:
+    """Return the driving force in N that the measured currents make, friction left aside."""
+    return sum(
+        -servo.current_a * path.kt_nm_a / path.radius_m
+        for servo, path in zip(state.servos, paths, strict=True)
+    ) / len(paths)
 
 
 def motion_current_a(

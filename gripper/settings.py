@@ -81,7 +81,7 @@ class ForceLoopSettings:
     samples are young enough for it: on a soft part the fingers swing too slowly by themselves."""
     end_time_s: float = setting(0.14, low=0.0)
     """Time constant in s with which the force arrives at the end of a change; see
-    `gripper.force.controller.SetpointFilter`."""
+    `gripper.force.control.band_mode.arriving_n`."""
     dead_band_n: float = setting(0.03, low=0.0)
     hold_band_n: float = setting(0.04, low=0.0)
     """Error in N that is left alone while the force keeps its direction: on a ramp, in a

@@ -2,6 +2,6 @@
 
 For the gripper: `loop` runs the periods, `ramp` is the set-point, `free_motion` moves empty
 fingers, `approach` closes them until `contact`, `grasp` runs one grasp from approach to hold.
-Inside: `grip_control` (goals of one period, stiffness and friction estimates), `controller` (force
-controller and set-point filter), `slip`, `timing` (lateness and overruns).
+Inside: `control` (the laws of force and their table), `estimates` (force, stiffness, friction),
+`supervision` (is the part there, does it slip), `timing` (lateness and overruns).
 """

@@ -7,7 +7,7 @@ from math import inf
 
 from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
 from gripper.force.contact import YOUNG_S, ContactDetector, FirstTouch
-from gripper.force.controller import History
+from gripper.force.estimates.history import History
 from gripper.force.loop import Action, Moment
 from gripper.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
 from gripper.kinematics import Linkage, motion_current_a, transmissions

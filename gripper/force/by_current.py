@@ -3,7 +3,7 @@
 from math import hypot
 
 from gripper.errors import LimitExceeded
-from gripper.force.grip_control import FrictionEstimate
+from gripper.force.estimates.friction import FrictionEstimate
 from gripper.force.loop import Moment
 from gripper.force_sensor import ForceSample
 from gripper.kinematics import Linkage, transmissions

@@ -7,12 +7,9 @@ from math import inf
 from gripper.errors import GripContradicted, PartLost
 from gripper.force.approach import STALL_SPEED_M_S, Approach, ApproachEvent
 from gripper.force.contact import ContactRest
-from gripper.force.grip_control import (
-    FrictionEstimate,
-    GripControl,
-    StiffnessEstimate,
-    driving_n,
-)
+from gripper.force.control.grip_control import GripControl
+from gripper.force.estimates.friction import FrictionEstimate
+from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.mechanics_proof import (
     ZERO_RANGE_M,
@@ -23,7 +20,7 @@ from gripper.force.mechanics_proof import (
 from gripper.force.part_loss import EmptyGrip
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.slip import LevelSlip
-from gripper.kinematics import Linkage, mean_friction_n, transmissions
+from gripper.kinematics import Linkage, driving_n, mean_friction_n, transmissions
 from gripper.outcome import GraspOutcome, GraspResult
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings

@@ -12,7 +12,7 @@ from math import inf, sqrt
 
 from gripper.errors import GripContradicted
 from gripper.force.approach import BOOST_PER_S, LARGEST_BOOST, LEAD_M
-from gripper.force.controller import History
+from gripper.force.estimates.history import History
 from gripper.force.loop import Action, Moment
 from gripper.force_sensor import ForceSample
 from gripper.kinematics import Linkage, motion_current_a, transmissions

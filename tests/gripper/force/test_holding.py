@@ -7,9 +7,7 @@ import pytest
 from benchmarks.performance._force_plant import Rig, Truth
 from benchmarks.performance.force_ramps import PARTS
 from gripper.errors import ForceImbalance, PartLost, PartSlipped
-from gripper.force.controller import SetpointFilter
 from gripper.force.ramp import ForceRamp
-from gripper.force.ramp_motion import ContactObserver
 from gripper.force.slip import SlipWatch
 from gripper.force_sensor import ForceSample
 from gripper.kinematics import ParallelLinkage
@@ -71,20 +69,6 @@ def test_a_part_met_with_more_than_the_ramp_asks_for_is_pressed_no_harder(make_c
     ramp = ForceRamp.linear(2.0, rate_n_s=10.0)
     cell.gripper.grasp(ramp, lambda c: forces_n.append(cell.force_n) if c.setpoint_n else None)
     assert 2.2 < forces_n[0] == max(forces_n)
-
-
-@pytest.mark.parametrize("speed_m_s", [0.0, -1e-9, 1e-9])
-def test_fingers_set_out_with_the_force_beyond_friction_whichever_way_they_crept(
-    speed_m_s: float,
-) -> None:
-    observer = ContactObserver(
-        mass_kg=3.4, now_s=0.0, force_n=2.0, doubt_n=0.1, drive_n=5.0, stiffness_n_m=1e4
-    )
-    observer.speed_m_s = speed_m_s
-    beyond_n, dt_s = 0.2, 0.005
-    found_m_s = observer.speed_after_m_s(dt_s, 2.0 + 3.0 + beyond_n, 3.0)
-    assert found_m_s == pytest.approx(beyond_n * dt_s / 3.4, abs=1e-8)
-    assert observer.speed_after_m_s(dt_s, 2.0 + 3.0, 3.0) == pytest.approx(0.0, abs=1e-8)
 
 
 def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
@@ -154,23 +138,6 @@ def test_the_step_down_from_too_much_force_is_as_configured(make_cell) -> None:
     with pytest.raises(ValueError, match="force_max_n is 6"):
         cell.gripper.hold(1.0, lambda _: written.append(cell.register(0, "goal_current")))
     assert abs(cell.register(0, "goal_current")) == pytest.approx(0.8 * abs(written[-1]), abs=2)
-
-
-def test_the_reference_arrives_without_a_knee_and_never_passes_the_set_point() -> None:
-    reference = SetpointFilter(1.0, 0.1)
-    forces_n, rates_n_s = [], []
-    for i in range(200):
-        setpoint_n = min(4.0, 1.0 + 10.0 * 0.005 * (i + 1))
-        forces_n.append(reference.step(0.005, setpoint_n, 4.0))
-        rates_n_s.append(reference.rate_n_s)
-        assert forces_n[-1] <= setpoint_n + 1e-12
-    assert forces_n == sorted(forces_n)
-    assert max(rates_n_s) <= 10.0 + 1e-6
-    assert forces_n[120] == pytest.approx(4.0, abs=0.03)
-    assert forces_n[-1] == 4.0
-    down = [reference.step(0.005, max(2.0, 4.0 - 0.05 * i), 2.0) for i in range(200)]
-    assert down == sorted(down, reverse=True)
-    assert down[-1] == 2.0
 
 
 def pressed(t_s: float, x_m: float, *, noise_m: float, force_n: float = 5.0) -> ForceSample:

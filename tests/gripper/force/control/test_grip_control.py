@@ -16,7 +16,7 @@ from gripper.errors import (
     GripperError,
     LimitExceeded,
 )
-from gripper.force.grip_control import StiffnessEstimate
+from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force_sensor import ForceSample

@@ -1,0 +1,76 @@
+"""Stiffness of the gripped part, from the touch on."""
+
+from collections import deque
+from math import inf
+
+from gripper.force.estimates.history import History
+from gripper.force.loop import Moment
+from gripper.settings import GripperSettings
+
+_MEAN_SAMPLES = 3
+"""Samples whose mean a stiffness is taken with: 60 ms at 50 Hz."""
+_TOUCH_SHARE = 0.3
+"""Share of ``contact_force_n`` below which a sample shows no touch."""
+_SLOPE_N = 0.7
+"""Growth of the force in N over which one stiffness is taken: several times the noise."""
+_BLOCK_S = 0.018
+"""Time in s over which faster samples count as one, their mean: just below a period of 50 Hz."""
+SHORTEST_M = 1e-4
+"""Least travel in m that a stiffness is taken over: the resolution of the opening."""
+_STIFFEST_N_M = 1e5
+"""Largest stiffness in N/m: a steel part between foam pads is far below it."""
+
+
+class StiffnessEstimate:
+    """Stiffness of the gripped part: growth of the grip force over travel, from the touch on.
+
+    It need not be exact: it distinguishes foam from steel.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._touch_n = _TOUCH_SHARE * settings.contact_force_n
+        self._apertures = History()
+        self._block: list[tuple[float, float]] = []
+        self._block_s = -inf
+        self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
+        self._anchor: tuple[float, float] | None = None
+        self._sample_s: float | None = None
+        self._stiffness_n_m: float | None = None
+
+    @property
+    def stiffness_n_m(self) -> float | None:
+        """Grip force gained for each m that the opening shrinks; None before it was measured."""
+        return self._stiffness_n_m
+
+    def push(self, moment: Moment) -> None:
+        """Add the opening of now and the newest sample, which may be the same as before."""
+        self._apertures.add(moment.now_s, moment.state.aperture_m)
+        sample = moment.sample
+        if sample is None or not sample.valid or sample.t_s == self._sample_s:
+            return
+        self._sample_s = sample.t_s
+        self._block.append((sample.grip_n, self._apertures.at(sample.measured_s)))
+        if sample.t_s - self._block_s < _BLOCK_S:
+            return
+        n = len(self._block)
+        pair = (sum(one[0] for one in self._block) / n, sum(one[1] for one in self._block) / n)
+        self._block_s = sample.t_s
+        self._block.clear()
+        if pair[0] < self._touch_n:
+            self._anchor = pair
+            self._pairs.clear()
+            return
+        self._pairs.append(pair)
+        if self._anchor is None or len(self._pairs) < _MEAN_SAMPLES:
+            return
+        mean_n = sum(pair[0] for pair in self._pairs) / _MEAN_SAMPLES
+        mean_m = sum(pair[1] for pair in self._pairs) / _MEAN_SAMPLES
+        if mean_n - self._anchor[0] >= _SLOPE_N:
+            travel_m = max(self._anchor[1] - mean_m, SHORTEST_M)
+            self._stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, _STIFFEST_N_M)
+            self._anchor = (mean_n, mean_m)

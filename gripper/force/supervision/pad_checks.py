@@ -1,0 +1,92 @@
+"""Loaded pads against the position of the fingers, and against each other."""
+
+from gripper.errors import ForceImbalance, PositionContradicted
+from gripper.recent import RecentForce
+from gripper.settings import GripperSettings
+from gripper.state import GripperState
+
+_CONTRADICTED_S = 0.1
+"""Time in s for which loaded pads contradict a position before that is an error: 5 samples."""
+
+
+class PadChecks:
+    """Checks of the pads of one grip.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    widest_m
+        Opening in m beyond which no part can press on both pads.
+    """
+
+    def __init__(self, settings: GripperSettings, widest_m: float) -> None:
+        self._settings = settings
+        self._widest_m = widest_m
+        self._contradicted_s = self._uneven_s = 0.0
+
+    def resume(self) -> None:
+        """Begin again after a pause."""
+        self._uneven_s = 0.0
+
+    def check(
+        self, dt_s: float, state: GripperState, samples: RecentForce, *, loaded: bool
+    ) -> None:
+        """Add one period.
+
+        Parameters
+        ----------
+        dt_s, state
+            Time since the last period in s, and feedback.
+        samples, loaded
+            Newest force samples, and whether their mean shows force on both pads.
+
+        Raises
+        ------
+        PositionContradicted
+            When pads are loaded where the fingers, by their position, cannot press on a part.
+        ForceImbalance
+            When the fingers press with different forces for too long.
+        """
+        self._check_position(dt_s, state, samples, loaded=loaded)
+        self._check_balance(dt_s, samples)
+
+    def _check_position(
+        self, dt_s: float, state: GripperState, samples: RecentForce, *, loaded: bool
+    ) -> None:
+        """Raise PositionContradicted where loaded pads have contradicted the opening for long.
+
+        No part presses on both pads where the fingers stand wider open than at the contact, or
+        closed: then the count of a position drifts, and what is gripped is gripped all the same.
+        """
+        least_m = self._settings.aperture_min_m
+        if least_m <= state.aperture_m <= self._widest_m or not loaded:
+            self._contradicted_s = 0.0
+            return
+        self._contradicted_s += dt_s
+        if self._contradicted_s < _CONTRADICTED_S:
+            return
+        first_n, second_n = samples.finger_means_n
+        raise PositionContradicted(
+            f"the servos report an opening of {state.aperture_m * 1e3:.1f} mm while the pads "
+            f"measure {first_n:.2f} and {second_n:.2f} N on a part that can be from "
+            f"{least_m * 1e3:.1f} to {self._widest_m * 1e3:.1f} mm wide: a position is wrong, or "
+            f"the pads press on each other; the goals are frozen and the grip kept. Look at the "
+            f"part, check encoder, horn and linkage, then clear the fault and release"
+        )
+
+    def _check_balance(self, dt_s: float, samples: RecentForce) -> None:
+        """Raise ForceImbalance when the fingers' forces have differed for too long."""
+        settings = self._settings
+        first_n, second_n = samples.finger_means_n
+        allowed_n = max(settings.imbalance_n, settings.imbalance_share * 0.5 * (first_n + second_n))
+        if abs(first_n - second_n) <= allowed_n:
+            self._uneven_s = 0.0
+            return
+        self._uneven_s += dt_s
+        if self._uneven_s > settings.imbalance_s:
+            raise ForceImbalance(
+                f"the fingers press with {first_n:.2f} and {second_n:.2f} N, a difference of "
+                f"{allowed_n:.2f} N is allowed for {settings.imbalance_s} s: both are frozen; "
+                f"check whether a finger is blocked or a pad is blind"
+            )
