@@ -235,7 +235,7 @@ class GripperSettings:
     holding, that is reported as a slip."""
     slide_m: float = setting(0.0015, above=0.0, high=0.05)
     """Way in m along the pads by which the centre of a held force may move; more where its noise is
-    larger, less where it moves suddenly: see `gripper.force.slip`."""
+    larger, less where it moves suddenly: see `gripper.force.supervision.slip`."""
     runaway_speed_m_s: float = setting(0.02, above=0.0, high=0.5)
     runaway_travel_m: float = setting(0.0005, above=0.0, high=0.05)
     """Fingers that close faster than the force loop wants by so much in m/s, over so far in m,

@@ -17,9 +17,9 @@ from gripper.force.mechanics_proof import (
     meeting_settings,
     not_met,
 )
-from gripper.force.part_loss import EmptyGrip
 from gripper.force.ramp import ForceRamp, RampEnd
-from gripper.force.slip import LevelSlip
+from gripper.force.supervision.empty_grip import EmptyGrip
+from gripper.force.supervision.slip import LevelSlip
 from gripper.kinematics import Linkage, driving_n, mean_friction_n, transmissions
 from gripper.outcome import GraspOutcome, GraspResult
 from gripper.servos.group import ServoGroup

@@ -8,18 +8,16 @@ from gripper.force.control.period import Period
 from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
-from gripper.force.estimates.stiffness import SHORTEST_M, StiffnessEstimate
+from gripper.force.estimates.stiffness import KNOWN_N, SHORTEST_M, StiffnessEstimate
 from gripper.force.loop import Moment
-from gripper.force.part_loss import BREAKAWAY_SHARE, PartWatch
 from gripper.force.supervision.pad_checks import PadChecks
-from gripper.kinematics import Linkage, Transmission, driving_n, mean_friction_n, transmissions
+from gripper.force.supervision.part_watch import PartWatch
+from gripper.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.state import GripperState
 
 # Figures without another source are tuned in the simulated cell.
-_KNOWN_N = 3.0
-"""Force in N from which on the first touch shows the stiffness well."""
 _TORQUE_DOUBT = 0.03
 """Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
 _INERTIA_N_S_M = 100.0
@@ -83,12 +81,14 @@ class GripControl:
         grip.apertures.add(now_s, state.aperture_m)
         yielded_m = max(touch_m - state.aperture_m, 0.0)
         # Loaded so much at the first touch: stiff, or no part at all.
-        contact_n_m = force_n / max(yielded_m, SHORTEST_M) if force_n > _KNOWN_N else None
-        self._watch = PartWatch(settings, linkage, grip.apertures, contact_n_m)
+        contact_n_m = force_n / max(yielded_m, SHORTEST_M) if force_n > KNOWN_N else None
+        self._watch = PartWatch(grip, contact_n_m)
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._checks = PadChecks(settings, state.aperture_m + given_m)
         # Both pads yield by what the opening shrinks.
-        pad_n_m = 2.0 * _HARDENS * max(force_n, self._watch.empty_n) / (yielded_m + _WAY_DOUBT_M)
+        pad_n_m = (
+            2.0 * _HARDENS * max(force_n, self._watch.pads.empty_n) / (yielded_m + _WAY_DOUBT_M)
+        )
         self._modes = GripModes(grip, now_s, pad_n_m)
         self._goals = DriveGoals(settings, linkage, state, touch_m)
 
@@ -100,7 +100,7 @@ class GripControl:
     @property
     def force_n(self) -> float:
         """Mean of the last samples of the grip force in N."""
-        samples = self._watch.samples
+        samples = self._watch.pads.recent
         return samples.grip_n if samples else self._grip.estimate.model_n
 
     @property
@@ -120,17 +120,7 @@ class GripControl:
 
     def part_lost(self, moment: Moment) -> bool:
         """Return whether the part is gone; see `PartWatch.lost`. Comes before `goals`."""
-        grip = self._grip
-        paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
-        breakaway_n = (1.0 + BREAKAWAY_SHARE) * grip.friction_share * mean_friction_n(paths)
-        return self._watch.lost(
-            moment,
-            setpoint_n=grip.asked_n,
-            rate_n_s=grip.rate_n_s,
-            stiffness_n_m=grip.stiffness.stiffness_n_m,
-            drive_n=grip.quiet_n,
-            pressing_n=driving_n(moment.state, paths) - breakaway_n,
-        )
+        return self._watch.lost(moment)
 
     def goals(
         self,
@@ -166,8 +156,8 @@ class GripControl:
         grip.apertures.add(moment.now_s, state.aperture_m)
         usable = sample is not None and sample.valid and not self._watch.doubts
         if sample is not None and usable:
-            self._watch.take(sample)
-            self._checks.check(moment.dt_s, state, self._watch.samples, loaded=self._watch.loaded)
+            self._watch.pads.take(sample)
+            self._checks.check(moment.dt_s, state, self._watch.pads)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         grip.drive_n = self._modes.step(
             Period(

@@ -11,6 +11,8 @@ _MEAN_SAMPLES = 3
 """Samples whose mean a stiffness is taken with: 60 ms at 50 Hz."""
 _TOUCH_SHARE = 0.3
 """Share of ``contact_force_n`` below which a sample shows no touch."""
+KNOWN_N = 3.0
+"""Force in N from which on a stiffness is known well: it is taken anew with each 0.7 N."""
 _SLOPE_N = 0.7
 """Growth of the force in N over which one stiffness is taken: several times the noise."""
 _BLOCK_S = 0.018

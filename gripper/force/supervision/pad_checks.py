@@ -1,7 +1,7 @@
 """Loaded pads against the position of the fingers, and against each other."""
 
 from gripper.errors import ForceImbalance, PositionContradicted
-from gripper.recent import RecentForce
+from gripper.force.supervision.pad_samples import PadSamples
 from gripper.settings import GripperSettings
 from gripper.state import GripperState
 
@@ -29,17 +29,15 @@ class PadChecks:
         """Begin again after a pause."""
         self._uneven_s = 0.0
 
-    def check(
-        self, dt_s: float, state: GripperState, samples: RecentForce, *, loaded: bool
-    ) -> None:
+    def check(self, dt_s: float, state: GripperState, pads: PadSamples) -> None:
         """Add one period.
 
         Parameters
         ----------
         dt_s, state
             Time since the last period in s, and feedback.
-        samples, loaded
-            Newest force samples, and whether their mean shows force on both pads.
+        pads
+            Newest force samples.
 
         Raises
         ------
@@ -48,25 +46,23 @@ class PadChecks:
         ForceImbalance
             When the fingers press with different forces for too long.
         """
-        self._check_position(dt_s, state, samples, loaded=loaded)
-        self._check_balance(dt_s, samples)
+        self._check_position(dt_s, state, pads)
+        self._check_balance(dt_s, pads)
 
-    def _check_position(
-        self, dt_s: float, state: GripperState, samples: RecentForce, *, loaded: bool
-    ) -> None:
+    def _check_position(self, dt_s: float, state: GripperState, pads: PadSamples) -> None:
         """Raise PositionContradicted where loaded pads have contradicted the opening for long.
 
         No part presses on both pads where the fingers stand wider open than at the contact, or
         closed: then the count of a position drifts, and what is gripped is gripped all the same.
         """
         least_m = self._settings.aperture_min_m
-        if least_m <= state.aperture_m <= self._widest_m or not loaded:
+        if least_m <= state.aperture_m <= self._widest_m or not pads.loaded:
             self._contradicted_s = 0.0
             return
         self._contradicted_s += dt_s
         if self._contradicted_s < _CONTRADICTED_S:
             return
-        first_n, second_n = samples.finger_means_n
+        first_n, second_n = pads.recent.finger_means_n
         raise PositionContradicted(
             f"the servos report an opening of {state.aperture_m * 1e3:.1f} mm while the pads "
             f"measure {first_n:.2f} and {second_n:.2f} N on a part that can be from "
@@ -75,10 +71,10 @@ class PadChecks:
             f"part, check encoder, horn and linkage, then clear the fault and release"
         )
 
-    def _check_balance(self, dt_s: float, samples: RecentForce) -> None:
+    def _check_balance(self, dt_s: float, pads: PadSamples) -> None:
         """Raise ForceImbalance when the fingers' forces have differed for too long."""
         settings = self._settings
-        first_n, second_n = samples.finger_means_n
+        first_n, second_n = pads.recent.finger_means_n
         allowed_n = max(settings.imbalance_n, settings.imbalance_share * 0.5 * (first_n + second_n))
         if abs(first_n - second_n) <= allowed_n:
             self._uneven_s = 0.0

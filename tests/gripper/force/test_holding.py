@@ -8,7 +8,7 @@ from benchmarks.performance._force_plant import Rig, Truth
 from benchmarks.performance.force_ramps import PARTS
 from gripper.errors import ForceImbalance, PartLost, PartSlipped
 from gripper.force.ramp import ForceRamp
-from gripper.force.slip import SlipWatch
+from gripper.force.supervision.slip import SlipWatch
 from gripper.force_sensor import ForceSample
 from gripper.kinematics import ParallelLinkage
 from gripper.outcome import GraspResult
