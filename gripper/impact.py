@@ -17,28 +17,34 @@ from typing import NamedTuple
 from gripper.errors import LimitExceeded
 from gripper.kinematics import Linkage, Transmission, motion_current_a, transmissions
 from gripper.settings import GripperSettings
+from gripper.state import STANDING_M_S
 
 FRICTION_DOUBT = 0.2
 """Share by which the friction of a gearing may be less than its model's: the force loop is tuned
-with so much."""
+with so much. [assumed]"""
 _KEPT_FREE_SHARE = 0.1
-"""Share of the cap that is left free: inertia, torque and foam differ from their figures."""
+"""Share of the cap that is left free: inertia, torque and foam differ from their figures.
+[chosen]"""
 _FINGER_KG_M2 = 2e-4
-"""Inertia of a finger and its link about the servo's axis in kg m²: 55 g at 60 mm, assumed.
-That of the motor behind its gears is 6 to 60 times as large."""
+"""Inertia of a finger and its link about the servo's axis in kg m²: 55 g at 60 mm, assumed. That of
+the motor behind its gears is 6 to 60 times as large. [assumed]"""
 _SMALL_PART_M = 4e-4
 """Twice the energy over the force that a pad takes in under the smallest parts, in m: foam of 3 mm
 under spheres and edges of 1 to 10 mm, at 15 to 50 N (simulated foam). A small part is soft at first
-and then meets the bottom; up to 22 N a flat one on the whole of the default pads is the harder."""
-_SLOWEST_M_S = 0.004
+and then meets the bottom; up to 22 N a flat one on the whole of the default pads is the harder.
+[simulated]"""
+_SLOWEST_M_S = 2.0 * STANDING_M_S
 """Least rate of the opening in m/s of an approach: twice that below which the fingers count as
 standing."""
 
-_GOAL_PERIODS, _CURRENT_S = 1.5, 0.003
-"""Periods from a position to the goal that is made of the one after, on average at the worst, and
-time constant in s of a servo's current (assumed)."""
+_GOAL_PERIODS = 1.5
+"""Periods from a position to the goal that is made of the one after, on average at the worst.
+[chosen]"""
+CURRENT_S = 0.003
+"""Time constant in s of a servo's current. [assumed]"""
 _SLOWED_TIMES = 2.0
-"""Time constants after which fingers count as slowed down: 14 % of the difference is left."""
+"""Time constants after which fingers count as slowed down: 14 % of the difference is left.
+[chosen]"""
 
 
 class ImpactLimit(NamedTuple):
@@ -162,7 +168,7 @@ def slowing_way_m(
             strict=True,
         )
     )
-    acts_s = _GOAL_PERIODS * settings.period_s + _CURRENT_S
+    acts_s = _GOAL_PERIODS * settings.period_s + CURRENT_S
     lasts_s = _SLOWED_TIMES * slowing_s
     return acts_s * from_m_s + slowing_s * (from_m_s - to_m_s) + lasts_s * to_m_s
 

@@ -36,7 +36,10 @@ class Linkage(Protocol):
 
 
 _FRICTION_RESERVE = 1.2
-"""Friction at rest over friction in motion: what a finger needs to break away."""
+"""Friction at rest over friction in motion: what a finger needs to break away. [assumed]"""
+MOST_FRICTION = 1.6
+"""Friction of a gearing over its model's, at most: what is more is something else that brakes.
+[assumed]"""
 
 
 def _check_count(n_servos: int, angles_rad: Sequence[float]) -> None:

@@ -6,6 +6,18 @@ from math import sqrt
 
 from gripper.force_sensor import ForceSample
 
+FRAME_S = 0.02
+"""Period in s of whole frames, the slowest samples that figures are given for: 50 Hz. [chosen]"""
+ONE_FRAME_S = 0.018
+"""Time in s in which faster samples count as one frame: just below its period. [chosen]"""
+LOOK_BACK_S = 4.5 * FRAME_S
+"""Time in s of a look back: five frames."""
+QUIET_N = 0.08
+"""Noise in N of a mean grip force that control and caps go by: a fraction of what a ramp must
+settle within. [tuned]"""
+LEAST_SAMPLES = 3
+"""Samples of such a mean where the sensor is too slow for it. [chosen]"""
+
 
 class RecentForce:
     """Newest force samples, as many as bring the noise of their mean below a limit.
@@ -19,13 +31,20 @@ class RecentForce:
     least
         Samples that are kept although they are older than ``longest_s``.
     longest_s
-        Largest age in s of other samples, counted from the newest one.
+        Largest age in s of other samples, counted from the newest one; None: that of the oldest of
+        ``least`` frames, with half a frame to spare.
     """
 
-    def __init__(self, noise_n: float, *, least: int, longest_s: float) -> None:
+    def __init__(
+        self,
+        noise_n: float = QUIET_N,
+        *,
+        least: int = LEAST_SAMPLES,
+        longest_s: float | None = None,
+    ) -> None:
         self._noise_n = noise_n
         self._least = least
-        self._longest_s = longest_s
+        self._longest_s = (least - 0.5) * FRAME_S if longest_s is None else longest_s
         self._samples: deque[ForceSample] = deque()
 
     def __len__(self) -> int:

@@ -6,8 +6,13 @@ from enum import Enum
 
 from gripper.force_sensor import ForceSample
 
-_STANDS_M_S = 0.005
-"""Rate of the opening in m/s below which the fingers stand: two counts of each servo."""
+STANDING_M_S = 0.002
+"""Rate of the opening in m/s below which the fingers stand: one servo is one count of its velocity
+off, on links of 60 mm. [resolution]"""
+GRAIN_M = 1e-4
+"""Resolution of the opening in m: a count of an encoder, on links of 60 mm. [resolution]"""
+_EMPTY_STANDING_M_S = 2.5 * STANDING_M_S
+"""The same where the current of empty fingers is judged: nearly two counts of each servo."""
 
 
 class GripperPhase(Enum):
@@ -102,7 +107,7 @@ def shows_nothing(
     """
     if state is None or force is None or not force.valid:
         return False
-    stands = abs(state.aperture_velocity_m_s) < _STANDS_M_S
+    stands = abs(state.aperture_velocity_m_s) < _EMPTY_STANDING_M_S
     pressed_n = state.force_from_current_n if stands else 0.0
     return max(*force.force_n, pressed_n) < contact_force_n
 

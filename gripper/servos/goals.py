@@ -23,14 +23,10 @@ from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force_sensor import ForceSample
 from gripper.impact import ImpactLimit, closing_current_max_a, impact_limit
 from gripper.kinematics import Linkage, Transmission
-from gripper.recent import RecentForce
+from gripper.recent import QUIET_N, RecentForce
 from gripper.settings import GripperSettings, OverForce, ServoSettings
 from gripper.state import GripperState, ServoState
 
-_QUIET_N = 0.08
-"""Noise in N of the mean force that is compared with the cap: noise alone must not trip it."""
-_LEAST_SAMPLES, _LONGEST_S = 3, 0.05
-"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
 _SURE_SAMPLES = 2
 """Newest samples whose mean is compared with the cap where something else excludes noise."""
 _SINGLE_SAMPLE = 3.0
@@ -91,7 +87,7 @@ class GoalGuard:
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
         self._settings = settings
         self._linkage = linkage
-        self._forces = RecentForce(_QUIET_N, least=_LEAST_SAMPLES, longest_s=_LONGEST_S)
+        self._forces = RecentForce()
         self._previous_a: tuple[float, ...] = ()
         # Two apertures bound the angles: wide open, and closed onto each other with the goal as
         # far beyond as a gripping servo needs.
@@ -228,7 +224,7 @@ class GoalGuard:
             second_n += sample.force_n[1]
             variance_n2 += sample.noise_n**2
             few = n < len(self._forces)
-            times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / _QUIET_N) if few else 1.0
+            times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / QUIET_N) if few else 1.0
             most_n = max(most_n, max(first_n, second_n) / n - times * settings.force_noise_n)
         return most_n - settings.force_max_n
 

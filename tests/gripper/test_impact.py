@@ -12,7 +12,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
-from gripper.force import approach
+from gripper.force.approach import approach
 from gripper.force_sensor import ForceSample
 from gripper.impact import approach_speed_m_s, check_approach, impact_limit
 from gripper.kinematics import ParallelLinkage

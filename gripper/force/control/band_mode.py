@@ -21,36 +21,42 @@ and a mass with little damping: a step of the drive would swing the force to twi
 from collections import deque
 
 from gripper.force.control.motion_mode import MotionMode
-from gripper.force.control.period import YOUNG_S, Period
+from gripper.force.control.period import Period
 from gripper.force.estimates.grip import Grip
+from gripper.force.loop import YOUNG_S
 from gripper.force_sensor import ForceSample
+from gripper.recent import FRAME_S, LOOK_BACK_S
+from gripper.state import GRAIN_M, STANDING_M_S
 
 _ARRIVED_N = 0.02
-"""Distance in N from the end of a change at which the force follows the set-point itself."""
+"""Distance in N from the end of a change at which the force follows the set-point itself.
+[tuned]"""
 _AFTER_FALL_S = 0.1
-"""Time in s after the modelled force has fallen in which friction may still hold more force."""
-_ANCHOR_S = 0.035
+"""Time in s after the modelled force has fallen in which friction may still hold more force.
+[tuned]"""
+_ANCHOR_S = 1.75 * FRAME_S
 """Least time in s over which a mean shows the edge of the friction band on the way down: three
-samples at 50 Hz."""
+frames."""
 _CATCH_UP_S = 0.2
-"""Time in s within which a moving set-point catches up with the force by itself."""
+"""Time in s within which a moving set-point catches up with the force by itself. [tuned]"""
 _LONGEST_MEAN, _LONGER_EACH_S = 5.0, 0.3
-"""How much longer than on a ramp the mean of the samples gets at rest, by one for each 0.3 s."""
+"""How much longer than on a ramp the mean of the samples gets at rest, by one for each 0.3 s.
+[tuned]"""
 _CREEP_S = 0.5
 """Time in s of a hold in which the foam creeps fast: where errors are made up for, the mean stays
-short."""
+short. [assumed]"""
 _CAP_TIME_S = 0.05
 """Time constant in s with which the drive arrives at its largest value: moving masses and part are
-a swing, and what they add to the force there would be above the cap."""
+a swing, and what they add to the force there would be above the cap. [tuned]"""
 _CREEP_PER_RAMP = 1.5
-"""Rate of the drive near the edge of the band over that of the set-point: it must keep up."""
+"""Rate of the drive near the edge of the band over that of the set-point: it must keep up.
+[tuned]"""
 _FORCE_TIME_S = 0.015
-"""Time constant in s of the force that stiffens a soft part: a fraction of what its swing takes."""
-_STANDING_S, _STANDING_M = 0.09, 0.0002
-"""Time in s in which the opening changes by no more than so many m where the fingers stand: two
-counts of the encoder."""
-_STILL_M_S = 0.002
-"""Rate of the opening in m/s below which the fingers stand."""
+"""Time constant in s of the force that stiffens a soft part: a fraction of what its swing takes.
+[tuned]"""
+_STANDING_M = 2 * GRAIN_M
+"""Change of the opening in m in a look back that is none, the fingers stand: two counts of the
+encoder."""
 
 
 class BandMode:
@@ -110,7 +116,7 @@ class BandMode:
         if not held:
             self._held_since_s = period.moment.now_s
         wanted_n = None
-        if not (held and period.young):
+        if not (held and period.moment.young):
             wanted_n = self._edge_n(period, setpoint_n, rate_n_s, held=held)
         if wanted_n is None:
             self._dither = 0.0
@@ -200,7 +206,7 @@ class BandMode:
         """Correct the bias by the newest sample, and refuse one that cannot be."""
         grip, estimate, sample = self._grip, self._grip.estimate, period.sample
         now_s, state = period.moment.now_s, period.state
-        before_m = grip.apertures.at(now_s - _STANDING_S)
+        before_m = grip.apertures.at(now_s - LOOK_BACK_S)
         jumped = abs(state.aperture_m - before_m) < _STANDING_M and estimate.jumps(
             sample,
             estimate.unexplained_n(sample) - estimate.bias_n,
@@ -213,7 +219,7 @@ class BandMode:
                 1.0 + abs(rate_n_s) / self._tuning.bias_rate_n_s
             )
             # At rest the mean goes back farther and farther, lest noise ratchets the force up.
-            lasts_s = now_s - self._held_since_s - (_CREEP_S if period.young else 0.0)
+            lasts_s = now_s - self._held_since_s - (_CREEP_S if period.moment.young else 0.0)
             drift_n_rs /= 1.0 + min(max(lasts_s, 0.0) / _LONGER_EACH_S, _LONGEST_MEAN)
             speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
             doubt_n_s_m = grip.motor_share * self._tuning.motion_doubt_n_s_m
@@ -268,7 +274,7 @@ class BandMode:
             self._quick_n += share * (sample.grip_n - self._quick_n)
             self._quick_s = sample.t_s
         stiffness_n_m = grip.stiffness.stiffness_n_m
-        still = abs(period.state.aperture_velocity_m_s) < _STILL_M_S
+        still = abs(period.state.aperture_velocity_m_s) < STANDING_M_S
         if stiffness_n_m is None or (still and grip.rate_n_s == 0.0):
             return 0.0
         acted_on_s = period.moment.now_s - sample.measured_s + grip.settings.period_s

@@ -7,26 +7,28 @@ pushes back.
 from math import copysign, exp, log, sqrt
 
 from gripper.force.estimates.history import History
+from gripper.force.estimates.stiffness import STIFFEST_N_M
 from gripper.force_sensor import ForceSample
 from gripper.servos.goals import STICTION
 
-_SOFTEST_N_M, _STIFFEST_N_M = 100.0, 1e5
-"""Range of the stiffness in N/m of pad and part at one pad."""
+_SOFTEST_N_M = 100.0
+"""Least stiffness in N/m of pad and part at one pad. [chosen]"""
 _LOG_STIFFNESS_SD, _LOG_STIFFNESS_RS = 0.5, 2.0
 """How uncertain the logarithm of the stiffness is at first, and how fast it wanders, per root of a
-second: foam hardens."""
+second: foam hardens. [tuned]"""
 _DISTURBANCE_SHARE, _DISTURBANCE_N_RS = 0.12, 1.5
 """How uncertain drive and friction are at first, as a share of the drive, and how fast the
-difference wanders, in N per root of a second."""
+difference wanders, in N per root of a second. [tuned]"""
 _SPEED_NOISE_M_S = 0.0007
-"""Noise in m/s of the speed that the servos report: half of its grain of 1.4 mm/s."""
+"""Noise in m/s of the speed that the servos report: half of its grain of 1.4 mm/s. [resolution]"""
 _SPEED_WANDER_M_S, _FORCE_WANDER_N = 0.0004, 0.02
-"""What a period adds by itself to speed in m/s and force in N: ripple and creep."""
+"""What a period adds by itself to speed in m/s and force in N: ripple and creep. [tuned]"""
 _BELIEVED_SDS, _BELIEVED_N = 3.0, 0.2
 """Deviations of a sample that are made up for at once, and at least so many N: pads that jump by
-more lie, or a part slips, and what watches over them ends the ramp."""
+more lie, or a part slips, and what watches over them ends the ramp. [tuned]"""
 _EDGE_DOUBT_N = 0.2
-"""How uncertain in N the edge of the friction is at which slowly pushed fingers have come loose."""
+"""How uncertain in N the edge of the friction is at which slowly pushed fingers have come loose.
+[tuned]"""
 
 
 class ContactObserver:
@@ -66,7 +68,7 @@ class ContactObserver:
         self.force_n = force_n
         self.speed_m_s = 0.0
         self.lacking_n = lacking_n
-        self._log_stiffness = log(min(max(stiffness_n_m, _SOFTEST_N_M), _STIFFEST_N_M))
+        self._log_stiffness = log(min(max(stiffness_n_m, _SOFTEST_N_M), STIFFEST_N_M))
         self._p = [
             [doubt_n**2, 0.0, 0.0, 0.0],
             [0.0, _SPEED_NOISE_M_S**2, 0.0, 0.0],
@@ -191,7 +193,7 @@ class ContactObserver:
         self.speed_m_s += gains[1] * error
         self.lacking_n += gains[2] * error
         self._log_stiffness = min(
-            max(self._log_stiffness + gains[3] * error, log(_SOFTEST_N_M)), log(_STIFFEST_N_M)
+            max(self._log_stiffness + gains[3] * error, log(_SOFTEST_N_M)), log(STIFFEST_N_M)
         )
         row = list(p[of])
         for i in range(4):

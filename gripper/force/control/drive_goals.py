@@ -9,7 +9,8 @@ from gripper.settings import GripperSettings
 from gripper.state import GripperState
 
 GIVE_RAD = 0.03
-"""How far in rad a goal may open beyond the contact: pads and part are deeper there by no more."""
+"""How far in rad a goal may open beyond the contact: pads and part are deeper there by no more.
+[assumed]"""
 
 
 class DriveGoals:

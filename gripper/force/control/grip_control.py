@@ -8,24 +8,24 @@ from gripper.force.control.period import Period
 from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
-from gripper.force.estimates.stiffness import KNOWN_N, SHORTEST_M, StiffnessEstimate
+from gripper.force.estimates.stiffness import KNOWN_N, StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.force.supervision.pad_checks import PadChecks
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.state import GRAIN_M, GripperState
 
-# Figures without another source are tuned in the simulated cell.
 _TORQUE_DOUBT = 0.03
-"""Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
+"""Share of the cap of the force that the drive leaves free: torque of the servos, their inertia.
+[assumed]"""
 _INERTIA_N_S_M = 100.0
 """Drive in N left free below the cap of the force for each m/s of closing, with a lever of 60 mm:
-on a part of 10 N/mm the inertia of the fingers adds so much to the force that their drive makes."""
-_HARDENS, _WAY_DOUBT_M = 1.5, 1e-4
-"""Stiffness at the contact over the mean one up to it, as foam has it, and what the way up to the
-contact may be short by, in m: one count of the encoders."""
+on a part of 10 N/mm the inertia of the fingers adds so much to the force that their drive makes.
+[tuned]"""
+_HARDENS = 1.5
+"""Stiffness at the contact over the mean one up to it, as foam has it. [assumed]"""
 
 
 class GripControl:
@@ -81,14 +81,12 @@ class GripControl:
         grip.apertures.add(now_s, state.aperture_m)
         yielded_m = max(touch_m - state.aperture_m, 0.0)
         # Loaded so much at the first touch: stiff, or no part at all.
-        contact_n_m = force_n / max(yielded_m, SHORTEST_M) if force_n > KNOWN_N else None
+        contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
         self._watch = PartWatch(grip, contact_n_m)
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._checks = PadChecks(settings, state.aperture_m + given_m)
         # Both pads yield by what the opening shrinks.
-        pad_n_m = (
-            2.0 * _HARDENS * max(force_n, self._watch.pads.empty_n) / (yielded_m + _WAY_DOUBT_M)
-        )
+        pad_n_m = 2.0 * _HARDENS * max(force_n, self._watch.pads.empty_n) / (yielded_m + GRAIN_M)
         self._modes = GripModes(grip, now_s, pad_n_m)
         self._goals = DriveGoals(settings, linkage, state, touch_m)
 

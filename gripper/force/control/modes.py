@@ -4,24 +4,24 @@ from collections.abc import Callable
 from typing import Protocol
 
 from gripper.force.control.band_mode import BandMode
-from gripper.force.control.motion_mode import MotionMode
+from gripper.force.control.motion_mode import SPEED_S, MotionMode
 from gripper.force.control.period import Period
 from gripper.force.estimates.grip import Grip
 
 _FAST_N_S = 6.0
-"""Rate in N/s from which on a rise is a planned motion: below, friction at rest decides."""
+"""Rate in N/s from which on a rise is a planned motion: below, friction at rest decides. [tuned]"""
 _FAST_PERIOD_S = 0.0065
-"""Longest time in s between two goals of a planned motion, half of the time constant of its speed:
-in a slower loop the fingers would run too far."""
-_LATE_PERIOD_S = 0.012
+"""Longest time in s between two goals of a planned motion, about half of the time constant of its
+speed: in a slower loop the fingers would run too far. [chosen]"""
+_LATE_PERIOD_S = SPEED_S
 """Time in s since the last period from which on a motion is given up for slower control."""
 _CORRECTED_N = {False: 0.05, True: 0.1}
+"""Error in N, beside the doubt of the force, of a hold that is made up for by a motion, up and down
+(True): foam creeps, and the way down costs twice the friction. [tuned]"""
 _CORRECTED_DOUBT_N = 0.06
-"""Error in N, beside the doubt of the force, of a hold that is made up for by a motion, up and
-down (True: foam creeps, and the way down costs twice the friction), and how well the force must be
-known."""
+"""Doubt of the force in N up to which such an error is known well enough. [tuned]"""
 _PAUSE_S = 0.05
-"""Least time in s between two such motions."""
+"""Least time in s between two such motions. [tuned]"""
 
 
 class Mode(Protocol):
@@ -137,7 +137,7 @@ def _strays(modes: GripModes, period: Period) -> bool:
 
 
 def _may_move(modes: GripModes, period: Period) -> bool:
-    return _quick(modes, period) and period.young and period.moment.dt_s > 0.0
+    return _quick(modes, period) and period.moment.young and period.moment.dt_s > 0.0
 
 
 TRANSITIONS: tuple[tuple[type, Callable[[GripModes, Period], bool], type], ...] = (

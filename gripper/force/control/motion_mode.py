@@ -13,36 +13,37 @@ from math import sqrt
 from gripper.force.control.contact_observer import ContactObserver
 from gripper.force.control.period import Period
 from gripper.force.estimates.grip import Grip
-from gripper.impact import impact_limit
+from gripper.impact import CURRENT_S, impact_limit
 from gripper.kinematics import driving_n
 from gripper.servos.goals import STICTION, pressing_speed_m_s
 
-# Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
-_CURRENT_S, _WRITE_S = 0.003, 0.001
-"""Time constant in s of a servo's current (assumed), and time in s from the feedback of a period to
-the write of its goals."""
+_WRITE_S = 0.001
+"""Time in s from the feedback of a period to the write of its goals. [assumed]"""
 _RATE_S = 0.025
-"""Time in s in which the rate of a plan gets to that of its ramp, and back to 0."""
+"""Time in s in which the rate of a plan gets to that of its ramp, and back to 0. [tuned]"""
 _INERTIA_N = 2.0
-"""Force in N that the mass may need for a plan: a soft part makes it slower."""
-_FORCE_S, _SPEED_S = 0.04, 0.012
-"""Time constants in s with which an error of force and of speed are made up for."""
+"""Force in N that the mass may need for a plan: a soft part makes it slower. [tuned]"""
+_FORCE_S, SPEED_S = 0.04, 0.012
+"""Time constants in s with which an error of force and of speed are made up for. [tuned]"""
 _LATE_S = 0.3
-"""Time in s after the end of its ramp at which a motion is given up: something else is wrong."""
+"""Time in s after the end of its ramp at which a motion is given up: something else is wrong.
+[chosen]"""
 _LEAST_RATE_N_S = 5.0
-"""Rate in N/s that the plan of a small correction has in mind."""
+"""Rate in N/s that the plan of a small correction has in mind. [tuned]"""
 _LOCKED_SHARE = 0.5
-"""Share of the friction beyond the force at which the drive stays: friction locks the fingers."""
+"""Share of the friction beyond the force at which the drive stays: friction locks the fingers.
+[tuned]"""
 _BREAKAWAY_N = 0.1
-"""Drive in N beyond friction at rest with which locked fingers are set in motion."""
+"""Drive in N beyond friction at rest with which locked fingers are set in motion. [tuned]"""
 _LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
 """Share of the friction from which the push of a fall grows, and its rate in N/s: that edge of the
-friction is known to a newton, and where locked fingers come loose by too much the force jumps."""
+friction is known to a newton, and where locked fingers come loose by too much the force jumps.
+[tuned]"""
 _NEAR_N = 0.03
-"""Distance in N from its end at which a rise is over."""
+"""Distance in N from its end at which a rise is over. [tuned]"""
 _BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
 """How far in N below the force that is asked for a rise ends, by the doubt of the force: what is
-missing is added slowly, and the way back costs twice the friction."""
+missing is added slowly, and the way back costs twice the friction. [tuned]"""
 
 
 class MotionMode:
@@ -169,14 +170,14 @@ class MotionMode:
             most_n_s=speed_max_m_s * stiffness,
         )
         # The new drive acts a little later; until then the last one does.
-        ahead_s = _WRITE_S + _CURRENT_S
+        ahead_s = _WRITE_S + CURRENT_S
         speed = observer.speed_after_m_s(ahead_s, grip.drive_n, friction_n)
         force_n = observer.force_n + 0.5 * (speed + observer.speed_m_s) * stiffness * ahead_s
         planned_n = plan.force_n + sign * plan.rate_n_s * ahead_s
         error_n = sign * (planned_n - force_n)
         wanted_m_s = max(0.0, plan.rate_n_s + error_n / _FORCE_S) / stiffness
         wanted = sign * min(wanted_m_s, speed_max_m_s)
-        accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / _SPEED_S
+        accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / SPEED_S
         # What the force still grows by while friction alone brakes the fingers.
         stopping_n = 0.5 * observer.mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
         arrived = sign * (end_n - force_n) <= _NEAR_N + stopping_n

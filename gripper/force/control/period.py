@@ -8,10 +8,6 @@ from gripper.force_sensor import ForceSample
 from gripper.kinematics import Transmission
 from gripper.state import GripperState
 
-YOUNG_S = 0.015
-"""Age in s of a sample at the end of the period in which it acts, up to which all of the stiffening
-is stable; older ones allow less by the square of their age, those of frames next to nothing."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Period:
@@ -52,8 +48,3 @@ class Period:
     def end_n(self) -> float:
         """Force in N at which the present change of force ends."""
         return self.setpoint_n if self.arrival_n is None else self.arrival_n
-
-    @property
-    def young(self) -> bool:
-        """Whether the sample is so new that the drive may answer to it at once."""
-        return self.moment.now_s - self.sample.measured_s <= YOUNG_S

@@ -9,20 +9,21 @@ from math import sqrt
 from gripper.errors import LimitExceeded
 from gripper.force.estimates.history import History
 from gripper.force_sensor import ForceSample
+from gripper.recent import FRAME_S
 from gripper.settings import ForceLoopSettings
 
-_IMPLAUSIBLE_S = 0.3
-"""Time in s for which sensor and model may disagree: 15 samples at 50 Hz."""
+_IMPLAUSIBLE_S = 15 * FRAME_S
+"""Time in s for which sensor and model may disagree: 15 frames."""
 _JUMP_N, _JUMP_SHARE, _JUMP_FRICTION_SHARE, _JUMP_SIGMAS = 0.8, 0.15, 0.17, 4.0
 """Sudden growth of the measured force that no drive makes: in N, as a share of the set-point and of
 the friction, and beside the noise of a sample in its standard deviations. Friction that breaks
-makes an eighth of it at most where the fingers do not give back force."""
-_JUMP_S = 0.015
-"""Time in s that it must last: two samples at 50 Hz."""
+makes an eighth of it at most where the fingers do not give back force. [tuned]"""
+_JUMP_S = 0.75 * FRAME_S
+"""Time in s that it must last: two frames."""
 _STICKS_SHARE = 0.6
 """Share of the friction that may hold more force than the model has, just after it has fallen:
-friction differs from the model's by a third at most, and that at both edges."""
-_MOTION_S = 0.02
+friction differs from the model's by a third at most, and that at both edges. [assumed]"""
+_MOTION_S = FRAME_S
 """Time in s for which the motion of the fingers makes the model equally wrong: faster samples do
 not tell more."""
 

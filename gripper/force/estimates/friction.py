@@ -4,19 +4,21 @@ from collections import deque
 from statistics import median
 
 from gripper.force.loop import Moment
-from gripper.kinematics import Linkage, transmissions
+from gripper.kinematics import MOST_FRICTION, Linkage, transmissions
 from gripper.settings import GripperSettings
 
 _AFTER_START_S = 0.06
-"""Time in s from the start of free motion until its current is that of friction alone."""
+"""Time in s from the start of free motion until its current is that of friction alone. [tuned]"""
 _BEFORE_CONTACT_S = 0.05
-"""Time in s before the end of free motion that is left out: the pads report a contact late."""
+"""Time in s before the end of free motion that is left out: the pads report a contact late.
+[tuned]"""
 _WINDOW_S = 0.4
-"""Time in s of free motion that the friction is taken over."""
+"""Time in s of free motion that the friction is taken over. [tuned]"""
 _LEAST_PERIODS = 12
-"""Least periods of free motion that the friction is taken over: 0.06 s at 200 Hz."""
-_LOW_SHARE, _HIGH_SHARE = 0.5, 1.6
-"""Range of the friction found, as a share of the model's: beyond it something else brakes."""
+"""Least periods of free motion that the friction is taken over: 0.06 s at 200 Hz. [tuned]"""
+_LEAST_FRICTION = 0.5
+"""Least friction that is found, as a share of the model's: below it something else drives.
+[chosen]"""
 
 
 class FrictionEstimate:
@@ -74,7 +76,7 @@ class FrictionEstimate:
         shares = self._free_shares()
         if len(shares) < _LEAST_PERIODS:
             return 1.0
-        return min(max(median(shares), _LOW_SHARE), _HIGH_SHARE)
+        return min(max(median(shares), _LEAST_FRICTION), MOST_FRICTION)
 
     def _free_shares(self) -> list[float]:
         if not self._shares:

@@ -3,7 +3,7 @@
 from collections import deque
 
 _LENGTH = 128
-"""Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor."""
+"""Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor. [chosen]"""
 
 
 class History:

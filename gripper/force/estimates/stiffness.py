@@ -5,22 +5,21 @@ from math import inf
 
 from gripper.force.estimates.history import History
 from gripper.force.loop import Moment
+from gripper.recent import ONE_FRAME_S
 from gripper.settings import GripperSettings
+from gripper.state import GRAIN_M
 
 _MEAN_SAMPLES = 3
-"""Samples whose mean a stiffness is taken with: 60 ms at 50 Hz."""
+"""Samples whose mean a stiffness is taken with: 60 ms at 50 Hz. [tuned]"""
 _TOUCH_SHARE = 0.3
-"""Share of ``contact_force_n`` below which a sample shows no touch."""
+"""Share of ``contact_force_n`` below which a sample shows no touch. [tuned]"""
 KNOWN_N = 3.0
-"""Force in N from which on a stiffness is known well: it is taken anew with each 0.7 N."""
+"""Force in N from which on a stiffness is known well: it is taken anew with each 0.7 N. [tuned]"""
 _SLOPE_N = 0.7
-"""Growth of the force in N over which one stiffness is taken: several times the noise."""
-_BLOCK_S = 0.018
-"""Time in s over which faster samples count as one, their mean: just below a period of 50 Hz."""
-SHORTEST_M = 1e-4
-"""Least travel in m that a stiffness is taken over: the resolution of the opening."""
-_STIFFEST_N_M = 1e5
-"""Largest stiffness in N/m: a steel part between foam pads is far below it."""
+"""Growth of the force in N over which one stiffness is taken: several times the noise. [tuned]"""
+STIFFEST_N_M = 1e5
+"""Largest stiffness in N/m, of part and pads or of one pad: steel between foam is far below it.
+[chosen]"""
 
 
 class StiffnessEstimate:
@@ -57,7 +56,7 @@ class StiffnessEstimate:
             return
         self._sample_s = sample.t_s
         self._block.append((sample.grip_n, self._apertures.at(sample.measured_s)))
-        if sample.t_s - self._block_s < _BLOCK_S:
+        if sample.t_s - self._block_s < ONE_FRAME_S:
             return
         n = len(self._block)
         pair = (sum(one[0] for one in self._block) / n, sum(one[1] for one in self._block) / n)
@@ -73,6 +72,6 @@ class StiffnessEstimate:
         mean_n = sum(pair[0] for pair in self._pairs) / _MEAN_SAMPLES
         mean_m = sum(pair[1] for pair in self._pairs) / _MEAN_SAMPLES
         if mean_n - self._anchor[0] >= _SLOPE_N:
-            travel_m = max(self._anchor[1] - mean_m, SHORTEST_M)
-            self._stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, _STIFFEST_N_M)
+            travel_m = max(self._anchor[1] - mean_m, GRAIN_M)
+            self._stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, STIFFEST_N_M)
             self._anchor = (mean_n, mean_m)

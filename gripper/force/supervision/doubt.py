@@ -13,28 +13,31 @@ from gripper.errors import GripContradicted
 from gripper.force.estimates.history import History
 from gripper.force.loop import Moment
 from gripper.force.supervision.pad_samples import FrameMean, PadSamples
+from gripper.recent import FRAME_S
+from gripper.state import GRAIN_M, STANDING_M_S
 
-# Figures without another source are tuned in the simulated cell.
-_EMPTY_TIME_S = 0.1
-"""Time in s for which pads must be empty before a part may be lost: 5 samples at 50 Hz."""
-_RUN_M_S, RUN_M = 0.008, 0.0003
+_EMPTY_TIME_S = 5 * FRAME_S
+"""Time in s for which pads must be empty before a part may be lost: five frames."""
+_RUN_M_S, RUN_M = 0.008, 3 * GRAIN_M
 """Growth of the closing speed in m/s, and way in m, from which on nothing holds the fingers apart:
 three units of the servos' velocity, three counts of an encoder. On a part fingers come to rest
-under a drive that stays as it is."""
+under a drive that stays as it is. [resolution]"""
 _FIRM_N_M = 1000.0
-"""Stiffness in N/m of a part from which on such a way is no swing of fingers and part."""
+"""Stiffness in N/m of a part from which on such a way is no swing of fingers and part. [tuned]"""
 _FOLLOWS_S = 0.03
-"""Time in s for which fingers that press on a part go on at their speed though the drive stays."""
+"""Time in s for which fingers that press on a part go on at their speed though the drive stays.
+[tuned]"""
 SOFTEST_N_M = 200.0
-"""Stiffness in N/m of a part whose own is not known yet: foam."""
-_STAND_S, _STAND_M, _STAND_M_S = 0.04, 0.0001, 0.003
+"""Stiffness in N/m of a part whose own is not known yet: foam. [chosen]"""
+_STAND_S, _STAND_M, _STAND_M_S = 0.04, GRAIN_M, 1.5 * STANDING_M_S
 """Time in s after which fingers that have moved by no more than so many m, and are no faster than
-so many m/s, stand: free ones have gone several times as far where the drive is `_PRESSING_N`."""
+so many m/s, stand: free ones have gone several times as far where the drive is `_PRESSING_N`.
+[tuned]"""
 _PRESSING_N, BREAKAWAY_SHARE = 1.0, 0.3
 """Driving force in N beyond friction at rest that moves free fingers for certain, and the share by
-which that friction is larger than in motion, at most."""
+which that friction is larger than in motion, at most. [assumed]"""
 _UNDECIDED_S = 0.3
-"""Longest time in s until a witness confirms the loss; then it counts as contradicted."""
+"""Longest time in s until a witness confirms the loss; then it counts as contradicted. [chosen]"""
 ADVICE = (
     "A part that one of them still shows is not let go: the goals are frozen and the grip kept. "
     "Look at the part, check control unit, pads and cable, then clear the fault and release"

@@ -1,28 +1,22 @@
 """Confirmation that nothing is held, before an opening that nobody asked for."""
 
 from gripper.errors import GripContradicted
-from gripper.force.approach import BOOST_PER_S, LARGEST_BOOST, LEAD_M
+from gripper.force.approach.approach import BOOST_PER_S, LEAD_M
+from gripper.force.approach.contact import LOADED_SHARE
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.doubt import ADVICE, BREAKAWAY_SHARE, RUN_M, SOFTEST_N_M
-from gripper.force.supervision.pad_samples import (
-    LEAST_SAMPLES,
-    LOADED_SHARE,
-    LONGEST_S,
-    QUIET_N,
-    FrameMean,
-)
-from gripper.kinematics import Linkage, motion_current_a, transmissions
-from gripper.recent import RecentForce
+from gripper.force.supervision.pad_samples import FrameMean
+from gripper.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
+from gripper.recent import LEAST_SAMPLES, RecentForce
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.state import GripperState
 
-# Figures without another source are tuned in the simulated cell.
 _TRY_S = 0.5
-"""Time in s, beyond that of the way, within which free fingers have closed."""
+"""Time in s, beyond that of the way, within which free fingers have closed. [chosen]"""
 _CONFIRMING_FRAMES = 3
 """Frames from after the fingers have stopped that confirm that nothing is held: in their mean no
-taxel counts as touched any more that was touched before."""
+taxel counts as touched any more that was touched before. [tuned]"""
 
 
 class EmptyGrip:
@@ -63,7 +57,7 @@ class EmptyGrip:
         self._linkage = linkage
         self._current_a = motion_current_a(settings, paths, settings.approach_force_n)
         self._most_a = min(
-            (LARGEST_BOOST if approached else 1.0) * self._current_a,
+            (MOST_FRICTION if approached else 1.0) * self._current_a,
             settings.current_max_a,
             *(path.loading_current_a(settings.force_max_n) for path in paths),
         )
@@ -80,7 +74,7 @@ class EmptyGrip:
     def _watch_from(self, now_s: float) -> None:
         self._since_s = now_s
         self._frames = FrameMean(now_s)
-        self._samples = RecentForce(QUIET_N, least=LEAST_SAMPLES, longest_s=LONGEST_S)
+        self._samples = RecentForce()
 
     def step(self, moment: Moment) -> Action:
         """Return the goals of a period; GripContradicted when anything shows a part."""

@@ -2,11 +2,12 @@
 
 from gripper.errors import ForceImbalance, PositionContradicted
 from gripper.force.supervision.pad_samples import PadSamples
+from gripper.recent import FRAME_S
 from gripper.settings import GripperSettings
 from gripper.state import GripperState
 
-_CONTRADICTED_S = 0.1
-"""Time in s for which loaded pads contradict a position before that is an error: 5 samples."""
+_CONTRADICTED_S = 5 * FRAME_S
+"""Time in s for which loaded pads contradict a position before that is an error: five frames."""
 
 
 class PadChecks:

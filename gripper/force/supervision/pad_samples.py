@@ -3,32 +3,23 @@
 from collections import deque
 from math import sqrt
 
+from gripper.force.approach.contact import LOADED_SHARE
 from gripper.force_sensor import ForceSample
-from gripper.recent import RecentForce
+from gripper.recent import LOOK_BACK_S, ONE_FRAME_S, RecentForce
 from gripper.settings import GripperSettings
 
-# Figures without another source are tuned in the simulated cell.
-QUIET_N = 0.08
-"""Noise in N of the mean that is the grip force: a fraction of what a ramp must settle within."""
-LEAST_SAMPLES, LONGEST_S = 3, 0.05
-"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
-LOOK_BACK_S = 0.09
-"""Look-back window in s for what was there before the pads became empty: 5 samples at 50 Hz."""
 _EMPTY_SHARE = 0.25
-"""Share of ``contact_force_n`` below which a pad is empty."""
-LOADED_SHARE = 0.5
-"""Share of ``contact_force_n`` from which on a frame shows a pad as loaded: several times the noise
-of its mean."""
+"""Share of ``contact_force_n`` below which a pad is empty. [tuned]"""
 _SUDDEN_RATIO = 6.0
-"""Force over that of an empty pad from which on samples that are empty at once count as that."""
-_SUDDEN_SHARE = 0.5
-"""Share of the force before that noise must not turn into that of an empty pad."""
+"""Force over that of an empty pad from which on samples that are empty at once count as that.
+[tuned]"""
+HELD_SHARE = 0.5
+"""Share of the force before from which on the pads show that the part is there; noise must not turn
+it into that of an empty pad. [tuned]"""
 _SUDDEN_SIGMAS = 3.0
-"""How sure of that the samples must be, in standard deviations of each pad's mean."""
+"""How sure of that the samples must be, in standard deviations of each pad's mean. [statistics]"""
 _PAD_NOISE = sqrt(2.0)
-"""Noise of one pad over that of the grip force, the mean of both."""
-_SUDDEN_S = 0.018
-"""Time in s of such samples: one frame at 50 Hz."""
+"""Noise of one pad over that of the grip force, the mean of both. [statistics]"""
 
 
 class PadSamples:
@@ -41,7 +32,7 @@ class PadSamples:
     """
 
     def __init__(self, settings: GripperSettings) -> None:
-        self.recent = RecentForce(QUIET_N, least=LEAST_SAMPLES, longest_s=LONGEST_S)
+        self.recent = RecentForce()
         """As many of the newest as a decision needs."""
         self.empty_n = _EMPTY_SHARE * settings.contact_force_n
         """Force in N below which a pad is empty."""
@@ -87,19 +78,19 @@ class PadSamples:
             return False
         newest = self._newest(much_n)
         pad_noise_n = _PAD_NOISE * newest.noise_n
-        held_n = _SUDDEN_SHARE * much_n
+        held_n = HELD_SHARE * much_n
         noisy_n = min(self.empty_n + pad_noise_n, held_n - _SUDDEN_SIGMAS * pad_noise_n)
         return max(newest.finger_means_n) < max(self.empty_n, noisy_n)
 
     def loaded_again(self, force_n: float) -> bool:
         """Return whether the newest samples show half of a force in N that was there before."""
         least_n = min(self._newest(force_n).finger_means_n)
-        return least_n > max(self.loaded_n, _SUDDEN_SHARE * force_n)
+        return least_n > max(self.loaded_n, HELD_SHARE * force_n)
 
     def _newest(self, force_n: float) -> RecentForce:
         """Return as many of the newest samples as distinguish a force from that of empty pads."""
-        noise_n = (_SUDDEN_SHARE * force_n - self.empty_n) / _SUDDEN_SIGMAS / _PAD_NOISE
-        newest = RecentForce(max(0.0, noise_n), least=1, longest_s=_SUDDEN_S)
+        noise_n = (HELD_SHARE * force_n - self.empty_n) / _SUDDEN_SIGMAS / _PAD_NOISE
+        newest = RecentForce(max(0.0, noise_n), least=1, longest_s=ONE_FRAME_S)
         for sample in reversed(list(self.recent)):
             newest.push(sample)
         return newest

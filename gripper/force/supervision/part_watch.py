@@ -13,9 +13,10 @@ from gripper.force.supervision.doubt import (
     Sure,
     Suspected,
 )
-from gripper.force.supervision.pad_samples import LOOK_BACK_S, PadSamples
+from gripper.force.supervision.pad_samples import PadSamples
 from gripper.force.supervision.runaway import Runaway
 from gripper.kinematics import driving_n, mean_friction_n, transmissions
+from gripper.recent import LOOK_BACK_S
 
 
 class PartWatch:

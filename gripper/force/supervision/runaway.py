@@ -5,22 +5,19 @@ from math import inf
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.stiffness import KNOWN_N
 from gripper.force.loop import Moment
-from gripper.force.supervision.pad_samples import PadSamples
+from gripper.force.supervision.pad_samples import HELD_SHARE, PadSamples
 from gripper.force_sensor import ForceSample
 
-# Figures without another source are tuned in the simulated cell.
 _RUNAWAY_RESERVE = 2.0
-"""Closing speed that a ramp on the part may need, in multiples of that by its stiffness."""
-_HELD_SHARE = 0.5
-"""Share of the force before fingers ran ahead above which the pads show that the part is there."""
+"""Closing speed that a ramp on the part may need, in multiples of that by its stiffness. [tuned]"""
 _RUNAWAY_N = 1.0
 """Force in N by which a part would be loaded more over the way of fingers that run ahead, from
-which on the way alone shows that it has gone; by a stiffness that is known well."""
+which on the way alone shows that it has gone; by a stiffness that is known well. [tuned]"""
 _BLIND_N, _BLIND_SHARE = 6.0, 0.05
 """Growth of the force in N that its stiffness promises for a way of the fingers, and the share of
-it below which the pads do not see what the fingers press on."""
-_STEADY_S = 0.3
-"""Time in s of a hold until its fingers rest, whatever the part."""
+it below which the pads do not see what the fingers press on. [tuned]"""
+STEADY_S = 0.3
+"""Time in s of a hold until force and fingers rest, whatever the part. [tuned]"""
 
 
 class Runaway:
@@ -68,12 +65,12 @@ class Runaway:
             late_n = [one.grip_n for one in recent if one.measured_s >= began_s]
             if late_n:
                 mean_n = sum(late_n) / len(late_n)
-                if mean_n > max(self._pads.empty_n, _HELD_SHARE * began_n):
+                if mean_n > max(self._pads.empty_n, HELD_SHARE * began_n):
                     self._began = moment.now_s, state.aperture_m, force_n
                     return self._blind(moment, sample, stiffness_n_m)
                 return travel_m >= settings.runaway_travel_m
         yields_m = inf if stiffness_n_m is None else _RUNAWAY_N / stiffness_n_m
-        known = self._steady_s > _STEADY_S or began_n > KNOWN_N
+        known = self._steady_s > STEADY_S or began_n > KNOWN_N
         return known and travel_m >= max(settings.runaway_travel_m, yields_m)
 
     def _blind(self, moment: Moment, sample: ForceSample, stiffness_n_m: float | None) -> bool:

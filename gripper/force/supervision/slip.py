@@ -8,37 +8,35 @@ from math import exp, hypot, sqrt
 
 from gripper.errors import PartSlipped
 from gripper.force.loop import Moment
+from gripper.force.supervision.runaway import STEADY_S
 from gripper.force_sensor import ForceSample
-from gripper.recent import RecentForce
+from gripper.recent import FRAME_S, RecentForce
 from gripper.settings import GripperSettings
 
-# Figures are tuned in the simulated cell: no alarm with noise of 0.3 N, an alarm within 0.1 s.
-_SETTLING_S = 0.3
-"""Time in s after the start of a hold from which on force and opening are compared."""
 _USUAL_TIME_S = 0.6
-"""Time constant in s of the usual force, that a drop is measured from."""
-_USUAL_LEAST_S = 0.015
+"""Time constant in s of the usual force, that a drop is measured from. [tuned]"""
+_USUAL_LEAST_S = 0.75 * FRAME_S
 """Time in s of samples that make a first usual force: one at 50 Hz."""
-_QUIET_N = 0.1
-"""Noise in N of the mean that is the force now: an eighth of the least drop that is a slip."""
-_LEAST_SAMPLES, _LONGEST_S = 4, 0.07
-"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
+_QUIET_SHARE, _LEAST_SAMPLES = 0.125, 4
+"""Noise of the mean that is the force now, as a share of the least drop that is a slip, and samples
+of that mean where the sensor is too slow for it. [tuned]"""
 _FALLING_SHARE = 0.5
 """Share of the mean below which the newest sample shows a force that falls on: to nothing where the
-part is lost, which the control of the force notices by itself."""
+part is lost, which the control of the force notices by itself. [tuned]"""
 _SLIDE_SETTLING_S = 0.1
-"""Time in s after the start of a hold from which on the centre of the force is compared."""
-_SLIDE_RECENT_S = 0.03
+"""Time in s after the start of a hold from which on the centre of the force is compared. [tuned]"""
+_SLIDE_RECENT_S = 1.5 * FRAME_S
 """Time in s over which the centre of the force now is taken: 2 samples at 50 Hz."""
 _SLIDE_BEFORE_S = 0.2
-"""Time in s before that over which the centre is taken that a sudden way is measured from."""
-_SLIDE_FIRST_S = 0.07
+"""Time in s before that over which the centre is taken that a sudden way is measured from.
+[tuned]"""
+_SLIDE_FIRST_S = 3.5 * FRAME_S
 """Time in s of samples, at least, before a centre is compared with theirs: 4 samples at 50 Hz."""
 _SLIDE_SIGMAS = 5.5
 """A way is no noise where it is so many standard deviations of one axis: less than one false alarm
-in an hour of a hold, two axes and 200 samples a second taken together."""
+in an hour of a hold, two axes and 200 samples a second taken together. [statistics]"""
 _SLIDE_LEAST_M = 0.0005
-"""Sudden way in m that is no slide whatever the noise: a part that tilts a little."""
+"""Sudden way in m that is no slide whatever the noise: a part that tilts a little. [tuned]"""
 
 
 class SlipWatch:
@@ -52,7 +50,7 @@ class SlipWatch:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
-        self._recent = RecentForce(_QUIET_N, least=_LEAST_SAMPLES, longest_s=_LONGEST_S)
+        self._recent = RecentForce(_QUIET_SHARE * settings.slip_drop_n, least=_LEAST_SAMPLES)
         self._usual_n = 0.0
         self._usual_s = 0.0
         self._was_low = False
@@ -80,7 +78,7 @@ class SlipWatch:
         if self._since_s is None:
             self._since_s = now_s
         slide = self._slide.check(now_s - self._since_s, sample)
-        if slide is not None or now_s - self._since_s < _SETTLING_S:
+        if slide is not None or now_s - self._since_s < STEADY_S:
             return slide
         if self._aperture_m is None:
             self._aperture_m = aperture_m

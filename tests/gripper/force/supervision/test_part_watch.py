@@ -26,7 +26,7 @@ class Watched:
 
     def period(self, n: int = 1) -> bool:
         """Run periods; return whether one of them shows the part as lost."""
-        return any([self._one() for _ in range(n)])
+        return any(self._one() for _ in range(n))
 
     def _one(self) -> bool:
         self.now_s += PERIOD_S

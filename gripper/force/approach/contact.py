@@ -5,31 +5,32 @@ from math import sqrt
 
 from gripper.force.loop import Moment
 from gripper.force_sensor import ForceSample
-from gripper.recent import RecentForce
+from gripper.recent import ONE_FRAME_S, QUIET_N, RecentForce
 
-# Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
-YOUNG_S = 0.015
-"""Age in s up to which a first touch is still worth braking for; later the part itself and friction
-have stopped the finger."""
+LOADED_SHARE = 0.5
+"""Share of ``contact_force_n`` from which on the mean of some samples shows a pad as loaded:
+several times its noise. [tuned]"""
 _TOUCH_N = 0.12
-"""Least force in N on a pad that shows a first touch, however quiet the empty pad is."""
+"""Least force in N on a pad that shows a first touch, however quiet the empty pad is. [tuned]"""
 _TOUCH_SIGMAS = 3.5
-"""A first touch stands out of the noise of the empty pad by so many standard deviations."""
+"""A first touch stands out of the noise of the empty pad by so many standard deviations.
+[statistics]"""
 _EMPTY_SAMPLES = 20
-"""Samples over which the noise of an empty pad is taken."""
+"""Samples over which the noise of an empty pad is taken. [tuned]"""
 _TOUCH_SAMPLES = 8
-"""Newest samples, at most, whose mean is compared with it; older ones are of the empty pad."""
+"""Newest samples, at most, whose mean is compared with it; older ones are of the empty pad.
+[tuned]"""
 _WRONG_FACTOR = 1.5
-"""Factor on the force of a first touch after each one that was none."""
-_CONTACT_QUIET_N, _CONTACT_LONGEST_S = 0.1, 0.018
-"""Noise in N of the mean that shows a contact, and its longest time in s: one frame at 50 Hz."""
-_REST_QUIET_N, _REST_QUIET_YOUNG_N = 0.08, 0.12
-"""Noise in N of the mean that is the force at the contact; it ends the rest. Where the samples are
-young the force is soon known better."""
-_REST_SAMPLES, _REST_LONGEST_S = 4, 0.07
-"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
+"""Factor on the force of a first touch after each one that was none. [chosen]"""
+_CONTACT_QUIET_N = 0.1
+"""Noise in N of the mean that shows a contact: a sixth of the force of one. [tuned]"""
+_REST_QUIET_YOUNG_N = 0.12
+"""Noise in N of the mean that is the force at the contact and ends the rest, where the samples are
+young: the force is soon known better. Else it is `QUIET_N`. [tuned]"""
+_REST_SAMPLES = 4
+"""Samples of that mean where the sensor is too slow for it. [tuned]"""
 _REST_SETTLING_S = 0.01
-"""Time in s after the contact from which on its samples count."""
+"""Time in s after the contact from which on its samples count. [tuned]"""
 
 
 class FirstTouch:
@@ -109,7 +110,7 @@ class ContactDetector:
         self._samples = samples
         self._counts = [0, 0]
         self._first_s = [0.0, 0.0]
-        self._recent = RecentForce(_CONTACT_QUIET_N, least=1, longest_s=_CONTACT_LONGEST_S)
+        self._recent = RecentForce(_CONTACT_QUIET_N, least=1, longest_s=ONE_FRAME_S)
 
     @property
     def touched(self) -> tuple[bool, bool]:
@@ -148,7 +149,7 @@ class ContactRest:
         self._hard_n, self._hard_until_s = hard_n, hard_until_s
         self._begun_s: float | None = None
         self._settled = False
-        self._samples = RecentForce(_REST_QUIET_N, least=_REST_SAMPLES, longest_s=_REST_LONGEST_S)
+        self._samples = RecentForce(least=_REST_SAMPLES)
 
     @property
     def force_n(self) -> float:
@@ -165,9 +166,7 @@ class ContactRest:
                 self._samples.clear()
                 self._settled = sample.measured_s >= self._begun_s + _REST_SETTLING_S
             self._samples.push(sample)
-        young = sample is not None and moment.now_s - sample.measured_s <= YOUNG_S
-        known = self._settled and (
-            self._samples.noise_n <= (_REST_QUIET_YOUNG_N if young else _REST_QUIET_N)
-        )
+        quiet_n = _REST_QUIET_YOUNG_N if moment.young else QUIET_N
+        known = self._settled and self._samples.noise_n <= quiet_n
         hard = self.force_n >= self._hard_n and moment.now_s < self._hard_until_s
         return moment.now_s < self._until_s and (hard or not known)

@@ -1,36 +1,36 @@
 """Motions of fingers that hold nothing: they stand still, and they move to an opening."""
 
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
-from gripper.force.loop import Action, Moment
-from gripper.force.mechanics_proof import (
+from gripper.force.approach.mechanics_proof import (
     OVERRUN_RAD,
+    PATIENCE_S,
     REACHED_RAD,
     ForceRise,
     mechanics_text,
 )
+from gripper.force.loop import Action, Moment
 from gripper.impact import approach_speed_m_s, closing_current_max_a
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.state import GripperState
 
-# Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
-_MOVE_PATIENCE_S = 2.0
-"""Time in s beyond that of the motion after which a finger counts as stuck."""
 _STANDING_S = 0.2
 """Time in s for which empty fingers must stand after their torque has come on: friction at rest
-makes a motor slow to start."""
+makes a motor slow to start. [chosen]"""
 _STANDING_RAD = 0.03
-"""Way in rad in that time that is no standing any more: 2 mm of a finger of 60 mm."""
+"""Way in rad in that time that is no standing any more: 2 mm of a finger of 60 mm. [resolution]"""
 _SHORTEST_TRAVEL_M = 1e-3
-"""Way in m that a motion is planned for at least."""
+"""Way in m that a motion is planned for at least. [chosen]"""
 _OPENING_FORCE_N = 3.0
-"""Force in N beside friction that the current of an opening allows: pads may stick to a part."""
+"""Force in N beside friction that the current of an opening allows: pads may stick to a part.
+[chosen]"""
 _RISING_S = 0.25
 """Time in s in which it rises to that from what moves the fingers: where they close instead, the
-pads show it before."""
+pads show it before. [chosen]"""
 _AGAINST_REST = 1.4
-"""Current of a motion over that which moves the fingers freely: friction at rest is larger."""
+"""Current of a motion over that which moves the fingers freely: friction at rest is larger.
+[assumed]"""
 
 
 class StandStill:
@@ -119,7 +119,7 @@ class MoveTo:
         self._share_per_s = speed_m_s / travel_m
         self._share = 0.0
         self._aperture_m = aperture_m
-        self._deadline_s = state.t_s + travel_m / speed_m_s + _MOVE_PATIENCE_S
+        self._deadline_s = state.t_s + travel_m / speed_m_s + PATIENCE_S
 
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period.

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from gripper.force.approach import Approach, ApproachEvent
-from gripper.force.contact import ContactDetector, ContactRest
+from gripper.force.approach.approach import Approach, ApproachEvent
+from gripper.force.approach.contact import ContactDetector, ContactRest
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force_sensor import ForceSample

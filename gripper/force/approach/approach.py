@@ -6,11 +6,11 @@ from enum import Enum
 from math import inf
 
 from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
-from gripper.force.contact import YOUNG_S, ContactDetector, FirstTouch
+from gripper.force.approach.contact import LOADED_SHARE, ContactDetector, FirstTouch
 from gripper.force.estimates.history import History
 from gripper.force.loop import Action, Moment
 from gripper.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
-from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
 from gripper.servos.goals import (
     ServoGoal,
     closing_margin_rad,
@@ -18,55 +18,53 @@ from gripper.servos.goals import (
     running_lead_rad,
 )
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.state import STANDING_M_S, GripperState
 
-# Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
-STALL_SPEED_M_S = 0.002
-"""Rate of the opening in m/s below which the fingers stand still."""
 _STALL_CURRENT_SHARE = 0.8
-"""Share of the goal current from which on a servo that stands still pushes against something."""
+"""Share of the goal current from which on a servo that stands still pushes against something.
+[tuned]"""
 _STALL_TIME_S = 0.5
-"""Time in s for which both must last before the fingers are stalled."""
+"""Time in s for which both must last before the fingers are stalled. [chosen]"""
 LEAD_M = 0.006
-"""How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again."""
+"""How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again.
+[chosen]"""
 _STARTING_S = 0.1
 """Longest time in s in which fingers get to their speed; with more friction than their model's the
-goal runs on."""
+goal runs on. [chosen]"""
 _RUNNING_SHARE = 0.8
-"""Share of the nominal speed from which on a finger runs, and the inverse of the fastest one."""
+"""Share of the nominal speed from which on a finger runs, and the inverse of the fastest one.
+[tuned]"""
 _SLOWED_SHARE = 0.6
-"""Share of the nominal speed below which a running finger has been slowed down by something."""
+"""Share of the nominal speed below which a running finger has been slowed down by something.
+[tuned]"""
 _SLOWEST_RAD_S = 4.0 * RAD_S_PER_VELOCITY_UNIT
 """Nominal speed in rad/s below which a slowed finger does not stand out of the grain of 0.024."""
 _PAUSE_S = 0.15
-"""Time in s for which a slowed finger waits for the pads: their delay and three samples."""
-LARGEST_BOOST = 1.6
-"""Largest factor on the current of fingers that stand still untouched."""
+"""Time in s for which a slowed finger waits for the pads: their delay and three samples. [tuned]"""
 BOOST_PER_S = 2.0
-"""Growth of that factor in 1/s; it falls twice as fast."""
+"""Growth in 1/s of the factor on the current of fingers that stand still untouched; it falls twice
+as fast. At most it is `MOST_FRICTION`. [tuned]"""
 _BRAKED_S = 0.01
-"""Time in s for which a braked finger is stopped before it goes on slowly."""
+"""Time in s for which a braked finger is stopped before it goes on slowly. [chosen]"""
 _DOUBT_S = 0.05
-"""Time in s after which a braked finger whose pad shows nothing runs on."""
+"""Time in s after which a braked finger whose pad shows nothing runs on. [chosen]"""
 _CREEP_N_S, _LATE_CREEP_N_S = 20.0, 4.0
 """Rate in N/s at which the drive of a braked finger grows: up to a little more than the force of a
-contact, and beyond."""
+contact, and beyond. [tuned]"""
 _CREEP_RESERVE_N = 0.2
-"""That little more in N: friction at rest is larger than in motion."""
+"""That little more in N: friction at rest is larger than in motion. [tuned]"""
 _SOFT_M = 0.0002
 """Way in m of a braked finger after which it runs on: a part that yields so far without the force
-of a contact is soft, and no impact is to be feared."""
-_SURE_SHARE = 0.5
-"""Share of the force of a contact from which on the mean on the pad of a braked finger is one: it
-has stopped at what it touched."""
+of a contact is soft, and no impact is to be feared. [tuned]"""
 _LEAD_SHARE = 0.75
-"""Share of its lead with which the goal of a finger runs on, so that the finger does not shoot."""
+"""Share of its lead with which the goal of a finger runs on, so that the finger does not shoot.
+[tuned]"""
 _CREEP_START_N = 0.2
-"""Drive in N with which a braked finger begins: less than the pad pushes back with."""
+"""Drive in N with which a braked finger begins: less than the pad pushes back with. [tuned]"""
 _CREEP_RAD_S = 1.5 * RAD_S_PER_VELOCITY_UNIT
 """Speed in rad/s above which a braked finger has lost what it touched, and is stopped again."""
 _FREE_TIME_S = 0.05
-"""Time constant in s of the current that moves an empty finger."""
+"""Time constant in s of the current that moves an empty finger. [tuned]"""
 
 
 class ApproachEvent(Enum):
@@ -192,9 +190,9 @@ class Approach:
         )
         paused_rad = self._paused_rad(moment.now_s, state)
         angles_rad = self._angles_rad(state, touched, paused_rad)
-        still = abs(state.aperture_velocity_m_s) <= STALL_SPEED_M_S
+        still = abs(state.aperture_velocity_m_s) <= STANDING_M_S
         if still and not any(touched) and all(rad is None for rad in paused_rad):
-            self._boost = min(LARGEST_BOOST, self._boost + BOOST_PER_S * moment.dt_s)
+            self._boost = min(MOST_FRICTION, self._boost + BOOST_PER_S * moment.dt_s)
         else:
             self._boost = max(1.0, self._boost - 2.0 * BOOST_PER_S * moment.dt_s)
         self.event = self._found(moment.now_s, state, touched)
@@ -270,7 +268,7 @@ class Approach:
         first, second = self._detector.touched
         brakes = self._brakes if len(self._brakes) > 1 else self._brakes * 2
         sure = self._touch.means_n(self._settings.contact_samples)
-        least_n = _SURE_SHARE * self._settings.contact_force_n
+        least_n = LOADED_SHARE * self._settings.contact_force_n
         return (
             first or (brakes[0] is not None and sure[0] >= least_n),
             second or (brakes[1] is not None and sure[1] >= least_n),
@@ -291,8 +289,7 @@ class Approach:
                 if -servo.velocity_rad_s >= _RUNNING_SHARE * self._nominal_rad_s(state):
                     share = min(1.0, moment.dt_s / _FREE_TIME_S)
                     self._free_a[finger] -= share * (servo.current_a + self._free_a[finger])
-                young = moment.now_s - sample.measured_s <= YOUNG_S
-                if shows[finger] and young and not self._soft[finger]:
+                if shows[finger] and moment.young and not self._soft[finger]:
                     lead_m = state.aperture_m - self._aperture_m
                     self._brakes[finger] = _Brake(moment.now_s, servo.angle_rad, lead_m)
                     self.braked_s = moment.now_s
@@ -318,7 +315,7 @@ class Approach:
         brake.drive_n += rate_n_s * moment.dt_s
         current_a = min(
             self._free_a[finger] + brake.drive_n * path.radius_m / path.kt_nm_a,
-            LARGEST_BOOST * self._closing_a,
+            MOST_FRICTION * self._closing_a,
             self._current_max_a,
         )
         margin_rad = closing_margin_rad(settings.servos[finger].servo_model, current_a)
@@ -383,7 +380,7 @@ class Approach:
         loaded = max(abs(s.current_a) for s in state.servos) >= (
             _STALL_CURRENT_SHARE * self.current_a
         )
-        if not loaded or abs(state.aperture_velocity_m_s) > STALL_SPEED_M_S:
+        if not loaded or abs(state.aperture_velocity_m_s) > STANDING_M_S:
             self._moving_s = now_s
         if now_s - self._moving_s >= _STALL_TIME_S:
             return ApproachEvent.CONTACT if any(touched) else ApproachEvent.OBSTRUCTED

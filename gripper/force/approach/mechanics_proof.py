@@ -46,54 +46,56 @@ from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import LimitExceeded, MechanicsContradicted
 from gripper.force.loop import Action, Moment
-from gripper.kinematics import Linkage, OneFinger, motion_current_a, transmissions
-from gripper.recent import RecentForce
+from gripper.kinematics import MOST_FRICTION, Linkage, OneFinger, motion_current_a, transmissions
+from gripper.recent import LEAST_SAMPLES, RecentForce
 from gripper.servo_checks import VerificationRow
+from gripper.servos.feedback import BEYOND_CLOSED_M
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, most_closed_rad
 from gripper.settings import GripperSettings
 from gripper.state import GripperState, ServoState
 
-# Tuned in the simulated cell, with friction up to 20 % off.
 POSITION_ITEM = "present_position"
 """Name of the rows that `standing_rows` returns."""
-_BEYOND_CLOSED_M = 0.004
-"""Opening below 0 in m that is still plausible: pads give, and a zero is set by hand."""
 _BEYOND_MIDDLE_M = 0.005
-"""How far in m beyond the middle one finger may stand while the other one makes room for it."""
+"""How far in m beyond the middle one finger may stand while the other one makes room for it.
+[chosen]"""
 _LEAST_FORCE_N = 0.5
-"""Grip force in N that the least current allows beyond friction."""
-_STIFF = 1.6
-"""Current over the least one for a gearing that is stiffer than its data."""
+"""Grip force in N that the least current allows beyond friction. [chosen]"""
 _LEAD_RAD = 0.04
-"""How far in rad a goal is ahead of its finger at most: enough that the current is at its limit."""
+"""How far in rad a goal is ahead of its finger at most: enough that the current is at its limit.
+[resolution]"""
 REACHED_RAD = 2.0 * RAD_PER_PULSE
 """Distance in rad at which a finger has reached its goal: two counts of the encoder."""
 OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
 """How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
 _STILL_RAD_S = 0.06
-"""Speed in rad/s below which a finger stands: two counts of its velocity and some noise."""
-_PATIENCE_S = 2.0
-"""Time in s beyond that of the motion after which the fingers have not arrived."""
+"""Speed in rad/s below which a finger stands: two counts of its velocity and some noise. [tuned]"""
+PATIENCE_S = 2.0
+"""Time in s beyond that of the motion after which the fingers have not arrived. [chosen]"""
 _BLOCKED_S = 0.05
-"""Time in s for which a finger stands at the limit of its current before it counts as blocked."""
+"""Time in s for which a finger stands at the limit of its current before it counts as blocked.
+[chosen]"""
 _BACK_RAD = 0.03
-"""Way back in rad of a blocked finger that shows that friction is not what blocks it."""
+"""Way back in rad of a blocked finger that shows that friction is not what blocks it.
+[resolution]"""
 _RUN_RAD = 0.01
-"""Way in rad that shows that the current moves a finger: more than pads and backlash give."""
+"""Way in rad that shows that the current moves a finger: more than pads and backlash give.
+[resolution]"""
 _RISE_N, _RISE_SHARE = 1.0, 0.2
 """Rise of the grip force in N, or as a share of the force at the start if that is more, that no
-opening makes."""
-_QUIET_N, _SAMPLES, _LONGEST_S = 0.15, 3, 0.06
-"""Noise in N of a mean force that is compared, its least samples, and its longest time in s."""
+opening makes. [chosen]"""
+_QUIET_N = 0.15
+"""Noise in N of a mean force that is compared: a fraction of the least rise. [tuned]"""
 ZERO_RANGE_M = 0.006
 """Largest error of the zero of the opening in m that counts as one, either way: empty fingers meet
-within it. A tooth of a horn is 15 mm on a link of 60 mm."""
+within it. A tooth of a horn is 15 mm on a link of 60 mm. [chosen]"""
 _PADS_GIVE_M = 0.001
-"""What pads give that press on each other, in m."""
+"""What pads give that press on each other, in m. [assumed]"""
 _LONGER = 3.0
-"""Factor on ``contact_timeout_s`` where the fingers are to go all the way."""
+"""Factor on ``contact_timeout_s`` where the fingers are to go all the way. [chosen]"""
 _LARGEST_MIN_M = 0.002
-"""Largest ``aperture_min_m`` in m from which the fingers close farther to find each other."""
+"""Largest ``aperture_min_m`` in m from which the fingers close farther to find each other.
+[chosen]"""
 
 
 def closes_farther(settings: GripperSettings, state: GripperState) -> bool:
@@ -129,7 +131,7 @@ def standing_rows(
         angle_rad = (turn - PULSES_PER_TURN // 2) * RAD_PER_PULSE * servo.direction
         halves_m.append(_half_m(linkage, index, angle_rad))
     opening_m = sum(half_m for half_m in halves_m if half_m is not None) * (2.0 / len(halves_m))
-    closed = opening_m < -_BEYOND_CLOSED_M
+    closed = opening_m < -BEYOND_CLOSED_M
     rows = []
     for index, (servo, raw, half_m) in enumerate(
         zip(settings.servos, positions_raw, halves_m, strict=True)
@@ -165,7 +167,7 @@ class ForceRise:
     """Detector of a grip force that grows although the fingers open."""
 
     def __init__(self) -> None:
-        self._recent = RecentForce(_QUIET_N, least=_SAMPLES, longest_s=_LONGEST_S)
+        self._recent = RecentForce(_QUIET_N)
         self._first_n: float | None = None
 
     def found(self, moment: Moment) -> str:
@@ -173,7 +175,7 @@ class ForceRise:
         sample = moment.sample
         if sample is None or not sample.valid or self._recent.push(sample) is None:
             return ""
-        if len(self._recent) < _SAMPLES:
+        if len(self._recent) < LEAST_SAMPLES:
             return ""
         force_n = self._recent.grip_n
         if self._first_n is None:
@@ -222,7 +224,7 @@ class FirstMotion:
         paths = transmissions(settings, linkage, state.angles_rad)
         least_a = motion_current_a(settings, paths, _LEAST_FORCE_N)
         self._current_a = least_a
-        self._stiff_a = min(_STIFF * least_a, settings.current_max_a)
+        self._stiff_a = min(MOST_FRICTION * least_a, settings.current_max_a)
         opening = linkage.aperture_m(target_rad) >= state.aperture_m
         speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
         per_rad_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
@@ -233,7 +235,7 @@ class FirstMotion:
             )
         ]
         travel_m = abs(linkage.aperture_m(target_rad) - state.aperture_m)
-        self._deadline_s = state.t_s + travel_m / speed_m_s + _PATIENCE_S
+        self._deadline_s = state.t_s + travel_m / speed_m_s + PATIENCE_S
         self._back: _Finger | None = None
         self._stands_m = state.aperture_m
         self._rise = ForceRise()

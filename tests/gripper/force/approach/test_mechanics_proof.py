@@ -12,7 +12,7 @@ from gripper.errors import (
     VerificationFailed,
     fingers_left,
 )
-from gripper.force.mechanics_proof import POSITION_ITEM
+from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.force.ramp import ForceRamp
 from gripper.outcome import GraspResult
 from gripper.state import GripperPhase
