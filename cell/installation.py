@@ -10,7 +10,6 @@ EXTRAS = {
     "report": ("jinja2", "matplotlib"),
     "mesh": ("trimesh",),
     "cluster": ("distributed",),
-    "dbc": ("cantools",),
     "serve": ("fastapi", "uvicorn", "websockets"),
 }
 """Extra -> the modules that it brings and that are loaded only where they are needed."""

@@ -36,6 +36,9 @@ class GraspOutcome:
     ended_early: bool = False
     """Whether the ramp was ended on request, before its usual end: the force that was reached or
     not is then the set-point at that time."""
+    short: str = ""
+    """Why the ramp ended below its force, in words, where the fingers came to their smallest
+    opening before it: the part is too small or too soft, and held with less. Else empty."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

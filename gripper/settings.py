@@ -168,8 +168,11 @@ class GripperSettings:
     aperture_open_m: float = setting(0.018, low=0.002, high=0.4)
     """Opening of `Gripper.open` and `Gripper.release` in m."""
     aperture_min_m: float = setting(0.0005, low=-0.02, high=0.4)
-    """Opening in m below which nothing can be held: the end of an approach. Below 0 where the
-    fingers are to meet; the config allows none of these."""
+    """Opening in m at which an approach ends: fingers that have touched nothing are empty. Below 0
+    where they are to meet."""
+    aperture_pressed_m: float | None = setting(None, low=-0.02, high=0.4)
+    """Opening in m at which a ramp ends below its force: the part is too small or too soft for it.
+    Below 0 where the foam of the pads yields around a small part; None: ``aperture_min_m``."""
     approach_speed_m_s: float = setting(0.015, low=0.004, high=0.2)
     travel_speed_m_s: float = setting(0.06, low=0.004, high=0.2)
     open_speed_m_s: float = setting(0.06, low=0.002, high=0.2)
@@ -260,6 +263,7 @@ class GripperSettings:
             raise LimitExceeded(f"servos have the IDs {ids}, must be one or two different ones")
         _check_settings(self)
         check_number("aperture_min_m", self.aperture_min_m, high=self.aperture_open_m)
+        check_number("aperture_pressed_m", self.least_pressed_m, high=self.aperture_min_m)
         for servo in self.servos:
             most_a = servo.servo_model.stall_current_a
             if self.current_max_a > most_a:
@@ -279,6 +283,12 @@ class GripperSettings:
     def period_s(self) -> float:
         """Period of the loop in s."""
         return 1.0 / self.loop_rate_hz
+
+    @property
+    def least_pressed_m(self) -> float:
+        """Smallest opening in m of fingers whose force rises."""
+        least_m = self.aperture_pressed_m
+        return self.aperture_min_m if least_m is None else least_m
 
     @property
     def grasp_force_limit_n(self) -> float:

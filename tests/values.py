@@ -13,8 +13,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
 from recognition.statistics.fusion import StopRule, decide, fuse
-from tactile.frames.assembler import FrameStatistics
-from tactile.unit.settings import LinkStatistics
+from tactile.source import FrameStatistics, SourceStatistics
 
 _SERVO = ServoState(
     servo_id=1,
@@ -60,10 +59,10 @@ def make_cycle(t_s: float = 1.0, **changes: Any) -> Cycle:
     return replace(cycle, **changes)
 
 
-def make_link_statistics(**changes: Any) -> LinkStatistics:
-    counts = dict.fromkeys(("syncs", "late_syncs", "foreign", "malformed", "error_frames"), 0)
+def make_source_statistics(**changes: Any) -> SourceStatistics:
+    counts = dict.fromkeys(("requests", "late_requests", "foreign", "malformed", "error_frames"), 0)
     values: dict[str, Any] = {"frames": FrameStatistics(), "recent_loss_rate": 0.0, **counts}
-    return LinkStatistics(**(values | changes))
+    return SourceStatistics(**(values | changes))
 
 
 def make_record(grasp: Grasp, *cycles: Cycle, contact_t_s: float | None = None) -> GraspRecord:

@@ -24,6 +24,13 @@ from cell.errors import ConfigError
 
 _Section = TypeVar("_Section", bound=BaseModel)
 
+GONE: Mapping[str, str] = {
+    "sequence.candidates": "this key is gone, poses are drawn at random; delete the line",
+    "sequence.kind: active": "this choice is gone; write random, grid or list",
+    "serve.foxglove_port": "this key is gone, Foxglove opens the recording; delete the line",
+}
+"""What configs of earlier versions may have, by its dotted path, and what to do with it."""
+
 
 def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
     """Return a config, or a section of one, with some values changed.
@@ -236,6 +243,23 @@ def parse_config(text: str, *, source: str) -> CellConfig:
         raise ConfigError(_complaints(error, root, source)) from error
 
 
+def recorded_config(text: str) -> CellConfig | None:
+    """Return the config that a recording keeps as JSON; None for one that is not valid now.
+
+    Keys that are `GONE` are left out.
+    """
+    try:
+        data = json.loads(text)
+        for place in GONE:
+            path, _, value = place.partition(": ")
+            section, key = path.split(".")
+            if not value or data[section].get(key) == value:
+                data[section].pop(key, None)
+        return CellConfig.model_validate_json(json.dumps(data))
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
 def config_schema() -> dict[str, Any]:
     """Return the JSON schema of the config file."""
     schema = CellConfig.model_json_schema()
@@ -321,7 +345,9 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         given = item.get("input")
         shown = "" if isinstance(given, dict | list) else f" (found: {given!r})"
         message = item["msg"].removeprefix("Value error, ")
-        if item["type"] == "extra_forbidden":
+        if gone := GONE.get(key) or GONE.get(f"{key}: {given}"):
+            message, shown = gone, ""
+        elif item["type"] == "extra_forbidden":
             message = f"unknown key; {_meant(item['loc'])}`tactile-cell config schema` lists all"
         elif item["type"] == "missing":
             shown = ""

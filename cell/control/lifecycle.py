@@ -215,7 +215,7 @@ class CellLifecycle:
         """Go where a stop on request leads from the present state, and keep the grip."""
         if self.state is CellState.STARTING:
             self.go(Event.STOP)
-            self.hand.close_sensor()
+            self.hand.stop_sensor()
         elif self.state is CellState.EXECUTE:
             self.go(Event.HOLD)
             self.journal.note("held", f"stopped {self.stop_reason}", 0)

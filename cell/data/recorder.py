@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -27,7 +27,7 @@ from recognition.grasp import Grasp, PadArray
 
 if TYPE_CHECKING:
     from gripper.state import Cycle
-    from tactile.frames.codec import TactileFrame
+    from tactile.source import TactileFrame
 
 CHUNK_BYTES = 64 << 10
 """Size of a chunk before compression: what a killed program loses at most."""
@@ -36,16 +36,6 @@ _NEWEST_FRAMES = 65536
 """Frames that a grasp can name; 20 minutes at 50 frames a second."""
 _TIME_TOLERANCE_S = 1e-6
 """Difference in s between a frame's time in the recording and in its grasp: rounding only."""
-
-
-class Tap(Protocol):
-    """Gets each message of a recording as it is made, in the thread that makes it."""
-
-    def wants(self, topic: str) -> bool:
-        """Whether anybody looks at a topic."""
-
-    def take(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Take a message: its topic, monotonic time in ns, and JSON. Must not wait."""
 
 
 class Recorder:
@@ -58,7 +48,7 @@ class Recorder:
     Parameters
     ----------
     path
-        The new file; an existing one is never overwritten. None writes none, for a ``tap`` alone.
+        The new file; an existing one is never overwritten.
     clock
         Stamps the messages of `now`; frames and cycles carry their own monotonic stamps.
     pads
@@ -67,8 +57,6 @@ class Recorder:
         Further facts to keep with the recording, for instance hashes of config and model.
     background
         Write from a thread of its own, for real time; in virtual time leave it off.
-    tap
-        Gets each message too, also after a fault of the file.
     vital
         Whether a grasp must not go on without its recording; `cell.control.journal` looks after
         that.
@@ -79,21 +67,19 @@ class Recorder:
 
     def __init__(
         self,
-        path: Path | str | None,
+        path: Path | str,
         clock: Clock,
         *,
         pads: PadArray,
         metadata: Mapping[str, str] | None = None,
         background: bool = False,
-        tap: Tap | None = None,
         vital: bool = False,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self.path = None if path is None else Path(path)
+        self.path = Path(path)
         self.vital = vital
         self._clock = clock
         self._pads = pads
-        self._tap = tap
         self.wall_clock_ns = wall_clock_ns
         self._fault: RecordingError | None = None
         self._closed = False
@@ -101,9 +87,6 @@ class Recorder:
         self._sequence: dict[str, int] = {}
         self._marks: list[tuple[int, int]] = []
         self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
-        self._writer: Writer | None = None
-        if self.path is None:
-            return
         try:
             self._sink = (BackgroundFile if background else DirectFile)(self.path)
         except FileExistsError as cause:
@@ -114,13 +97,12 @@ class Recorder:
             raise RecordingError(
                 f"cannot record to {path}: {cause.strerror}; check folder and rights"
             ) from cause
-        self._writer = Writer(
+        self._writer = writer = Writer(
             _Marked(self._sink, self._mark),  # type: ignore[arg-type]
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
-        writer = self._writer
         started = metadata_values(pads, wall_clock_ns(), to_ns(clock.monotonic()))
         entries = dict(metadata or {}) | started
         self._channels: dict[str, int] = {}
@@ -184,11 +166,8 @@ class Recorder:
         """Finish the file. Raises the RecordingError of a recording that stopped early."""
         if self._closed:
             return
-        if self._writer is not None:
-            self._guarded(self._writer.finish)
+        self._guarded(self._writer.finish)
         self._closed = True
-        if self._writer is None:
-            return
         if self._fault is None:
             self._guarded(self._sink.close)
         else:
@@ -216,21 +195,15 @@ class Recorder:
     def _put(self, topic: str, t_s: float, values: dict[str, Any]) -> None:
         if self._closed:
             raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
-        tap = self._tap if self._tap is not None and self._tap.wants(topic) else None
-        writer = self._writer if self._fault is None else None
-        if tap is None and writer is None:
+        if self._fault is not None:
             return
         stamp_ns = to_ns(t_s)
         data = to_json({"t_s": round(float(t_s), 9), **values}).encode()
-        if tap is not None:
-            tap.take(topic, stamp_ns, data)
-        if writer is None:
-            return
         number = self._sequence.get(topic, 0)
         self._sequence[topic] = number + 1
         channel = self._channels[topic]
         self._guarded(
-            lambda: writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
+            lambda: self._writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
         )
 
     def _mark(self) -> None:

@@ -7,10 +7,10 @@ import json
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import zstandard
@@ -225,6 +225,11 @@ class RecordedCycles:
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    def between(self, begin_s: float, end_s: float) -> Self:
+        """Return the periods of a span of time in s, both ends included."""
+        part = slice(*np.searchsorted(self.t_s, [begin_s, np.nextafter(end_s, np.inf)]))
+        return type(self)(**{one.name: getattr(self, one.name)[part] for one in fields(self)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

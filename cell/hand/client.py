@@ -270,10 +270,10 @@ class HandProcess:
     read_sensor = _remote(Hand.read_sensor)
     keep_grip = _remote(Hand.keep_grip)
 
-    def close_sensor(self) -> None:
+    def stop_sensor(self) -> None:
         """End the tactile link; it has ended where the process is gone."""
         if self._loop.lost is None:
-            self._call(Hand.close_sensor)
+            self._call(Hand.stop_sensor)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""

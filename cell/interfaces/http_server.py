@@ -17,7 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cell.config.serve import ServeConfig
 from cell.fault_catalogue import BY_NUMBER
-from cell.interfaces.service.doors import (
+from cell.interfaces.access import (
     BUSY_MAX,
     ConnectionPlaces,
     is_for_this_machine,
@@ -71,8 +71,8 @@ class Gate:
     app: Any
     config: ServeConfig
     """Has the allow-list."""
-    longest: Callable[[Scope, str], int]
-    """Returns the largest body in bytes of a request from a client."""
+    longest: Callable[[Scope], int]
+    """Returns the largest body in bytes of a request."""
     pages: bool
     """Whether pages of this very origin may ask; requests of other pages are always refused."""
 
@@ -102,7 +102,7 @@ class Gate:
         if origin is not None and not own:
             return 403, f"a page of another origin, {origin!r:.80}"
         length = headers.get(b"content-length", "0")
-        longest = self.longest(scope, client[0])
+        longest = self.longest(scope)
         if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > longest:
             return 413, f"a request has a Content-Length of at most {longest}"
         return 0, ""
@@ -209,7 +209,7 @@ class HttpServer:
     port
         TCP port; 0: any free one.
     longest
-        Returns the largest body in bytes of a request from a client.
+        Returns the largest body in bytes of a request.
     pages
         As `Gate`.
     idle_s
@@ -225,7 +225,7 @@ class HttpServer:
         port: int,
         *,
         name: str,
-        longest: Callable[[Scope, str], int] = lambda _scope, _client: REQUEST_BYTES,
+        longest: Callable[[Scope], int] = lambda _scope: REQUEST_BYTES,
         pages: bool = False,
         idle_s: int = 5,
         **settings: Any,

@@ -44,7 +44,7 @@ from gripper.servo_checks import VerificationRow
 from gripper.settings import CORRECTABLE
 from motion.errors import MotionError
 from tactile.errors import IdentityMismatch, TactileError
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 _TORQUE = "servo torque"
 """Name of the check whether the servos have torque."""
@@ -301,8 +301,8 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
         return [_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     n_saturated = int(readings[-1].saturated.sum())
-    forces = hand.statistics.link.forces
-    statistics = hand.statistics.link.frames
+    source = hand.statistics.source
+    forces, statistics = source.forces, source.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
     changes = changed_unit(
         kept.found, serial=identity.serial, revision=identity.revision, boards=identity.boards

@@ -256,6 +256,8 @@ class RampTime:
     def __init__(self, settings: GripperSettings, ramp: ForceRamp) -> None:
         self._settings = settings
         self._waited_s: float | None = None
+        self.asked_n = ramp.final_n
+        """Force in N at which the ramp was to end."""
         self.ramp = ramp
         self.elapsed_s = 0.0
         """Time since the beginning of the ramp in s."""
@@ -270,8 +272,16 @@ class RampTime:
         """Index of the level that is held; None on the way to it."""
         return None if self._waited_s is not None else self.ramp.level_at(self.elapsed_s)
 
-    def pass_by(self, dt_s: float, force_n: float) -> None:
-        """Let ``dt_s`` s pass, in which the force was ``force_n`` N."""
+    def pass_by(self, dt_s: float, force_n: float, aperture_m: float) -> None:
+        """Let ``dt_s`` s pass, in which the force was ``force_n`` N and the opening so many m.
+
+        A rise ends where the fingers are closed: part and foam yield, and no force would come.
+        """
+        least_m, least_n = self._settings.least_pressed_m, self._settings.contact_force_n
+        if aperture_m <= least_m and least_n <= self.setpoint_n < self.ramp.final_n:
+            self.ramp = self.ramp.ended_at(self.elapsed_s, most_n=max(force_n, least_n))
+            self.elapsed_s, self._waited_s = 0.0, None
+            return
         if self._waited_s is None:
             changed = self.ramp.level_at(self.elapsed_s) is None
             self.elapsed_s += dt_s
@@ -372,7 +382,7 @@ class RampStep:
         return _outcome(
             self._settings,
             self.control,
-            self._time.ramp,
+            self._time,
             final,
             contact=self._reached.state,
             peak_n=self._peak_n,
@@ -391,7 +401,7 @@ class RampStep:
             self._time = RampTime(self._settings, ended)
             self._ended = True
         else:
-            self._time.pass_by(moment.dt_s, self.control.force_n)
+            self._time.pass_by(moment.dt_s, self.control.force_n, moment.state.aperture_m)
         return self.control
 
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
@@ -481,7 +491,7 @@ class BackOffStep:
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost when the part goes."""
         _check_part(self._control, moment)
-        self._time.pass_by(moment.dt_s, self._control.force_n)
+        self._time.pass_by(moment.dt_s, self._control.force_n, moment.state.aperture_m)
         setpoint_n = self._time.setpoint_n
         arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
         goals = self._control.goals(moment, setpoint_n, arrival_n=arrival_n)
@@ -518,7 +528,7 @@ class SqueezeStep(BackOffStep):
         return _outcome(
             self._settings,
             self._control,
-            self._time.ramp,
+            self._time,
             final,
             contact=None,
             peak_n=self._peak_n,
@@ -537,7 +547,7 @@ def _check_part(control: GripControl, moment: Moment) -> None:
 def _outcome(
     settings: GripperSettings,
     control: GripControl | None,
-    ramp: ForceRamp,
+    time: RampTime,
     final: GripperState,
     *,
     contact: GripperState | None,
@@ -547,16 +557,28 @@ def _outcome(
 ) -> GraspOutcome:
     """Return the outcome of a ramp on a part, from its last feedback and its highest force."""
     final_n = 0.0 if control is None else control.force_n
-    reached = abs(final_n - ramp.final_n) <= settings.settle_tolerance_at_n(ramp.final_n)
+    asked_n, ended_n = time.asked_n, time.ramp.final_n
+    reached = abs(final_n - asked_n) <= settings.settle_tolerance_at_n(asked_n)
     held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
+    closed = ended_n < asked_n and not (reached or lost)
     return GraspOutcome(
         result=GraspResult.PART_LOST if lost else held,
         contact_t_s=None if contact is None else contact.t_s,
         contact_aperture_m=None if contact is None else contact.aperture_m,
         final_aperture_m=final.aperture_m,
         final_force_n=final_n,
-        overshoot_n=max(0.0, peak_n - ramp.final_n),
+        overshoot_n=max(0.0, peak_n - ended_n),
         ended_early=ended_early,
+        short=_too_small(settings, asked_n, final_n, final.aperture_m) if closed else "",
+    )
+
+
+def _too_small(settings: GripperSettings, asked_n: float, force_n: float, aperture_m: float) -> str:
+    return (
+        f"the part is too small or too soft for {asked_n:.1f} N: the ramp ended at {force_n:.1f} N "
+        f"and an opening of {1e3 * aperture_m:.1f} mm (gripper.aperture_min_mm is "
+        f"{1e3 * settings.least_pressed_m:g}). Ask for less force, or lower that key as far as the "
+        f"foam of the pads yields"
     )
 
 

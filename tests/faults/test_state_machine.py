@@ -10,10 +10,10 @@ from hypothesis import given, settings
 
 from cell.control.controller import CellController
 from cell.control.keeping import Keep
+from cell.interfaces.host_calls import Calls
 from cell.interfaces.modbus.registers import ModbusDoor
-from cell.interfaces.service.host_calls import Calls
-from cell.interfaces.service.lease import Lease
-from cell.interfaces.service.service import RELEASE_KEY, Service
+from cell.plugin.lease import Lease
+from cell.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action
 from gripper.force.supervision.doubt import Doubted

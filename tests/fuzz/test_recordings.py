@@ -20,7 +20,7 @@ from cell.data.recording_recovery import recover_recording
 from cell.errors import RecordingError
 from gripper.force_sensor import ForceSample
 from gripper.state import Cycle, GripperPhase, GripperState, ServoState
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 from tests.fuzz.harness import (
     Clock,
     Damage,

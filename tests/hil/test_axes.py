@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cell.config.file import changed_config, load_config, parse_config
-from cell.interfaces.plugin.plugin import IdentifyGoal, JobFailed, TactileCellPlugin, TeachGoal
+from cell.plugin.plugin import IdentifyGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.program import first

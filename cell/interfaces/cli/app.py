@@ -12,13 +12,13 @@ from cell.interfaces.cli.commands import (
     clear,
     commission,
     config,
-    dbc,
     doctor,
     evaluate,
     identify,
     recover,
     release,
     replay,
+    report,
     run,
     serve,
     simulate,
@@ -74,12 +74,12 @@ for command in (
     release.release,
     clear.clear,
     evaluate.evaluate,
+    report.report,
     replay.replay,
     recover.recover,
     serve.serve,
     simulate.simulate,
     doctor.doctor,
-    dbc.dbc,
 ):
     app.command()(command)
 app.add_typer(config.app, name="config")

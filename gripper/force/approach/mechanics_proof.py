@@ -354,6 +354,7 @@ def meeting_settings(settings: GripperSettings) -> GripperSettings:
     return replace(
         settings,
         aperture_min_m=-(ZERO_RANGE_M + _PADS_GIVE_M),
+        aperture_pressed_m=None,
         contact_timeout_s=min(_LONGER * settings.contact_timeout_s, 60.0),
     )
 

@@ -84,7 +84,7 @@ class GripControl:
         contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
         self._watch = PartWatch(grip, contact_n_m)
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
-        self._checks = PadChecks(settings, state.aperture_m + given_m)
+        self._checks = PadChecks(settings, state, now_s, widest_m=state.aperture_m + given_m)
         # Both pads yield by what the opening shrinks.
         pad_n_m = 2.0 * _HARDENS * max(force_n, self._watch.pads.empty_n) / (yielded_m + GRAIN_M)
         self._modes = GripModes(grip, now_s, pad_n_m)
@@ -155,7 +155,7 @@ class GripControl:
         usable = sample is not None and sample.valid and not self._watch.doubts
         if sample is not None and usable:
             self._watch.pads.take(sample)
-            self._checks.check(moment.dt_s, state, self._watch.pads)
+            self._checks.check(moment, self._watch.pads, rises=rises_n > 0.0)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         grip.drive_n = self._modes.step(
             Period(

@@ -1,6 +1,7 @@
 """Loaded pads against the position of the fingers, and against each other."""
 
 from gripper.errors import ForceImbalance, PositionContradicted
+from gripper.force.loop import Moment
 from gripper.force.supervision.pad_samples import PadSamples
 from gripper.recent import FRAME_S
 from gripper.settings import GripperSettings
@@ -8,6 +9,9 @@ from gripper.state import GripperState
 
 _CONTRADICTED_S = 5 * FRAME_S
 """Time in s for which loaded pads contradict a position before that is an error: five frames."""
+_SINKS_S, _CREEP_M = 0.1, 0.0005
+"""Time in s after a rise until the fingers stand, and the way in m by which foam may go on yielding
+after it: a sixth of what two pads of 3 mm give. [chosen]"""
 
 
 class PadChecks:
@@ -17,28 +21,33 @@ class PadChecks:
     ----------
     settings
         Of the gripper.
+    contact, now_s
+        Feedback at the contact, and monotonic time in s.
     widest_m
         Opening in m beyond which no part can press on both pads.
     """
 
-    def __init__(self, settings: GripperSettings, widest_m: float) -> None:
+    def __init__(
+        self, settings: GripperSettings, contact: GripperState, now_s: float, *, widest_m: float
+    ) -> None:
         self._settings = settings
         self._widest_m = widest_m
+        self._sunk_m, self._rose_s = contact.aperture_m, now_s
         self._contradicted_s = self._uneven_s = 0.0
 
     def resume(self) -> None:
         """Begin again after a pause."""
         self._uneven_s = 0.0
 
-    def check(self, dt_s: float, state: GripperState, pads: PadSamples) -> None:
+    def check(self, moment: Moment, pads: PadSamples, *, rises: bool) -> None:
         """Add one period.
 
         Parameters
         ----------
-        dt_s, state
-            Time since the last period in s, and feedback.
-        pads
-            Newest force samples.
+        moment, pads
+            Feedback, and newest force samples.
+        rises
+            Whether more force is asked for than in the last period.
 
         Raises
         ------
@@ -47,16 +56,21 @@ class PadChecks:
         ForceImbalance
             When the fingers press with different forces for too long.
         """
-        self._check_position(dt_s, state, pads)
-        self._check_balance(dt_s, pads)
+        if rises:
+            self._rose_s = moment.now_s
+        if moment.now_s - self._rose_s <= _SINKS_S:
+            self._sunk_m = moment.state.aperture_m
+        self._check_position(moment.dt_s, moment.state, pads)
+        self._check_balance(moment.dt_s, pads)
 
     def _check_position(self, dt_s: float, state: GripperState, pads: PadSamples) -> None:
         """Raise PositionContradicted where loaded pads have contradicted the opening for long.
 
         No part presses on both pads where the fingers stand wider open than at the contact, or
         closed: then the count of a position drifts, and what is gripped is gripped all the same.
+        A small part that has sunk into the foam may go on sinking as far as foam creeps.
         """
-        least_m = self._settings.aperture_min_m
+        least_m = min(self._settings.least_pressed_m, self._sunk_m - _CREEP_M)
         if least_m <= state.aperture_m <= self._widest_m or not pads.loaded:
             self._contradicted_s = 0.0
             return

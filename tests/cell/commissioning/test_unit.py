@@ -116,7 +116,7 @@ def test_a_unit_of_another_bit_rate_is_found_over_a_real_serial_adapter(tmp_path
         assert finding.status is Verdict.PASS, finding.lines
         assert finding.settings["tactile.bitrate"] == 500_000
         bench.settings = finding.settings
-        cell.ask(press=1, x_m=0.015, y_m=0.006, force_n=2.0)
+        cell.ask(press="finger1.inner", at=["tip", "right"])
         finding = carry_out(PadsAtRestStep(), bench, Script())
         assert finding.status is Verdict.FAIL
         assert "for an untouched taxel: clear the pads" in finding.lines[-1]

@@ -101,6 +101,9 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("gripper:\n  force_max_n: 51\n", ["gripper.force_max_n", "50"]),
         ("sequence:\n  x_mm: [3, 1]\n", ["x_mm", "[3, 1]", "low"]),
         ("sequence:\n  kind: list\n", ["poses"]),
+        ("sequence:\n  candidates: 24\n", ["cell.yaml:2:3: sequence.candidates: this key is gone"]),
+        ("sequence:\n  kind: active\n", ["cell.yaml:2:3: sequence.kind: this choice is gone"]),
+        ("serve: {foxglove_port: 8765}\n", ["serve.foxglove_port: this key is gone"]),
         ("gripper: {port: /dev/ttyUSB0}\n", ["both be `simulated` or both be real"]),
         (
             "gripper: {port: /dev/ttyUSB0}\ntactile: {interface: socketcan}\n",

@@ -90,6 +90,41 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
     assert [event["kind"] for event in recording.events] == ["no part"]
 
 
+@pytest.mark.parametrize(
+    ("shape", "closed_mm", "reached"),
+    [
+        ("sphere:diameter=5mm", 0.5, False),
+        ("cylinder:diameter=2mm,length=20mm", 0.5, False),
+        ("cylinder:diameter=3mm,length=20mm", 0.0, False),
+        ("cylinder:diameter=2mm,length=20mm", -4.0, True),
+    ],
+)
+def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
+    make_bench: MakeBench, tmp_path: Path, shape: str, closed_mm: float, reached: bool
+) -> None:
+    small = small_config(
+        gripper__aperture_min_mm=closed_mm, simulator__objects=[{"label": "a", "shape": shape}]
+    )
+    bench = make_bench(small, folder=tmp_path).ready("a")
+    record = bench.controller.grip(8.0, Pose())
+    assert (record.outcome.result is GraspResult.FORCE_REACHED) is reached
+    assert bool(record.ended) is not reached
+    bench.idle(2.0)
+    assert bench.controller.verify().same
+    assert bench.controller.state is CellState.COMPLETE
+    bench.controller.release()
+    # The cell goes on, and takes closed fingers for empty as before.
+    bench.once_in(APPROACHING, bench.simulated.remove)
+    with pytest.raises(NoPartFound, match="is the object in place"):
+        bench.grasp(8.0)
+    bench.cell.close()
+    events = read_recording(tmp_path / "recording.mcap").events
+    told = [event["text"] for event in events if event["kind"] == "ramp"]
+    assert [
+        re.search(r"too small or too soft for 8\.0 N.*min_mm is (\S+)\)", t)[1] for t in told
+    ] == ([] if reached else [f"{closed_mm:g}"])
+
+
 def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(folder=tmp_path).ready()
 

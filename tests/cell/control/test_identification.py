@@ -20,7 +20,7 @@ from tests.cell.conftest import SURE, UNSURE, Scripted, small_config
 @pytest.fixture
 def record(taught: Any) -> GraspRecord:
     """Return a grasp of the ball without its label."""
-    ball: GraspRecord = taught.result.examples["ball"]
+    ball: GraspRecord = taught.result.trials[0].found.records[0]
     return replace(ball, grasp=replace(ball.grasp, label=""))
 
 

@@ -16,10 +16,10 @@ from cell.control.states import CellState
 from cell.data.dataset import read_grasps
 from cell.errors import PartInGrip, PlanRefused, ZeroRefused
 from cell.interfaces.cli.session import cell_config
-from cell.interfaces.plugin import tasks
-from cell.interfaces.plugin.goals import ZeroGoal, checked_goal
-from cell.interfaces.plugin.health import health_values
 from cell.jobs.doctor import examine
+from cell.plugin import tasks
+from cell.plugin.goals import ZeroGoal, checked_goal
+from cell.plugin.health import health_values
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
 from gripper.state import GripperPhase
 from recognition.grasp import SelfZero

@@ -30,15 +30,15 @@ from gripper.force.timing import LoopStatistics
 from gripper.force_sensor import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.recognizer import Posterior
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 from tests.cell.conftest import plain_pads
 from tests.fuzz.harness import Clock
 from tests.values import (
     make_cycle,
     make_identification,
-    make_link_statistics,
     make_servo,
     make_shape,
+    make_source_statistics,
     make_state,
 )
 
@@ -102,7 +102,7 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
             HandStatistics(
                 loop=LoopStatistics(cycles=7, worst_lateness_s=0.5),
                 servo_bus=BusStatistics(),
-                link=make_link_statistics(),
+                source=make_source_statistics(),
             )
         )
         grasps = [record_grasp(recorder, clock, f"object {i}") for i in range(n_grasps)]

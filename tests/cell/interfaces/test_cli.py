@@ -160,7 +160,8 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(
 
 
 def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[str]) -> None:
-    from cell.jobs.run import MainResult, score
+    from cell.jobs.run import MainResult
+    from cell.report.build import score
 
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")
     result = MainResult(
@@ -170,8 +171,6 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
         seconds=1.0,
         scores=dict.fromkeys(("force_ramp", "level_check"), score("", labels, labels, labels)),
         trials=(),
-        examples={},
-        recognizers={},
         dataset=None,
         model=None,
         recording=None,
@@ -197,6 +196,10 @@ def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path)
     assert "2 were there" in text
     grasps = read_dataset(path)
     assert [grasp.label for grasp in grasps] == ["ball", "ball", "part_7"]
+    sunk = tmp_path / "sunk.yaml"
+    sunk.write_text("gripper:\n  aperture_min_mm: 9.0\nself_zero: never\n")
+    text = call("teach", "box", "-n", 1, "-o", path, "-c", sunk)
+    assert "1 of 1 ramps ended early: the part is too small or too soft for" in text
 
 
 def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
@@ -446,7 +449,6 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
         "recognizer": "level_check",
         "n_grasps": 20,
         "early": False,
-        "n_remembered": 0,
         "labels": ["ball", "box"],
     }
 
@@ -766,13 +768,12 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
     config: Path, fail: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from cell.errors import ReportError
-    from cell.jobs import run_report
 
     def refuse(*_arguments: object) -> None:
         raise ReportError("cannot write report: no space left")
 
     printed: list[Any] = []
-    monkeypatch.setattr(run_report, "main_report", refuse)
+    monkeypatch.setattr("cell.report.page.write_report", refuse)
     monkeypatch.setattr("cell.interfaces.cli.commands.run.print_result", printed.append)
     said = fail("run", "-c", config)
     assert said.endswith("error: cannot write report: no space left")

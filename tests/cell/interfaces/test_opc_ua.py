@@ -35,6 +35,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from cell.control.states import Command
 from cell.errors import CellError, ConfigError
+from cell.interfaces.host_values import VALUES
 from cell.interfaces.opc_ua.door import (
     FAULT_EVENT,
     NAMESPACE,
@@ -43,11 +44,10 @@ from cell.interfaces.opc_ua.door import (
     SHUTDOWN_EVENT,
     OpcUaDoor,
 )
-from cell.interfaces.service.host_values import VALUES
-from cell.interfaces.service.service import RELEASE_KEY
-from cell.interfaces.service.serving import open_doors
+from cell.interfaces.opening import open_doors
+from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
-from tests.cell.interfaces.conftest import LIMIT_S, Served, serving
+from tests.cell.served import LIMIT_S, Served, serving
 
 pytestmark = pytest.mark.anyio
 ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt

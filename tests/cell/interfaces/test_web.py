@@ -26,13 +26,13 @@ from websockets.sync.client import connect as open_socket
 
 from cell.errors import CellError, ConfigError
 from cell.interfaces.live_socket import LiveLink
-from cell.interfaces.plugin.goals import TASKS, checked_goal
-from cell.interfaces.service.service import RELEASE_KEY, Service
-from cell.interfaces.service.serving import open_doors, warnings
+from cell.interfaces.opening import open_doors, warnings
 from cell.interfaces.web import WebDoor
+from cell.plugin.goals import TASKS, checked_goal
+from cell.service.service import RELEASE_KEY, Service
 from tactile.errors import HeartbeatLost
-from tests.cell.interfaces.conftest import Served, ended, until
 from tests.cell.interfaces.hosts import Client
+from tests.cell.served import Served, ended, until
 
 
 @pytest.fixture

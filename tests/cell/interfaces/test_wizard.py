@@ -31,8 +31,8 @@ from cell.errors import NotInCommand
 from cell.interfaces.wizard import Wizard, WizardDoor
 from tactile.layout import paper_layout
 from tests.cell.commissioning.test_engine import REAL, Asking
-from tests.cell.interfaces.conftest import until
 from tests.cell.interfaces.hosts import Client
+from tests.cell.served import until
 
 WRITES = tuple(
     Write(

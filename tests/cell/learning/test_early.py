@@ -11,11 +11,11 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, ModelError
-from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.learning.collection import Collection
 from cell.learning.model import LoadedModel, load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import EARLY_SECTION, load_early, train
+from cell.plugin.plugin import TactileCellPlugin
 from gripper.errors import ServoFault
 from recognition.errors import ContactError
 from recognition.ramp.ramp import learn_rest

@@ -1,5 +1,6 @@
 """A ramp that is ended on request: its force stays where it is, and all else goes on as before."""
 
+import re
 import threading
 
 import pytest
@@ -195,3 +196,46 @@ def test_requests_count_during_a_grasp_only() -> None:
         end.request()
         assert end.requested
     assert not end.requested
+
+
+@pytest.mark.parametrize("noise_n", [0.02, 0.2])
+def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_bears(
+    make_cell, make_part, noise_n: float
+) -> None:
+    # 1 N/mm: 3.5 N at the 0.5 mm to which the fingers close.
+    cell = make_cell(part=make_part(width_m=0.004, stiffness_n_m=2000.0), noise_n=noise_n)
+    gripper = cell.gripper
+    gripper.start()
+    outcome = gripper.grasp(LINEAR)
+    assert outcome.result is GraspResult.FORCE_NOT_REACHED
+    assert not outcome.ended_early
+    assert re.match(
+        r"the part is too small or too soft for 8\.0 N: .*_min_mm is 0\.5", outcome.short
+    )
+    assert outcome.final_force_n == pytest.approx(3.5, abs=0.7)
+    assert gripper.state is GripperPhase.HOLDING
+    gripper.hold(2.0)
+    gripper.carry(6.0, 1.0)
+    gripper.carry(1.5)
+    assert gripper.squeeze(LINEAR).short
+    assert cell.force_n == pytest.approx(3.5, abs=1.0)
+    assert cell.peak_n < 4.5
+    gripper.release()
+    assert gripper.state is GripperPhase.IDLE
+
+
+def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(
+    make_cell, make_part
+) -> None:
+    part = make_part(width_m=0.005, stiffness_n_m=6000.0)
+    cell = make_cell(part=part, aperture_min_m=0.003, aperture_pressed_m=0.001)
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(8.0, 5.0, hold_s=1.0))
+    assert (outcome.result, outcome.short) == (GraspResult.FORCE_REACHED, "")
+    assert outcome.final_aperture_m == pytest.approx(0.0023, abs=2e-4)
+    cell.gripper.hold(1.0)
+    cell.gripper.release()
+    cell.part.present = False
+    empty = cell.gripper.grasp(LINEAR)
+    assert empty.result is GraspResult.NO_CONTACT
+    assert empty.final_aperture_m == pytest.approx(0.003, abs=5e-4)

@@ -125,7 +125,7 @@ def _on_page(engine: "Engine", http_port: int | None) -> None:
     from cell.errors import ConfigError
     from cell.interfaces.cli.commands.serve import SIGNAL_LOOK_S, free_page_port
     from cell.interfaces.cli.terminal import print_page
-    from cell.interfaces.service.serving import page_address
+    from cell.interfaces.opening import page_address
 
     serve = ServeConfig()
     port = free_page_port(serve.listen) if http_port is None else http_port

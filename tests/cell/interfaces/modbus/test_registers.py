@@ -37,11 +37,11 @@ from cell.interfaces.modbus.registers import (
     RUNNING,
     SIGNATURE,
 )
-from cell.interfaces.service.service import RELEASE_KEY
+from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
-from tests.cell.interfaces.conftest import LIMIT_S, Served, until
 from tests.cell.interfaces.hosts import Plc
 from tests.cell.interfaces.modbus.structured_text import BLOCK, KEYWORDS, FunctionBlock
+from tests.cell.served import LIMIT_S, Served, until
 
 TEACH, IDENTIFY, GRIP, VERIFY, SORT = 20, 21, 22, 23, 24
 RELEASE, REACHED, REFUSE = 30, 40, 41
@@ -303,10 +303,10 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(
 
 
 def test_each_start_has_a_number_of_its_own(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cell.interfaces.service.service.time.time", lambda: 0xFFFF * 7.0 + 65535)
+    monkeypatch.setattr("cell.service.service.time.time", lambda: 0xFFFF * 7.0 + 65535)
     _, plc = connect()
     assert plc.inputs()[27] == 1
-    monkeypatch.setattr("cell.interfaces.service.service.time.time", lambda: 0xFFFF * 8.0 + 3.2)
+    monkeypatch.setattr("cell.service.service.time.time", lambda: 0xFFFF * 8.0 + 3.2)
     _, again = connect()
     assert again.inputs()[27] == 4
 
