@@ -31,17 +31,17 @@ from gripper.force.grasp import GraspRun
 from gripper.force.loop import LoopRunner, Running
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
-from gripper.force_sensor import ForceSensor
-from gripper.kinematics import Linkage, OneFinger, ParallelLinkage
 from gripper.lifecycle import Lifecycle, bus_is_lost
-from gripper.outcome import GraspOutcome, GraspResult, ReleaseReport
-from gripper.servo_checks import ServoCondition, VerificationReport, VerificationRow
+from gripper.mechanics.kinematics import Linkage, OneFinger, ParallelLinkage
 from gripper.servos.goals import OPENING_MARGIN_RAD
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.servos.watchdog_proof import prove_watchdog
 from gripper.settings import GripperSettings
-from gripper.state import Cycle, GripperPhase, GripperState, Observer
+from gripper.values.force_sensor import ForceSensor
+from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
+from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
+from gripper.values.state import Cycle, GripperPhase, GripperState, Observer
 
 CARRY_RATE_N_S = 20.0
 """Rate in N/s at which a held force goes to that of the carry: a host waits for the answer."""

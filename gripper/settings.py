@@ -183,7 +183,7 @@ class GripperSettings:
     pad_stiffness_n_m: float = setting(55e3, low=1e3, high=1e6)
     """Stiffness in N/m of a pad under the hardest part: a flat one on all of a pad of 55 x 20 mm
     with foam of 3 mm and 150 kPa, as the simulated ones. With the moving mass it makes the impact
-    of an approach, see `gripper.impact`."""
+    of an approach, see `gripper.mechanics.impact`."""
     contact_force_n: float = setting(0.6, low=0.1, high=5.0)
     """Force on each pad in N that counts as contact."""
     contact_samples: int = setting(3, low=1, high=50)

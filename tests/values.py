@@ -6,9 +6,9 @@ from typing import Any
 from cell.control.identification import Identification
 from cell.control.plan import GraspStep, Pose
 from cell.control.records import GraspRecord
-from gripper.force_sensor import ForceSample
-from gripper.outcome import GraspOutcome, GraspResult
-from gripper.state import Cycle, GripperPhase, GripperState, ServoState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import Cycle, GripperPhase, GripperState, ServoState
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness

@@ -13,12 +13,12 @@ from gripper.errors import PartLost
 from gripper.force.control.period import Period
 from gripper.force.estimates.grip import Grip
 from gripper.force.ramp import ForceRamp
-from gripper.force_sensor import ForceSample
 from gripper.gripper import Gripper
-from gripper.kinematics import ParallelLinkage
-from gripper.outcome import GraspResult
+from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.settings import HARD_FORCE_CAP_N, ForceLoopSettings, GripperSettings, ServoSettings
-from gripper.state import Cycle, GripperPhase
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle, GripperPhase
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
@@ -83,7 +83,7 @@ class Sensor(Protocol):
         """Take the force in N on each pad at a time in s."""
 
     def latest_force(self) -> ForceSample | None:
-        """Return the newest sample; see `gripper.force_sensor.ForceSensor`."""
+        """Return the newest sample; see `gripper.values.force_sensor.ForceSensor`."""
 
 
 class MessageSensor:

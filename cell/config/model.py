@@ -21,8 +21,8 @@ from cell.config.tactile import TactileConfig, layout_from_config, make_calibrat
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
-from gripper.impact import check_approach
-from gripper.kinematics import Linkage, end_transmissions
+from gripper.mechanics.impact import check_approach
+from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
 

@@ -14,7 +14,7 @@ from typing import Literal
 from cell.config.model import CellConfig
 from cell.data.files import write_text
 from cell.errors import CellError, PlanRefused
-from gripper.outcome import GraspOutcome, GraspResult
+from gripper.values.outcome import GraspOutcome, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import ZERO_COLUMNS, SelfZero
 from tactile.layout import TaxelLayout

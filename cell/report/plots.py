@@ -16,7 +16,7 @@ from cell.data.recording_reader import RecordedCycles
 from cell.errors import ReportError
 from cell.installation import remedy
 from cell.report.data import Trajectories
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

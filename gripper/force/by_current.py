@@ -5,11 +5,11 @@ from math import hypot
 from gripper.errors import LimitExceeded
 from gripper.force.estimates.friction import FrictionEstimate
 from gripper.force.loop import Moment
-from gripper.force_sensor import ForceSample
-from gripper.kinematics import MOST_FRICTION, Linkage, transmissions
+from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings, largest_setpoint_n
-from gripper.state import STANDING_M_S, GripperState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import STANDING_M_S, GripperState
 
 _TORQUE_SHARE, _FRICTION_SHARE = 0.05, 0.15
 """Standard deviation of the torque constant, and of the friction once it was measured on the
@@ -59,7 +59,7 @@ def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
 
 
 class ForceByCurrent:
-    """Force sensor by the servos' present current: a `gripper.force_sensor.ForceSensor`.
+    """Force sensor by the servos' present current: a `gripper.values.force_sensor.ForceSensor`.
 
     The gearing holds a load by friction: at a driving force u the grip force may be anywhere from
     u - phi to u + phi. While it rises it is u - phi, while it falls u + phi; phi is measured on the

@@ -20,11 +20,11 @@ from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
-from gripper.kinematics import Linkage, driving_n, mean_friction_n, transmissions
-from gripper.outcome import GraspOutcome, GraspResult
+from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
-from gripper.state import STANDING_M_S, GripperPhase, GripperState
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import STANDING_M_S, GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact: at its rising edge, with a reserve.

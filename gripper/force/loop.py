@@ -19,12 +19,12 @@ from gripper.errors import (
     LimitExceeded,
 )
 from gripper.force.timing import LoopStatistics, LoopTimer
-from gripper.force_sensor import ForceSample, ForceSensor
 from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import Cycle, GripperPhase, GripperState, Observer
+from gripper.values.force_sensor import ForceSample, ForceSensor
+from gripper.values.state import Cycle, GripperPhase, GripperState, Observer
 
 _FREEZE_AT = 2
 """Period without feedback, counted in a row, in which the stop goals are written. [chosen]"""

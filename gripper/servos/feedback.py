@@ -20,10 +20,10 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
-from gripper.kinematics import Linkage, transmissions
+from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import GripperState, ServoState
+from gripper.values.state import GripperState, ServoState
 
 _TICK_S = 1e-3
 """One count of Realtime Tick (register 120) in s."""

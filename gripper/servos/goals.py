@@ -20,12 +20,12 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
-from gripper.force_sensor import ForceSample
-from gripper.impact import ImpactLimit, closing_current_max_a, impact_limit
-from gripper.kinematics import Linkage, Transmission
-from gripper.recent import QUIET_N, RecentForce
+from gripper.mechanics.impact import ImpactLimit, closing_current_max_a, impact_limit
+from gripper.mechanics.kinematics import Linkage, Transmission
 from gripper.settings import GripperSettings, OverForce, ServoSettings
-from gripper.state import GripperState, ServoState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import QUIET_N, RecentForce
+from gripper.values.state import GripperState, ServoState
 
 _SURE_SAMPLES = 2
 """Newest samples whose mean is compared with the cap where something else excludes noise."""
@@ -107,9 +107,9 @@ class GoalGuard:
         No sample of the pads enters the current: whatever these show, a finger presses with no more
         than the set-point, friction at rest, the share that a drive may lack and what the moving
         mass needs. Without a set-point it presses below the cap, as an approach does. A finger that
-        closes faster than the force left below the cap allows, see `gripper.impact`, is braked.
-        While nothing presses on its pad no goal lies farther ahead than that speed needs: between
-        two writes the position controller of the servo keeps to it.
+        closes faster than the force left below the cap allows (`gripper.mechanics.impact`) is
+        braked. While nothing presses on its pad no goal lies farther ahead than that speed needs:
+        between two writes the position controller of the servo keeps to it.
         """
         impact = impact_limit(self._settings, self._linkage, state.angles_rad)
         newest = self.newest_force

@@ -20,7 +20,7 @@ from gripper.force.supervision.doubt import Doubted
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.gripper import Gripper
 from gripper.servos.group import ServoGroup
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from simulator.faults.injector import check_fault
 from tests.cell.conftest import once
 from tests.faults import driver

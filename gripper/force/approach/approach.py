@@ -9,8 +9,8 @@ from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
 from gripper.force.approach.contact import LOADED_SHARE, ContactDetector, FirstTouch
 from gripper.force.estimates.history import History
 from gripper.force.loop import Action, Moment
-from gripper.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
-from gripper.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
+from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
+from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
 from gripper.servos.goals import (
     ServoGoal,
     closing_margin_rad,
@@ -18,7 +18,7 @@ from gripper.servos.goals import (
     running_lead_rad,
 )
 from gripper.settings import GripperSettings
-from gripper.state import STANDING_M_S, GripperState
+from gripper.values.state import STANDING_M_S, GripperState
 
 _STALL_CURRENT_SHARE = 0.8
 """Share of the goal current from which on a servo that stands still pushes against something.

@@ -4,8 +4,8 @@ from collections import deque
 from math import sqrt
 
 from gripper.force.loop import Moment
-from gripper.force_sensor import ForceSample
-from gripper.recent import ONE_FRAME_S, QUIET_N, RecentForce
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import ONE_FRAME_S, QUIET_N, RecentForce
 
 LOADED_SHARE = 0.5
 """Share of ``contact_force_n`` from which on the mean of some samples shows a pad as loaded:

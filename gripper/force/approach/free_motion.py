@@ -9,11 +9,11 @@ from gripper.force.approach.mechanics_proof import (
     mechanics_text,
 )
 from gripper.force.loop import Action, Moment
-from gripper.impact import approach_speed_m_s, closing_current_max_a
-from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a
+from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.state import GripperState
 
 _STANDING_S = 0.2
 """Time in s for which empty fingers must stand after their torque has come on: friction at rest

@@ -46,13 +46,19 @@ from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import LimitExceeded, MechanicsContradicted
 from gripper.force.loop import Action, Moment
-from gripper.kinematics import MOST_FRICTION, Linkage, OneFinger, motion_current_a, transmissions
-from gripper.recent import LEAST_SAMPLES, RecentForce
-from gripper.servo_checks import VerificationRow
+from gripper.mechanics.kinematics import (
+    MOST_FRICTION,
+    Linkage,
+    OneFinger,
+    motion_current_a,
+    transmissions,
+)
 from gripper.servos.feedback import BEYOND_CLOSED_M
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, most_closed_rad
 from gripper.settings import GripperSettings
-from gripper.state import GripperState, ServoState
+from gripper.values.recent import FRAME_S, LEAST_SAMPLES, RecentForce
+from gripper.values.servo_checks import VerificationRow
+from gripper.values.state import GripperState, ServoState
 
 POSITION_ITEM = "present_position"
 """Name of the rows that `standing_rows` returns."""
@@ -86,6 +92,8 @@ _RISE_N, _RISE_SHARE = 1.0, 0.2
 opening makes. [chosen]"""
 _QUIET_N = 0.15
 """Noise in N of a mean force that is compared: a fraction of the least rise. [tuned]"""
+_LONGEST_S = 3 * FRAME_S
+"""Longest time in s of its samples: a rise that ends a release is shown by one more than usual."""
 ZERO_RANGE_M = 0.006
 """Largest error of the zero of the opening in m that counts as one, either way: empty fingers meet
 within it. A tooth of a horn is 15 mm on a link of 60 mm. [chosen]"""
@@ -167,7 +175,7 @@ class ForceRise:
     """Detector of a grip force that grows although the fingers open."""
 
     def __init__(self) -> None:
-        self._recent = RecentForce(_QUIET_N)
+        self._recent = RecentForce(_QUIET_N, longest_s=_LONGEST_S)
         self._first_n: float | None = None
 
     def found(self, moment: Moment) -> str:

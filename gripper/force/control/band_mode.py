@@ -24,9 +24,9 @@ from gripper.force.control.motion_mode import MotionMode
 from gripper.force.control.period import Period
 from gripper.force.estimates.grip import Grip
 from gripper.force.loop import YOUNG_S
-from gripper.force_sensor import ForceSample
-from gripper.recent import FRAME_S, LOOK_BACK_S
-from gripper.state import GRAIN_M, STANDING_M_S
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import FRAME_S, LOOK_BACK_S
+from gripper.values.state import GRAIN_M, STANDING_M_S
 
 _ARRIVED_N = 0.02
 """Distance in N from the end of a change at which the force follows the set-point itself.

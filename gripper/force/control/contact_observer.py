@@ -8,8 +8,8 @@ from math import copysign, exp, log, sqrt
 
 from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import STIFFEST_N_M
-from gripper.force_sensor import ForceSample
 from gripper.servos.goals import STICTION
+from gripper.values.force_sensor import ForceSample
 
 _SOFTEST_N_M = 100.0
 """Least stiffness in N/m of pad and part at one pad. [chosen]"""

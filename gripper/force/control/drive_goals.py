@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from math import inf
 
-from gripper.kinematics import Linkage, Transmission
+from gripper.mechanics.kinematics import Linkage, Transmission
 from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.state import GripperState
 
 GIVE_RAD = 0.03
 """How far in rad a goal may open beyond the contact: pads and part are deeper there by no more.

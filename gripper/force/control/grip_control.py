@@ -12,10 +12,10 @@ from gripper.force.estimates.stiffness import KNOWN_N, StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.force.supervision.pad_checks import PadChecks
 from gripper.force.supervision.part_watch import PartWatch
-from gripper.kinematics import Linkage, Transmission, mean_friction_n, transmissions
+from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
-from gripper.state import GRAIN_M, GripperState
+from gripper.values.state import GRAIN_M, GripperState
 
 _TORQUE_DOUBT = 0.03
 """Share of the cap of the force that the drive leaves free: torque of the servos, their inertia.

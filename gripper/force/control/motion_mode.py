@@ -13,8 +13,8 @@ from math import sqrt
 from gripper.force.control.contact_observer import ContactObserver
 from gripper.force.control.period import Period
 from gripper.force.estimates.grip import Grip
-from gripper.impact import CURRENT_S, impact_limit
-from gripper.kinematics import driving_n
+from gripper.mechanics.impact import CURRENT_S, impact_limit
+from gripper.mechanics.kinematics import driving_n
 from gripper.servos.goals import STICTION, pressing_speed_m_s
 
 _WRITE_S = 0.001

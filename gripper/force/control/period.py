@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gripper.force.loop import Moment
-from gripper.force_sensor import ForceSample
-from gripper.kinematics import Transmission
-from gripper.state import GripperState
+from gripper.mechanics.kinematics import Transmission
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import GripperState
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,9 +8,9 @@ from math import sqrt
 
 from gripper.errors import LimitExceeded
 from gripper.force.estimates.history import History
-from gripper.force_sensor import ForceSample
-from gripper.recent import FRAME_S
 from gripper.settings import ForceLoopSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import FRAME_S
 
 _IMPLAUSIBLE_S = 15 * FRAME_S
 """Time in s for which sensor and model may disagree: 15 frames."""

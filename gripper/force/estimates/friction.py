@@ -4,7 +4,7 @@ from collections import deque
 from statistics import median
 
 from gripper.force.loop import Moment
-from gripper.kinematics import MOST_FRICTION, Linkage, transmissions
+from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, transmissions
 from gripper.settings import GripperSettings
 
 _AFTER_START_S = 0.06

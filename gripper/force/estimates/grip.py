@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import StiffnessEstimate
-from gripper.impact import impact_limit
-from gripper.kinematics import Linkage, transmissions
+from gripper.mechanics.impact import impact_limit
+from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.settings import GripperSettings
 
 _LEVER_M = 0.06

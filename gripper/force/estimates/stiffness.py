@@ -5,9 +5,9 @@ from math import inf
 
 from gripper.force.estimates.history import History
 from gripper.force.loop import Moment
-from gripper.recent import ONE_FRAME_S
 from gripper.settings import GripperSettings
-from gripper.state import GRAIN_M
+from gripper.values.recent import ONE_FRAME_S
+from gripper.values.state import GRAIN_M
 
 _MEAN_SAMPLES = 3
 """Samples whose mean a stiffness is taken with: 60 ms at 50 Hz. [tuned]"""

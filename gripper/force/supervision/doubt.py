@@ -13,8 +13,8 @@ from gripper.errors import GripContradicted
 from gripper.force.estimates.history import History
 from gripper.force.loop import Moment
 from gripper.force.supervision.pad_samples import FrameMean, PadSamples
-from gripper.recent import FRAME_S
-from gripper.state import GRAIN_M, STANDING_M_S
+from gripper.values.recent import FRAME_S
+from gripper.values.state import GRAIN_M, STANDING_M_S
 
 _EMPTY_TIME_S = 5 * FRAME_S
 """Time in s for which pads must be empty before a part may be lost: five frames."""

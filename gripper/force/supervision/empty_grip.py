@@ -6,11 +6,11 @@ from gripper.force.approach.contact import LOADED_SHARE
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.doubt import ADVICE, BREAKAWAY_SHARE, RUN_M, SOFTEST_N_M
 from gripper.force.supervision.pad_samples import FrameMean
-from gripper.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
-from gripper.recent import LEAST_SAMPLES, RecentForce
+from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.recent import LEAST_SAMPLES, RecentForce
+from gripper.values.state import GripperState
 
 _TRY_S = 0.5
 """Time in s, beyond that of the way, within which free fingers have closed. [chosen]"""

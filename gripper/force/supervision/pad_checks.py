@@ -3,9 +3,9 @@
 from gripper.errors import ForceImbalance, PositionContradicted
 from gripper.force.loop import Moment
 from gripper.force.supervision.pad_samples import PadSamples
-from gripper.recent import FRAME_S
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.recent import FRAME_S
+from gripper.values.state import GripperState
 
 _CONTRADICTED_S = 5 * FRAME_S
 """Time in s for which loaded pads contradict a position before that is an error: five frames."""

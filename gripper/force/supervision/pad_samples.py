@@ -4,9 +4,9 @@ from collections import deque
 from math import sqrt
 
 from gripper.force.approach.contact import LOADED_SHARE
-from gripper.force_sensor import ForceSample
-from gripper.recent import LOOK_BACK_S, ONE_FRAME_S, RecentForce
 from gripper.settings import GripperSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import LOOK_BACK_S, ONE_FRAME_S, RecentForce
 
 _EMPTY_SHARE = 0.25
 """Share of ``contact_force_n`` below which a pad is empty. [tuned]"""

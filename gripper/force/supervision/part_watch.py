@@ -15,8 +15,8 @@ from gripper.force.supervision.doubt import (
 )
 from gripper.force.supervision.pad_samples import PadSamples
 from gripper.force.supervision.runaway import Runaway
-from gripper.kinematics import driving_n, mean_friction_n, transmissions
-from gripper.recent import LOOK_BACK_S
+from gripper.mechanics.kinematics import driving_n, mean_friction_n, transmissions
+from gripper.values.recent import LOOK_BACK_S
 
 
 class PartWatch:

@@ -6,7 +6,7 @@ from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.stiffness import KNOWN_N
 from gripper.force.loop import Moment
 from gripper.force.supervision.pad_samples import HELD_SHARE, PadSamples
-from gripper.force_sensor import ForceSample
+from gripper.values.force_sensor import ForceSample
 
 _RUNAWAY_RESERVE = 2.0
 """Closing speed that a ramp on the part may need, in multiples of that by its stiffness. [tuned]"""

@@ -9,9 +9,9 @@ from math import exp, hypot, sqrt
 from gripper.errors import PartSlipped
 from gripper.force.loop import Moment
 from gripper.force.supervision.runaway import STEADY_S
-from gripper.force_sensor import ForceSample
-from gripper.recent import FRAME_S, RecentForce
 from gripper.settings import GripperSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import FRAME_S, RecentForce
 
 _USUAL_TIME_S = 0.6
 """Time constant in s of the usual force, that a drop is measured from. [tuned]"""

@@ -26,7 +26,7 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import MODELS, XM430_W350, require_current_control
 from gripper.errors import LimitExceeded
-from gripper.servo_checks import hardware_error_names
+from gripper.values.servo_checks import hardware_error_names
 
 
 def test_addresses_sizes_and_signs_are_those_of_the_manual() -> None:

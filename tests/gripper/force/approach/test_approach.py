@@ -8,10 +8,10 @@ from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.approach.contact import ContactDetector, ContactRest
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
-from gripper.force_sensor import ForceSample
-from gripper.kinematics import ParallelLinkage
+from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import Cycle, GripperPhase, GripperState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import Cycle, GripperPhase, GripperState
 from tests.values import make_servo, make_state
 
 LINKAGE = ParallelLinkage(link_m=0.06)

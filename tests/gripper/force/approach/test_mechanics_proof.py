@@ -14,8 +14,8 @@ from gripper.errors import (
 )
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.force.ramp import ForceRamp
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 
 LONG = partial(pytest.param, marks=pytest.mark.long)
 RAMP = ForceRamp.linear(4.0, rate_n_s=10.0)

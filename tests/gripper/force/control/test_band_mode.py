@@ -8,8 +8,8 @@ import pytest
 from gripper.errors import LimitExceeded
 from gripper.force.control.band_mode import BandMode, arriving_n
 from gripper.force.control.motion_mode import MotionMode
-from gripper.force_sensor import ForceSample
-from tests.gripper.force.control.grips import FRICTION_N, PERIOD_S, make_grip, make_period
+from gripper.values.force_sensor import ForceSample
+from tests.gripper.force.grips import FRICTION_N, PERIOD_S, make_grip, make_period
 
 
 class Finger:

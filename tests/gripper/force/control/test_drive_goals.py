@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
-from gripper.kinematics import transmissions
+from gripper.mechanics.kinematics import transmissions
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
-from tests.gripper.force.control.grips import LINKAGE, STATE
+from gripper.values.state import GripperState
+from tests.gripper.force.grips import LINKAGE, STATE
 
 SETTINGS = GripperSettings()
 

@@ -6,7 +6,7 @@ from gripper.force.control.band_mode import BandMode
 from gripper.force.control.modes import TRANSITIONS, GripModes, WaitMode
 from gripper.force.control.motion_mode import MotionMode
 from gripper.force.control.period import Period
-from tests.gripper.force.control.grips import make_grip, make_period
+from tests.gripper.force.grips import make_grip, make_period
 
 STEADY = {"setpoint_n": 2.0, "sample": 2.0}
 RISES = {"setpoint_n": 2.1, "sample": 2.0, "rises_n": 0.1}

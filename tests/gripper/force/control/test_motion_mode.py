@@ -5,7 +5,7 @@ from math import copysign
 import pytest
 
 from gripper.force.control.motion_mode import MotionMode
-from tests.gripper.force.control.grips import FRICTION_N, PERIOD_S, make_grip, make_period
+from tests.gripper.force.grips import FRICTION_N, PERIOD_S, make_grip, make_period
 
 STIFFNESS_N_M = 1e4
 """Of pad and part at one pad."""

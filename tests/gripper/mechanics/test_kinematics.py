@@ -5,7 +5,7 @@ from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import LimitExceeded
-from gripper.kinematics import Linkage, ParallelLinkage, RackPinion, Transmission
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion, Transmission
 
 LINKAGES = st.one_of(
     st.builds(

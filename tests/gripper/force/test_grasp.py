@@ -7,8 +7,8 @@ import pytest
 
 from gripper.errors import ForceSensorStale, GraspStopped, PartLost
 from gripper.force.ramp import ForceRamp, RampEnd
-from gripper.outcome import GraspResult
-from gripper.state import Cycle, GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle, GripperPhase
 
 LINEAR = ForceRamp.linear(8.0, 10.0, hold_s=0.3)
 RAMPS = {

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from gripper.force_sensor import ForceSample
+from gripper.values.force_sensor import ForceSample
 
 STANDING_M_S = 0.002
 """Rate of the opening in m/s below which the fingers stand: one servo is one count of its velocity

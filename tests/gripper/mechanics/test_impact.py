@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 from unittest import mock
 
 import pytest
@@ -13,13 +12,10 @@ from cell.config.model import CellConfig
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
 from gripper.force.approach import approach
-from gripper.force_sensor import ForceSample
-from gripper.impact import approach_speed_m_s, check_approach, impact_limit
-from gripper.kinematics import ParallelLinkage
-from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
+from gripper.mechanics.impact import approach_speed_m_s, check_approach, impact_limit
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.servos.goals import GoalGuard
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import GripperState
-from tests.values import make_servo, make_state
 
 LINKAGE = ParallelLinkage(link_m=0.06)
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)))
@@ -124,55 +120,3 @@ def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None
             passed = force_cap.trial(9008, HARMED)
     assert passed.broken, "the caller alone does not pass the cap: nothing is shown"
     assert not kept.broken, str(kept)
-
-
-FRICTION_N, ONE_N_A = 3.69, 0.06 / 1.769
-"""Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
-
-
-def standing(velocity_rad_s: float) -> GripperState:
-    servos = (make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s),) * 2
-    return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate(servos, 1)))
-
-
-@pytest.mark.parametrize(
-    ("goal", "drive_n"),
-    [
-        # 1.15 times what is asked for, 1.5 N for the mass, 1.05 times the friction.
-        ({"setpoint_n": 4.0}, 4.6 + 1.5 + 1.05 * FRICTION_N),
-        ({"setpoint_n": 8.0}, 9.2 + 1.5 + 1.05 * FRICTION_N),
-        ({"setpoint_n": 4.0, "friction_share": 0.6}, 4.6 + 1.5 + 0.63 * FRICTION_N),
-        ({"setpoint_n": 14.2}, 15.0 + FRICTION_N),
-        # Fingers that press on nothing: below the cap, with the least friction.
-        ({}, 13.5 + 0.8 * FRICTION_N),
-    ],
-)
-def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(
-    goal: dict[str, float], drive_n: float
-) -> None:
-    """Whatever the pads show: no sample of them is there."""
-    state = standing(velocity_rad_s=0.0)
-    written: list[dict[int, list[int]]] = []
-    writer = GoalWriter(
-        SimpleNamespace(sync_write=lambda values, _block: written.append(values)),
-        replace(SETTINGS, current_max_a=1.0),
-        SimpleNamespace(monotonic=lambda: state.t_s),
-        GoalGuard(SETTINGS, LINKAGE),
-    )
-    for angle_rad in (0.05, 0.1):
-        writer.write([ServoGoal(angle_rad=angle_rad, current_a=0.66, **goal)] * 2, state)
-    closing_a, still_a = ([0.00269 * raws[0] for raws in values.values()] for values in written)
-    assert closing_a == [pytest.approx(drive_n * ONE_N_A, abs=0.004)] * 2
-    assert still_a == [pytest.approx(0.66, abs=0.003)] * 2
-
-
-def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad() -> None:
-    """Pads that stand at 0.6 N would allow 30 mm/s."""
-    guard = GoalGuard(SETTINGS, LINKAGE)
-    guard.note_force(ForceSample(t_s=0.0, force_n=(0.6, 0.6)))
-    state = standing(velocity_rad_s=-0.025 / 0.06)
-    asked = [ServoGoal(angle_rad=0.05, current_a=0.2, setpoint_n=6.0)] * 2
-    braked = guard.bounded(asked, state)
-    assert all(goal.angle_rad >= 0.1 for goal in braked)
-    slow = standing(velocity_rad_s=-0.012 / 0.06)
-    assert guard.bounded(asked, slow) == tuple(asked)

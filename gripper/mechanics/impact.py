@@ -15,9 +15,9 @@ from math import ceil, sqrt
 from typing import NamedTuple
 
 from gripper.errors import LimitExceeded
-from gripper.kinematics import Linkage, Transmission, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, Transmission, motion_current_a, transmissions
 from gripper.settings import GripperSettings
-from gripper.state import STANDING_M_S
+from gripper.values.state import STANDING_M_S
 
 FRICTION_DOUBT = 0.2
 """Share by which the friction of a gearing may be less than its model's: the force loop is tuned

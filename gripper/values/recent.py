@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterator
 from math import sqrt
 
-from gripper.force_sensor import ForceSample
+from gripper.values.force_sensor import ForceSample
 
 FRAME_S = 0.02
 """Period in s of whole frames, the slowest samples that figures are given for: 50 Hz. [chosen]"""

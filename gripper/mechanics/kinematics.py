@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import LimitExceeded
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.state import GripperState
 
 
 class Linkage(Protocol):

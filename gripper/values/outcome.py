@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from enum import Enum
 
-from gripper.servo_checks import ServoCondition
-from gripper.state import GripperState
+from gripper.values.servo_checks import ServoCondition
+from gripper.values.state import GripperState
 
 
 class GraspResult(Enum):

@@ -9,9 +9,9 @@ from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Moment
-from gripper.force_sensor import ForceSample
-from gripper.kinematics import ParallelLinkage, transmissions
+from gripper.mechanics.kinematics import ParallelLinkage, transmissions
 from gripper.settings import ForceLoopSettings, GripperSettings
+from gripper.values.force_sensor import ForceSample
 from tests.values import make_state
 
 PERIOD_S = 0.005

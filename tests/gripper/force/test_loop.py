@@ -1,0 +1,82 @@
+"""The loop: stalls, silence of pads and servos, and the bus that counts as lost."""
+
+import pytest
+
+from gripper.errors import (
+    BusTimeout,
+    ForceSensorStale,
+)
+from gripper.force.ramp import ForceRamp
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
+
+RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
+
+
+@pytest.mark.parametrize("dies", [False, True])
+def test_a_stall_of_the_loop_is_no_silence_of_the_pads(make_cell, dies) -> None:
+    cell = make_cell(stall_max_s=0.2)
+    cell.gripper.start()
+    newest = cell.sensor.latest_force
+    stalled_s: list[float] = []
+
+    def stall() -> None:
+        old = newest()
+        cell.sensor.latest_force = latest = lambda: old  # what receives stood still, too
+        stalled_s.append(cell.clock.monotonic())
+        cell.clock.sleep(0.09)
+        if not dies:
+            cell.sensor.latest_force = lambda: (
+                latest() if cell.clock.monotonic() < stalled_s[0] + 0.1 else newest()
+            )
+
+    if not dies:
+        result = cell.gripper.grasp(RAMP, cell.once(stall, at_n=5.0)).result
+        assert result is GraspResult.FORCE_REACHED
+        return
+    with pytest.raises(ForceSensorStale):
+        cell.gripper.grasp(RAMP, cell.once(stall, at_n=5.0))
+    assert cell.clock.monotonic() - stalled_s[0] < 0.1 + 0.09 + 0.01
+
+
+def test_no_sensor_no_approach(cell) -> None:
+    cell.sensor.dead = True
+    cell.gripper.start()
+    before_m = cell.mechanics.aperture_m
+    with pytest.raises(ForceSensorStale):
+        cell.gripper.grasp(RAMP)
+    assert before_m - cell.mechanics.aperture_m < 0.003
+
+
+def test_a_dead_bus_is_given_up_in_bounded_time_and_the_grip_stays(cell) -> None:
+    cell.gripper.start()
+    times: list[float] = []
+
+    def silence() -> None:
+        times.append(cell.clock.monotonic())
+        cell.device.faults.silent.update({1, 2})
+
+    with pytest.raises(BusTimeout, match=r"a part may still be gripped.*no answer"):
+        cell.gripper.grasp(RAMP, cell.once(silence, at_n=5.0))
+    assert 0.06 < cell.clock.monotonic() - times[0] < 0.1
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    cell.clock.sleep(2.0)
+    assert cell.force_n > 3.0
+    transactions = cell.bus.statistics.transactions
+    cell.gripper.keep_grip()
+    assert cell.bus.statistics.transactions == transactions
+    with pytest.raises(BusTimeout):
+        cell.gripper.clear_fault()
+    cell.gripper.close()
+    assert cell.force_n > 3.0
+
+
+def test_a_pause_before_three_lost_answers_is_no_lost_bus(cell) -> None:
+    cell.hold_part(RAMP)
+    cell.gripper.tick()
+    cell.clock.sleep(0.09)
+    cell.device.faults.drop.next_packets = 9
+    for _ in range(6):
+        cell.gripper.tick()
+    assert cell.gripper.fault is None
+    assert cell.gripper.statistics.missed_reads >= 3
