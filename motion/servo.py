@@ -21,7 +21,7 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import PULSES_PER_TURN, OperatingMode, ServoModel
 from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
-from gripper.servo_checks import hardware_error_names
+from gripper.values.servo_checks import hardware_error_names
 from motion.bus import Watch
 from motion.errors import (
     AxisFault,

@@ -4,8 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 from cell.control.identification import Identification
-from gripper.force_sensor import ForceSample
-from gripper.state import Cycle, GripperPhase, GripperState, ServoState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import Cycle, GripperPhase, GripperState, ServoState
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
 from recognition.statistics.fusion import StopRule, decide, fuse

@@ -32,7 +32,7 @@ from cell.control.states import CellState
 from cell.errors import CellStopped
 from cell.learning.collection import grasps_of
 from cell.learning.training import train
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.recognizer import Recognizer
 from tactile.errors import LinkFault
 
@@ -122,7 +122,7 @@ def _cancelled_in(cell: Cell, phase: GripperPhase, config: CellConfig, seed: int
     controller, advances = cell.controller, cell.simulated.clock.on_advance
 
     def cancel(_now_s: float) -> None:
-        if controller.gripper.state is phase:
+        if controller.gripper.values.state is phase:
             controller.cancel()
             advances.remove(cancel)
 

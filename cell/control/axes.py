@@ -17,7 +17,7 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from motion.axes import Axes, Axis, AxisDevice
 from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive, DriveSettings

@@ -34,8 +34,8 @@ from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
 from gripper.gripper import Gripper
-from gripper.outcome import GraspResult, ReleaseReport
-from gripper.state import GripperPhase, shows_nothing
+from gripper.values.outcome import GraspResult, ReleaseReport
+from gripper.values.state import GripperPhase, shows_nothing
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import PadArray, SelfZero
 from recognition.recognizer import Recognizer

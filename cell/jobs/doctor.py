@@ -39,9 +39,9 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
-from gripper.force.mechanics_proof import POSITION_ITEM
-from gripper.servo_checks import VerificationRow
+from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
+from gripper.values.servo_checks import VerificationRow
 from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
 from tactile.source import TactileFrame

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from cell.jobs.sort import Places
     from cell.plugin.part_report import OnPart
     from gripper.clock import Clock
-    from gripper.outcome import ReleaseReport
+    from gripper.values.outcome import ReleaseReport
     from tactile.layout import TaxelLayout
 
 __all__ = [

@@ -13,7 +13,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from tests.cell.conftest import MakeBench, once, small_config
 from tests.faults.scenarios.axes import CHANGES
 

@@ -15,8 +15,8 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shape_reading import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, small_config
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
@@ -320,7 +320,7 @@ def test_shutting_down_twice_is_harmless_and_an_idle_cell_lets_its_servos_rest(b
     bench.controller.shutdown()
     bench.controller.shutdown()
     assert bench.controller.state is CellState.STOPPED
-    assert bench.controller.gripper.state is GripperPhase.OFF
+    assert bench.controller.gripper.values.state is GripperPhase.OFF
     bench.controller.tick()
     bench.ready().grasp()
 

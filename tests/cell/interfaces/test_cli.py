@@ -39,7 +39,7 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
 )
 from cell.learning.model import load_model, save_model
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
