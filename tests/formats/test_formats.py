@@ -116,6 +116,12 @@ def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
     assert "does not count" not in said
 
 
+def later(kind: Format) -> str:
+    """Return what a file of the next version names."""
+    name, version = kind.text.split("/")
+    return f"{name}/{int(version) + 1}"
+
+
 def later_arrays(path: Path, name: str, change: Callable[[str], str]) -> None:
     """Change a text among the arrays of an archive."""
     with np.load(path) as archive:
@@ -126,8 +132,7 @@ def later_arrays(path: Path, name: str, change: Callable[[str], str]) -> None:
 def later_text(path: Path, kind: Format) -> None:
     """Write a text of the next version, with a key that is not known here."""
     path.parent.mkdir(exist_ok=True)
-    next_one = f"{kind.name}/{kind.version + 1}"
-    path.write_text(json.dumps({"format": next_one, "colour": "blue"}) + "\n")
+    path.write_text(json.dumps({"format": later(kind), "colour": "blue"}) + "\n")
 
 
 LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
@@ -138,20 +143,20 @@ LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
     ),
     "data set": (
         formats.DATASET,
-        lambda kind: later_arrays(Path("grasps.npz"), "format", lambda old: f"{old[:-1]}2"),
+        lambda kind: later_arrays(Path("grasps.npz"), "format", lambda _: later(kind)),
         ("train", "grasps.npz", "-o", "new.npz"),
     ),
     "model": (
         formats.MODEL,
         lambda kind: later_arrays(
-            Path("force_ramp.npz"), "model", lambda old: old.replace(f"{kind}", f"{kind.name}/2")
+            Path("force_ramp.npz"), "model", lambda old: old.replace(kind.text, later(kind))
         ),
         ("identify", "-m", "force_ramp.npz", "grasps.npz"),
     ),
     "recording": (
         formats.RECORDING,
         lambda kind: foreign(
-            Path("recording.mcap"), metadata=GOOD | {"format": f"{kind.name}/2"}, content=b"{}"
+            Path("recording.mcap"), metadata=GOOD | {"format": later(kind)}, content=b"{}"
         ),
         ("recover", "recording.mcap"),
     ),
@@ -174,8 +179,7 @@ def test_a_file_of_a_later_version_is_refused_with_the_way_to_read_it(
 ) -> None:
     kind, write, command = LATER[what]
     write(kind)
-    found = f"{kind.name}/{kind.version + 1}"
-    with pytest.raises(CellError, match=rf"{found}; this program reads up to {kind}: update"):
+    with pytest.raises(CellError, match=rf"{later(kind)}; this program reads up to {kind}: update"):
         call(*command)
 
 
