@@ -17,7 +17,8 @@ from cell.commissioning.bench import CONFIG_NAME, Bench
 from cell.config.file import config_text, problem_text, schema_text
 from cell.data.files import write_text
 from cell.data.formats import COMMISSIONING, read_json, write_json
-from cell.errors import CellError, error_text
+from cell.errors import CellError
+from cell.fault_catalogue import error_text
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 

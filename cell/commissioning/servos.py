@@ -33,8 +33,8 @@ from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.dynamixel.serial_port import BAUD_RATES
 from gripper.errors import LinkTooSlow
-from gripper.servo_checks import hardware_error_names
 from gripper.servos.verification import Requirement, compare, requirements
+from gripper.values.servo_checks import hardware_error_names
 
 _OTHER_MODELS = {
     350: "XL-320",

@@ -236,8 +236,7 @@ def _parsed(text: str, source: str) -> tuple[Node | None, dict[Any, Any]]:
     except (YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(_not_yaml(error, text, source)) from error
     if not isinstance(data, dict | None):
-        kind = type(data).__name__
-        raise ConfigError(f"{source}:1:1: a config is a mapping of sections, not a {kind}")
+        raise ConfigError(f"{source}:1:1: a config is a mapping of sections, as `gripper:`")
     return root, data or {}
 
 

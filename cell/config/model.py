@@ -22,8 +22,8 @@ from cell.data.formats import CONFIG
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
-from gripper.impact import check_approach
-from gripper.kinematics import Linkage, end_transmissions
+from gripper.mechanics.impact import check_approach
+from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
 

@@ -28,14 +28,14 @@ from cell.errors import (
     NoPartFound,
     PartInGrip,
     PlanRefused,
-    PositionerFault,
+    PositionerError,
 )
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
 from gripper.gripper import Gripper
-from gripper.outcome import GraspResult, ReleaseReport
-from gripper.state import GripperPhase, shows_nothing
+from gripper.values.outcome import GraspResult, ReleaseReport
+from gripper.values.state import GripperPhase, shows_nothing
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import PadArray, SelfZero
 from recognition.recognizer import Recognizer
@@ -497,7 +497,11 @@ class CellController:
             self._grasper.patiently(
                 lambda: self._positioner.carry_to(destination, supervise), supervise
             )
-        except PositionerFault:
+        except Exception as error:
+            # Fingers that fail have latched their fault; a refusal and a stop are none.
+            refused = isinstance(error, PositionerError | CellStopped)
+            if refused or self.state is not CellState.COMPLETE:
+                raise
             with self._life.latching_faults():
                 raise
         self._journal.note("place", f"{destination.label} at {destination.place}")

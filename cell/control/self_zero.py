@@ -12,7 +12,7 @@ from typing import Any, Literal
 from cell.config.model import CellConfig
 from cell.data.formats import SELF_ZERO, read_json, write_json
 from cell.errors import CellError, PlanRefused
-from gripper.outcome import GraspOutcome, GraspResult
+from gripper.values.outcome import GraspOutcome, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import ZERO_COLUMNS, SelfZero
 from tactile.layout import TaxelLayout

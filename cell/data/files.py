@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-from cell.errors import CellError
+from cell.errors import CellError, reason_text
 
 MAX_MEMBERS = 512
 """Arrays that one archive may hold."""
@@ -34,6 +34,8 @@ _MAGIC = b"\x93NUMPY"
 """First bytes of an array (numpy.lib.format)."""
 _RECORDING = b"\x89MCAP"
 """First bytes of an MCAP file."""
+_ARCHIVE = b"PK"
+"""First bytes of a zip archive."""
 _PLAIN_DTYPE = re.compile(r"[<>|=]?(?:[iu][1248]|f[248]|b1|\?|[US][0-9]{1,6})\Z")
 """Types of numbers, booleans and strings; others could hold Python objects."""
 _REFUSED = (
@@ -174,10 +176,16 @@ def read_npz(
     """
     try:
         with open_plain(path, error=error, what=what) as file:
-            if file.read(len(_RECORDING)) == _RECORDING:
+            head = file.read(len(_RECORDING))
+            if head == _RECORDING:
                 raise error(
                     f"{path} is a recording, no {what}; train, evaluate and replay take its grasps "
                     "by its name, which ends in .mcap"
+                )
+            if not head.startswith(_ARCHIVE):
+                found = "no npz archive" if head else "empty"
+                raise error(
+                    f"{path} is no {what}: it is {found}; name a {what}, which ends in .npz"
                 )
             archive = zipfile.ZipFile(file)
             members = archive.infolist()
@@ -191,7 +199,7 @@ def read_npz(
         raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
     except _REFUSED as cause:
         raise error(
-            f"{path} is no whole {what} ({type(cause).__name__}: {cause}); take another copy of it"
+            f"{path} is no whole {what} ({reason_text(cause)}); take another copy of it"
         ) from cause
 
 

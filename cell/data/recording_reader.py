@@ -23,7 +23,7 @@ from cell.data import recording_schema as schema
 from cell.data.dataset import text_refused
 from cell.data.files import read_plain
 from cell.data.formats import RECORDING
-from cell.errors import RecordingError
+from cell.errors import RecordingError, reason_text
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 
 MAX_FILE_BYTES = 1 << 30
@@ -171,8 +171,8 @@ def _decode(topic: str, data: bytes, raw: RawRecording) -> None:
         raw.lose(f"a message of {topic} is no object")
 
 
-def _brief(cause: BaseException) -> str:
-    return f"{type(cause).__name__}: {str(cause)[:120]}".rstrip(": ")
+def _brief(cause: Exception) -> str:
+    return reason_text(cause)[:120]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -266,7 +266,7 @@ def read_recording(path: Path | str) -> Recording:
         return _Builder(path, raw).build()
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as cause:
         raise RecordingError(
-            f"{path}: a message does not fit {RECORDING} ({type(cause).__name__}: {cause}); "
+            f"{path}: a message does not fit {RECORDING} ({reason_text(cause)}); "
             "it was written by something else"
         ) from cause
 

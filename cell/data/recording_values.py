@@ -15,7 +15,7 @@ from cell.data.recording_schema import METADATA, SCHEMAS, counts_crc32, metadata
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
-    from gripper.state import Cycle
+    from gripper.values.state import Cycle
     from recognition.drift.grid import DriftGrid
     from recognition.grasp import Grasp, PadArray
     from recognition.shape.answer import ShapeAnswer

@@ -9,8 +9,8 @@ from cell.hand.lines import Lines
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
 from gripper.dynamixel.serial_port import SerialStream
-from gripper.force_sensor import ForceSample
 from gripper.gripper import open_gripper
+from gripper.values.force_sensor import ForceSample
 from tactile.can.bus import open_bus
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.opening import open_sensor

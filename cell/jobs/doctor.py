@@ -39,10 +39,10 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
-from gripper.force.mechanics_proof import POSITION_ITEM
-from gripper.servo_checks import VerificationRow
+from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
-from motion.errors import MotionError
+from gripper.values.servo_checks import VerificationRow
+from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
 from tactile.source import TactileFrame
 
@@ -351,7 +351,7 @@ def _axes(cell: Cell) -> Iterator[CheckResult]:
         lost = isinstance(found, MotionError)
         fault = lost or "FAULT" in str(found) or "hardware error" in str(found)
         advice = "remedy the cause; after clear and reset the next motion resets the device"
-        if lost:
+        if isinstance(found, AxisMissing | AxisSilent):
             advice = "check its supply, cable and node-ID or ID"
         yield _result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 

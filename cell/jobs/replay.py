@@ -17,9 +17,9 @@ from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from cell.learning.training import train
 from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
-from gripper.force_sensor import ForceSample
 from gripper.gripper import open_gripper
 from gripper.settings import HARD_FORCE_CAP_N
+from gripper.values.force_sensor import ForceSample
 from recognition.evaluation.metrics import wilson_interval
 from recognition.evaluation.splits import parse_split
 from recognition.grasp import Grasp

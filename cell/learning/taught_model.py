@@ -35,7 +35,7 @@ from cell.learning.training import (
     train,
     with_caution,
 )
-from gripper.outcome import GraspResult
+from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.errors import RecognitionError

@@ -15,10 +15,10 @@ from gripper.errors import (
 )
 from gripper.force.ramp import ForceRamp, largest_ramp_n
 from gripper.gripper import Gripper
-from gripper.kinematics import ParallelLinkage
-from gripper.outcome import GraspResult
+from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import Cycle, GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle, GripperPhase
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 

@@ -24,7 +24,7 @@ from cell.plugin import tasks
 from cell.plugin.goals import ZeroGoal, checked_goal
 from cell.plugin.health import health_values
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import SelfZero
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import call, small_config

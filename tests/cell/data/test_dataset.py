@@ -251,8 +251,9 @@ def test_archives_of_something_else_or_beyond_a_limit_are_refused(
     ("content", "says"),
     [
         (None, "check the path"),
-        (b"label: ball\n", "take another copy"),
-        (b"", "take another copy"),
+        (b"label: ball\n", "is no grasp data set: it is no npz archive; name a grasp data set"),
+        (b"", "is no grasp data set: it is empty; name"),
+        (b"PK\x03\x04", "is no whole grasp data set .*; take another copy"),
         (b"\x89MCAP0\r\n" + bytes(100), r"is a recording, no grasp data set; .* in \.mcap"),
     ],
 )

@@ -28,7 +28,7 @@ from cell.errors import RecordingError
 from cell.hand.interface import HandStatistics
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.timing import LoopStatistics
-from gripper.force_sensor import ForceSample
+from gripper.values.force_sensor import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.recognizer import Posterior
 from tactile.source import TactileFrame
