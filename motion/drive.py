@@ -465,7 +465,15 @@ class Cia402Drive:
         return State.of(self._status())
 
     def _status(self) -> int:
-        return self._read(od.STATUSWORD)
+        status = self._read(od.STATUSWORD)
+        try:
+            State.of(status)
+        except ValueError as error:
+            raise AxisAnswerWrong(
+                f"{self.name} sends the statusword {status:04X}h, which is no state of CiA 402: "
+                f"{_ANSWER_REMEDY}"
+            ) from error
+        return status
 
     def _read(self, index: int, subindex: int = 0) -> int:
         variable = self._variable(index, subindex)

@@ -273,7 +273,7 @@ TAXELS = _near((
     FaultRow(13, "", "frozen frames: valid, new counter, same samples",
              "unit.stuck@contact+0.1s", "HOLD", 0.1, number=401),
     FaultRow(13, "without noise",
-             "frozen frames of a sensor without noise, while the force grows by 1 N",
+             "frozen frames of a sensor without noise, while the force grows",
              "unit.stuck@contact+0.1s", "HOLD", 0.2 + SYNC_S, changes={"simulator.noise": "none"},
              number=401),
     FaultRow(13, "without noise, at first", "the same just after the touch: the part seems soft",

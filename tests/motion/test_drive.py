@@ -97,6 +97,7 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive: MakeDriv
         ("pre-operational", AxisNotOperational, "NMT state pre-operational, .* another CANopen"),
         ("twice", AxisDuplicated, "SDO answers more came .* a second drive has the same node-ID"),
         ("short", AxisAnswerWrong, "sends (6041|1000)h:0 with a length of 1 instead of [24] bytes"),
+        ("no state", AxisAnswerWrong, "sends the statusword 0001h, which is no state of CiA 402"),
         ("jump", PositionImplausible, r"reads a position of \d{4}.\d\d mm, its limits are -20.00"),
     ],
 )
@@ -116,23 +117,25 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
         "pre-operational": lambda: simulated.command(128),
         "twice": lambda: undo.append(bench.second_drive()),
         "short": lambda: setattr(simulated, "answer_bytes", 1),
+        "no state": lambda: simulated._live.update({od.STATUSWORD: lambda: 1}),
         "jump": lambda: setattr(simulated, "misread", 5.0),
     }
     undo: list[Callable[[], None]] = []
     bench.once_moving(acts[fail])
     with pytest.raises(error, match=words) as caught:
         bench.move(0.015)
-    unseen = fail in ("dead", "twice", "short")
+    unseen = fail in ("dead", "twice", "short", "no state")
     stopped = "not confirmed to stand still" if unseen else "all axes stand still"
     assert stopped in str(caught.value)
     bench.clock.sleep(0.2)
     assert simulated.dead or not simulated.motion.speed
-    if fail in ("twice", "short", "jump"):
+    if fail in ("twice", "short", "no state", "jump"):
         with pytest.raises(error, match=words):
             bench.move(0.005)
     for take_off in undo:
         take_off()
     simulated.motion.blocked = simulated.dead = False
+    simulated._live[od.STATUSWORD] = lambda: simulated.statusword
     simulated.forced_switch, simulated.answer_bytes, simulated.misread = 0, None, 0.0
     assert bench.move(0.005) == pytest.approx(0.005, abs=NEAR_M)
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)

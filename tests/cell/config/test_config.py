@@ -101,6 +101,30 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("gripper:\n  force_max_n: 8.2\n", ["sequence asks for 8 N", "ramps up to 7.81 N"]),
         ("gripper:\n  contact_force_n: 2.5\n", ["asks for 2 N", "contact_force_n is 2.5 N"]),
         ("gripper:\n  force_max_n: 51\n", ["gripper.force_max_n", "50"]),
+        (
+            "gripper: {approach_speed_mm_s: 4.0, contact_timeout_s: 1.0}\n",
+            [
+                "gripper.contact_timeout_s is 1, but from aperture_open_mm = 18",
+                "close in 4.7 s, with approach_speed_mm_s = 4. Write contact_timeout_s 5 or more",
+            ],
+        ),
+        (
+            "gripper: {force_max_n: 9, contact_timeout_s: 3, contact: {pad_stiffness_n_mm: 1e3}}\n",
+            ["with 6.0 mm/s, all that force_max_n, contact.approach_force_n and", "timeout_s 4 or"],
+        ),
+        (
+            "tactile: {bitrate: 250000}\n",
+            [
+                "at tactile.bitrate = 250000 the control unit loads the bus by up to 171%",
+                "85% of tactile.sync_period_ms = 20",
+                "Write tactile.bitrate 250000 with tactile.sync_period_ms 43 or more, "
+                "or tactile.bitrate 1000000 with tactile.sync_period_ms 10 or more",
+            ],
+        ),
+        (
+            "tactile: {bitrate: 125000, force_period_ms: 1}\n",
+            ["force_period_ms = 1. Write tactile.bitrate 1000000 with tactile.sync_period_ms 11"],
+        ),
         ("sequence:\n  x_mm: [3, 1]\n", ["x_mm", "[3, 1]", "low"]),
         ("sequence:\n  kind: list\n", ["poses"]),
         ("sequence:\n  candidates: 24\n", ["cell.yaml:2:3: sequence.candidates: is gone"]),
