@@ -60,15 +60,16 @@ def test_grasps_models_and_recordings_are_read(files: Path) -> None:
         said = call("identify", "-m", model, "grasps.npz", "-c", "small.yaml")
         named = [line.split()[2] for line in said.splitlines()]
         assert named == ["ball"] * 4 + ["box"] * 4
-        assert call("identify", "-m", model, "recording.mcap", "-c", "small.yaml").split()[2:3] == [
-            "ball"
-        ]
+        said = call("identify", "-m", model, "recording.mcap", "-c", "small.yaml")
+        assert said.split()[2] == "ball"
         call("train", "grasps.npz", "--no-early", "-o", "again.npz")
     said = call("identify", "-m", "force_ramp.npz", "-c", "small.yaml", "--object", "ball")
     assert "(it was ball)" in said
     with pytest.raises(CellError, match="the model was taught on 18 taxels in 2 pads"):
         call("identify", "-m", "level_check.npz", "grasps.npz", "-c", "small.yaml")
     assert "bit for bit the same" in call("replay", "recording.mcap", "-c", "small.yaml")
+    assert call("report", "recording.mcap") == "report: report.html\n"
+    assert "ball" in (files / "report.html").read_text()
     call("teach", "egg", "--from", "recording.mcap", "-o", "grasps.npz")
     assert "complete, nothing is lost" in call("recover", "recording.mcap", "-o", "whole.mcap")
     assert len(read_recording("whole.mcap").grasps) == 1
