@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 from cell.data import recording_schema as schema
 from cell.data.recorder_sink import BackgroundFile, DirectFile
 from cell.data.recording_values import (
+    CHUNK_BYTES,
     begin,
     cycle_values,
     grasp_values,
@@ -28,9 +29,6 @@ from recognition.grasp import Grasp, PadArray
 if TYPE_CHECKING:
     from gripper.state import Cycle
     from tactile.frames.codec import TactileFrame
-
-CHUNK_BYTES = 64 << 10
-"""Size of a chunk before compression: what a killed program loses at most."""
 
 _NEWEST_FRAMES = 65536
 """Frames that a grasp can name; 20 minutes at 50 frames a second."""
