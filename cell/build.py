@@ -28,7 +28,7 @@ from cell.control.positioner import (
 from cell.control.records import pad_array
 from cell.control.self_zero import kept_zeros
 from cell.data.recorder import Recorder, Tap
-from cell.errors import ConfigError
+from cell.errors import ConfigError, RecordingError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
@@ -92,6 +92,8 @@ class Cell:
 
     def idle(self) -> None:
         """Look after the cell while no job runs; a paced one lives on to the present."""
+        if self._recorder is not None:
+            self._recorder.look()
         if self.simulated is None or self._pace is None:
             self.controller.tick()
             return
@@ -114,9 +116,20 @@ class Cell:
 
     @property
     def recording_fault(self) -> str | None:
-        """Why the recording has stopped; None where it has not, or there is none."""
+        """Why the recording has stopped; None while it is written, or where there is none."""
         fault = None if self._recorder is None else self._recorder.fault
         return None if fault is None else str(fault)
+
+    @property
+    def recording_loss(self) -> str | None:
+        """What is lost of the recording: why it has stopped, or its gap; None where nothing is."""
+        gap = "" if self._recorder is None else self._recorder.gap
+        return self.recording_fault or gap or None
+
+    def check_recording(self) -> None:
+        """Raise RecordingError where something is lost of the recording."""
+        if loss := self.recording_loss:
+            raise RecordingError(loss)
 
     @property
     def link(self) -> "TactileLink":
@@ -162,7 +175,7 @@ class Cell:
                 for name in ("transactions", "retries", "timeouts", "corrupt", "late")
             },
             "loop": loop_values(loop, undelivered=statistics.undelivered),
-            "recording": self.recording_fault,
+            "recording": self.recording_loss,
         }
 
     def close(self) -> None:
@@ -181,6 +194,7 @@ def build_cell(
     simulated: SimulatedCell | None = None,
     partial: bool = False,
     tap: Tap | None = None,
+    note: Callable[[str], None] = lambda _text: None,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -205,6 +219,8 @@ def build_cell(
         `Cell.missing`.
     tap
         Gets what is recorded, also where no recording is made.
+    note
+        Gets messages for the operator, as that the recording has stopped, from any thread.
 
     Raises
     ------
@@ -240,10 +256,11 @@ def build_cell(
                 vital=config.recording.when_lost == "hold",
                 background=simulated is None,
                 tap=tap,
+                note=note,
             )
             undo.callback(recorder.close)
-            for note in hand.notes:
-                Journal(recorder).note("note", note)
+            for text in hand.notes:
+                Journal(recorder).note("note", text)
         controller = CellController(
             config,
             hand,

@@ -115,7 +115,7 @@ class RecordedMessages:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._metadata: dict[str, str] = {}
-        self._first_loss, self._n_lost = "", 0
+        self._first_loss, self._n_lost, self._cut_off = "", 0, False
         self._channels: dict[int, str] = {}
         self._chunks: set[tuple[int, int, int]] = set()
         self._numbers: Counter[str] = Counter()
@@ -124,8 +124,7 @@ class RecordedMessages:
     @property
     def lost_reason(self) -> str:
         """Why something is missing, and how much more is; empty where all is whole."""
-        others = f"; {self._n_lost - 1} more pieces are missing" if self._n_lost > 1 else ""
-        return self._first_loss + others
+        return self._first_loss + (f" ({self._n_lost} losses)" if self._n_lost > 1 else "")
 
     def lose(self, reason: str) -> None:
         """Note that something is left out."""
@@ -156,7 +155,7 @@ class RecordedMessages:
                     return
                 except _DAMAGE as cause:
                     self.lose(f"a chunk is damaged ({_brief(cause)})")
-        if not ended:
+        if not ended and not self._cut_off:
             self.lose("its end is missing")
 
     def _records(self, n_bytes: int) -> Iterator[Any]:
@@ -175,6 +174,7 @@ class RecordedMessages:
         except OSError as cause:
             raise _unreadable(self.path, cause) from cause
         except _DAMAGE as cause:
+            self._cut_off = True
             self.lose(f"the file is cut off or damaged ({_brief(cause)})")
 
     @cached_property

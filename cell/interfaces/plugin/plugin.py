@@ -115,6 +115,7 @@ class TactileCellPlugin:
         folder: Path | None = None,
         save: Path | str | None = None,
         tap: "Tap | None" = None,
+        note: Callable[[str], None] = lambda _text: None,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -148,6 +149,8 @@ class TactileCellPlugin:
             after each job that leaves the grip empty, and by `close`. None writes none.
         tap
             Gets what is recorded, also where no recording is made.
+        note
+            Gets messages for the operator, as that the recording has stopped, from any thread.
 
         Raises
         ------
@@ -184,7 +187,9 @@ class TactileCellPlugin:
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
-        self._cell = build_cell(checked, folder=folder, mover=mover, places=places, tap=tap)
+        self._cell = build_cell(
+            checked, folder=folder, mover=mover, places=places, tap=tap, note=note
+        )
         controller, file = self._cell.controller, self._file
         listeners: list[OnPart] = []
         newtons = TaxelNewtons(checked, controller)
@@ -282,6 +287,7 @@ class TactileCellPlugin:
             return HostStatus(
                 **asdict(controller.status),
                 live=controller.live,
+                recording_fault=self._cell.recording_fault or "",
                 last_answer=next(iter(self._last_answer), None),
             )
 
@@ -579,8 +585,9 @@ class TactileCellPlugin:
         TimeoutError
             If the running job does not end in time, as while the mover has not returned. Jobs are
             refused from then on; call this again to disconnect.
-        ModelError, DatasetError
-            If what was taught cannot be written to ``save``. Everything else has ended.
+        ModelError, DatasetError, RecordingError
+            If what was taught cannot be written to ``save``, or something is lost of the recording.
+            Everything else has ended.
         """
         self._worker.check_outside()
         with self._ending:
@@ -591,11 +598,13 @@ class TactileCellPlugin:
             self._stop_jobs()
             self._worker.close(timeout_s)
             _write_remarks(self._cell.controller, self._remarks)
-            self._cell.close()
             self._closed = True
-            if self._looking is not None:
-                self._looking.join()
-            self._file.write()
+            try:
+                self._cell.close()
+            finally:
+                if self._looking is not None:
+                    self._looking.join()
+                self._file.write()
 
     def __del__(self) -> None:
         if self._closed or sys.is_finalizing():

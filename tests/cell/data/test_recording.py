@@ -7,6 +7,7 @@ import threading
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
@@ -17,8 +18,13 @@ from mcap.reader import make_reader
 from cell.control.journal import Journal
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
-from cell.data import recorder_sink, recording_messages, recording_schema
-from cell.data.recorder import Recorder
+from cell.data import (
+    recorder as recorder_module,
+    recorder_sink,
+    recording_messages,
+    recording_schema,
+)
+from cell.data.recorder import CONTINUES, Recorder
 from cell.data.recorder_sink import BackgroundFile, DirectFile
 from cell.data.recording_messages import RecordedMessages
 from cell.data.recording_reader import read_recording, recording_grasps
@@ -310,8 +316,11 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
         read_recording(tmp_path / "text")
 
 
-def fill_disk_after(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
-    """Let the disk take ``n_bytes``, half of the write that goes beyond, then nothing."""
+def fill_disk_after(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> list[int]:
+    """Let the disk take ``n_bytes``, half of the write that goes beyond, then nothing.
+
+    Returns the bytes that are left, for a test to change.
+    """
     room = [n_bytes]
     write = os.write
 
@@ -322,7 +331,12 @@ def fill_disk_after(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
         room[0] -= len(taken)
         return write(handle, taken)
 
+    def free(_folder: Path) -> SimpleNamespace:
+        return SimpleNamespace(f_bavail=room[0], f_frsize=1)
+
     monkeypatch.setattr(recorder_sink.os, "write", limited)
+    monkeypatch.setattr(recorder_sink.os, "statvfs", free)
+    return room
 
 
 @pytest.mark.parametrize("background", [False, True])
@@ -341,11 +355,81 @@ def test_a_recording_that_stopped_names_the_frames_that_can_be_read(
     recorder.close()
     try:
         readable = len(read_recording(path).frames)
-        expected = f"{readable} frames of it can be read" if readable else "No frame of it can be"
+        expected = f"{readable} frames of it can be read" if readable else "No frames of it can be"
     except RecordingError:
         expected = "Nothing of it can be read"
     assert expected in str(caught.value)
     assert (expected == "Nothing of it can be read") == (room <= 100)
+
+
+@pytest.mark.parametrize("background", [False, True])
+def test_a_recording_goes_on_in_a_new_file_when_its_disk_has_room_again(
+    background: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "_LOOK_S", 1e-3)
+    clock, path, notes = Clock(100.0), tmp_path / "r.mcap", list[str]()
+    room = fill_disk_after(monkeypatch, 25_000)
+    recorder = Recorder(path, clock, pads=PADS, background=background, note=notes.append)
+    Journal(recorder).states(CellState.IDLE, GraspState.IDLE)
+    (tmp_path / "r-2.mcap").touch()  # somebody else's
+    while recorder.fault is None:
+        record_grasp(recorder, clock, "before")
+        recorder.look()
+    n_frames = recorder._n_frames
+    rng = np.random.default_rng(0)
+    recorder.frame(make_frame(clock.now_s + 0.02, rng))
+    assert "No space left" in str(recorder.fault)
+    room[0] = recorder_sink.ROOM_BYTES - 1
+    for _ in range(3):
+        clock.now_s += recorder._retry_s
+        recorder.look()
+    assert recorder.fault is not None
+    assert (len(notes), [file.name for file in tmp_path.glob("r-3*")]) == (1, [])
+    room[0] = 2 * recorder_sink.ROOM_BYTES
+    if background:
+        recorder._waiter.join(10.0)
+    clock.now_s += recorder._retry_s
+    recorder.look()
+    assert recorder.fault is None
+    assert recorder.path == tmp_path / "r-3.mcap"
+    first = record_grasp(recorder, clock, "after")
+    with pytest.raises(RecordingError, match=r"a gap of \d+ frames: r\.mcap stopped, .*r-3\.mcap"):
+        recorder.close()
+    assert "as soon as 16 MB are free" in notes[0]
+    assert notes[1:] == [f"the recording goes on in {recorder.path}"]
+    new = read_recording(recorder.path)
+    assert (new.complete, new.metadata[CONTINUES]) == (True, "r.mcap")
+    assert [state["state"] for state in new.states] == ["IDLE"]
+    assert new.frames.number.tolist() == list(range(20))
+    assert len(new.grasps) == 1
+    assert same(first, new.grasps[0])
+    (gap,) = (event["text"] for event in new.events if event["kind"] == "recording")
+    n_lost = n_frames + 1 - len(read_recording(path).frames)
+    assert gap == recorder.gap
+    assert f"a gap of {n_lost} frames" in gap
+
+
+def test_a_disk_that_fails_again_and_again_is_not_littered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = Clock(100.0)
+    room = fill_disk_after(monkeypatch, 25_000)
+    monkeypatch.setattr(
+        recorder_module, "has_room", lambda _folder: True
+    )  # as where a quota is full, which the disk does not show
+    recorder = Recorder(tmp_path / "r.mcap", clock, pads=PADS)
+    while recorder.fault is None:
+        record_grasp(recorder, clock, "a")
+    for _ in range(1000):
+        clock.now_s += 4.0
+        recorder.look()
+        if recorder.fault is None:  # the description could be written, no more
+            record_grasp(recorder, clock, "b", n_frames=200)
+        else:
+            room[0] = 8_000
+    assert len(list(tmp_path.iterdir())) < 20
+    with pytest.raises(RecordingError):
+        recorder.close()
 
 
 def test_fault_of_the_recording_does_not_hide_another_error(

@@ -79,7 +79,6 @@ def run(
             progress=progress,
             model=taught,
         )
-        result.extra = {"health": cell.health()}
         if not missing:
             try:
                 result.report = main_report(result, checked, cell, folder / "report.html")
@@ -90,9 +89,11 @@ def run(
     print_result(result)
     if missing:
         print_note(no_report)
+    result.extra = {"health": cell.health()}
     write_json(json_file, result.as_json())
     if failed is not None:
         raise failed
+    cell.check_recording()
 
 
 def _keep_for_serve(result: "MainResult", config: "CellConfig") -> None:
