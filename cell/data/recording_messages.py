@@ -5,7 +5,6 @@ limits bound time and memory by the size of the file, which packs far more than 
 where it was made to harm.
 """
 
-import math
 import struct
 import zlib
 from array import array
@@ -58,8 +57,9 @@ _RECORD = struct.Struct("<BQ")
 """Code and length before each record of MCAP."""
 _HEAD_BYTES = 22
 """Channel, number and times before the content of a message."""
-_MAX_INT = (1 << 63) - 1
-"""Largest integer of a message: integers become arrays of 64 bits."""
+_LARGEST = {"integer": (1 << 63) - 1, "number": 1e15}
+"""Largest magnitude of a number of a message: integers become arrays of 64 bits, and a factor of
+1000 overflows no float."""
 _KINDS: Mapping[str, tuple[type, ...]] = {
     "number": (float, int),
     "integer": (int,),
@@ -340,10 +340,10 @@ def _check(name: str, value: Any, described: Mapping[str, Any]) -> None:
     fits = isinstance(value, _KINDS[kind]) and (kind == "boolean" or not isinstance(value, bool))
     if not fits:
         raise ValueError(f"{name} is {value!r:.40}, expected {kind}")
-    if kind == "number" and not math.isfinite(value):
-        raise ValueError(f"{name} is {value}, must be finite")
-    if kind == "integer" and not described.get("minimum", -_MAX_INT) <= value <= _MAX_INT:
-        raise ValueError(f"{name} is {value}, out of its range")
+    if kind in _LARGEST:
+        largest = _LARGEST[kind]
+        if not described.get("minimum", -largest) <= value <= largest:
+            raise ValueError(f"{name} is {value!s:.40}, out of its range")
     if kind == "array":
         for item in value:
             _check(f"an item of {name}", item, described["items"])

@@ -35,8 +35,8 @@ from tactile.sensor.tare import LEAST_FRAMES, TareLimits, compute_tare
 from tactile.sensor.taxel_forces import TaxelForces
 
 UPLOAD_BYTES = 64 << 20
-"""Largest recording in bytes that a client may send: ten minutes and more of grasping; read, it
-takes some twenty times as much memory."""
+"""Largest recording in bytes that a client may send: half an hour of grasping; read, it takes three
+times as much memory."""
 SPEED_MAX = 100.0
 """Largest speed of a replay."""
 _ZERO_FRAMES = 50

@@ -136,11 +136,11 @@ def test_other_mcap_files_are_refused_before_a_message_is_read(
         (frame_json(number="9223372036854775808"), "out of its range"),
         (frame_json(counter="true"), "counter is True, expected integer"),
         (frame_json(t_s='"soon"'), "t_s is 'soon', expected number"),
-        (frame_json(t_s="NaN"), "t_s is nan, must be finite"),
-        (frame_json(t_s="1e999"), "t_s is inf, must be finite"),
-        (frame_json(t_s="1" + 400 * "0"), "too large"),
+        (frame_json(t_s="NaN"), "t_s is nan, out of its range"),
+        (frame_json(t_s="1e999"), "t_s is inf, out of its range"),
+        (frame_json(t_s="1" + 400 * "0"), "out of its range"),
         (frame_json(t_s="-1"), "its time is -1 s, must be 0 to 1e+09 s"),
-        (frame_json(t_s="1e308"), "its time is 1e+308 s"),
+        (frame_json(t_s="1e308"), "t_s is 1e+308, out of its range"),
     ],
 )
 def test_a_message_that_does_not_fit_is_left_out_named_and_not_recovered(
@@ -221,7 +221,7 @@ def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"frame_t_s": [math.nan] * 20}, "an item of frame_t_s is nan"),
+        ({"frame_t_s": [math.nan] * 20}, "an item of frame_t_s is nan, out of its range"),
         ({"frame_t_s": [-0.02 * i for i in range(20)]}, "its times are not those of its frames"),
         ({"frame_t_s": [0.0]}, "it has 1 times for 20 frames"),
         ({"aperture_m": [30.0] * 20}, "its opening is 30000"),
