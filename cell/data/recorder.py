@@ -156,12 +156,10 @@ class Recorder:
 
     def cycle(self, cycle: "Cycle") -> None:
         """Record one period of the force loop."""
-        self._go_on()
         self._put(schema.CYCLE, cycle.t_s, cycle_values(cycle))
 
     def now(self, topic: str, values: Mapping[str, Any]) -> None:
         """Record a message of the present time; see `recording_schema` for its fields."""
-        self._go_on()
         self._put(topic, self._clock.monotonic(), dict(values))
 
     def grasp(self, grasp: Grasp) -> None:
@@ -230,16 +228,18 @@ class Recorder:
     def _put(self, topic: str, t_s: float, values: dict[str, Any]) -> None:
         if self._over.is_set():
             raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
+        self._go_on()
         tap = self._tap if self._tap is not None and self._tap.wants(topic) else None
-        file = self._file if self.fault is None else None
-        if tap is None and file is None and topic != schema.STATE:
+        file = self._file
+        stopped = file is None or file.fault is not None
+        if tap is None and stopped and topic != schema.STATE:
             return
         stamp_ns, data = to_ns(t_s), _json(t_s, values)
         if topic == schema.STATE:
             self._state = (stamp_ns, data)
         if tap is not None:
             tap.take(topic, stamp_ns, data)
-        if file is not None:
+        if file is not None and not stopped:
             file.add(topic, stamp_ns, data)
             self._notice(file)
 
@@ -279,7 +279,7 @@ class Recorder:
 
     def _retry(self, stopped: RecordingFile) -> None:
         """Make the next file where the disk has room again."""
-        first = stopped.path if self._first_path is None else self._first_path
+        first = self._first_path or stopped.path
         names = (first.with_stem(f"{first.stem}-{number}") for number in itertools.count(2))
         try:
             if not has_room(first.parent):
@@ -319,6 +319,7 @@ class Recorder:
         # In this order: other threads ask for the fault.
         self._file = file
         self._next = None
+        self._notice(file)
 
 
 def _json(t_s: float, values: Mapping[str, Any]) -> bytes:
