@@ -81,7 +81,7 @@ class ForceLoopSettings:
     samples are young enough for it: on a soft part the fingers swing too slowly by themselves."""
     end_time_s: float = setting(0.14, low=0.0)
     """Time constant in s with which the force arrives at the end of a change; see
-    `gripper.force.controller.SetpointFilter`."""
+    `gripper.force.control.band_mode.arriving_n`."""
     dead_band_n: float = setting(0.03, low=0.0)
     hold_band_n: float = setting(0.04, low=0.0)
     """Error in N that is left alone while the force keeps its direction: on a ramp, in a
@@ -168,8 +168,11 @@ class GripperSettings:
     aperture_open_m: float = setting(0.018, low=0.002, high=0.4)
     """Opening of `Gripper.open` and `Gripper.release` in m."""
     aperture_min_m: float = setting(0.0005, low=-0.02, high=0.4)
-    """Opening in m below which nothing can be held: the end of an approach. Below 0 where the
-    fingers are to meet; the config allows none of these."""
+    """Opening in m at which an approach ends: fingers that have touched nothing are empty. Below 0
+    where they are to meet."""
+    aperture_pressed_m: float | None = setting(None, low=-0.02, high=0.4)
+    """Opening in m at which a ramp ends below its force: the part is too small or too soft for it.
+    Below 0 where the foam of the pads yields around a small part; None: ``aperture_min_m``."""
     approach_speed_m_s: float = setting(0.015, low=0.004, high=0.2)
     travel_speed_m_s: float = setting(0.06, low=0.004, high=0.2)
     open_speed_m_s: float = setting(0.06, low=0.002, high=0.2)
@@ -180,7 +183,7 @@ class GripperSettings:
     pad_stiffness_n_m: float = setting(55e3, low=1e3, high=1e6)
     """Stiffness in N/m of a pad under the hardest part: a flat one on all of a pad of 55 x 20 mm
     with foam of 3 mm and 150 kPa, as the simulated ones. With the moving mass it makes the impact
-    of an approach, see `gripper.impact`."""
+    of an approach, see `gripper.mechanics.impact`."""
     contact_force_n: float = setting(0.6, low=0.1, high=5.0)
     """Force on each pad in N that counts as contact."""
     contact_samples: int = setting(3, low=1, high=50)
@@ -235,7 +238,7 @@ class GripperSettings:
     holding, that is reported as a slip."""
     slide_m: float = setting(0.0015, above=0.0, high=0.05)
     """Way in m along the pads by which the centre of a held force may move; more where its noise is
-    larger, less where it moves suddenly: see `gripper.force.slip`."""
+    larger, less where it moves suddenly: see `gripper.force.supervision.slip`."""
     runaway_speed_m_s: float = setting(0.02, above=0.0, high=0.5)
     runaway_travel_m: float = setting(0.0005, above=0.0, high=0.05)
     """Fingers that close faster than the force loop wants by so much in m/s, over so far in m,
@@ -260,6 +263,7 @@ class GripperSettings:
             raise LimitExceeded(f"servos have the IDs {ids}, must be one or two different ones")
         _check_settings(self)
         check_number("aperture_min_m", self.aperture_min_m, high=self.aperture_open_m)
+        check_number("aperture_pressed_m", self.least_pressed_m, high=self.aperture_min_m)
         for servo in self.servos:
             most_a = servo.servo_model.stall_current_a
             if self.current_max_a > most_a:
@@ -279,6 +283,12 @@ class GripperSettings:
     def period_s(self) -> float:
         """Period of the loop in s."""
         return 1.0 / self.loop_rate_hz
+
+    @property
+    def least_pressed_m(self) -> float:
+        """Smallest opening in m of fingers whose force rises."""
+        least_m = self.aperture_pressed_m
+        return self.aperture_min_m if least_m is None else least_m
 
     @property
     def grasp_force_limit_n(self) -> float:

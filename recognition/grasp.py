@@ -215,12 +215,18 @@ class PadArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grasp:
-    """One force ramp on one object: from the open gripper to the full force."""
+    """One force ramp on one object: from the open gripper to the full force.
+
+    Raises
+    ------
+    ValueError
+        There is no frame, a shape does not fit, or counts are not from 0 to ``pads.adc_max``.
+    """
 
     pads: PadArray
     """The pads that the counts belong to."""
     counts: NDArray[np.uint16]
-    """(n_frames, n_taxels) uint16: raw frames, in the order of time."""
+    """(n_frames, n_taxels) uint16: raw frames, in the order of time; other numbers are rounded."""
     t_s: NDArray[np.float64]
     """(n_frames,) float64: time since the first frame in s."""
     aperture_m: NDArray[np.float64] = field(default_factory=lambda: np.array(np.nan))
@@ -246,10 +252,16 @@ class Grasp:
         n_frames = len(self.counts)
         if n_frames < 1:
             raise ValueError("a grasp needs at least one frame")
-        largest = int(np.max(self.counts))
-        if largest > self.pads.adc_max:
-            raise ValueError(f"counts reach {largest}, adc_max is {self.pads.adc_max}")
-        _keep(self, "counts", self.counts, np.uint16, (n_frames, self.pads.n_taxels))
+        counts = np.asarray(self.counts)
+        if counts.dtype.kind == "f":
+            counts = np.rint(counts)
+        low, high = counts.min(), counts.max()
+        if not (low >= 0 and high <= self.pads.adc_max):
+            raise ValueError(
+                f"counts go from {low:g} to {high:g}, must be from 0 to adc_max = "
+                f"{self.pads.adc_max}"
+            )
+        _keep(self, "counts", counts, np.uint16, (n_frames, self.pads.n_taxels))
         for name in ("t_s", "aperture_m", "force_n"):
             value = getattr(self, name)
             if np.ndim(value) == 0 and name != "t_s":

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
 from gripper.dynamixel.models import MODELS, require_current_control
 from gripper.errors import LimitExceeded
-from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import (
     ForceLoopSettings,
     GripperSettings,
@@ -15,6 +15,10 @@ from gripper.settings import (
     ServoSettings,
     largest_setpoint_n,
 )
+
+_EMPTY_M = 0.0003
+"""Least opening in m at which fingers that have touched nothing end: closer, their pads may press
+on each other, and the servos show no thinner sheet."""
 
 
 class ContactConfig(Section):
@@ -166,8 +170,10 @@ class GripperConfig(Section):
     aperture_open_mm: float = setting_of(GripperSettings, "aperture_open_m", MILLI)
     """Opening between the pads before a grasp in mm, 2 to 400; a little more than the widest object
     that may come. Each mm less makes a grasp about 0.03 s shorter."""
-    aperture_min_mm: float = setting_of(GripperSettings, "aperture_min_m", MILLI, at_least=0.0)
-    """Smallest opening that the fingers are closed to in mm; below it there is no object."""
+    aperture_min_mm: float = setting_of(GripperSettings, "aperture_min_m", MILLI, at_least=-4.0)
+    """Smallest opening that the fingers are closed to in mm, -4 to 400; a ramp ends there, and
+    below it there is no object. Below 0.3 it is for ramps alone, as far as the foam of the pads
+    yields around a small part: fingers that have touched nothing end at 0.3."""
     pads_meet: bool = True
     """Whether the pads of empty fingers can press flat on each other; a self-zero needs it."""
     approach_speed_mm_s: float = setting_of(GripperSettings, "approach_speed_m_s", MILLI)
@@ -256,6 +262,9 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
     ``overruns_max`` periods in a row whose work took too long end a command. Raises
     gripper.errors.LimitExceeded if values do not fit each other.
     """
+    values = declared_values(config, GripperSettings)
+    least_m = values["aperture_min_m"]
+    values |= {"aperture_min_m": max(least_m, _EMPTY_M), "aperture_pressed_m": least_m}
     return GripperSettings(
         servos=tuple(
             ServoSettings(
@@ -271,7 +280,7 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
         over_force=OverForce(config.over_force.reaction),
         corrected_registers=frozenset(config.servo_care.corrected_registers),
         force_loop=ForceLoopSettings(**declared_values(config, ForceLoopSettings)),
-        **declared_values(config, GripperSettings),
+        **values,
     )
 
 

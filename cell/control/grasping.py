@@ -39,13 +39,13 @@ from gripper.clock import Clock
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
-from gripper.kinematics import Linkage
-from gripper.outcome import GraspOutcome, GraspResult
-from gripper.state import Cycle
+from gripper.mechanics.kinematics import Linkage
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import Cycle
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
 from recognition.grasp import CELL_SOURCE, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyDecider
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 _T = TypeVar("_T")
 
@@ -152,7 +152,7 @@ class Grasper:
         if self._held is None:
             raise CellStateError("no part was kept, so that there is nothing to compare with")
         zero, then = self._held
-        return compared(self._look_at_held(zero), then, carry_n=self._sequence.carry_force_n)
+        return compared(self._look_at_held(zero), then)
 
     def measure_zero(self) -> ZeroMeasurement:
         """Close the empty fingers on each other, look at what they show, open them again.
@@ -180,7 +180,7 @@ class Grasper:
         self.hand.release(self.watch)
         why = part_between(outcome, found) or refused
         if found is not None:
-            why = why or unsound(found) or self.zeros.far_from_last(found.zero)
+            why = why or unsound(found) or self.zeros.far_off(found.zero)
             if not why:
                 self._kept_zero(found)
                 return ""
@@ -302,6 +302,8 @@ class Grasper:
         collector, watch = self._collecting(self.zeros.newest)
         outcome = self.hand.squeeze(self._ramp(step), watch)
         self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
+        if outcome.short:
+            self.journal.note("ramp", outcome.short)
         return GraspRecord(
             grasp=spliced(first.grasp, collector.grasp(command=step.command), from_n),
             step=step,

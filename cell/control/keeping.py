@@ -116,17 +116,14 @@ def open_counts(grasp: Grasp) -> NDArray[np.float64]:
     return first
 
 
-def compared(now: HeldPart, then: HeldPart, *, carry_n: float) -> HeldCheck:
-    """Return whether a held part is still the one that was kept.
-
-    It was measured now, and when it was kept; it is held with ``carry_n`` N.
-    """
-    held = now.force_n >= _HELD_SHARE * carry_n
+def compared(now: HeldPart, then: HeldPart) -> HeldCheck:
+    """Return whether a held part, measured now, is still the one that was kept then."""
+    least_n = _HELD_SHARE * then.force_n
+    held = now.force_n >= least_n
     reasons: list[str] = []
     if not held:
         reasons.append(
-            f"the grip force is {now.force_n:.2f} N, at least {_HELD_SHARE * carry_n:.2f} N hold a "
-            f"part"
+            f"the grip force is {now.force_n:.2f} N, at least {least_n:.2f} N hold a part"
         )
     moved_m = abs(now.opening_m - then.opening_m)
     if held and moved_m > _OPENING_M:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.control.plan import GraspStep, Pose
-from gripper.outcome import GraspOutcome
-from gripper.state import Cycle
+from gripper.values.outcome import GraspOutcome
+from gripper.values.state import Cycle
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizer import Posterior
-from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
+from tactile.source import TactileFrame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,8 +43,10 @@ class GraspRecord:
 
     @property
     def ended(self) -> str:
-        """Where the ramp was ended early, in words; empty where it was not."""
-        return "" if self.early is None else f"ended early at {self.cycles[-1].setpoint_n:.1f} N"
+        """Where the ramp was ended early, or why below its force, in words; empty where not."""
+        if self.early is None:
+            return self.outcome.short
+        return f"ended early at {self.cycles[-1].setpoint_n:.1f} N"
 
     def ramp_as_json(self) -> dict[str, Any]:
         """Return how the ramp ended, as plain data."""

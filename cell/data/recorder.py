@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -28,8 +28,8 @@ from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
 
 if TYPE_CHECKING:
-    from gripper.state import Cycle
-    from tactile.frames.codec import TactileFrame
+    from gripper.values.state import Cycle
+    from tactile.source import TactileFrame
 
 CONTINUES = "continues"
 """Entry of the metadata: the recording that stopped before this one."""
@@ -46,16 +46,6 @@ _CLOSE_TIMEOUT_S = 10.0
 """Time in s that the end waits for a disk that does not answer."""
 
 
-class Tap(Protocol):
-    """Gets each message of a recording as it is made, in the thread that makes it."""
-
-    def wants(self, topic: str) -> bool:
-        """Whether anybody looks at a topic."""
-
-    def take(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Take a message: its topic, monotonic time in ns, and JSON. Must not wait."""
-
-
 class Recorder:
     """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
 
@@ -67,7 +57,7 @@ class Recorder:
     Parameters
     ----------
     path
-        The new file; an existing one is never overwritten. None writes none, for a ``tap`` alone.
+        The new file; an existing one is never overwritten.
     clock
         Stamps the messages of `now`; frames and cycles carry their own monotonic stamps.
     pads
@@ -77,8 +67,6 @@ class Recorder:
     background
         Write, and look after a full disk, from threads of their own, for real time; in virtual time
         leave it off.
-    tap
-        Gets each message too, also after a fault of the file.
     vital
         Whether a grasp must not go on without its recording; `cell.control.journal` looks after
         that.
@@ -91,24 +79,22 @@ class Recorder:
 
     def __init__(
         self,
-        path: Path | str | None,
+        path: Path | str,
         clock: Clock,
         *,
         pads: PadArray,
         metadata: Mapping[str, str] | None = None,
         background: bool = False,
-        tap: Tap | None = None,
         vital: bool = False,
         note: Callable[[str], None] = lambda _text: None,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.vital = vital
-        self._first_path = None if path is None else Path(path)
+        self._first_path = Path(path)
         self._clock = clock
         self._pads = pads
         self._metadata = dict(metadata or {})
         self._background = background
-        self._tap = tap
         self._note = note
         self.wall_clock_ns = wall_clock_ns
         self._over = threading.Event()
@@ -120,20 +106,18 @@ class Recorder:
         self._next: RecordingFile | None = None
         self._retry_s, self._retry_at_s = 0.0, 0.0
         self._waiter: threading.Thread | None = None
-        self._file = None if self._first_path is None else self._new_file(self._first_path)
-        if self._file is not None:
-            self._notice(self._file)
+        self._file = self._new_file(self._first_path)
+        self._notice(self._file)
 
     @property
-    def path(self) -> Path | None:
-        """The file that is written, or was last; None where none is made."""
-        file = self._next or self._file
-        return None if file is None else file.path
+    def path(self) -> Path:
+        """The file that is written, or was last."""
+        return (self._next or self._file).path
 
     @property
     def fault(self) -> RecordingError | None:
         """Why the recording has stopped; None while it is written."""
-        return None if self._file is None or self._next is not None else self._file.fault
+        return None if self._next is not None else self._file.fault
 
     def frame(self, frame: "TactileFrame") -> None:
         """Record a whole tactile frame of raw counts."""
@@ -187,7 +171,7 @@ class Recorder:
 
     def look(self) -> None:
         """Look after the file while nothing is recorded; to be called now and then."""
-        if self._file is not None and self._file.fault is None:
+        if self._file.fault is None:
             self._file.check()
             self._notice(self._file)
         self._go_on()
@@ -201,8 +185,6 @@ class Recorder:
             self._waiter.join(_CLOSE_TIMEOUT_S)
         self._retry_at_s = math.inf  # what comes too late to be written to needs no file
         self._go_on()
-        if self._file is None:
-            return
         self._file.close()
         if self._file.fault is not None:
             raise self._file.fault
@@ -229,19 +211,15 @@ class Recorder:
         if self._over.is_set():
             raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
         self._go_on()
-        tap = self._tap if self._tap is not None and self._tap.wants(topic) else None
-        file = self._file
-        stopped = file is None or file.fault is not None
-        if tap is None and stopped and topic != schema.STATE:
+        stopped = self._file.fault is not None
+        if stopped and topic != schema.STATE:
             return
-        stamp_ns, data = to_ns(t_s), _json(t_s, values)
+        message = (to_ns(t_s), _json(t_s, values))
         if topic == schema.STATE:
-            self._state = (stamp_ns, data)
-        if tap is not None:
-            tap.take(topic, stamp_ns, data)
-        if file is not None and not stopped:
-            file.add(topic, stamp_ns, data)
-            self._notice(file)
+            self._state = message
+        if not stopped:
+            self._file.add(topic, *message)
+            self._notice(self._file)
 
     # -- a disk that fails, and has room again -------------------------------------------------
 
@@ -279,7 +257,7 @@ class Recorder:
 
     def _retry(self, stopped: RecordingFile) -> None:
         """Make the next file where the disk has room again."""
-        first = self._first_path or stopped.path
+        first = self._first_path
         names = (first.with_stem(f"{first.stem}-{number}") for number in itertools.count(2))
         try:
             if not has_room(first.parent):
@@ -301,7 +279,7 @@ class Recorder:
     def _go_on(self) -> None:
         """Write to the next file, where the one before has stopped and there is a next one."""
         stopped = self._file
-        if stopped is None or stopped.fault is None:
+        if stopped.fault is None:
             return
         if not self._background and self._clock.monotonic() >= self._retry_at_s:
             self._retry(stopped)

@@ -5,6 +5,7 @@ limits bound time and memory by the size of the file, which packs far more than 
 where it was made to harm.
 """
 
+import os
 import struct
 import zlib
 from array import array
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -25,7 +26,9 @@ from mcap.stream_reader import StreamReader
 from pydantic_core import from_json
 
 from cell.data import recording_schema as schema
-from cell.errors import RecordingError
+from cell.data.files import open_plain
+from cell.data.formats import RECORDING
+from cell.errors import RecordingError, reason_text
 from recognition.grasp import PadArray
 
 MAX_FILE_BYTES = 1 << 30
@@ -132,11 +135,19 @@ class RecordedMessages:
         self._n_lost += 1
 
     def __iter__(self) -> Iterator[RecordedMessage]:
-        n_bytes = _size_of(self.path)
+        with open_plain(self.path, error=RecordingError, what="recording") as file:
+            yield from self._messages(file, os.fstat(file.fileno()).st_size)
+
+    def _messages(self, file: BinaryIO, n_bytes: int) -> Iterator[RecordedMessage]:
+        if n_bytes > MAX_FILE_BYTES:
+            raise RecordingError(f"{self.path}: too long; at most {MAX_FILE_BYTES} bytes are read")
+        if file.read(8) != b"\x89MCAP0\r\n":
+            raise RecordingError(f"{self.path} is no recording: it does not start as an MCAP file")
+        file.seek(0)
         left_bytes, ended = FREE_BYTES + MAX_PACKING * n_bytes, False
         self._left_bytes = min(MAX_KEPT_BYTES, left_bytes)
         self._left_messages = min(MAX_MESSAGES, FREE_MESSAGES + n_bytes // MESSAGE_BYTES)
-        for record in self._records(n_bytes):
+        for record in self._records(file):
             if isinstance(record, Metadata) and record.name == schema.METADATA:
                 self._metadata = self._metadata or record.metadata
             elif isinstance(record, DataEnd):
@@ -158,21 +169,15 @@ class RecordedMessages:
         if not ended and not self._cut_off:
             self.lose("its end is missing")
 
-    def _records(self, n_bytes: int) -> Iterator[Any]:
+    def _records(self, file: BinaryIO) -> Iterator[Any]:
+        # A length in the file never asks for more than a chunk may have.
+        longest = MAX_CHUNK_BYTES + FREE_BYTES
         try:
-            with self.path.open("rb") as file:
-                if file.read(8) != b"\x89MCAP0\r\n":
-                    raise RecordingError(
-                        f"{self.path} is no recording: it does not start as an MCAP file"
-                    )
-                file.seek(0)
-                # A length in the file never asks for more than a chunk may have.
-                longest = min(n_bytes, MAX_CHUNK_BYTES + FREE_BYTES)
-                yield from StreamReader(
-                    file, emit_chunks=True, validate_crcs=True, record_size_limit=longest
-                ).records
+            yield from StreamReader(
+                file, emit_chunks=True, validate_crcs=True, record_size_limit=longest
+            ).records
         except OSError as cause:
-            raise _unreadable(self.path, cause) from cause
+            raise RecordingError(f"cannot read recording {self.path}: {cause.strerror}") from cause
         except _DAMAGE as cause:
             self._cut_off = True
             self.lose(f"the file is cut off or damaged ({_brief(cause)})")
@@ -183,12 +188,8 @@ class RecordedMessages:
         found = self._metadata
         if not found:
             why = f" ({self.lost_reason})" if self._n_lost else ""
-            raise RecordingError(f"{self.path} has no description, as {schema.FORMAT} has{why}")
-        if found.get("format") != schema.FORMAT:
-            raise RecordingError(
-                f"{self.path} has the format {found.get('format')!r:.80}, expected "
-                f"{schema.FORMAT!r}"
-            )
+            raise RecordingError(f"{self.path} has no description, as {RECORDING} has{why}")
+        RECORDING.check(found.get("format"), self.path, RecordingError)
         if found.get("crc32") != schema.metadata_crc32(found):
             raise RecordingError(f"{self.path}: its description of clocks and pads is damaged")
         try:
@@ -200,7 +201,7 @@ class RecordedMessages:
             )
         except _DAMAGE as cause:
             raise RecordingError(
-                f"{self.path}: its description does not fit {schema.FORMAT} ({_brief(cause)}); it "
+                f"{self.path}: its description does not fit {RECORDING} ({_brief(cause)}); it "
                 "was written by something else"
             ) from cause
 
@@ -256,22 +257,6 @@ class RecordedMessages:
 
 class _Full(Exception):
     """A limit of what is read of one file is reached."""
-
-
-def _size_of(path: Path) -> int:
-    try:
-        if path.exists() and not path.is_file():
-            raise RecordingError(f"cannot read recording {path}: not a plain file")
-        size = path.stat().st_size
-    except OSError as cause:
-        raise _unreadable(path, cause) from cause
-    if size > MAX_FILE_BYTES:
-        raise RecordingError(f"{path} has {size} bytes, at most {MAX_FILE_BYTES} are read")
-    return size
-
-
-def _unreadable(path: Path, cause: OSError) -> RecordingError:
-    return RecordingError(f"cannot read recording {path}: {cause.strerror}; check the path")
 
 
 def _decompress(chunk: Chunk) -> bytes:
@@ -347,7 +332,12 @@ def _check(name: str, value: Any, described: Mapping[str, Any]) -> None:
     if kind == "array":
         for item in value:
             _check(f"an item of {name}", item, described["items"])
+    if kind == "object":
+        properties, others = described.get("properties", {}), described.get("additionalProperties")
+        for key, item in value.items():
+            if expected := properties.get(key, others):
+                _check(f"{key} of {name}", item, expected)
 
 
-def _brief(cause: BaseException) -> str:
-    return str(cause)[:120] or "it ends too early"
+def _brief(cause: Exception) -> str:
+    return reason_text(cause)[:120]

@@ -2,9 +2,9 @@
 
 from array import array
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,11 @@ class RecordedCycles:
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    def between(self, begin_s: float, end_s: float) -> Self:
+        """Return the periods of a span of time in s, both ends included."""
+        part = slice(*np.searchsorted(self.t_s, [begin_s, np.nextafter(end_s, np.inf)]))
+        return type(self)(**{one.name: getattr(self, one.name)[part] for one in fields(self)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,13 +17,10 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
+from cell.report.build import BASELINE, score_tables
 from cell.report.data import ConfusionTable
 from recognition.drift.grid import DriftGrid
-from recognition.recognizer import UNKNOWN, Posterior, Recognizer
-
-BASELINE = "level_check"
-"""The paper's own classifier: it names the likeliest object by one grasp, never UNKNOWN, as in its
-Table 1."""
+from recognition.recognizer import Posterior, Recognizer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,10 +51,6 @@ class MainResult:
     """Answers counted, by recogniser."""
     trials: tuple[Trial, ...]
     """The identifications, in order."""
-    examples: dict[str, GraspRecord]
-    """One grasp of each object, for the report."""
-    recognizers: dict[str, Recognizer]
-    """The recognisers by name, as they were taught."""
     dataset: Path | None
     model: Path | None
     recording: Path | None
@@ -120,19 +113,6 @@ class MainResult:
         }
 
 
-def score(
-    name: str, truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]
-) -> ConfusionTable:
-    """Count answers against the truth; those that are no label count as UNKNOWN."""
-    columns = (*labels, UNKNOWN)
-    counts = np.zeros((len(labels), len(columns)), dtype=np.int64)
-    for truth, answer in zip(truths, answers, strict=True):
-        if truth in labels:
-            place = columns.index(answer) if answer in columns else len(labels)
-            counts[labels.index(truth), place] += 1
-    return ConfusionTable(name=name, labels=tuple(labels), columns=columns, counts=counts)
-
-
 @one_blas_thread()
 def teach_and_identify(
     cell: Cell,
@@ -186,24 +166,22 @@ def teach_and_identify(
             first = {default: found.posteriors[0]} | others
             trials.append(Trial(truth=label, found=found, first=first))
             progress(f"identify {label}", repeat + 1, n_trials)
-    examples = {
-        one.label: max(one.records, key=lambda record: record.step.force_n) for one in taught
-    }
     return MainResult(
         labels=tuple(labels),
         default=default,
         n_taught=sum(len(one.records) for one in taught),
         seconds=time.monotonic() - started_s,
-        scores=_scores(trials, labels, default),
+        scores=score_tables(
+            [(trial.truth, trial.found.label, trial.first) for trial in trials], labels, default
+        ),
         trials=tuple(trials),
-        examples=examples or {trial.truth: trial.found.records[0] for trial in trials},
-        recognizers=recognizers,
         dataset=files.get("dataset"),
         model=files.get("model"),
         recording=cell.recording_path,
         drift=model.drift,
         remarks=(
             *(str(one) for one in taught if one.n_missed),
+            *(f"{one.label}: {one.short}" for one in taught if one.short),
             *(trial.found.remark for trial in trials if trial.found.remark),
         ),
     )
@@ -240,18 +218,3 @@ def teach_objects(
 def _seed(config: CellConfig, use: int, number: int) -> int:
     """Return a seed of its own for each plan, so that none repeats another."""
     return int(np.random.SeedSequence([config.seed, use, number]).generate_state(1)[0])
-
-
-def _scores(
-    trials: Sequence[Trial], labels: Sequence[str], default: str
-) -> dict[str, ConfusionTable]:
-    truths = [trial.truth for trial in trials]
-    answers = [trial.found.label for trial in trials]
-    scores = {default: score("This cell, as many grasps as it takes", truths, answers, labels)}
-    for name in trials[0].first if trials else ():
-        posteriors = [trial.first[name] for trial in trials]
-        answers = [p.best if name == BASELINE else p.name for p in posteriors]
-        key = f"{name}_one_grasp" if name == default else name
-        whose = "This cell" if name == default else "The paper's method"
-        scores[key] = score(f"{whose}, first grasp alone", truths, answers, labels)
-    return scores

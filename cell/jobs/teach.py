@@ -58,6 +58,8 @@ def teach_to_dataset(
                     f"{error}; the grasps are in {cell.recording_path}, which train takes"
                 ) from error
             note(f"{collection} added to {dataset} ({len(before)} were there)")
+            if collection.short:
+                note(collection.short)
 
 
 def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:

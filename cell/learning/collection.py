@@ -37,6 +37,12 @@ class Collection:
         """Grasps that are over, missed ones too."""
         return len(self.records) + self.n_missed
 
+    @property
+    def short(self) -> str:
+        """How many ramps ended below their force, and why the last one did; empty where none."""
+        texts = [record.outcome.short for record in self.records if record.outcome.short]
+        return f"{len(texts)} of {self.n_planned} ramps ended early: {texts[-1]}" if texts else ""
+
     def __str__(self) -> str:
         missed = f" ({self.n_missed} found no part)" if self.n_missed else ""
         return f"{len(self.records)} of {self.n_planned} grasps of {self.label}{missed}"

@@ -22,7 +22,6 @@ from cell.control.plan import plan
 from cell.control.records import GraspRecord, pad_array
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, CellStateError, ModelError, TrainingSetMissing
-from cell.learning.active_chooser import ActiveChooser
 from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
 from cell.learning.model import Arrays, LoadedModel, check_pads, load_model, save_model
@@ -32,12 +31,11 @@ from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import (
     gaugeable,
     load_early,
-    load_pose_memory,
     may_end_early,
     train,
     with_caution,
 )
-from gripper.outcome import GraspResult
+from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.errors import RecognitionError
@@ -47,7 +45,6 @@ from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import ShapeAnswer
-from recognition.statistics.next_grasp import PoseMemory
 
 TRAINING_SECTION = "training_set"
 """Section of a model file that names the data set of its training set, and its checksum."""
@@ -56,8 +53,8 @@ TRAINING_SECTION = "training_set"
 class TaughtModel:
     """A recogniser of taught objects with all that belongs to it in a running cell.
 
-    Beside the recogniser, which follows the drift, these are its training set, early classifiers
-    and pose memory where the config uses them. Raises ModelError if the model was trained on other
+    Beside the recogniser, which follows the drift, these are its training set, and early
+    classifiers where the config uses them. Raises ModelError if the model was trained on other
     pads or lacks what the config needs, or the training set is not that of the model.
 
     Parameters
@@ -84,7 +81,6 @@ class TaughtModel:
         self._training_file: Path | None = None
         self._sections: dict[str, Arrays] = {}
         self._early: EarlyClassifiers | None = None
-        self._memory: PoseMemory | None = None
         self._recognizer: Recognizer | None = None
         self._remarked = False
         self._told: set[str] = set()
@@ -96,7 +92,6 @@ class TaughtModel:
             self._trainer_name = model.trainer_name
             self._sections = dict(model.sections)
             self._early = load_early(model) if config.decides_early else None
-            self._memory = load_pose_memory(model, config.sequence)
             self._recognizer = with_caution(model.recognizer, config.recognition)
             _check_training_set(model, self._training_set)
         self._read_shape = shape_reader(config, known)
@@ -198,14 +193,13 @@ class TaughtModel:
 
         Raises CellError if the grasps do not suffice; they are kept.
         """
-        wanted, sequence = self._config.recognition, self._config.sequence
+        wanted = self._config.recognition
         try:
             trained = train(
                 self._training_set,
                 wanted.recognizer,
                 use_aperture=wanted.use_aperture,
                 early=self._config.decides_early,
-                poses=sequence.kind == "active",
             )
         except CellError as error:
             raise CellError(f"{error}; the grasps are kept for the next teaching") from error
@@ -214,7 +208,7 @@ class TaughtModel:
             recognizer = recognizer.with_grid(grid)
         with self._lock:
             self._trainer_name = trained.trainer_name
-            self._early, self._memory = trained.early, trained.memory
+            self._early = trained.early
             self._sections = trained.sections
             self._recognizer = recognizer
             self.revision += 1
@@ -280,7 +274,7 @@ class TaughtModel:
         kept = [grasp for index, grasp in enumerate(before) if index not in gone]
         self._use(kept)
         if not kept:
-            self._recognizer = self._early = self._memory = None
+            self._recognizer = self._early = None
             self.revision += 1
             return
         try:
@@ -384,13 +378,11 @@ class TaughtModel:
         recognizer, sequence = self.recognizer, self._config.sequence
         if force_n is not None:
             sequence = sequence.with_force(force_n)
-        memory = self._memory
         controller.present(held)
         found = controller.identify(
             recognizer,
             plan(sequence, max_grasps or self.max_grasps, seed=seed),
             early=None if whole_ramps else self._early,
-            chooser=None if memory is None else ActiveChooser(memory, sequence, seed=seed),
             read_shape=self._read_shape,
             on_grasp=on_grasp,
             keep=keep,

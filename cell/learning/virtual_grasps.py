@@ -247,7 +247,7 @@ class VirtualPads:
         aperture_m[: len(closing_m)] = closing_m
         return Grasp(
             pads=self.pads,
-            counts=np.rint(np.clip(counts, 0.0, self.pads.adc_max)),
+            counts=np.clip(counts, 0.0, self.pads.adc_max),
             t_s=np.arange(len(force_n), dtype=np.float64) * course.period_s,
             aperture_m=_measured(aperture_m, foam.aperture_offset_m, course, rng),
             force_n=setpoint_n,

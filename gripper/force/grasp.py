@@ -5,42 +5,41 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from gripper.errors import GripContradicted, PartLost
-from gripper.force.approach import STALL_SPEED_M_S, Approach, ApproachEvent
-from gripper.force.contact import ContactRest
-from gripper.force.grip_control import (
-    FrictionEstimate,
-    GripControl,
-    StiffnessEstimate,
-    driving_n,
-)
-from gripper.force.loop import Action, LoopRunner, Moment, Running
-from gripper.force.mechanics_proof import (
+from gripper.force.approach.approach import Approach, ApproachEvent
+from gripper.force.approach.contact import ContactRest
+from gripper.force.approach.mechanics_proof import (
     ZERO_RANGE_M,
     closes_farther,
     meeting_settings,
     not_met,
 )
-from gripper.force.part_loss import EmptyGrip
+from gripper.force.control.grip_control import GripControl
+from gripper.force.estimates.friction import FrictionEstimate
+from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
-from gripper.force.slip import LevelSlip
-from gripper.kinematics import Linkage, mean_friction_n, transmissions
-from gripper.outcome import GraspOutcome, GraspResult
+from gripper.force.supervision.empty_grip import EmptyGrip
+from gripper.force.supervision.slip import LevelSlip
+from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
-from gripper.state import GripperPhase, GripperState
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import STANDING_M_S, GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
-"""Where in the friction band the drive is at the contact: at its rising edge, with a reserve."""
+"""Where in the friction band the drive is at the contact: at its rising edge, with a reserve.
+[tuned]"""
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """How much wider in m than all parts so far the next one may begin: the first, and the second over
-the number of these parts, because each is the widest of all as likely as any other."""
+the number of these parts, because each is the widest of all as likely as any other. [tuned]"""
 _REST_S = 0.08
-"""Time in s that the fingers rest at the contact, so that the ramp begins at the force there."""
+"""Time in s that the fingers rest at the contact, so that the ramp begins at the force there.
+[tuned]"""
 _TOUCH_S = 0.065
 """Time in s from the brake at a first touch before which no ramp begins on what was met with more
-than the force of a contact: the force of the touch decays first."""
+than the force of a contact: the force of the touch decays first. [tuned]"""
 _EQUAL_S = 1e-9
-"""Difference of times in s that counts as none: sums of periods are rounded."""
+"""Difference of times in s that counts as none: sums of periods are rounded. [chosen]"""
 
 
 class GraspRun:
@@ -100,7 +99,7 @@ class GraspRun:
             if reached.event is ApproachEvent.OBSTRUCTED:
                 raise _obstructed(contact)
             if reached.event is not ApproachEvent.CONTACT:
-                closing = -contact.aperture_velocity_m_s > STALL_SPEED_M_S
+                closing = -contact.aperture_velocity_m_s > STANDING_M_S
                 closed = contact.aperture_m <= self._settings.aperture_min_m
                 self._confirm_empty(contact, ran=closed or closing, approached=True)
                 self._set_phase(GripperPhase.APPROACHING)
@@ -257,6 +256,8 @@ class RampTime:
     def __init__(self, settings: GripperSettings, ramp: ForceRamp) -> None:
         self._settings = settings
         self._waited_s: float | None = None
+        self.asked_n = ramp.final_n
+        """Force in N at which the ramp was to end."""
         self.ramp = ramp
         self.elapsed_s = 0.0
         """Time since the beginning of the ramp in s."""
@@ -271,8 +272,16 @@ class RampTime:
         """Index of the level that is held; None on the way to it."""
         return None if self._waited_s is not None else self.ramp.level_at(self.elapsed_s)
 
-    def pass_by(self, dt_s: float, force_n: float) -> None:
-        """Let ``dt_s`` s pass, in which the force was ``force_n`` N."""
+    def pass_by(self, dt_s: float, force_n: float, aperture_m: float) -> None:
+        """Let ``dt_s`` s pass, in which the force was ``force_n`` N and the opening so many m.
+
+        A rise ends where the fingers are closed: part and foam yield, and no force would come.
+        """
+        least_m, least_n = self._settings.least_pressed_m, self._settings.contact_force_n
+        if aperture_m <= least_m and least_n <= self.setpoint_n < self.ramp.final_n:
+            self.ramp = self.ramp.ended_at(self.elapsed_s, most_n=max(force_n, least_n))
+            self.elapsed_s, self._waited_s = 0.0, None
+            return
         if self._waited_s is None:
             changed = self.ramp.level_at(self.elapsed_s) is None
             self.elapsed_s += dt_s
@@ -373,7 +382,7 @@ class RampStep:
         return _outcome(
             self._settings,
             self.control,
-            self._time.ramp,
+            self._time,
             final,
             contact=self._reached.state,
             peak_n=self._peak_n,
@@ -392,7 +401,7 @@ class RampStep:
             self._time = RampTime(self._settings, ended)
             self._ended = True
         else:
-            self._time.pass_by(moment.dt_s, self.control.force_n)
+            self._time.pass_by(moment.dt_s, self.control.force_n, moment.state.aperture_m)
         return self.control
 
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
@@ -482,7 +491,7 @@ class BackOffStep:
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost when the part goes."""
         _check_part(self._control, moment)
-        self._time.pass_by(moment.dt_s, self._control.force_n)
+        self._time.pass_by(moment.dt_s, self._control.force_n, moment.state.aperture_m)
         setpoint_n = self._time.setpoint_n
         arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
         goals = self._control.goals(moment, setpoint_n, arrival_n=arrival_n)
@@ -519,7 +528,7 @@ class SqueezeStep(BackOffStep):
         return _outcome(
             self._settings,
             self._control,
-            self._time.ramp,
+            self._time,
             final,
             contact=None,
             peak_n=self._peak_n,
@@ -538,7 +547,7 @@ def _check_part(control: GripControl, moment: Moment) -> None:
 def _outcome(
     settings: GripperSettings,
     control: GripControl | None,
-    ramp: ForceRamp,
+    time: RampTime,
     final: GripperState,
     *,
     contact: GripperState | None,
@@ -548,16 +557,28 @@ def _outcome(
 ) -> GraspOutcome:
     """Return the outcome of a ramp on a part, from its last feedback and its highest force."""
     final_n = 0.0 if control is None else control.force_n
-    reached = abs(final_n - ramp.final_n) <= settings.settle_tolerance_at_n(ramp.final_n)
+    asked_n, ended_n = time.asked_n, time.ramp.final_n
+    reached = abs(final_n - asked_n) <= settings.settle_tolerance_at_n(asked_n)
     held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
+    closed = ended_n < asked_n and not (reached or lost)
     return GraspOutcome(
         result=GraspResult.PART_LOST if lost else held,
         contact_t_s=None if contact is None else contact.t_s,
         contact_aperture_m=None if contact is None else contact.aperture_m,
         final_aperture_m=final.aperture_m,
         final_force_n=final_n,
-        overshoot_n=max(0.0, peak_n - ramp.final_n),
+        overshoot_n=max(0.0, peak_n - ended_n),
         ended_early=ended_early,
+        short=_too_small(settings, asked_n, final_n, final.aperture_m) if closed else "",
+    )
+
+
+def _too_small(settings: GripperSettings, asked_n: float, force_n: float, aperture_m: float) -> str:
+    return (
+        f"the part is too small or too soft for {asked_n:.1f} N: the ramp ended at {force_n:.1f} N "
+        f"and an opening of {1e3 * aperture_m:.1f} mm (gripper.aperture_min_mm is "
+        f"{1e3 * settings.least_pressed_m:g}). Ask for less force, or lower that key as far as the "
+        f"foam of the pads yields"
     )
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import cos, inf, isfinite, pi
 
 from gripper.errors import LimitExceeded
-from gripper.impact import check_approach
-from gripper.kinematics import Linkage, end_transmissions
+from gripper.mechanics.impact import check_approach
+from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 
 
@@ -157,15 +157,16 @@ class ForceRamp:
         """Return the index of the level held at that time, None while the force changes."""
         return self._at(elapsed_s)[0].level
 
-    def ended_at(self, elapsed_s: float) -> "ForceRamp":
+    def ended_at(self, elapsed_s: float, *, most_n: float = inf) -> "ForceRamp":
         """Return a ramp that stays at the force of a time since the start: over, without a hold.
 
-        It stays at the level that is held then, or else at that which was next.
+        It stays at the level that is held then, or else at that which was next, and with no more
+        than ``most_n`` N.
         """
         segment, within_s = self._at(elapsed_s)
         following = self.segments[self.segments.index(segment) :]
         level = next((s.level for s in following if s.level is not None), None)
-        return ForceRamp(segments=(_hold(segment.force_n(within_s), 0.0, level),))
+        return ForceRamp(segments=(_hold(min(segment.force_n(within_s), most_n), 0.0, level),))
 
     def starting_from(self, force_n: float) -> "ForceRamp":
         """Return this ramp begun at a measured force, so that the set-point never jumps.

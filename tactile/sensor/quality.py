@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import FrameTimeout, require_at_least
-from tactile.frames.codec import COUNTER_MASK, TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.filters import Neighbourhood, Values
 from tactile.sensor.tare import TareResult
+from tactile.source import COUNTER_MASK, TactileFrame
 
 Mask = NDArray[np.bool_]
 
@@ -100,7 +100,12 @@ class QualityWatch:
         return bad
 
     def aim(self, force_n: float, aperture_m: float) -> None:
-        """Take the wanted force in N and the opening between the pads in m."""
+        """Take the wanted force in N, 0 for none, and the opening between the pads in m.
+
+        The first force that is wanted is the one that is there: it is no change.
+        """
+        if self._aim[0] == 0.0:
+            self._aim_at_change = (force_n, self._aim_at_change[1])
         self._aim = (force_n, aperture_m)
 
     def step(self, frame: TactileFrame, *, touched: bool) -> None:

@@ -19,7 +19,7 @@ from cell.control.records import pad_array
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp
 from recognition.ramp.ramp import Rest
 from recognition.recognizer import Posterior
@@ -353,7 +353,10 @@ class InvariantMonitor:
 
 def link_counters(cell: Cell) -> list[tuple[int, ...]]:
     """Return the counters of both links; `Cell.health` gives the same, too slowly for each step."""
-    link, sensor = cell.link.statistics, cell.controller.local_hand.sensor.statistics
+    link, sensor = (
+        cell.controller.hand.statistics.source,
+        cell.controller.local_hand.sensor.statistics,
+    )
     owners = (link.frames, link, link.forces, sensor, cell.bus.statistics)
     return [read(owner) for read, owner in zip(_COUNTERS, owners, strict=True)]
 

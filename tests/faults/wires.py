@@ -29,8 +29,9 @@ from cell.interfaces.modbus.registers import (
     NEEDS_RESET,
     REBOOT,
 )
-from cell.interfaces.service.service import RELEASE_KEY, JobView, Service
-from cell.interfaces.service.serving import open_doors, open_service
+from cell.interfaces.opening import open_doors
+from cell.service.opening import open_service
+from cell.service.service import RELEASE_KEY, JobView, Service
 from tests.cell.interfaces.hosts import Client, Plc
 from tests.faults.campaign import PRODUCT_ERRORS
 from tests.faults.driver import COMMAND_BOUND_S, Driver

@@ -23,7 +23,7 @@ from cell.errors import (
     RecordingError,
 )
 from cell.fault_catalogue import fault_number
-from cell.interfaces.cli.signals import END_WITHIN_S, stopping
+from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import (
     ask,
     print_cell,
@@ -169,7 +169,10 @@ def running_cell(
         print_note(note)
     done = False
     try:
-        with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S), _closing(cell):
+        with (
+            stopping(cell.controller.cancel, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
+            _closing(cell),
+        ):
             cell.controller.start()
             if cell.controller.zero_note:
                 print_note(cell.controller.zero_note)

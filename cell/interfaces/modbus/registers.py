@@ -16,6 +16,9 @@ from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
+from cell.interfaces.access import may_connect, read_secret, same_secret
+from cell.interfaces.host_calls import COMMANDS
+from cell.interfaces.host_values import PLATE, VALUES, Value
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
     ILLEGAL_ADDRESS,
@@ -23,10 +26,7 @@ from cell.interfaces.modbus.protocol import (
     ModbusError,
     ModbusServer,
 )
-from cell.interfaces.service.doors import may_connect, read_secret, same_secret
-from cell.interfaces.service.host_calls import COMMANDS
-from cell.interfaces.service.host_values import PLATE, VALUES, Value
-from cell.interfaces.service.service import JobView, Service
+from cell.service.service import JobView, Service
 from recognition.recognizer import UNKNOWN
 
 SIGNATURE = 0x5443
@@ -130,7 +130,7 @@ def input_registers(
         shown = for_display(status.fault_number, status.fault)
     else:
         shown = on_hold or for_display(job.fault_number, job.error)
-    return [*words, *_text(shown), *_text(refusal.text)]
+    return [*words, *_text(shown), *_text(for_display(refusal.number, refusal.text))]
 
 
 class ModbusDoor:

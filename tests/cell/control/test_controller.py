@@ -15,8 +15,8 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shape_reading import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, small_config
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
@@ -90,6 +90,41 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
     assert [event["kind"] for event in recording.events] == ["no part"]
 
 
+@pytest.mark.parametrize(
+    ("shape", "closed_mm", "reached"),
+    [
+        ("sphere:diameter=5mm", 0.5, False),
+        ("cylinder:diameter=2mm,length=20mm", 0.5, False),
+        ("cylinder:diameter=3mm,length=20mm", 0.0, False),
+        ("cylinder:diameter=2mm,length=20mm", -4.0, True),
+    ],
+)
+def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
+    make_bench: MakeBench, tmp_path: Path, shape: str, closed_mm: float, reached: bool
+) -> None:
+    small = small_config(
+        gripper__aperture_min_mm=closed_mm, simulator__objects=[{"label": "a", "shape": shape}]
+    )
+    bench = make_bench(small, folder=tmp_path).ready("a")
+    record = bench.controller.grip(8.0, Pose())
+    assert (record.outcome.result is GraspResult.FORCE_REACHED) is reached
+    assert bool(record.ended) is not reached
+    bench.idle(2.0)
+    assert bench.controller.verify().same
+    assert bench.controller.state is CellState.COMPLETE
+    bench.controller.release()
+    # The cell goes on, and takes closed fingers for empty as before.
+    bench.once_in(APPROACHING, bench.simulated.remove)
+    with pytest.raises(NoPartFound, match="is the object in place"):
+        bench.grasp(8.0)
+    bench.cell.close()
+    events = read_recording(tmp_path / "recording.mcap").events
+    told = [event["text"] for event in events if event["kind"] == "ramp"]
+    assert [
+        re.search(r"too small or too soft for 8\.0 N.*min_mm is (\S+)\)", t)[1] for t in told
+    ] == ([] if reached else [f"{closed_mm:g}"])
+
+
 def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(folder=tmp_path).ready()
 
@@ -109,7 +144,7 @@ def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path
     assert result["shape"]["size_m"] == pytest.approx(found.shape.size_m, abs=1e-6)
     assert [one["kind"] for one in result["grasp_shapes"]] == ["sphere"]
     texts = [event["text"] for event in recording.events if event["kind"] == "callback"]
-    assert texts == ["after grasp 1: RuntimeError: window closed"]
+    assert texts == ["after grasp 1: unexpected error (RuntimeError): window closed"]
     assert [loop["overruns"] for loop in recording.statistics] == [0, 0]
     after_grasp, at_end = recording.statistics
     assert 100 < after_grasp["cycles"] <= at_end["cycles"]

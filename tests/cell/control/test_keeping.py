@@ -18,7 +18,7 @@ from cell.errors import CellStopped, ConfigError, PositionerError
 from cell.hand.local import LocalHand
 from cell.learning.model import load_model
 from gripper.errors import PartLost, PartSlipped
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from tactile.errors import TactileError
 from tests.cell.conftest import STRANGE, SURE, UNSURE, Bench, MakeBench, Scripted, small_config
@@ -269,10 +269,10 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
         mean = frames.mean(axis=0)
         return HeldPart(force_n=4.0, opening_m=0.01, footprint=mean, noise=noise)
 
-    checks = [compared(part(), part(), carry_n=CARRY_N) for _ in range(20)]
+    checks = [compared(part(), part()) for _ in range(20)]
     assert all(check.same for check in checks), [check.reasons for check in checks]
     other = replace(part(), footprint=np.roll(pressed, 30))
-    assert not compared(other, part(), carry_n=CARRY_N).same
+    assert not compared(other, part()).same
 
 
 def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:

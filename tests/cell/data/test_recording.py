@@ -33,18 +33,18 @@ from cell.errors import RecordingError
 from cell.hand.interface import HandStatistics
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.timing import LoopStatistics
-from gripper.force_sensor import ForceSample
+from gripper.values.force_sensor import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.recognizer import Posterior
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 from tests.cell.conftest import plain_pads
 from tests.fuzz.harness import Clock
 from tests.values import (
     make_cycle,
     make_identification,
-    make_link_statistics,
     make_servo,
     make_shape,
+    make_source_statistics,
     make_state,
 )
 
@@ -108,7 +108,7 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
             HandStatistics(
                 loop=LoopStatistics(cycles=7, worst_lateness_s=0.5),
                 servo_bus=BusStatistics(),
-                link=make_link_statistics(),
+                source=make_source_statistics(),
             )
         )
         grasps = [record_grasp(recorder, clock, f"object {i}") for i in range(n_grasps)]
@@ -312,7 +312,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
         with pytest.raises(RecordingError, match=says):
             read_recording(tmp_path / name)
     monkeypatch.setattr(recording_messages, "MAX_FILE_BYTES", 4)
-    with pytest.raises(RecordingError, match="at most 4 are read"):
+    with pytest.raises(RecordingError, match="at most 4 bytes"):
         read_recording(tmp_path / "text")
 
 

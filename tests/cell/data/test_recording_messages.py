@@ -19,6 +19,7 @@ from cell.data import (
     recording_schema,
     recording_values,
 )
+from cell.data.formats import RECORDING
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import read_recording, recording_grasps
 from cell.data.recording_recovery import recover_recording
@@ -28,7 +29,7 @@ from tests.cell.data.test_recording import PADS, record_grasp, refusing
 from tests.fuzz.harness import Clock
 
 GOOD = {
-    "format": recording_schema.FORMAT,
+    "format": str(RECORDING),
     "pads": json.dumps(
         {"pad_shape": [[1, 1]], "taxel_pad": [0], "taxel_xy_m": [[0, 0]], "adc_max": 9}
     ),
@@ -109,7 +110,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, name: str) -> list[Any]:
     ("metadata", "says"),
     [
         (None, "has no description"),
-        ({"format": "other/1"}, "has the format 'other/1'"),
+        ({"format": "other/1"}, "its format is 'other/1'"),
         (GOOD | {"pads": "[" * 100_000}, "does not fit"),
     ],
 )

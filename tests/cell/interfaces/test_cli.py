@@ -40,7 +40,7 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
 )
 from cell.learning.model import load_model, save_model
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
@@ -161,7 +161,8 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(
 
 
 def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[str]) -> None:
-    from cell.jobs.run import MainResult, score
+    from cell.jobs.run import MainResult
+    from cell.report.build import score
 
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")
     result = MainResult(
@@ -171,8 +172,6 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
         seconds=1.0,
         scores=dict.fromkeys(("force_ramp", "level_check"), score("", labels, labels, labels)),
         trials=(),
-        examples={},
-        recognizers={},
         dataset=None,
         model=None,
         recording=None,
@@ -198,6 +197,10 @@ def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path)
     assert "2 were there" in text
     grasps = read_dataset(path)
     assert [grasp.label for grasp in grasps] == ["ball", "ball", "part_7"]
+    sunk = tmp_path / "sunk.yaml"
+    sunk.write_text("gripper:\n  aperture_min_mm: 9.0\nself_zero: never\n")
+    text = call("teach", "box", "-n", 1, "-o", path, "-c", sunk)
+    assert "1 of 1 ramps ended early: the part is too small or too soft for" in text
 
 
 def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
@@ -482,7 +485,6 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
         "recognizer": "level_check",
         "n_grasps": 20,
         "early": False,
-        "n_remembered": 0,
         "labels": ["ball", "box"],
     }
 
@@ -684,6 +686,7 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
     placed = operated.replace("places: []", "places:\n  - {label: ball, place: left}")
     texts = {
         "pinch": "tactile: {layout: pinch}\n",
+        "meshed": "simulator: {objects: [{label: a, shape: 'mesh:file=a.stl'}]}\n",
         "undrawn": "simulator: {objects: [{label: a, shape: 'sphere:diameter=9'}]}\n",
         "operated": operated,
         "placed": placed,
@@ -692,7 +695,7 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
         paths[name] = tmp_path / f"{name}.yaml"
         paths[name].write_text(text)
     given = {"dataset": taught.result.dataset, "model": taught.result.model, "config": config}
-    return paths | given | {"real": EXAMPLES / "paper-gripper.yaml"}
+    return paths | given | {"real": EXAMPLES / "paper-gripper.yaml", "folder": tmp_path / "new"}
 
 
 @pytest.mark.parametrize(
@@ -755,6 +758,34 @@ def test_wrong_use_is_two_and_a_failing_job_one(
     assert not files["made"].exists()
 
 
+@pytest.mark.parametrize(
+    ("extra", "command"),
+    [
+        ("trimesh: mesh", "teach x -o {made} --mesh {none}"),
+        ("trimesh: mesh", "config check {meshed}"),
+        ("sklearn: comparators", "train {dataset} -o {made} --recognizer extra_trees"),
+        ("sklearn: comparators", "evaluate {dataset} --recognizer extra_trees --jobs 1"),
+        ("distributed: cluster", "evaluate {dataset} --scheduler tcp://127.0.0.1:9"),
+        ("fastapi: serve", "commission {folder} --page"),
+        ("fastapi: serve", "serve -c {config} --http 0"),
+        ("asyncua: opcua", "serve -c {config} --opcua 0"),
+    ],
+)
+def test_a_missing_extra_is_named_with_the_command_that_adds_it(
+    fail: Any, files: dict[str, Path], extra: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package, _, extra = extra.partition(": ")
+    users = [f"cell.interfaces.{name}" for name in ("opc_ua", "w", "page")]
+    for name in list(sys.modules):
+        if name.partition(".")[0] == package:
+            monkeypatch.setitem(sys.modules, name, None)
+        elif name.startswith(tuple(users)):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    said = fail(*command.format(**files).split(), code=1 if "--jobs" in command else 2)
+    assert f" needs {package}; install this project with its extra `{extra}`: pip install" in said
+
+
 def when_pressed(made: Any, act: Callable[[], None]) -> None:
     world = made.simulated.world
     once(made.simulated.clock, lambda: min(world.contact_force_n()) > 2.0, act)
@@ -802,13 +833,12 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
     config: Path, fail: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from cell.errors import ReportError
-    from cell.jobs import run_report
 
     def refuse(*_arguments: object) -> None:
         raise ReportError("cannot write report: no space left")
 
     printed: list[Any] = []
-    monkeypatch.setattr(run_report, "main_report", refuse)
+    monkeypatch.setattr("cell.report.page.write_report", refuse)
     monkeypatch.setattr("cell.interfaces.cli.commands.run.print_result", printed.append)
     said = fail("run", "-c", config)
     assert said.endswith("error: cannot write report: no space left")
@@ -867,7 +897,7 @@ def test_an_interrupt_outside_a_sequence_is_one(monkeypatch: pytest.MonkeyPatch,
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cell.jobs.doctor, "examine", interrupt)
-    assert fail("doctor") == f"{BUILT_IN} error: interrupted; nothing was let go"
+    assert fail("doctor") == f"{BUILT_IN} error: interrupted"
 
 
 def test_an_empty_gripper_tells_that_nothing_is_held(
@@ -885,7 +915,11 @@ def test_an_empty_gripper_tells_that_nothing_is_held(
     assert "is the object in place? nothing is held; recording so far" in said
 
 
-def test_fingers_that_do_not_close_in_time_are_told_as_that(tmp_path: Path, fail: Any) -> None:
+def test_fingers_that_do_not_close_in_time_are_told_as_that(
+    tmp_path: Path, fail: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The config takes them for faster than they are.
+    monkeypatch.setattr("cell.config.model._STARTING_S", -60.0)
     slow = "self_zero: never\ngripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n"
     (tmp_path / "cell.yaml").write_text(slow)
     files = ("-o", tmp_path / "d.npz", "--out", tmp_path / "out")

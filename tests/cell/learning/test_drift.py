@@ -15,15 +15,15 @@ from cell.control.identification import Identification
 from cell.data.recording_reader import read_recording
 from cell.errors import ConfigError, ModelError
 from cell.interfaces.cli.app import app
-from cell.interfaces.plugin import tasks
-from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal
-from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.jobs.calibrate import calibrate_model
 from cell.jobs.identify import identify_recorded
 from cell.learning.model import load_model, save_model
 from cell.learning.taught_model import TaughtModel
-from cell.learning.training import Trained
-from gripper.outcome import GraspResult
+from cell.learning.training import Trained, train
+from cell.plugin import tasks
+from cell.plugin.goals import IdentifyGoal, TeachGoal
+from cell.plugin.plugin import TactileCellPlugin
+from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid
 from recognition.grasp import Grasp
@@ -239,7 +239,7 @@ def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught: Any) -> Non
 def test_a_model_that_cannot_follow_is_refused(taught: Any, tmp_path: Path) -> None:
     result = taught.result
     model = tmp_path / "level.npz"
-    recognizer = result.recognizers["level_check"]
+    recognizer = train(taught.grasps, "level_check").recognizer
     save_model(model, recognizer, trainer_name="level_check", pads=taught.grasps[0].pads)
     with pytest.raises(ModelError, match="level_check cannot follow a drift"):
         CliRunner().invoke(

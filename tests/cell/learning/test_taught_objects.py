@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cell.errors import CellError, CellStateError
-from cell.interfaces.plugin.tasks import ModelFile
 from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import ToldApart, told_apart
+from cell.plugin.tasks import ModelFile
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from tests.cell.conftest import plain_grasp

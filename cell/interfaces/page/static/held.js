@@ -119,6 +119,7 @@ export function renderHeld({ state, info, taught, photo, link }) {
 
   const checked = !runs(job) && ["verify", "grip"].includes(job?.task) && job.held !== null;
   const check = !checked ? "" : !job.held ? "check.nothing" : job.same === false ? "check.other" : "check.same";
-  setText(byId("held_check"), check && (job.task === "verify" || !job.held) ? t(check) : "");
+  const short = job?.task !== "teach" && job?.progress?.short ? t("held.short", { force: number(job.progress.force_n, 1) }) : "";
+  setText(byId("held_check"), check && (job.task === "verify" || !job.held) ? t(check) : short);
   byId("held_check").classList.toggle("bad", check === "check.nothing" || check === "check.other");
 }
