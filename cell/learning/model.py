@@ -17,9 +17,9 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.data.dataset import text_refused
 from cell.data.files import read_npz, savez, write_atomically
 from cell.data.formats import MODEL
+from cell.data.grasp_limits import text_refused
 from cell.errors import ModelError, reason_text
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
