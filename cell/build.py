@@ -43,7 +43,7 @@ from cell.simulation import (
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from motion.axes import Axes
 from motion.bus import Watch
 from simulator.cell import SimulatedCell

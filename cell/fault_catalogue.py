@@ -287,7 +287,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Obstacle, load, or a velocity that is set too low.",
         "Free the axis; look at its velocity and load.", AXES_STOP, MEND),
     motion.AxisMissing: Fault(603, "Axis missing, or another device than configured",
-        "Supply, cable, node-ID or ID of the axis.", "Check them; run `doctor`.", UNMOVED, CONFIG),
+        "Supply, cable, node-ID or ID of the axis.", "Check them; run `doctor`.", UNMOVED, MEND),
     motion.AxisSilent: Fault(604, "Axis no longer answers",
         "Supply or cable of the drive or servo.", "Check both, then clear and reset.", AXES_STOP,
         MEND),
@@ -302,6 +302,20 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Move the axis free, check home and limits, then clear and reset.", AXES_STOP, MEND),
     motion.HomingFailed: Fault(608, "Axis has not found its home",
         "Home switch, homing method, or an obstacle.", "Check them, then clear and reset.",
+        AXES_STOP, MEND),
+    motion.AxisNotOperational: Fault(610, "Drive of an axis left the state operational",
+        "Another CANopen master has stopped it.",
+        "Look for that master, then clear and reset: the next motion starts the drive.",
+        AXES_STOP, MEND),
+    motion.AxisDuplicated: Fault(611, "Two drives of axes with one node-ID",
+        "Same node-ID twice.", "Change one or take it off the bus, then clear and reset.",
+        AXES_STOP, MEND),
+    motion.AxisAnswerWrong: Fault(612, "Drive of an axis answers wrongly",
+        "Another drive or firmware, or a second sender with its node-ID.",
+        "Check drive, firmware and node-IDs, then clear and reset.", AXES_STOP, MEND),
+    motion.PositionImplausible: Fault(613, "Axis reads a position beyond its limits",
+        "Encoder or homing; an axis that was moved by hand.",
+        "Check encoder and homing, bring the axis between its limits, then clear and reset.",
         AXES_STOP, MEND),
     cell.PositionerFault: Fault(609, "Axis of the positioner at fault",
         "The text names axis and cause.", "Mend it, then clear and reset.", AXES_STOP, MEND),
@@ -339,7 +353,8 @@ def fault_of(error: BaseException) -> Fault:
     """
     kind = next((kind for kind in type(error).__mro__ if kind in CATALOGUE), Exception)
     cause = error.__cause__
-    if isinstance(cause, motion.MotionError) or (kind is cell.CellError and cause is not None):
+    by_axis = isinstance(cause, motion.MotionError) and not isinstance(error, motion.MotionError)
+    if cause is not None and (by_axis or kind is cell.CellError):
         return fault_of(cause)
     return CATALOGUE[kind]
 

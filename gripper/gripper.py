@@ -23,25 +23,25 @@ from gripper.errors import (
     ServoFault,
     VerificationFailed,
 )
+from gripper.force.approach.free_motion import MoveTo, StandStill
+from gripper.force.approach.mechanics_proof import FirstMotion, standing_rows
 from gripper.force.by_current import ForceByCurrent, cap_by_current_n
-from gripper.force.free_motion import MoveTo, StandStill
+from gripper.force.control.grip_control import GripControl
 from gripper.force.grasp import GraspRun
-from gripper.force.grip_control import GripControl
 from gripper.force.loop import LoopRunner, Running
-from gripper.force.mechanics_proof import FirstMotion, standing_rows
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
-from gripper.force_sensor import ForceSensor
-from gripper.kinematics import Linkage, OneFinger, ParallelLinkage
 from gripper.lifecycle import Lifecycle, bus_is_lost
-from gripper.outcome import GraspOutcome, GraspResult, ReleaseReport
-from gripper.servo_checks import ServoCondition, VerificationReport, VerificationRow
+from gripper.mechanics.kinematics import Linkage, OneFinger, ParallelLinkage
 from gripper.servos.goals import OPENING_MARGIN_RAD
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.servos.watchdog_proof import prove_watchdog
 from gripper.settings import GripperSettings
-from gripper.state import Cycle, GripperPhase, GripperState, Observer
+from gripper.values.force_sensor import ForceSensor
+from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
+from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
+from gripper.values.state import Cycle, GripperPhase, GripperState, Observer
 
 CARRY_RATE_N_S = 20.0
 """Rate in N/s at which a held force goes to that of the carry: a host waits for the answer."""
@@ -245,8 +245,8 @@ class Gripper:
     ) -> GripperState:
         """Move the empty fingers to an opening in m, by default aperture_open_m.
 
-        Where the torque comes on for it the motion proves direction, zero and linkage, as
-        `gripper.force.mechanics_proof` describes. Where a servo counts in another turn than that of
+        Where the torque comes on for it the motion proves direction, zero and linkage, see
+        `gripper.force.approach.mechanics_proof`. Where a servo counts in another turn than that of
         its zero too, the fingers stand for 0.2 s first: one that does not is not where its servo
         reports it to be. In both cases the torque goes off.
 

@@ -20,7 +20,7 @@ from gripper.errors import (
 from gripper.force.loop import LoopRunner
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings, OverForce
-from gripper.state import GripperPhase, Observer, shows_nothing
+from gripper.values.state import GripperPhase, Observer, shows_nothing
 
 _DOING = {
     GripperPhase.OPENING: "opening",

@@ -32,7 +32,7 @@ from cell.control.states import CellState
 from cell.errors import CellStopped
 from cell.jobs.collection import grasps_of
 from cell.learning.training import train
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.recognizer import Recognizer
 from tactile.errors import LinkFault
 

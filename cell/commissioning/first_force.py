@@ -28,10 +28,10 @@ from gripper.clock import Clock
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
-from gripper.outcome import GraspOutcome, GraspResult
 from gripper.servos.watchdog_proof import proof_travel_m
 from gripper.settings import largest_setpoint_n
-from gripper.state import Cycle
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import Cycle
 
 FIRST_FORCE_N = 1.0
 """Force in N of the first ramp: a part that it breaks is held by nothing."""

@@ -14,7 +14,7 @@ from cell.hand.interface import Hand
 from cell.hand.lines import Lines
 from gripper.clock import Clock
 from gripper.errors import GraspStopped
-from gripper.state import Cycle, GripperPhase
+from gripper.values.state import Cycle, GripperPhase
 from tactile.can.bus import MissingBus
 from tactile.source import TactileFrame
 

@@ -12,7 +12,7 @@ from cell.data.recorder import Recorder
 from cell.data.recording_values import estimate_values, plain_fields, shape_values
 from cell.hand.interface import HandStatistics
 from gripper.force.timing import Distribution, LoopStatistics
-from gripper.state import Cycle
+from gripper.values.state import Cycle
 from recognition.grasp import Grasp
 from tactile.source import TactileFrame
 

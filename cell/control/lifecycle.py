@@ -30,8 +30,8 @@ from gripper.errors import (
     ServoFault,
     fingers_left,
 )
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 
 _HOLDING = (
     GripperPhase.APPROACHING,

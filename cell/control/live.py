@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.hand.interface import Measured
-from gripper.force_sensor import ForceSample
-from gripper.state import Cycle
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import Cycle
 from tactile.source import TactileFrame
 
 FRESH_S = 0.5

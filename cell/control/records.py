@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.control.plan import GraspStep, Pose
-from gripper.outcome import GraspOutcome
-from gripper.state import Cycle
+from gripper.values.outcome import GraspOutcome
+from gripper.values.state import Cycle
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizer import Posterior
 from tactile.layout import TaxelLayout

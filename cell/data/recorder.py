@@ -26,7 +26,7 @@ from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
 
 if TYPE_CHECKING:
-    from gripper.state import Cycle
+    from gripper.values.state import Cycle
     from tactile.source import TactileFrame
 
 CHUNK_BYTES = 64 << 10

@@ -9,8 +9,8 @@ from cell.hand.lines import Lines
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
 from gripper.dynamixel.serial_port import SerialStream
-from gripper.force_sensor import ForceSample
 from gripper.gripper import open_gripper
+from gripper.values.force_sensor import ForceSample
 from tactile.can.bus import open_bus
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.opening import open_sensor
@@ -25,9 +25,9 @@ SHARED_PROCESS = (
 )
 """Note of a real cell whose loop has no process of its own."""
 
-_HELD_SHARE = 0.25
+_HELD_SHARE = 0.35
 """Share of the friction by which the wanted force may change while friction holds the one there
-is: as that breaks, by a sixth, and half as much again."""
+is: as that breaks, by a quarter where empty fingers meet, and half as much again."""
 
 
 def open_hand(

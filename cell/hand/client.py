@@ -32,7 +32,7 @@ from cell.hand.messages import (
 )
 from gripper.errors import GripperError, copy_fingers
 from gripper.force.ramp import ForceRamp, check_ramp
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from tactile.errors import TactileError
 
 P = ParamSpec("P")

@@ -11,10 +11,10 @@ from typing import Protocol
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
-from gripper.force_sensor import ForceSample
-from gripper.outcome import GraspOutcome, ReleaseReport
-from gripper.servo_checks import ServoCondition, VerificationReport
-from gripper.state import Cycle, GripperPhase
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspOutcome, ReleaseReport
+from gripper.values.servo_checks import ServoCondition, VerificationReport
+from gripper.values.state import Cycle, GripperPhase
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import SensorStatistics, TactileReading
 from tactile.sensor.tare import TareResult

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from cell.hand.interface import HandStatistics, Measured, OnPeriod
 from cell.hand.lines import Lines
 from gripper.force.ramp import ForceRamp
-from gripper.force_sensor import ForceSample
 from gripper.gripper import Gripper
-from gripper.outcome import GraspOutcome, ReleaseReport
-from gripper.state import Cycle, GripperPhase
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspOutcome, ReleaseReport
+from gripper.values.state import Cycle, GripperPhase
 from tactile.errors import ZeroDrifted
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileReading, TactileSensor

@@ -14,7 +14,7 @@ from typing import Any
 
 from cell.config.model import CellConfig
 from cell.hand.interface import Hand, HandStatistics, Measured, OnPeriod
-from gripper.state import Cycle, GripperPhase
+from gripper.values.state import Cycle, GripperPhase
 from tactile.source import TactileFrame
 
 # -- to the process ------------------------------------------------------------------------------

@@ -51,8 +51,7 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
     """
     config = service.config.serve
     found: dict[str, Any] = {"listen": config.listen}
-    files = (config.secret_file, config.token_file, config.tls_certificate, config.tls_key)
-    for name in files:
+    for name in (config.tls_certificate, config.tls_key):
         if name and Path(name).exists() and not Path(name).is_file():
             raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:

@@ -17,9 +17,9 @@ from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from cell.learning.training import train
 from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
-from gripper.force_sensor import ForceSample
 from gripper.gripper import open_gripper
 from gripper.settings import HARD_FORCE_CAP_N
+from gripper.values.force_sensor import ForceSample
 from recognition.evaluation.metrics import wilson_interval
 from recognition.evaluation.splits import parse_split
 from recognition.grasp import Grasp
@@ -254,6 +254,7 @@ def _wide_config(grasps: Sequence[Grasp]) -> CellConfig:
                 offset_mm=0.25 * opening_mm,
             ),
             aperture_open_mm=opening_mm,
+            contact_timeout_s=60.0,
             force_max_n=HARD_FORCE_CAP_N,
         ),
     )

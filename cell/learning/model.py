@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cell.data.dataset import text_refused
 from cell.data.files import read_npz, savez, write_atomically
+from cell.data.formats import MODEL
 from cell.errors import ModelError, reason_text
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
@@ -58,9 +59,6 @@ def rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
             if not np.all(np.isfinite([*posterior.probability, posterior.unknown])):
                 raise ValueError("its probabilities are not finite")
 
-
-FORMAT = "tactile-cell-model/1"
-"""Format and version in the header of a model file."""
 
 MODEL_LIMIT_BYTES = 256 << 20
 """Largest unpacked size in bytes of a model file that is read; real ones have a few MB."""
@@ -174,7 +172,7 @@ def save_model(
             raise ValueError(f"{section!r} is no name of a section")
         arrays |= {f"{section}.{name}": np.asarray(array) for name, array in content.items()}
     header = {
-        "format": FORMAT,
+        "format": str(MODEL),
         "trainer": trainer_name,
         "class": kind.__name__,
         "labels": list(recognizer.labels),
@@ -267,7 +265,7 @@ def _built(path: Path, build: Callable[[], _T]) -> _T:
             return build()
     except _UNSUITABLE as cause:
         raise ModelError(
-            f"{path} does not suit this program ({reason_text(cause)}); train it again"
+            f"{path} does not suit this program ({reason_text(cause)}); {MODEL.remedy}"
         ) from cause
 
 
@@ -280,11 +278,10 @@ def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     try:
         header = json.loads(str(text))
     except (ValueError, RecursionError) as cause:
-        raise ModelError(
-            f"{path}: its header is no JSON ({cause}); take another copy of it"
-        ) from cause
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise ModelError(f"{path} is not of the format {FORMAT}; train it again")
+        raise ModelError(f"{path}: its header is no JSON ({cause})") from cause
+    if not isinstance(header, dict):
+        raise ModelError(f"{path}: its header is no object; {MODEL.remedy}")
+    MODEL.check(header.get("format"), path, ModelError)
     rest = {name: array for name, array in arrays.items() if name != _HEADER}
     if header.get("sha256") != _digest(rest):
         raise ModelError(f"{path}: its arrays do not have its checksum; take another copy of it")
@@ -324,7 +321,7 @@ def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
             )
     except (KeyError, ValueError, TypeError, IndexError, ArithmeticError, MemoryError) as cause:
         raise ModelError(
-            f"{path}: its pads cannot be read ({reason_text(cause)}); train it again"
+            f"{path}: its pads cannot be read ({reason_text(cause)}); {MODEL.remedy}"
         ) from cause
 
 

@@ -22,7 +22,7 @@ from cell.learning.training_set import (
     saved_training_set,
     training_section,
 )
-from gripper.outcome import GraspResult
+from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cell.data.recording_reader import RecordedCycles
 from cell.installation import extra
 from cell.report.data import Trajectories
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,42 +5,41 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from gripper.errors import GripContradicted, PartLost
-from gripper.force.approach import STALL_SPEED_M_S, Approach, ApproachEvent
-from gripper.force.contact import ContactRest
-from gripper.force.grip_control import (
-    FrictionEstimate,
-    GripControl,
-    StiffnessEstimate,
-    driving_n,
-)
-from gripper.force.loop import Action, LoopRunner, Moment, Running
-from gripper.force.mechanics_proof import (
+from gripper.force.approach.approach import Approach, ApproachEvent
+from gripper.force.approach.contact import ContactRest
+from gripper.force.approach.mechanics_proof import (
     ZERO_RANGE_M,
     closes_farther,
     meeting_settings,
     not_met,
 )
-from gripper.force.part_loss import EmptyGrip
+from gripper.force.control.grip_control import GripControl
+from gripper.force.estimates.friction import FrictionEstimate
+from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
-from gripper.force.slip import LevelSlip
-from gripper.kinematics import Linkage, mean_friction_n, transmissions
-from gripper.outcome import GraspOutcome, GraspResult
+from gripper.force.supervision.empty_grip import EmptyGrip
+from gripper.force.supervision.slip import LevelSlip
+from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
-from gripper.state import GripperPhase, GripperState
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import STANDING_M_S, GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
-"""Where in the friction band the drive is at the contact: at its rising edge, with a reserve."""
+"""Where in the friction band the drive is at the contact: at its rising edge, with a reserve.
+[tuned]"""
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
 """How much wider in m than all parts so far the next one may begin: the first, and the second over
-the number of these parts, because each is the widest of all as likely as any other."""
+the number of these parts, because each is the widest of all as likely as any other. [tuned]"""
 _REST_S = 0.08
-"""Time in s that the fingers rest at the contact, so that the ramp begins at the force there."""
+"""Time in s that the fingers rest at the contact, so that the ramp begins at the force there.
+[tuned]"""
 _TOUCH_S = 0.065
 """Time in s from the brake at a first touch before which no ramp begins on what was met with more
-than the force of a contact: the force of the touch decays first."""
+than the force of a contact: the force of the touch decays first. [tuned]"""
 _EQUAL_S = 1e-9
-"""Difference of times in s that counts as none: sums of periods are rounded."""
+"""Difference of times in s that counts as none: sums of periods are rounded. [chosen]"""
 
 
 class GraspRun:
@@ -100,7 +99,7 @@ class GraspRun:
             if reached.event is ApproachEvent.OBSTRUCTED:
                 raise _obstructed(contact)
             if reached.event is not ApproachEvent.CONTACT:
-                closing = -contact.aperture_velocity_m_s > STALL_SPEED_M_S
+                closing = -contact.aperture_velocity_m_s > STANDING_M_S
                 closed = contact.aperture_m <= self._settings.aperture_min_m
                 self._confirm_empty(contact, ran=closed or closing, approached=True)
                 self._set_phase(GripperPhase.APPROACHING)

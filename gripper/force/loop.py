@@ -19,23 +19,29 @@ from gripper.errors import (
     LimitExceeded,
 )
 from gripper.force.timing import LoopStatistics, LoopTimer
-from gripper.force_sensor import ForceSample, ForceSensor
 from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import Cycle, GripperPhase, GripperState, Observer
+from gripper.values.force_sensor import ForceSample, ForceSensor
+from gripper.values.state import Cycle, GripperPhase, GripperState, Observer
 
 _FREEZE_AT = 2
-"""Period without feedback, counted in a row, in which the stop goals are written."""
+"""Period without feedback, counted in a row, in which the stop goals are written. [chosen]"""
 _ONE_SIDED_PERIODS = 3
-"""Periods in a row in which one servo is silent and the other is not, that make it a fault."""
+"""Periods in a row in which one servo is silent and the other is not, that make it a fault.
+[chosen]"""
 _LEAST_LOST_PERIODS = 3
-"""Periods in a row without feedback before the bus can count as lost: a pause alone is no loss."""
+"""Periods in a row without feedback before the bus can count as lost: a pause alone is no loss.
+[chosen]"""
 _HEALTH_EVERY = 4
-"""Every fourth period one health check: each takes a transaction of the period."""
+"""Every fourth period one health check: each takes a transaction of the period. [chosen]"""
 _LONGEST_STEP = 2.0
-"""Longest step of control in periods: after a late period nothing catches up."""
+"""Longest step of control in periods: after a late period nothing catches up. [chosen]"""
+YOUNG_S = 0.015
+"""Age in s of a sample up to which the drive may answer to it at once: of the force messages, that
+of a frame is older. A first touch is worth braking for, and all of the stiffening of a soft part is
+stable. [tuned]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +69,11 @@ class Moment:
     state: GripperState
     sample: ForceSample | None
     """Feedback and newest force sample, checked for age where force matters."""
+
+    @property
+    def young(self) -> bool:
+        """Whether the sample is so new that the drive may answer to it at once."""
+        return self.sample is not None and self.now_s - self.sample.measured_s <= YOUNG_S
 
 
 @dataclass(slots=True, kw_only=True)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import cos, inf, isfinite, pi
 
 from gripper.errors import LimitExceeded
-from gripper.impact import check_approach
-from gripper.kinematics import Linkage, end_transmissions
+from gripper.mechanics.impact import check_approach
+from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 
 

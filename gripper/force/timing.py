@@ -4,15 +4,15 @@ from dataclasses import dataclass, field
 from math import log10
 
 _FIRST_S = 1e-6
-"""Upper edge of the first bin in s."""
+"""Upper edge of the first bin in s. [chosen]"""
 _PER_DECADE = 40
-"""Bins for each factor of ten: each is 6 % wide."""
+"""Bins for each factor of ten: each is 6 % wide. [chosen]"""
 _DECADES = 7
-"""Factors of ten that the bins cover: 1 us to 10 s."""
+"""Factors of ten that the bins cover: 1 us to 10 s. [chosen]"""
 _N_BINS = _PER_DECADE * _DECADES + 2
 """All bins, with one below and one above that range."""
 LATE_SHARE = 0.5
-"""Share of the period by which a period that began later is counted as late."""
+"""Share of the period by which a period that began later is counted as late. [chosen]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

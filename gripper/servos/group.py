@@ -24,14 +24,14 @@ from gripper.errors import (
     GripperError,
     ServoFault,
 )
-from gripper.force_sensor import ForceSample
-from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos import stop_goals
 from gripper.servos.feedback import Feedback
 from gripper.servos.goals import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import GripperState
 
 _PATIENT_READS = 3
 """Readings between commands before a lost answer is an error."""

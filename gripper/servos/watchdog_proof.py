@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
 from gripper.errors import LimitExceeded, WatchdogUnproven
-from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.state import GripperState
 
 _FASTEST_RAW = 4
 """Largest Profile Velocity (register 112) of the test motion: 0.1 rad/s."""

@@ -17,7 +17,7 @@ from cell.data.dataset import read_dataset
 from cell.interfaces.cli.app import app
 from cell.jobs.run import MainResult, teach_and_identify
 from cell.pytest_plugin.virtual import VirtualCell
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Posterior
 from simulator.clock import VirtualClock

@@ -44,7 +44,8 @@ FROZEN = {
     "Exception": 599,
     "MotionError": 600, "AxisLimitExceeded": 601, "PositionNotReached": 602, "AxisMissing": 603,
     "AxisSilent": 604, "AxisRestarted": 605, "AxisFault": 606, "LimitSwitchReached": 607,
-    "HomingFailed": 608, "PositionerFault": 609,
+    "HomingFailed": 608, "PositionerFault": 609, "AxisNotOperational": 610,
+    "AxisDuplicated": 611, "AxisAnswerWrong": 612, "PositionImplausible": 613,
     "RecognitionError": 700, "ContactError": 701, "QuadricError": 702, "TransformError": 703,
     "TrajectoryError": 704, "MissingExtraError": 705, "ModelError": 706,
 }  # fmt: skip

@@ -16,7 +16,7 @@ from cell.control.records import pad_array
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp
 from recognition.ramp.ramp import Rest
 from recognition.recognizer import Posterior

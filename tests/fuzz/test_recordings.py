@@ -18,8 +18,8 @@ from cell.data.recorder import Recorder
 from cell.data.recording_reader import Recording, read_recording
 from cell.data.recording_recovery import recover_recording
 from cell.errors import RecordingError
-from gripper.force_sensor import ForceSample
-from gripper.state import Cycle, GripperPhase, GripperState, ServoState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import Cycle, GripperPhase, GripperState, ServoState
 from tactile.source import TactileFrame
 from tests.fuzz.harness import (
     Clock,

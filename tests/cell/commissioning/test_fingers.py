@@ -16,7 +16,7 @@ from cell.commissioning.fingers import (
     zero_pulse,
 )
 from cell.commissioning.servos import ServosStep
-from gripper.kinematics import ParallelLinkage, RackPinion
+from gripper.mechanics.kinematics import ParallelLinkage, RackPinion
 from gripper.servos.group import ServoGroup
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings

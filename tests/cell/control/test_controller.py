@@ -15,8 +15,8 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shape_reading import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, small_config
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING

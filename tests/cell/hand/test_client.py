@@ -23,8 +23,8 @@ from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
-from gripper.force_sensor import ForceSample
-from gripper.state import GripperPhase
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import GripperPhase
 from tactile.errors import HeartbeatLost, LinkFault
 from tactile.source import TactileFrame
 from tests.values import make_cycle, make_source_statistics

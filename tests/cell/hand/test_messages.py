@@ -31,8 +31,8 @@ from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, ServoFault, ServoRejected, VerificationFailed
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import Distribution, LoopStatistics
-from gripper.servo_checks import VerificationReport, VerificationRow
-from gripper.state import GripperPhase
+from gripper.values.servo_checks import VerificationReport, VerificationRow
+from gripper.values.state import GripperPhase
 from tactile.errors import NodeEmergency
 from tactile.source import FrameStatistics, TactileFrame
 from tests.values import make_cycle, make_source_statistics

@@ -19,7 +19,7 @@ from cell.learning.model import load_model
 from cell.learning.taught_model import TaughtModel
 from cell.plugin import tasks
 from cell.plugin.goals import GaugeGoal
-from gripper.outcome import GraspResult
+from gripper.values.outcome import GraspResult
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.recognizers import make_trainer
 from tests.cell.conftest import call

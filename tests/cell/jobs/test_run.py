@@ -18,7 +18,7 @@ from cell.jobs.teach import labelled, name_recorded, teach_to_dataset
 from cell.learning.model import load_model
 from cell.learning.training import train
 from cell.report.build import BASELINE, score, score_tables
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from tests.cell.conftest import MakeBench
 

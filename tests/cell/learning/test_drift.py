@@ -23,7 +23,7 @@ from cell.learning.training import Trained, train
 from cell.plugin import tasks
 from cell.plugin.goals import IdentifyGoal, TeachGoal
 from cell.plugin.plugin import TactileCellPlugin
-from gripper.outcome import GraspResult
+from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid
 from recognition.grasp import Grasp

@@ -133,7 +133,7 @@ def test_a_model_that_names_its_class_as_it_was_called_before_is_read(tmp_path: 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda h, _: h.update(format="tactile-cell-model/2"), "not of the format"),
+        (lambda h, _: h.update(format="other/1"), "its format is 'other/1'"),
         (lambda h, _: h.update(trainer="os"), "there are force_ramp"),
         (lambda h, _: h.update({"class": "np"}), "no recogniser named 'np'"),
         (lambda h, _: h.update({"class": "Posterior"}), "no recogniser named"),
@@ -199,7 +199,7 @@ class Bomb:
         ({"model": np.zeros(3)}, "it has no header"),
         ({"model": np.array("{")}, "no JSON"),
         ({"model": np.array("[" * 100_000)}, "no JSON"),
-        ({"model": np.array("[1]")}, "not of the format"),
+        ({"model": np.array("[1]")}, "no object"),
     ],
 )
 def test_what_is_no_model_is_refused_and_never_run(

@@ -33,7 +33,7 @@ from cell.plugin.plugin import (
 )
 from cell.plugin.worker import Job, JobOutcome
 from gripper.errors import ServoFault, VerificationFailed
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import NodeMissing
 from tests.cell.conftest import once, small_config

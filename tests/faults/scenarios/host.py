@@ -15,7 +15,7 @@ from cell.control.records import GraspCollector, GraspRecord
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped
 from cell.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.recognizer import Posterior
 from tests.faults.campaign import (
     CampaignCell,

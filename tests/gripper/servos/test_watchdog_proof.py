@@ -4,8 +4,8 @@ import pytest
 
 from gripper.errors import GripperStateError, LimitExceeded, WatchdogUnproven
 from gripper.force.ramp import ForceRamp
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 from simulator.servo.firmware import WatchdogStop
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0)

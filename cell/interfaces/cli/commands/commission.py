@@ -96,10 +96,14 @@ def commission(
     try:
         with as_interrupts():
             if restore:
-                lines = restore_servos(bench, dialog, servo_port or bench.gripper().port)
+                lines = restore_servos(
+                    bench,
+                    dialog,
+                    servo_port or bench.gripper().port,
+                    begin=lambda: engine.redo("servos"),
+                )
                 for line in lines:
                     print_line(line)
-                engine.redo("servos")
                 return
             for key in redo or ():
                 print_line(f"to be done again: {', '.join(engine.redo(key))}")
