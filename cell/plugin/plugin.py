@@ -190,7 +190,7 @@ class TactileCellPlugin:
         listeners: list[OnPart] = []
         newtons = TaxelNewtons(checked, controller)
         self._part_listeners, self._newtons = listeners, newtons
-        self._looking: threading.Thread | None = None
+        self._reading: threading.Thread | None = None
         self._places: Callable[[], Places] = lambda: tasks.Places(checked, file.model.labels)
         self._tasks = tasks.Tasks(
             controller,
@@ -311,10 +311,10 @@ class TactileCellPlugin:
         Shapes that are not known yet are None, and are read in a thread of their own;
         `taught_revision` changes with each.
         """
-        if not self._model.looked_at and not (self._looking and self._looking.is_alive()):
-            look = self._model.look_at_newest
-            self._looking = threading.Thread(target=look, name="taught-shapes", daemon=True)
-            self._looking.start()
+        if not self._model.shapes_read and not (self._reading and self._reading.is_alive()):
+            read = self._model.read_shapes
+            self._reading = threading.Thread(target=read, name="taught-shapes", daemon=True)
+            self._reading.start()
         return [
             {
                 "label": label,
@@ -618,8 +618,8 @@ class TactileCellPlugin:
             try:
                 self._cell.close()
             finally:
-                if self._looking is not None:
-                    self._looking.join()
+                if self._reading is not None:
+                    self._reading.join()
                 self._file.write()
 
     def __del__(self) -> None:

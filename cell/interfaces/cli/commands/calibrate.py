@@ -48,10 +48,11 @@ def calibrate(
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.jobs.calibrate import calibrate_model, check_gauge, follow_shift
+    from cell.jobs.calibrate import calibrate_model, follow_shift
+    from cell.jobs.collection import grasps_of
     from cell.jobs.common import progress_of
-    from cell.learning.collection import grasps_of
     from cell.learning.model import load_model, save_model
+    from cell.learning.training import gaugeable
     from recognition.drift.drift import drift_text
 
     if model is None:
@@ -72,8 +73,7 @@ def calibrate(
     else:
         checked = cell_config(config, seed=seed)
         loaded = load_model(model, pads_of(checked))
-        for label in gauge:
-            check_gauge(loaded, label)
+        gaugeable(loaded, *gauge)
         with running_cell(
             checked, "calibrate", out_folder, config_file=config, json_file=json_file
         ) as (cell, progress):

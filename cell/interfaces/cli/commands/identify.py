@@ -144,13 +144,12 @@ def _identify_recorded(
     from cell.jobs.identify import identify_recorded
     from cell.learning.model import load_model
     from cell.learning.shape_reading import NO_SHAPE
-    from cell.learning.training import with_caution
+    from cell.learning.training import loaded
     from recognition.drift.drift import drift_text
 
-    loaded = load_model(model)
-    loaded = replace(loaded, recognizer=with_caution(loaded.recognizer, config.recognition))
-    recorded = read_grasps(dataset)
-    answers = identify_recorded(loaded, recorded, follow=follow, read_shape=read_shape)
+    found, recorded = load_model(model), read_grasps(dataset)
+    found = replace(found, recognizer=loaded(found, config).recognizer)
+    answers = identify_recorded(found, recorded, follow=follow, read_shape=read_shape)
     for answer in answers:
         print_line(
             f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"

@@ -18,7 +18,7 @@ from cell.interfaces.cli.options import (
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
-    from cell.learning.collection import Collection
+    from cell.jobs.collection import Collection
 
 _GRASPS = 20
 """Grasps of an object where no number is given."""
@@ -79,7 +79,7 @@ def teach(
     from cell.config.simulator import checked_label
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config
-    from cell.learning.collection import Collection
+    from cell.jobs.collection import Collection
 
     try:
         checked_label(label)
