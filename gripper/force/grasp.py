@@ -67,7 +67,7 @@ class GraspRun:
         self._linkage = linkage
         self._settings = settings
         self._end = RampEnd()
-        self._ramp_step: RampStep | None = None
+        self._ramp_step: ContactStep | None = None
         self._closed_is_proven = False
         self._widest_m, self._touched = 0.0, 0
         self._friction_share = 1.0
@@ -127,7 +127,7 @@ class GraspRun:
     ) -> GraspOutcome:
         """Follow a ramp on what was touched; a part that was lost on it is forgotten."""
         self._set_phase(GripperPhase.RAMPING)
-        self._ramp_step = step = RampStep(self._linkage, ramp, reached, self._end, slip=slip)
+        self._ramp_step = step = ContactStep(self._linkage, ramp, reached, self._end, slip=slip)
         final = self._runner.run(step.step)
         if step.lost:
             ran = step.control is not None and step.control.ran
@@ -165,12 +165,13 @@ class GraspRun:
 
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
-        step = SqueezeStep(self._settings, control, ramp.starting_from(control.setpoint_n))
+        begun = ramp.starting_from(control.setpoint_n)
+        step = GripStep(self._settings, control, begun, slip=LevelSlip(self._settings))
         return step.outcome(self._runner.run(step.step))
 
     def follow(self, control: GripControl, ramp: ForceRamp) -> GripperState:
         """Follow a change of the held force to its end and until the force has settled."""
-        return self._runner.run(BackOffStep(self._settings, control, ramp).step)
+        return self._runner.run(GripStep(self._settings, control, ramp).step)
 
     def _approach(self, settings: GripperSettings) -> "Reached":
         """Close until the contact, or the end of the way, and feed the estimates."""
@@ -306,58 +307,54 @@ class RampTime:
         )
 
 
-class RampStep:
-    """Step of control along a ramp: rest at the contact, ramp, settling.
+class GripStep:
+    """Step of control of a grip along a ramp, from its present set-point until it has settled.
 
     Parameters
     ----------
-    linkage
+    settings
         Of the gripper.
+    control
+        Control of the held part; None where a contact is to come first.
     ramp
-        Set-point of the grip force; it begins at the force that is measured at the contact.
-    reached
-        How the approach ended.
-    end
-        Request to end the ramp early.
+        The way down or up.
     slip
-        Watches over what is held; None where nothing is that could slip.
+        Watches over what is held at the levels of the ramp; None where the force only changes, or
+        nothing could slip.
     """
 
     def __init__(
         self,
-        linkage: Linkage,
+        settings: GripperSettings,
+        control: GripControl | None,
         ramp: ForceRamp,
-        reached: Reached,
-        end: RampEnd,
         *,
-        slip: LevelSlip | None,
+        slip: LevelSlip | None = None,
     ) -> None:
-        self.control: GripControl | None = None
-        """Control of the grip force; None during the rest at the contact."""
+        self.control = control
+        """Control of the grip force; None before it began."""
         self.lost = False
         """True when the part was lost; then the fingers hold their positions."""
-        self._settings = reached.settings
-        self._linkage = linkage
-        self._time = RampTime(reached.settings, ramp)
-        self._reached = reached
-        self._end = end
-        self._rest = ContactRest(
-            reached.state.t_s + _REST_S,
-            hard_n=reached.settings.contact_force_n,
-            hard_until_s=reached.braked_s + _TOUCH_S,
-        )
+        self._settings = settings
+        self._time = RampTime(settings, ramp)
         self._slip = slip
         self._peak_n = 0.0
+        self._contact: GripperState | None = None
         self._ended = False
+        if control is not None:
+            control.resume()
 
     def step(self, moment: Moment) -> Action:
-        """Return the action of one period; PartSlipped when a held part slips."""
-        self._reached.stiffness.push(moment)
-        if self._rest.goes_on(moment):
-            return Action()
-        control = self._advance(moment)
+        """Return the action of one period; PartLost, PartSlipped when the part goes."""
+        assert self.control is not None
+        _check_part(self.control, moment)
+        self._time.pass_by(moment.dt_s, self.control.force_n, moment.state.aperture_m)
+        action = self._action(moment, self.control)
+        return action if self._slip is not None else replace(action, level=None)
+
+    def _action(self, moment: Moment, control: GripControl) -> Action:
+        """Return the action of one period at the present time on the ramp."""
         setpoint_n, level = self._time.setpoint_n, self._time.level
-        self.lost = control.part_lost(moment)
         arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
         goals = control.goals(moment, setpoint_n, arrival_n=arrival_n)
         self._peak_n = max(self._peak_n, control.force_n)
@@ -372,23 +369,70 @@ class RampStep:
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
 
     def outcome(self, final: GripperState) -> GraspOutcome:
-        """Return the outcome of the grasp.
-
-        Parameters
-        ----------
-        final
-            Feedback of the last period.
-        """
-        return _outcome(
-            self._settings,
-            self.control,
-            self._time,
-            final,
-            contact=self._reached.state,
-            peak_n=self._peak_n,
-            lost=self.lost,
+        """Return the outcome of the ramp, of which ``final`` is the last feedback."""
+        contact = self._contact
+        final_n = 0.0 if self.control is None else self.control.force_n
+        asked_n, ended_n = self._time.asked_n, self._time.ramp.final_n
+        reached = abs(final_n - asked_n) <= self._settings.settle_tolerance_at_n(asked_n)
+        held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
+        closed = ended_n < asked_n and not (reached or self.lost)
+        short = _too_small(self._settings, asked_n, final_n, final.aperture_m) if closed else ""
+        return GraspOutcome(
+            result=GraspResult.PART_LOST if self.lost else held,
+            contact_t_s=None if contact is None else contact.t_s,
+            contact_aperture_m=None if contact is None else contact.aperture_m,
+            final_aperture_m=final.aperture_m,
+            final_force_n=final_n,
+            overshoot_n=max(0.0, self._peak_n - ended_n),
             ended_early=self._ended,
+            short=short,
         )
+
+
+class ContactStep(GripStep):
+    """Step of control from a contact along a ramp: rest, ramp, settling.
+
+    Parameters
+    ----------
+    linkage
+        Of the gripper.
+    ramp
+        Set-point of the grip force; it begins at the force that is measured at the contact.
+    reached
+        How the approach ended.
+    end
+        Request to end the ramp early.
+    slip
+        As `GripStep`.
+    """
+
+    def __init__(
+        self,
+        linkage: Linkage,
+        ramp: ForceRamp,
+        reached: Reached,
+        end: RampEnd,
+        *,
+        slip: LevelSlip | None,
+    ) -> None:
+        super().__init__(reached.settings, None, ramp, slip=slip)
+        self._linkage = linkage
+        self._reached, self._contact = reached, reached.state
+        self._end = end
+        self._rest = ContactRest(
+            reached.state.t_s + _REST_S,
+            hard_n=reached.settings.contact_force_n,
+            hard_until_s=reached.braked_s + _TOUCH_S,
+        )
+
+    def step(self, moment: Moment) -> Action:
+        """Return the action of one period; PartSlipped when a held part slips."""
+        self._reached.stiffness.push(moment)
+        if self._rest.goes_on(moment):
+            return Action()
+        control = self._advance(moment)
+        self.lost = control.part_lost(moment)
+        return self._action(moment, control)
 
     def _advance(self, moment: Moment) -> GripControl:
         """Advance the time on the ramp: begin it, end it early, or go on."""
@@ -469,72 +513,6 @@ class HoldStep:
         return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
 
 
-class BackOffStep:
-    """Step of control that follows a change of the held force until it has settled.
-
-    Parameters
-    ----------
-    settings
-        Of the gripper.
-    control
-        Control of the held part.
-    ramp
-        The way down or up, from the present set-point.
-    """
-
-    def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
-        self._settings = settings
-        self._control = control
-        self._time = RampTime(settings, ramp)
-        control.resume()
-
-    def step(self, moment: Moment) -> Action:
-        """Return the action of one period; PartLost when the part goes."""
-        _check_part(self._control, moment)
-        self._time.pass_by(moment.dt_s, self._control.force_n, moment.state.aperture_m)
-        setpoint_n = self._time.setpoint_n
-        arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
-        goals = self._control.goals(moment, setpoint_n, arrival_n=arrival_n)
-        return Action(
-            goals=goals, setpoint_n=setpoint_n, done=self._time.settled(self._control.force_n)
-        )
-
-
-class SqueezeStep(BackOffStep):
-    """Step of control along a further ramp in the same grip, with its levels.
-
-    Parameters
-    ----------
-    settings, control, ramp
-        As `BackOffStep`; the ramp goes up.
-    """
-
-    def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
-        super().__init__(settings, control, ramp)
-        self._slip = LevelSlip(settings)
-        self._peak_n = 0.0
-
-    def step(self, moment: Moment) -> Action:
-        """Return the action of one period; PartLost, PartSlipped when the part goes."""
-        action = super().step(moment)
-        level = self._time.level
-        self._peak_n = max(self._peak_n, self._control.force_n)
-        if not self._control.doubts:
-            self._slip.check(moment, level, setpoint_n=action.setpoint_n)
-        return replace(action, level=level)
-
-    def outcome(self, final: GripperState) -> GraspOutcome:
-        """Return the outcome of the ramp, of which ``final`` is the last feedback."""
-        return _outcome(
-            self._settings,
-            self._control,
-            self._time,
-            final,
-            contact=None,
-            peak_n=self._peak_n,
-        )
-
-
 def _check_part(control: GripControl, moment: Moment) -> None:
     if control.part_lost(moment):
         raise PartLost(
@@ -542,35 +520,6 @@ def _check_part(control: GripControl, moment: Moment) -> None:
             f"fingers apart any more, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
             f"fingers stand still"
         )
-
-
-def _outcome(
-    settings: GripperSettings,
-    control: GripControl | None,
-    time: RampTime,
-    final: GripperState,
-    *,
-    contact: GripperState | None,
-    peak_n: float,
-    lost: bool = False,
-    ended_early: bool = False,
-) -> GraspOutcome:
-    """Return the outcome of a ramp on a part, from its last feedback and its highest force."""
-    final_n = 0.0 if control is None else control.force_n
-    asked_n, ended_n = time.asked_n, time.ramp.final_n
-    reached = abs(final_n - asked_n) <= settings.settle_tolerance_at_n(asked_n)
-    held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
-    closed = ended_n < asked_n and not (reached or lost)
-    return GraspOutcome(
-        result=GraspResult.PART_LOST if lost else held,
-        contact_t_s=None if contact is None else contact.t_s,
-        contact_aperture_m=None if contact is None else contact.aperture_m,
-        final_aperture_m=final.aperture_m,
-        final_force_n=final_n,
-        overshoot_n=max(0.0, peak_n - ended_n),
-        ended_early=ended_early,
-        short=_too_small(settings, asked_n, final_n, final.aperture_m) if closed else "",
-    )
 
 
 def _too_small(settings: GripperSettings, asked_n: float, force_n: float, aperture_m: float) -> str:
