@@ -78,7 +78,7 @@ class Fingers:
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo; reads only."""
         return tuple(
-            replace(one, strayed=self.servos.strayed.get(one.servo_id, ""))
+            replace(one, strayed=self.servos.feedback.strayed.get(one.servo_id, ""))
             for one in self.health.conditions()
         )
 

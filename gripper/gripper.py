@@ -154,7 +154,7 @@ class Gripper:
         """
         self._life.check_ready("start")
         self._health.require_present()
-        for servo_id, seen in self._servos.strayed.items():
+        for servo_id, seen in self._servos.feedback.strayed.items():
             raise FeedbackImplausible(
                 f"servo {servo_id}: {seen}, and it was not restarted since then: where its finger "
                 f"is, is unknown, and nothing is moved. Check encoder, horn and linkage, then "
@@ -209,8 +209,6 @@ class Gripper:
             t_s=state.t_s,
             phase=self._life.phase,
             state=state,
-            force=None,
-            setpoint_n=0.0,
             goal_current_a=self._servos.goal_current_a,
         )
 
@@ -247,7 +245,7 @@ class Gripper:
             )
         with self._life.command("open", observer):
             was_limp = self._fingers.make_ready()
-            if was_limp and self._servos.off_by_turns:
+            if was_limp and self._servos.feedback.off_by_turns:
                 standing = StandStill(self._settings, self._servos.read_patiently())
                 self._runner.run(standing.step, needs_force=False)
             state = self._fingers.move_to(target_m, first=was_limp)
@@ -332,15 +330,15 @@ class Gripper:
             As `hold`.
         """
         control = self._held_control("carry")
-        ramp = ForceRamp.linear(force_n, CARRY_RATE_N_S, start_n=control.setpoint_n)
+        ramp = ForceRamp.linear(force_n, CARRY_RATE_N_S, start_n=control.grip.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None
         with self._life.command("carry", observer):
             self._fingers.make_ready()
-            if force_n != control.setpoint_n:
+            if force_n != control.grip.setpoint_n:
                 state = self._grasping.follow(control, ramp)
             self._life.phase = GripperPhase.HOLDING
-            if duration_s > 0.0 or force_n == control.setpoint_n:
+            if duration_s > 0.0 or force_n == control.grip.setpoint_n:
                 state = self._grasping.hold(control, max(duration_s, self.period_s))
             self._servos.disarm_watchdog()
         self._carried = self._grasping.hold_on(control, state.t_s)
@@ -358,10 +356,11 @@ class Gripper:
         """
         control = self._held_control("squeeze")
         self.check_ramp(ramp)
-        if not control.setpoint_n < ramp.final_n:
+        held_n = control.grip.setpoint_n
+        if not held_n < ramp.final_n:
             raise LimitExceeded(
-                f"a further ramp to {ramp.final_n} N is not above the held {control.setpoint_n} "
-                f"N: carry it with less force first"
+                f"a further ramp to {ramp.final_n} N is not above the held {held_n} N: carry it "
+                f"with less force first"
             )
         self._carried = None
         with self._life.command("squeeze", observer):

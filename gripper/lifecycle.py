@@ -233,7 +233,7 @@ class Lifecycle:
         if not phase.moving:
             self._note_grip(error, left)
             return
-        state = self._servos.last_read
+        state = self._servos.feedback.last
         where = "" if state is None else f", at an opening of {state.aperture_m * 1e3:.1f} mm"
         unconfirmed = left is FingersLeft.UNCONFIRMED
         watchdog = "; the servos' bus watchdog stops them" if unconfirmed else ""
@@ -284,7 +284,7 @@ def fault_response(
         return FingersLeft.UNCONFIRMED
     # No patience here: a servo that does not answer must not hold up the others.
     with servos.in_loop():
-        over_force = isinstance(error, ForceAboveCap) or servos.force_is_too_high()
+        over_force = isinstance(error, ForceAboveCap) or servos.guard.force_is_too_high()
         limp = over_force and settings.over_force is OverForce.LIMP
         if limp or isinstance(error, FeedbackImplausible):
             servos.go_limp()

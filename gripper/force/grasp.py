@@ -1,11 +1,11 @@
 """One grasp: approach, contact, ramp, settling; then holding, backing off and further ramps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
 
 from gripper.errors import GripContradicted, PartLost
-from gripper.force.approach.approach import Approach, ApproachEvent
+from gripper.force.approach.approach import Approach, ApproachEvent, Reached
 from gripper.force.approach.contact import ContactRest
 from gripper.force.approach.mechanics_proof import (
     ZERO_RANGE_M,
@@ -104,7 +104,9 @@ class GraspRun:
                 self._confirm_empty(contact, ran=closed or closing, approached=True)
                 self._set_phase(GripperPhase.APPROACHING)
                 self._prove_closed(contact)
-                return _without_contact(contact)
+                return GraspOutcome(
+                    result=GraspResult.NO_CONTACT, final_aperture_m=contact.aperture_m
+                )
             self._widest_m = max(self._widest_m, reached.touch_m)
             self._touched += 1
             return self._press(ramp, reached, slip=LevelSlip(self._settings))
@@ -122,15 +124,13 @@ class GraspRun:
                 self._end.request()
             return self._press(ramp, reached, slip=None)
 
-    def _press(
-        self, ramp: ForceRamp, reached: "Reached", *, slip: LevelSlip | None
-    ) -> GraspOutcome:
+    def _press(self, ramp: ForceRamp, reached: Reached, *, slip: LevelSlip | None) -> GraspOutcome:
         """Follow a ramp on what was touched; a part that was lost on it is forgotten."""
         self._set_phase(GripperPhase.RAMPING)
         self._ramp_step = step = ContactStep(self._linkage, ramp, reached, self._end, slip=slip)
         final = self._runner.run(step.step)
         if step.lost:
-            ran = step.control is not None and step.control.ran
+            ran = step.control is not None and step.control.watch.ran
             self._confirm_empty(final, ran=ran, stiffness_n_m=reached.stiffness.stiffness_n_m)
             self.forget()
         return step.outcome(final)
@@ -165,7 +165,7 @@ class GraspRun:
 
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
-        begun = ramp.starting_from(control.setpoint_n)
+        begun = ramp.starting_from(control.grip.setpoint_n)
         step = GripStep(self._settings, control, begun, slip=LevelSlip(self._settings))
         return step.outcome(self._runner.run(step.step))
 
@@ -173,7 +173,7 @@ class GraspRun:
         """Follow a change of the held force to its end and until the force has settled."""
         return self._runner.run(GripStep(self._settings, control, ramp).step)
 
-    def _approach(self, settings: GripperSettings) -> "Reached":
+    def _approach(self, settings: GripperSettings) -> Reached:
         """Close until the contact, or the end of the way, and feed the estimates."""
         # Fingers that are to meet find no part on their way.
         known = settings is self._settings and self._touched > 0
@@ -209,7 +209,7 @@ class GraspRun:
         """Opening in m at which the next part may begin, by those touched so far."""
         return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
-    def _closed(self) -> "Reached":
+    def _closed(self) -> Reached:
         """Close until the pads meet; MechanicsContradicted where nothing stops the fingers."""
         reached = self._approach(meeting_settings(self._settings))
         if reached.event is ApproachEvent.LIMIT:
@@ -221,24 +221,6 @@ class GraspRun:
         if not self._closed_is_proven and closes_farther(self._settings, state):
             self._closed()
             self._closed_is_proven = True
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reached:
-    """End of an approach, and what it has shown of the part."""
-
-    settings: GripperSettings
-    """Those of the gripper, or those with which empty fingers meet."""
-    event: ApproachEvent
-    state: GripperState
-    """What has ended it, and the feedback then."""
-    braked_s: float
-    """Monotonic time in s at which a finger was braked at its first touch."""
-    touch_m: float
-    """Opening in m at which both pads were first loaded."""
-    stiffness: StiffnessEstimate
-    friction_share: float
-    """Stiffness of the part so far, and friction as a share of the model's."""
 
 
 class RampTime:
@@ -363,7 +345,7 @@ class GripStep:
                 replace(goal, angle_rad=angle_rad)
                 for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
             )
-        elif self._slip is not None and not control.doubts:
+        elif self._slip is not None and not control.watch.doubts:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
         done = self.lost or self._time.settled(control.force_n)
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
@@ -431,7 +413,7 @@ class ContactStep(GripStep):
         if self._rest.goes_on(moment):
             return Action()
         control = self._advance(moment)
-        self.lost = control.part_lost(moment)
+        self.lost = control.watch.lost(moment)
         return self._action(moment, control)
 
     def _advance(self, moment: Moment) -> GripControl:
@@ -459,15 +441,7 @@ class ContactStep(GripStep):
         if force_n > self._time.ramp.final_n:
             drive_n = min(drive_n, max(force_n, driving_n(moment.state, paths)))
         return GripControl(
-            self._settings,
-            self._linkage,
-            reached.state,
-            touch_m=reached.touch_m,
-            force_n=force_n,
-            drive_n=drive_n,
-            now_s=moment.now_s,
-            stiffness=reached.stiffness,
-            friction_share=reached.friction_share,
+            self._linkage, reached, force_n=force_n, drive_n=drive_n, now_s=moment.now_s
         )
 
     def _ends_early(self) -> bool:
@@ -496,7 +470,7 @@ class HoldStep:
         self._settings = settings
         self._control = control
         self._duration_s = duration_s
-        self._setpoint_n = control.setpoint_n
+        self._setpoint_n = control.grip.setpoint_n
         self._slip = LevelSlip(settings)
         self._elapsed_s = 0.0
         control.resume()
@@ -505,7 +479,7 @@ class HoldStep:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
         self._elapsed_s += moment.dt_s
         _check_part(self._control, moment)
-        if not self._control.doubts:
+        if not self._control.watch.doubts:
             self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
         taper = self._elapsed_s > self._settings.taper_after_s
         goals = self._control.goals(moment, self._setpoint_n, taper=taper)
@@ -514,7 +488,7 @@ class HoldStep:
 
 
 def _check_part(control: GripControl, moment: Moment) -> None:
-    if control.part_lost(moment):
+    if control.watch.lost(moment):
         raise PartLost(
             f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
             f"fingers apart any more, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
@@ -528,17 +502,6 @@ def _too_small(settings: GripperSettings, asked_n: float, force_n: float, apertu
         f"and an opening of {1e3 * aperture_m:.1f} mm (gripper.aperture_min_mm is "
         f"{1e3 * settings.least_pressed_m:g}). Ask for less force, or lower that key as far as the "
         f"foam of the pads yields"
-    )
-
-
-def _without_contact(state: GripperState) -> GraspOutcome:
-    return GraspOutcome(
-        result=GraspResult.NO_CONTACT,
-        contact_t_s=None,
-        contact_aperture_m=None,
-        final_aperture_m=state.aperture_m,
-        final_force_n=0.0,
-        overshoot_n=0.0,
     )
 
 
