@@ -4,12 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 from cell.control.identification import Identification
-from cell.control.plan import GraspStep, Pose
-from cell.control.records import GraspRecord
 from gripper.values.force_sensor import ForceSample
-from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import Cycle, GripperPhase, GripperState, ServoState
-from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
 from recognition.statistics.fusion import StopRule, decide, fuse
@@ -63,24 +59,6 @@ def make_source_statistics(**changes: Any) -> SourceStatistics:
     counts = dict.fromkeys(("requests", "late_requests", "foreign", "malformed", "error_frames"), 0)
     values: dict[str, Any] = {"frames": FrameStatistics(), "recent_loss_rate": 0.0, **counts}
     return SourceStatistics(**(values | changes))
-
-
-def make_record(grasp: Grasp, *cycles: Cycle, contact_t_s: float | None = None) -> GraspRecord:
-    pose = Pose(x_m=3e-3)
-    return GraspRecord(
-        grasp=grasp,
-        step=GraspStep(pose=pose, force_n=8.0),
-        reached=pose,
-        outcome=GraspOutcome(
-            result=GraspResult.FORCE_REACHED,
-            contact_t_s=contact_t_s,
-            contact_aperture_m=None,
-            final_aperture_m=0.012,
-            final_force_n=8.0,
-            overshoot_n=0.0,
-        ),
-        cycles=cycles or (make_cycle(),),
-    )
 
 
 def make_identification(*posteriors: Posterior, **changes: Any) -> Identification:

@@ -1,7 +1,6 @@
 """The control unit: its CAN interface and bit rate, its node-ID, its identity and its taxels."""
 
 import json
-import math
 import os
 import subprocess
 from collections.abc import Iterator
@@ -9,6 +8,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
+
+import numpy as np
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Finding, Step, StepFailed, Write
@@ -18,10 +19,11 @@ from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened, TactileError
-from tactile.frames.codec import FrameFormat
+from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
+from tactile.unit.bus_load import least_sync_period_s, message_bits
 from tactile.unit.commissioning import identity_checks
 from tactile.unit.search import BusTraffic, FoundUnit, listen, read_unit, read_vendor, scan_nodes
 from tactile.unit.settings import ExpectedIdentity
@@ -32,10 +34,6 @@ TRIED_BIT_RATES: tuple[int, ...] = tuple(
 """Bit rates that are tried, in bit/s: those of the config, the fastest first."""
 _LISTEN_S = 0.5
 """Time in s for which each bit rate is listened to: five heartbeats of a unit that was set up."""
-_MESSAGE_BITS = 135
-"""Longest message of 8 data bytes on the wire in bits, all stuff bits included (ISO 11898-1)."""
-_BURST_SHARE = 0.85
-"""Share of the period of SYNC in which a burst has to be through; see `LinkSettings.window_s`."""
 _CAN_INTERFACE = "280"
 """Type of a CAN network interface in sysfs (ARPHRD_CAN of linux/if_arp.h)."""
 _NO_CHANNEL = "none"
@@ -348,11 +346,12 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
 
 def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding) -> None:
     """Set a period of SYNC in which a frame fits, where that of the config is too short."""
-    messages = FrameFormat.of(layout).n_messages
-    burst_ms = 1e3 * messages * _MESSAGE_BITS / bitrate
-    least_ms = float(math.ceil(burst_ms / _BURST_SHARE))
-    if least_ms <= bench.tactile().sync_period_ms:
+    tactile, messages = bench.tactile(), FrameFormat.of(layout).n_messages
+    burst_ms = 1e3 * messages * message_bits(MESSAGE_BYTES) / bitrate
+    needed_ms = 1e3 * least_sync_period_s(layout, link_settings(tactile), bitrate)
+    if needed_ms <= tactile.sync_period_ms:
         return
+    least_ms = float(np.ceil(needed_ms))
     taken = f"At {bitrate:,} bit/s a frame of {messages} messages takes {burst_ms:.0f} ms"
     try:
         bench.tactile(sync_period_ms=least_ms)

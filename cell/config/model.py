@@ -5,6 +5,7 @@ it is SI. Each field states unit, range and meaning in its description, which th
 An invalid `CellConfig` cannot exist.
 """
 
+from math import ceil
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -17,7 +18,15 @@ from cell.config.sequence import SequenceConfig, force_ramp
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
-from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
+from cell.config.tactile import (
+    FASTEST_BITRATE,
+    LONGEST_SYNC_MS,
+    TactileConfig,
+    layout_from_config,
+    link_settings,
+    make_calibration,
+)
+from cell.data.formats import CONFIG
 from cell.errors import ConfigError
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
@@ -25,10 +34,18 @@ from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
+from tactile.frames.codec import FrameFormat
+from tactile.layout import TaxelLayout
+from tactile.unit.bus_load import bus_load, least_sync_period_s
+from tactile.unit.settings import WINDOW_SHARE
 
 TAXELS_OF_SMALL_PART = 8
 """Taxels of a pad that a small part presses: a cylinder of 6 x 20 mm on taxels of 3.4 x 5 mm."""
 
+
+_STARTING_S = 0.3
+"""Time in s that fingers take to get to the speed of their approach, and to slow down at its end.
+"""
 
 _MUCH_FRICTION_N = 10.0
 """Friction of a servo at the pads in N from which on one hold in five ends 0.3 N and more too high
@@ -80,6 +97,8 @@ class LoopConfig(Section):
 class CellConfig(Section):
     """Everything that a cell needs to know. Without a file: the simulated cell."""
 
+    format: Annotated[str, OneOf((str(CONFIG),))] = str(CONFIG)
+    """Format of this file and its version. A file without it is read as of any version so far."""
     name: str = Field(default="simulated cell", min_length=1, max_length=80)
     """Name of the cell, for reports."""
     seed: int = Field(default=2008, ge=0, le=2**32 - 1)
@@ -141,7 +160,12 @@ class CellConfig(Section):
                 f"gripper.contact_force_n = {self.gripper.contact_force_n:g} N at least and, under "
                 f"gripper.force_max_n = {self.gripper.force_max_n:g} N, {allowed_n:.2f} N at most"
             )
-        self._check_full_scale(most_n)
+        try:
+            layout = layout_from_config(self.tactile)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        self._check_full_scale(layout, most_n)
+        self._check_bus_load(layout)
         simulated = (self.gripper.port == SIMULATED, self.tactile.interface == SIMULATED)
         if simulated[0] != simulated[1]:
             raise ValueError(
@@ -190,12 +214,34 @@ class CellConfig(Section):
         except LimitExceeded as error:
             raise ValueError(f"gripper: {error}") from error
         gripper, tactile = self.gripper, self.tactile
+        self._check_closing()
         if tactile.force_period_ms == 0 and gripper.force_stale_ms < 2.5 * tactile.sync_period_ms:
             raise ValueError(
                 f"gripper.force_stale_ms is {gripper.force_stale_ms:g}: without force messages a "
                 f"force may be 2.5 times tactile.sync_period_ms = {tactile.sync_period_ms:g} old; "
                 f"raise the one or lower the other"
             )
+
+    def _check_closing(self) -> None:
+        """Refuse a time for the approach in which the fingers cannot close."""
+        gripper, settings = self.gripper, self.gripper_settings
+        speed_m_s = check_approach(settings, self.linkage)
+        way_m = settings.aperture_open_m - settings.aperture_min_m
+        closing_s = way_m / speed_m_s + _STARTING_S
+        if closing_s <= gripper.contact_timeout_s:
+            return
+        speed = f"approach_speed_mm_s = {gripper.approach_speed_mm_s:g}"
+        if speed_m_s < settings.approach_speed_m_s:
+            speed = (
+                f"{1e3 * speed_m_s:.1f} mm/s, all that force_max_n, contact.approach_force_n and "
+                f"contact.pad_stiffness_n_mm allow"
+            )
+        raise ValueError(
+            f"gripper.contact_timeout_s is {gripper.contact_timeout_s:g}, but from "
+            f"aperture_open_mm = {gripper.aperture_open_mm:g} the fingers close in "
+            f"{closing_s:.1f} s, with {speed}. Write contact_timeout_s {ceil(closing_s)} or more "
+            f"(60 at most), or a smaller aperture_open_mm"
+        )
 
     def _check_axes(self, simulated: bool) -> None:
         """Refuse axes that the sequence does not fit, or of which only one side is simulated."""
@@ -213,12 +259,31 @@ class CellConfig(Section):
                     "servo needs a port of its own"
                 )
 
-    def _check_full_scale(self, most_n: float) -> None:
+    def _check_bus_load(self, layout: TaxelLayout) -> None:
+        """Refuse frames and force messages that the CAN bus cannot carry."""
+        tactile, link = self.tactile, link_settings(self.tactile)
+        least_ms = {
+            rate: 1e3 * least_sync_period_s(layout, link, rate)
+            for rate in (tactile.bitrate, FASTEST_BITRATE)
+        }
+        if least_ms[tactile.bitrate] <= tactile.sync_period_ms:
+            return
+        ways = [
+            f"tactile.bitrate {rate} with tactile.sync_period_ms {ceil(period_ms)} or more"
+            for rate, period_ms in least_ms.items()
+            if period_ms <= LONGEST_SYNC_MS
+        ]
+        raise ValueError(
+            f"tactile: at tactile.bitrate = {tactile.bitrate} the control unit loads the bus by up "
+            f"to {bus_load(layout, link, tactile.bitrate):.0%}: "
+            f"{FrameFormat.of(layout).n_messages} messages a frame, which must be through in "
+            f"{WINDOW_SHARE:.0%} of tactile.sync_period_ms = {tactile.sync_period_ms:g}, beside "
+            f"force messages every tactile.force_period_ms = {tactile.force_period_ms}. Write "
+            f"{', or '.join(ways) or 'a layout of fewer taxels'}"
+        )
+
+    def _check_full_scale(self, layout: TaxelLayout, most_n: float) -> None:
         """Refuse a calibration under which the ramp's end is beyond what a few taxels measure."""
-        try:
-            layout = layout_from_config(self.tactile)
-        except ConfigError as error:
-            raise ValueError(str(error)) from error
         law = make_calibration(self.tactile, layout)
         full_n = float(law.force_n(np.array([float(layout.adc_max)]))[0])
         if most_n > TAXELS_OF_SMALL_PART * full_n:
@@ -288,14 +353,11 @@ class CellConfig(Section):
         speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
         if speed_mm_s >= asked_mm_s:
             return found
-        way_mm = speed_mm_s * self.gripper.contact_timeout_s
-        late = way_mm < self.gripper.aperture_open_mm - self.gripper.aperture_min_mm
         return (
             *found,
             f"the fingers approach with as little as {speed_mm_s:.1f} mm/s, not with "
             f"gripper.approach_speed_mm_s = {asked_mm_s:g}: faster, their momentum could press a "
             f"part with more than gripper.force_max_n = {self.gripper.force_max_n:g} N. Lower "
             f"gripper.contact.approach_force_n, or gripper.contact.pad_stiffness_n_mm where the "
-            f"pads are softer, to let them close faster"
-            + (f"; in contact_timeout_s they close by {way_mm:.0f} mm" if late else ""),
+            f"pads are softer, to let them close faster",
         )

@@ -13,6 +13,11 @@ from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_orde
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
 from tactile.unit.settings import ExpectedIdentity, LinkSettings
 
+FASTEST_BITRATE = 1_000_000
+"""Largest bit rate of a CAN bus in bit/s."""
+LONGEST_SYNC_MS = 50.0
+"""Longest time between two frames in ms that a grip can be controlled with."""
+
 
 class PadConfig(Section):
     """One pad of taxels on a finger."""
@@ -107,7 +112,7 @@ class TactileConfig(Section):
     ] = PaperCalibrationConfig()
     """From counts to force."""
     sync_period_ms: float = setting_of(
-        LinkSettings, "sync_period_s", MILLI, at_least=8.0, at_most=50.0
+        LinkSettings, "sync_period_s", MILLI, at_least=8.0, at_most=LONGEST_SYNC_MS
     )
     """Time between two tactile frames in ms, 8 to 50."""
     force_period_ms: int = setting_of(LinkSettings, "force_period_s", MILLI, number=int)

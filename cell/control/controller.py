@@ -28,7 +28,7 @@ from cell.errors import (
     NoPartFound,
     PartInGrip,
     PlanRefused,
-    PositionerFault,
+    PositionerError,
 )
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
@@ -210,8 +210,10 @@ class CellController:
         self._life.go(Event.START)
         with self._life.latching_faults():
             self.hand.start()
-            if not self.hand.start_sensor().sends_forces:
+            unit = self.hand.start_sensor()
+            if not unit.sends_forces:
                 self._journal.note("note", FORCE_FROM_FRAMES)
+            self._zeros.of_unit(unit)
             if self.hand.phase is GripperPhase.HELD_AFTER_FAULT:
                 found = "; ".join(map(str, self.hand.conditions()))
                 raise PartInGrip(
@@ -236,8 +238,8 @@ class CellController:
 
     @property
     def zero_note(self) -> str:
-        """Why the last start has no self-zero, or other programs will not have it; else empty."""
-        return self._zero_refused or self._zeros.unkept
+        """Why there is no self-zero, or other programs will not have it; else empty."""
+        return self._zero_refused or self._zeros.unkept or self._zeros.refused
 
     def check_zero(self) -> None:
         """Raise PlanRefused where the config has no self-zero for these fingers."""
@@ -495,7 +497,11 @@ class CellController:
             self._grasper.patiently(
                 lambda: self._positioner.carry_to(destination, supervise), supervise
             )
-        except PositionerFault:
+        except Exception as error:
+            # Fingers that fail have latched their fault; a refusal and a stop are none.
+            refused = isinstance(error, PositionerError | CellStopped)
+            if refused or self.state is not CellState.COMPLETE:
+                raise
             with self._life.latching_faults():
                 raise
         self._journal.note("place", f"{destination.label} at {destination.place}")

@@ -180,7 +180,7 @@ class Grasper:
         self.hand.release(self.watch)
         why = part_between(outcome, found) or refused
         if found is not None:
-            why = why or unsound(found) or self.zeros.far_from_last(found.zero)
+            why = why or unsound(found) or self.zeros.far_off(found.zero)
             if not why:
                 self._kept_zero(found)
                 return ""

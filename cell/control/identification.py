@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from cell.control.keeping import Judge, Keep, PartDecision
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
+from cell.fault_catalogue import error_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
@@ -168,7 +169,7 @@ class SequenceAnswers:
 
     def complain(self, when: str, error: Exception) -> None:
         """Keep what went wrong without ending the sequence."""
-        self._complaints.append(f"{when}: {type(error).__name__}: {error}")
+        self._complaints.append(f"{when}: {error_text(error)}")
 
     def _fused_shape(self) -> ShapeAnswer | None:
         """Return shape and size by all grasps; an error is a complaint, never the label's."""

@@ -18,8 +18,8 @@ from cell.control.states import (
     next_state,
     refusal,
 )
-from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, error_text
-from cell.fault_catalogue import fault_number
+from cell.errors import CellStateError, CellStopped, HandLost, PositionerError
+from cell.fault_catalogue import error_text, fault_number
 from cell.hand.interface import Hand
 from gripper.clock import Clock
 from gripper.errors import (

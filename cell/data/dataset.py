@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.data.files import read_npz, savez, write_atomically
+from cell.data.formats import DATASET
 from cell.errors import DatasetError
 from recognition.grasp import (
     COMMAND_COLUMNS,
@@ -130,9 +131,6 @@ def frames_ill_timed(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> st
     )
 
 
-FORMAT = "grasp-dataset/1"
-"""Format and version of a data set."""
-
 DATASET_LIMIT_BYTES = 1 << 30
 """Unpacked size of a data set that is read without being asked for more."""
 
@@ -215,7 +213,7 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
             if wrong := text_refused(name, getattr(grasp, name)):
                 raise DatasetError(f"cannot write data set {path}: {name} of grasp {i} {wrong}")
     arrays: dict[str, NDArray[Any]] = {
-        "format": np.array(FORMAT),
+        "format": np.array(str(DATASET)),
         "adc_max": np.array(pads.adc_max, dtype=np.int64),
         "pad_shape": pads.pad_shape,
         "taxel_pad": pads.taxel_pad,
@@ -256,6 +254,8 @@ class _Checker:
     def __init__(self, path: Path, arrays: dict[str, NDArray[Any]]) -> None:
         self._path = path
         self._arrays = arrays
+        if "format" in arrays:
+            DATASET.check(arrays["format"].tolist(), path, DatasetError)
         missing = [name for name in _REQUIRED if name not in arrays]
         if missing and "model" in arrays:
             raise DatasetError(f"{path} is a model: name the data sets that taught it")
@@ -264,10 +264,6 @@ class _Checker:
         unknown = [name for name in arrays if name not in _REQUIRED + _OPTIONAL]
         if unknown:
             raise DatasetError(f"{path}: unknown arrays {', '.join(map(repr, unknown))}")
-        if arrays["format"].dtype.kind != "U" or arrays["format"].shape != ():
-            raise self._refuse("format", f"is not one text, expected {FORMAT!r}")
-        if str(arrays["format"]) != FORMAT:
-            raise self._refuse("format", f"is {str(arrays['format'])!r}, expected {FORMAT!r}")
 
     def _refuse(self, name: str, reason: str) -> DatasetError:
         return DatasetError(f"{self._path}, array {name}: {reason}")

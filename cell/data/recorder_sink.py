@@ -6,6 +6,8 @@ import threading
 from collections import deque
 from pathlib import Path
 
+from cell.fault_catalogue import error_text
+
 MAX_WAITING_BYTES = 16 << 20
 """Bytes that may wait for a slow disk before the recording is given up."""
 
@@ -129,7 +131,7 @@ class BackgroundFile(DirectFile):
         except OSError as error:
             self._fail(error)
         except Exception as error:
-            self._fail(OSError(f"the recording's thread died: {type(error).__name__}: {error}"))
+            self._fail(OSError(f"the recording's thread ended: {error_text(error)}"))
         finally:
             try:
                 super().close()

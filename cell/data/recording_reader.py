@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from cell.data import recording_schema as schema
 from cell.data.dataset import text_refused
-from cell.errors import RecordingError
+from cell.data.files import read_plain
+from cell.data.formats import RECORDING
+from cell.errors import RecordingError, reason_text
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 
 MAX_FILE_BYTES = 1 << 30
@@ -67,7 +69,7 @@ def read_raw(path: Path) -> RawRecording:
     names both. Raises RecordingError if the file cannot be read at all, is too large, or is no MCAP
     file.
     """
-    data = _bytes_of(path)
+    data = read_plain(path, error=RecordingError, what="recording", limit_bytes=MAX_FILE_BYTES)
     if data[:8] != b"\x89MCAP0\r\n":
         raise RecordingError(f"{path} is no recording: it does not start as an MCAP file")
     raw = RawRecording()
@@ -95,20 +97,6 @@ def read_raw(path: Path) -> RawRecording:
         raw.lose("its end is missing")
     _decode_all(messages, channels, raw)
     return raw
-
-
-def _bytes_of(path: Path) -> bytes:
-    try:
-        if path.exists() and not path.is_file():
-            raise RecordingError(f"cannot read recording {path}: not a plain file")
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise RecordingError(f"{path} has {size} bytes, at most {MAX_FILE_BYTES} are read")
-        return path.read_bytes()
-    except OSError as cause:
-        raise RecordingError(
-            f"cannot read recording {path}: {cause.strerror}; check the path"
-        ) from cause
 
 
 def _records(data: bytes, raw: RawRecording) -> Iterator[Any]:
@@ -183,8 +171,8 @@ def _decode(topic: str, data: bytes, raw: RawRecording) -> None:
         raw.lose(f"a message of {topic} is no object")
 
 
-def _brief(cause: BaseException) -> str:
-    return f"{type(cause).__name__}: {str(cause)[:120]}".rstrip(": ")
+def _brief(cause: Exception) -> str:
+    return reason_text(cause)[:120]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -278,7 +266,7 @@ def read_recording(path: Path | str) -> Recording:
         return _Builder(path, raw).build()
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as cause:
         raise RecordingError(
-            f"{path}: a message does not fit {schema.FORMAT} ({type(cause).__name__}: {cause}); "
+            f"{path}: a message does not fit {RECORDING} ({reason_text(cause)}); "
             "it was written by something else"
         ) from cause
 
@@ -309,11 +297,8 @@ class _Builder:
         metadata = self.raw.metadata.get(schema.METADATA)
         if metadata is None:
             why = f" ({self.raw.lost_reason})" if self.raw.lost_reason else ""
-            raise RecordingError(f"{self.path} has no description, as {schema.FORMAT} has{why}")
-        if metadata.get("format") != schema.FORMAT:
-            raise RecordingError(
-                f"{self.path} has the format {metadata.get('format')!r}, expected {schema.FORMAT!r}"
-            )
+            raise RecordingError(f"{self.path} has no description, as {RECORDING} has{why}")
+        RECORDING.check(metadata.get("format"), self.path, RecordingError)
         if metadata.get("crc32") != schema.metadata_crc32(metadata):
             raise RecordingError(f"{self.path}: its description of clocks and pads is damaged")
         for topic, content in self.raw.messages:

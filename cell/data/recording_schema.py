@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
 
-FORMAT: Final = "tactile-cell-recording/1"
-"""Format of a recording, in its metadata."""
-
 METADATA: Final = "tactile-cell"
 """Name of the metadata record with format, clocks and pads."""
 

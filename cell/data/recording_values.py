@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cell.data.recording_schema import FORMAT, METADATA, SCHEMAS, counts_crc32, metadata_crc32
+from cell.data.formats import RECORDING
+from cell.data.recording_schema import METADATA, SCHEMAS, counts_crc32, metadata_crc32
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -125,7 +126,7 @@ def metadata_values(pads: "PadArray", wall_ns: int, monotonic_ns: int) -> dict[s
         "adc_max": pads.adc_max,
     }
     return {
-        "format": FORMAT,
+        "format": str(RECORDING),
         "wall_clock_start_ns": str(wall_ns),
         "monotonic_start_ns": str(monotonic_ns),
         "pads": to_json(described),

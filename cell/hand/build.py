@@ -25,9 +25,9 @@ SHARED_PROCESS = (
 )
 """Note of a real cell whose loop has no process of its own."""
 
-_HELD_SHARE = 0.25
+_HELD_SHARE = 0.35
 """Share of the friction by which the wanted force may change while friction holds the one there
-is: as that breaks, by a sixth, and half as much again."""
+is: as that breaks, by a quarter where empty fingers meet, and half as much again."""
 
 
 def open_hand(

@@ -16,6 +16,7 @@ from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
+from cell.fault_catalogue import error_text
 from cell.hand.interface import Hand, Measured, OnPeriod
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
@@ -319,7 +320,7 @@ class HandProcess:
             try:
                 self._call(Hand.shutdown)
             except (GripperError, TactileError) as error:
-                found = f"{type(error).__name__}: {error}"
+                found = error_text(error)
         return found
 
     def close(self) -> None:

@@ -14,6 +14,7 @@ from threading import Lock
 from typing import Any
 
 from cell.config.serve import ServeConfig
+from cell.data.files import read_plain
 from cell.errors import ConfigError
 
 BUSY_MAX = 64
@@ -24,6 +25,8 @@ _PEER_IDLE_S, _PEER_ASKED_S, _PEER_ASKED_MAX = 10, 5, 4
 between two questions, and questions without an answer: one without power is gone after 30 s."""
 _SECRET_MIN = 16
 """Fewest characters of a token or secret."""
+_SECRET_BYTES = 4096
+"""Largest file of one."""
 
 
 def may_connect(host: str, config: ServeConfig) -> bool:
@@ -69,9 +72,11 @@ def _address(text: str) -> IPv4Address | IPv6Address | None:
 
 
 def read_secret(path: str) -> str:
-    """Return the token or secret in a file; ConfigError for a bad one, OSError for no file."""
+    """Return the token or secret in a file. Raises ConfigError for a bad one, or no file."""
+    what = "token or secret"
+    data = read_plain(Path(path), error=ConfigError, what=what, limit_bytes=_SECRET_BYTES)
     try:
-        found = Path(path).read_text(encoding="ascii").strip()
+        found = data.decode("ascii").strip()
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: a token or secret is of ASCII characters ({error})") from error
     if len(found) < _SECRET_MIN:

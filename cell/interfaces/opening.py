@@ -11,6 +11,7 @@ from typing import Any
 
 from cell.config.serve import ServeConfig
 from cell.errors import CellError, ConfigError
+from cell.installation import extra
 from cell.service.service import Service
 
 _DOORS = (
@@ -50,21 +51,18 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
     """
     config = service.config.serve
     found: dict[str, Any] = {"listen": config.listen}
-    files = (config.secret_file, config.token_file, config.tls_certificate, config.tls_key)
-    for name in files:
+    for name in (config.tls_certificate, config.tls_key):
         if name and Path(name).exists() and not Path(name).is_file():
             raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
-        for name, option, extra, module, kind in _DOORS:
+        for name, option, brings, module, kind in _DOORS:
             port = getattr(config, name)
             if port is None:
                 continue
+            with extra(brings, needed_by=f"serve.{name}"):
+                door_type = getattr(import_module(module), kind)
             try:
-                door = getattr(import_module(module), kind)(service)
-            except ImportError as error:
-                raise ConfigError(
-                    f"serve.{name} needs the extra tactile-cell[{extra}] ({error})"
-                ) from error
+                door = door_type(service)
             except OSError as error:
                 taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
                 remedy = f"; {option} PORT takes another one, 0 any free one" if taken else ""

@@ -69,6 +69,12 @@ class CommandBody(LeaseBody):
     reboot: bool = False
 
 
+class FaultBody(RequestBody):
+    """A fault of the simulated cell, as `serve --fault` takes it."""
+
+    fault: str
+
+
 class PoseFields(RequestBody):
     """Pose of the object in the grip frame."""
 
@@ -136,6 +142,12 @@ class WebDoor(WebServer):
             ("/commands", "POST", self.command),
             ("/pose", "POST", self.pose),
         )
+        if service.simulated:
+            paths += (
+                ("/simulation/faults", "GET", self.simulated_faults),
+                ("/simulation/faults", "POST", self.begin_fault),
+                ("/simulation/faults", "DELETE", self.end_fault),
+            )
         config = service.config.serve
         super().__init__(service.lease, config, lambda: state_moment(service), paths)
 
@@ -231,6 +243,23 @@ class WebDoor(WebServer):
         reached = None if body.pose is None else Pose(**body.pose.model_dump())
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
+
+    def simulated_faults(self) -> dict[str, Any]:
+        """List the kinds of faults that fit this simulated cell, and the faults that run.
+
+        A fault is a text ``NAME[=VALUE][@START[..END]]``; one that waits has not begun.
+        """
+        return self._service.simulated_faults()
+
+    def begin_fault(self, body: FaultBody) -> dict[str, Any]:
+        """Begin a fault of the simulated cell; it needs no lease. Returns what GET does."""
+        self._service.simulate_fault(body.fault)
+        return self._service.simulated_faults()
+
+    def end_fault(self, fault: str) -> dict[str, Any]:
+        """End the faults with this text or name, those of `serve --fault` too."""
+        self._service.simulate_fault(fault, end=True)
+        return self._service.simulated_faults()
 
     def hold(
         self,

@@ -8,7 +8,6 @@ import asyncio
 import json
 import secrets
 from collections.abc import Callable
-from functools import partial
 from ipaddress import ip_address
 from typing import Annotated, Any
 
@@ -32,7 +31,7 @@ from cell.errors import (
 from cell.fault_catalogue import Refusal
 from cell.interfaces.access import read_secret, same_secret
 from cell.interfaces.http_server import REQUEST_BYTES, HttpServer, Scope, refusal_values
-from cell.interfaces.live_socket import LiveFeed, LiveLink, LiveMessage
+from cell.interfaces.live_socket import LiveFeed, LiveMessage
 from cell.interfaces.page import mount_page
 from cell.plugin.lease import Lease
 from gripper.errors import GripperError
@@ -115,7 +114,7 @@ class WebServer(HttpServer):
         """What clients authenticate with."""
         self._lease = lease
         self._request_timeout_s = config.request_timeout_s
-        self._feed = LiveFeed(look)
+        self._feed = LiveFeed(look, config.request_timeout_s)
         refusals: dict[int | str, dict[str, Any]] = {
             status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
         }
@@ -141,7 +140,7 @@ class WebServer(HttpServer):
             name="http",
             longest=self.longest,
             pages=True,
-            ws=partial(LiveLink, config.request_timeout_s),
+            ws="websockets-sansio",
             ws_max_size=REQUEST_BYTES,
             ws_per_message_deflate=False,  # on a local network it costs more than it saves
             ssl_certfile=config.tls_certificate or None,

@@ -42,7 +42,7 @@ from gripper.errors import GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
 from gripper.values.servo_checks import VerificationRow
-from motion.errors import MotionError
+from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
 from tactile.source import TactileFrame
 
@@ -177,9 +177,10 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
     kept = kept_zeros(config, Path(config.recording.directory))
     if kept.newest is None:
         last = datetime.fromtimestamp(kept.measured_s).date()
+        none = f"none of today, the last is of {last}" if kept.measured_s else "not measured"
         return _result(
             "self-zero",
-            f"none of today, the last is of {last}" if kept.measured_s else "not measured",
+            kept.refused or none,
             f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, at "
             "the start of a session and after each change of pads or servos",
         )
@@ -350,7 +351,7 @@ def _axes(cell: Cell) -> Iterator[CheckResult]:
         lost = isinstance(found, MotionError)
         fault = lost or "FAULT" in str(found) or "hardware error" in str(found)
         advice = "remedy the cause; after clear and reset the next motion resets the device"
-        if lost:
+        if isinstance(found, AxisMissing | AxisSilent):
             advice = "check its supply, cable and node-ID or ID"
         yield _result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 

@@ -254,6 +254,7 @@ def _wide_config(grasps: Sequence[Grasp]) -> CellConfig:
                 offset_mm=0.25 * opening_mm,
             ),
             aperture_open_mm=opening_mm,
+            contact_timeout_s=60.0,
             force_max_n=HARD_FORCE_CAP_N,
         ),
     )

@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 
 from cell.config.model import RecognitionConfig
 from cell.errors import CellError, ModelError
+from cell.installation import extra
 from cell.learning.blas import one_blas_thread
-from cell.learning.model import Arrays, LoadedModel, rehearse
+from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
 from recognition.grasp import Grasp
+from recognition.ramp.running_load import load_so_far
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, teach_early
@@ -82,7 +84,8 @@ def train(
     """
     trainer = make_trainer(name, use_aperture=use_aperture)
     try:
-        recognizer = trainer.fit(grasps)
+        with extra("comparators", needed_by=f"teaching {name}"):
+            recognizer = trainer.fit(grasps)
     except ValueError as error:
         raise CellError(
             f"{name} cannot be trained on these {len(grasps)} grasps: {error}"
@@ -104,11 +107,12 @@ def load_early(model: LoadedModel) -> EarlyClassifiers | None:
 
     def build(arrays: Arrays) -> EarlyClassifiers:
         heads = EarlyClassifiers.from_arrays(arrays, kind)
-        heads.rest.check(model.pads)
+        grasp = made_up_grasp(model.pads)
+        load_so_far(grasp, heads.rest)
         for head in heads.recognizers:
             if head.labels != model.recognizer.labels:
                 raise ValueError(f"ramps cut short name {head.labels}")
-            rehearse(head, model.pads)
+            rehearse(head, grasp)
         return heads
 
     return model.section(EARLY_SECTION, build)

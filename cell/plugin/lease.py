@@ -8,7 +8,8 @@ from dataclasses import KW_ONLY, dataclass, field
 from threading import Event, RLock, Thread
 from typing import Any
 
-from cell.errors import NotInCommand, error_text
+from cell.errors import NotInCommand
+from cell.fault_catalogue import error_text
 from gripper.clock import Clock
 
 _LOOKS = 10

@@ -22,7 +22,8 @@ from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
-from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, error_text
+from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, RequestRefused
+from cell.fault_catalogue import error_text
 from cell.plugin.answer import (
     Answer,
     FeltShape,
@@ -169,6 +170,7 @@ class TactileCellPlugin:
         from cell.plugin import tasks  # noqa: PLC0415
         from cell.plugin.health import health_values  # noqa: PLC0415
         from cell.plugin.part_report import TaxelNewtons, part_reporter  # noqa: PLC0415
+        from cell.simulation import SimulationRequests  # noqa: PLC0415
 
         self._config = checked
         self._starting = threading.Lock()
@@ -206,6 +208,11 @@ class TactileCellPlugin:
         self._worker = CellWorker(
             idle=self._cell.idle,
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
+        )
+        self._simulation = (
+            None
+            if self._cell.simulated is None
+            else SimulationRequests(self._cell.simulated, self._worker.between_jobs)
         )
         self._ending = threading.Lock()
         self._lease: Lease | None = None
@@ -530,6 +537,23 @@ class TactileCellPlugin:
 
         if not self._cell.realtime:
             self._worker.between_jobs(begin)
+
+    def simulate(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Ask the simulated cell for something and return its reply, also while a job runs.
+
+        As ``{"inject": "servo1.off"}`` and ``{"clear": "servo1.off"}``, which begin and end a
+        fault. `simulator.realtime.requests` has all requests.
+
+        Raises
+        ------
+        RequestRefused
+            If the request cannot be carried out, or the cell has real ports.
+        CellStateError
+            If the cell has no time for it: ask again.
+        """
+        if self._simulation is None:
+            raise RequestRefused("this cell has real ports: nothing of it is simulated")
+        return self._simulation(dict(request))
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the taught model, and its training set as a data set beside it.

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from cell.errors import CellError, CellStateError, CellStopped, error_text
-from cell.fault_catalogue import fault_number
+from cell.errors import CellError, CellStateError, CellStopped
+from cell.fault_catalogue import error_text, fault_number
 
 KEPT_JOBS = 100
 """Newest jobs whose end can be asked for: a resident program must not grow with each job."""

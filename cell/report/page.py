@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cell.data.files import write_atomically
 from cell.errors import ReportError
-from cell.installation import remedy
+from cell.installation import extra
 from cell.learning.shape_reading import in_words
 from cell.report.data import Answered, ConfusionTable, ReportData, ShownGrasp
 from cell.report.pad_pictures import level_pictures, pressure_levels
@@ -38,23 +38,21 @@ DENSE_LABELS = 12
 def write_report(path: Path | str, data: ReportData) -> None:
     """Write the page, whole or not at all: an older file stays until the new one is whole.
 
-    Raises ReportError if jinja2 or matplotlib are missing (extra ``report``), or the disk refuses.
+    Raises ReportError if the disk refuses, and MissingExtraError without the extra ``report``.
     """
     page = render_report(data).encode("utf-8", errors="replace")
     write_atomically(Path(path), lambda file: file.write(page), error=ReportError, what="report")
 
 
 def render_report(data: ReportData) -> str:
-    """Return the page as HTML. Raises ReportError if jinja2 or matplotlib are missing."""
+    """Return the page as HTML. Raises MissingExtraError without jinja2 or matplotlib."""
     return page_template("report.html.j2").render(page_view(data))
 
 
 def page_template(name: str) -> "Template":
-    """Return a template of this package's pages. Raises ReportError if jinja2 is missing."""
-    try:
+    """Return a template of this package's pages. Raises MissingExtraError without jinja2."""
+    with extra("report", needed_by="the report"):
         from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415
-    except ImportError as cause:
-        raise ReportError(f"the report needs jinja2; {remedy('report')}") from cause
     environment = Environment(
         loader=PackageLoader("cell.report"),
         autoescape=True,

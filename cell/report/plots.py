@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.data.recording_reader import RecordedCycles
-from cell.errors import ReportError
-from cell.installation import remedy
+from cell.installation import extra
 from cell.report.data import Trajectories
 from gripper.values.state import GripperPhase
 
@@ -74,12 +73,10 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 def drawing() -> Any:
     """Return a context in which figures have the page's style.
 
-    Raises ReportError if matplotlib is missing.
+    Raises MissingExtraError without matplotlib.
     """
-    try:
+    with extra("report", needed_by="the report"):
         from matplotlib import rc_context  # noqa: PLC0415
-    except ImportError as cause:
-        raise ReportError(f"the report needs matplotlib; {remedy('report')}") from cause
     return rc_context(_STYLE)
 
 

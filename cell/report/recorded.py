@@ -17,7 +17,7 @@ from cell.config.tactile import layout_from_config, layout_from_pads
 from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.data.recording_reader import Recording
-from cell.errors import CellError, RecordingError
+from cell.errors import CellError, RecordingError, reason_text
 from cell.learning.blas import one_blas_thread
 from cell.learning.training import train
 from cell.report.build import (
@@ -68,7 +68,7 @@ def recorded_report(recording: Recording) -> ReportData:
         return _Story(recording).data()
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as cause:
         raise RecordingError(
-            f"{path}: a message has values that no cell has ({type(cause).__name__}: {cause})"
+            f"{path}: a message has values that no cell has ({reason_text(cause)})"
         ) from cause
 
 

@@ -6,6 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 
+from cell.data.files import read_plain
 from cell.errors import RequestRefused
 
 LONGEST_PHOTO = 512 * 1024
@@ -36,8 +37,10 @@ class Photos:
         """Return the photo of an object and its media type; None where there is none."""
         photo = self._kept.get(label)
         for path in self._paths(label):
-            with suppress(OSError):
-                photo = path.read_bytes()
+            with suppress(RequestRefused):
+                photo = read_plain(
+                    path, error=RequestRefused, what="photo", limit_bytes=LONGEST_PHOTO
+                )
         return None if photo is None else (photo, _kind(photo)[0])
 
     def has(self, label: str) -> bool:

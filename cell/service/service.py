@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import CellError, HeldByClient, RequestRefused, error_text
+from cell.errors import CellError, HeldByClient, RequestRefused
+from cell.fault_catalogue import error_text
 from cell.plugin.answer import Answer, HostStatus, Verification
 from cell.plugin.goals import (
     TASKS,
@@ -416,6 +417,29 @@ class Service:
         if label not in self._plugin.labels:
             raise RequestRefused(f"{label!r:.80} is not taught")
         self.photos.put(label, photo)
+
+    # -- the simulated cell --------------------------------------------------------------------
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the cell is simulated in this program, and can have faults on request."""
+        return self.config.simulated
+
+    def simulated_faults(self) -> dict[str, Any]:
+        """Return the ``kinds`` of faults that fit the simulated cell, and those ``running``."""
+        injected = self._plugin.simulate({"state": True})["faults"]
+        running = [
+            {"fault": text, "begun": began_s is not None} for text, began_s in injected.items()
+        ]
+        return self._plugin.simulate({"kinds": True}) | {"running": running}
+
+    def simulate_fault(self, text: str, *, end: bool = False) -> None:
+        """Begin a fault of the simulated cell, or end those with this text or name.
+
+        Raises RequestRefused and CellStateError as `TactileCellPlugin.simulate`.
+        """
+        self._plugin.simulate({"clear" if end else "inject": text})
+        self._plugin.remark("simulation", f"{text} {'ended' if end else 'injected'}")
 
     def hold(self, reason: str = "on request") -> None:
         """Stop what runs and keep the grip; anyone may."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ class CellRequests:
       to half openings in m: ``{"moving": true}``; "state" shows when they are left
     - ``{"state": true}``: what is placed and pressed, forces, opening, half openings, number of
       servos, names of the pads, frames left, axes, faults
+    - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, kind, meaning,
+      value (null for none), and whether it is a moment, without an end
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
     - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
     """
@@ -51,6 +53,7 @@ class CellRequests:
             "play": self._play,
             "hand": self._hand,
             "state": self._state,
+            "kinds": self._kinds,
             "inject": self._inject,
             "clear": self._clear,
         }
@@ -158,6 +161,21 @@ class CellRequests:
                 for moves, axis in devices.axes.items()
             },
             "faults": {fault.text: fault.began_s for fault in self._injector.faults},
+        }
+
+    def _kinds(self, request: dict[str, Any]) -> dict[str, Any]:
+        _is_true(request, "kinds")
+        return {
+            "kinds": [
+                {
+                    "name": name,
+                    "kind": entry.kind.value,
+                    "meaning": entry.meaning,
+                    "value": None if entry.value is None else asdict(entry.value),
+                    "moment": entry.moment,
+                }
+                for name, entry in self._injector.kinds().items()
+            ]
         }
 
     def _inject(self, request: dict[str, Any]) -> dict[str, Any]:

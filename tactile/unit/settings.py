@@ -11,6 +11,9 @@ from tactile.layout import PadMount
 from tactile.source import SourceIdentity
 from tactile.unit import object_dictionary
 
+WINDOW_SHARE = 0.85
+"""Share of the period of SYNC in which the burst of a frame has to be through."""
+
 _FORCE_TIMEOUT_SYNCS, _LEAST_FORCES = 2.0, 4.0
 """So many periods of SYNC, and of the force messages, may pass without a force message."""
 
@@ -54,7 +57,7 @@ class LinkSettings:
     """Period of SYNC, and so of the frames, in s."""
     sync_window_s: float | None = None
     """The unit gives up a burst that takes longer than this, in s; at most the period. By
-    default 85 % of the period."""
+    default `WINDOW_SHARE` of it."""
     heartbeat_s: float = setting(0.1, 0.005, 10.0)
     """Period of the unit's heartbeat in s."""
     heartbeat_factor: float = setting(2.5, 1.0, 10.0)
@@ -119,4 +122,6 @@ class LinkSettings:
     @property
     def window_s(self) -> float:
         """Synchronous window in s."""
-        return 0.85 * self.sync_period_s if self.sync_window_s is None else self.sync_window_s
+        if self.sync_window_s is None:
+            return WINDOW_SHARE * self.sync_period_s
+        return self.sync_window_s

@@ -21,8 +21,8 @@ from cell.control.states import (
     named_states,
     refusal,
 )
-from cell.errors import CellStateError, CellStopped, error_text
-from cell.fault_catalogue import fault_number
+from cell.errors import CellStateError, CellStopped
+from cell.fault_catalogue import error_text, fault_number
 from cell.plugin.answer import Answer, FeltShape, HostStatus, Verification
 from cell.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
 from cell.plugin.part_report import OnPart, PartReport

@@ -15,7 +15,7 @@ from cell.control.lifecycle import NO_GRIP
 from cell.control.records import pad_array
 from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGrip, PositionerFault
 from cell.fault_catalogue import fault_number
-from cell.interfaces.cli.signals import END_WITHIN_S, stopping
+from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import (
     ask,
     print_cell,
@@ -159,7 +159,10 @@ def running_cell(
     for note in cell.notes:
         print_note(note)
     try:
-        with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S), _closing(cell):
+        with (
+            stopping(cell.controller.cancel, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
+            _closing(cell),
+        ):
             cell.controller.start()
             if cell.controller.zero_note:
                 print_note(cell.controller.zero_note)

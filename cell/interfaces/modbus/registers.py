@@ -128,7 +128,7 @@ def input_registers(
         shown = for_display(status.fault_number, status.fault)
     else:
         shown = on_hold or for_display(job.fault_number, job.error)
-    return [*words, *_text(shown), *_text(refusal.text)]
+    return [*words, *_text(shown), *_text(for_display(refusal.number, refusal.text))]
 
 
 class ModbusDoor:

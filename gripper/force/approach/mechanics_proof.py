@@ -44,7 +44,7 @@ from dataclasses import replace
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import PULSES_PER_TURN
-from gripper.errors import LimitExceeded, MechanicsContradicted
+from gripper.errors import GripperError, LimitExceeded, MechanicsContradicted
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.kinematics import (
     MOST_FRICTION,
@@ -367,10 +367,18 @@ def meeting_settings(settings: GripperSettings) -> GripperSettings:
     )
 
 
-def not_met(
-    settings: GripperSettings, linkage: Linkage, state: GripperState
-) -> MechanicsContradicted:
-    """Return the error of empty fingers that nothing has stopped where their pads must meet."""
+def not_met(settings: GripperSettings, linkage: Linkage, state: GripperState) -> GripperError:
+    """Return the error of empty fingers that nothing has stopped where their pads must meet.
+
+    Where the time ended before they came so far, nothing is wrong with the mechanics.
+    """
+    meeting = meeting_settings(settings)
+    if state.aperture_m > meeting.aperture_min_m:
+        return LimitExceeded(
+            f"the empty fingers were to meet, and after {meeting.contact_timeout_s:g} s they have "
+            f"closed to {state.aperture_m * 1e3:.1f} mm only. They stand still: clear the fault "
+            f"and release, then raise gripper.contact_timeout_s or gripper.approach_speed_mm_s"
+        )
     return MechanicsContradicted(
         f"the fingers have found nothing, and stand at an opening of "
         f"{state.aperture_m * 1e3:.1f} mm where the pads must have stopped each other: "

@@ -76,7 +76,7 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeSta
     one.bench.lines = lines = Adapter(one.cell)
     assert one.run(STEP).settings["tactile.bitrate"] == 500_000
     lines.rates = ()
-    assert one.run(STEP).lines == ["BusNotOpened: invalid bit rate 1000000"]
+    assert one.run(STEP).lines == ["invalid bit rate 1000000"]
 
 
 def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand: MakeStand) -> None:

@@ -13,6 +13,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 
 from cell.build import build_cell
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.errors import ConfigError
@@ -151,6 +152,22 @@ def test_an_end_that_is_refused_names_its_key(end: End) -> None:
 @pytest.mark.parametrize("at", groups(), ids=lambda at: ", ".join(map(str, at)))
 def test_a_grasp_is_done_at_the_ends(at: tuple[End, ...]) -> None:
     grasp(*at)
+
+
+@pytest.mark.parametrize(("bitrate", "period_ms"), [(250_000, 43), (500_000, 20), (1_000_000, 10)])
+def test_each_frame_is_through_in_the_shortest_period_of_a_bit_rate(
+    bitrate: int, period_ms: int
+) -> None:
+    keys = {"self_zero": "never", "tactile.bitrate": bitrate, "tactile.tare_frames": 50}
+    with pytest.raises(ConfigError, match=f"tactile.sync_period_ms {period_ms} or more"):
+        changed_config(CellConfig(), keys | {"tactile.sync_period_ms": period_ms - 1.0})
+    config = changed_config(CellConfig(), keys | {"tactile.sync_period_ms": float(period_ms)})
+    cell = build_cell(config)
+    try:
+        cell.controller.start()
+        assert cell.controller.hand.statistics.link.frames.lost == 0
+    finally:
+        cell.close()
 
 
 @pytest.mark.long

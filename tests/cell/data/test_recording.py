@@ -19,6 +19,7 @@ from cell.control.journal import Journal
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.data import recorder_sink, recording_reader, recording_schema
+from cell.data.formats import RECORDING
 from cell.data.recorder import Recorder
 from cell.data.recorder_sink import BackgroundFile, DirectFile
 from cell.data.recording_reader import read_recording, recording_grasps
@@ -313,7 +314,7 @@ def foreign(path: Path, *, metadata: dict[str, str] | None, content: bytes = b"{
 
 
 GOOD = {
-    "format": recording_schema.FORMAT,
+    "format": str(RECORDING),
     "pads": json.dumps(
         {"pad_shape": [[1, 1]], "taxel_pad": [0], "taxel_xy_m": [[0, 0]], "adc_max": 9}
     ),
@@ -326,7 +327,7 @@ GOOD = {
     ("metadata", "content", "says"),
     [
         (None, b"{}", "has no description"),
-        ({"format": "other/1"}, b"{}", "has the format 'other/1'"),
+        ({"format": "other/1"}, b"{}", "its format is 'other/1'"),
         (GOOD, b"{}", "does not fit"),
         (GOOD, b'{"t_s":1,"number":0,"counter":0,"status":0,"counts":[1,2]}', "does not fit"),
         (GOOD, b'{"t_s":1,"number":0,"counter":0,"status":0,"counts":[70000]}', "does not fit"),
@@ -360,7 +361,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, monkeypatch: pytest.Mon
         with pytest.raises(RecordingError, match=says):
             read_recording(tmp_path / name)
     monkeypatch.setattr(recording_reader, "MAX_FILE_BYTES", 4)
-    with pytest.raises(RecordingError, match="at most 4 are read"):
+    with pytest.raises(RecordingError, match="at most 4 bytes"):
         read_recording(tmp_path / "text")
 
 

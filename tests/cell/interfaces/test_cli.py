@@ -650,6 +650,7 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
     placed = operated.replace("places: []", "places:\n  - {label: ball, place: left}")
     texts = {
         "pinch": "tactile: {layout: pinch}\n",
+        "meshed": "simulator: {objects: [{label: a, shape: 'mesh:file=a.stl'}]}\n",
         "undrawn": "simulator: {objects: [{label: a, shape: 'sphere:diameter=9'}]}\n",
         "operated": operated,
         "placed": placed,
@@ -658,7 +659,7 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
         paths[name] = tmp_path / f"{name}.yaml"
         paths[name].write_text(text)
     given = {"dataset": taught.result.dataset, "model": taught.result.model, "config": config}
-    return paths | given | {"real": EXAMPLES / "paper-gripper.yaml"}
+    return paths | given | {"real": EXAMPLES / "paper-gripper.yaml", "folder": tmp_path / "new"}
 
 
 @pytest.mark.parametrize(
@@ -719,6 +720,34 @@ def test_wrong_use_is_two_and_a_failing_job_one(
 ) -> None:
     assert complaint in fail(*command.format(**files).split(), code=code)
     assert not files["made"].exists()
+
+
+@pytest.mark.parametrize(
+    ("extra", "command"),
+    [
+        ("trimesh: mesh", "teach x -o {made} --mesh {none}"),
+        ("trimesh: mesh", "config check {meshed}"),
+        ("sklearn: comparators", "train {dataset} -o {made} --recognizer extra_trees"),
+        ("sklearn: comparators", "evaluate {dataset} --recognizer extra_trees --jobs 1"),
+        ("distributed: cluster", "evaluate {dataset} --scheduler tcp://127.0.0.1:9"),
+        ("fastapi: serve", "commission {folder} --page"),
+        ("fastapi: serve", "serve -c {config} --http 0"),
+        ("asyncua: opcua", "serve -c {config} --opcua 0"),
+    ],
+)
+def test_a_missing_extra_is_named_with_the_command_that_adds_it(
+    fail: Any, files: dict[str, Path], extra: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package, _, extra = extra.partition(": ")
+    users = [f"cell.interfaces.{name}" for name in ("opc_ua", "w", "page")]
+    for name in list(sys.modules):
+        if name.partition(".")[0] == package:
+            monkeypatch.setitem(sys.modules, name, None)
+        elif name.startswith(tuple(users)):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    said = fail(*command.format(**files).split(), code=1 if "--jobs" in command else 2)
+    assert f" needs {package}; install this project with its extra `{extra}`: pip install" in said
 
 
 def when_pressed(made: Any, act: Callable[[], None]) -> None:
@@ -832,7 +861,7 @@ def test_an_interrupt_outside_a_sequence_is_one(monkeypatch: pytest.MonkeyPatch,
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cell.jobs.doctor, "examine", interrupt)
-    assert fail("doctor") == f"{BUILT_IN} error: interrupted; nothing was let go"
+    assert fail("doctor") == f"{BUILT_IN} error: interrupted"
 
 
 def test_an_empty_gripper_tells_that_nothing_is_held(
@@ -850,7 +879,11 @@ def test_an_empty_gripper_tells_that_nothing_is_held(
     assert "is the object in place? nothing is held; recording so far" in said
 
 
-def test_fingers_that_do_not_close_in_time_are_told_as_that(tmp_path: Path, fail: Any) -> None:
+def test_fingers_that_do_not_close_in_time_are_told_as_that(
+    tmp_path: Path, fail: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The config takes them for faster than they are.
+    monkeypatch.setattr("cell.config.model._STARTING_S", -60.0)
     slow = "self_zero: never\ngripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n"
     (tmp_path / "cell.yaml").write_text(slow)
     files = ("-o", tmp_path / "d.npz", "--out", tmp_path / "out")

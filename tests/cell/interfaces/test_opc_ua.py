@@ -3,7 +3,6 @@
 import asyncio
 import socket
 import struct
-import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, suppress
 from itertools import pairwise
@@ -467,9 +466,3 @@ def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_pa
     (folder / "key.pem").unlink()
     with pytest.raises(CellError, match=r"key\.pem"), open_doors(served.service):
         pass
-
-
-def test_a_missing_extra_is_named(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "cell.interfaces.opc_ua.door", None)
-    with pytest.raises(ConfigError, match=r"tactile-cell\[opcua\]"):
-        serve("opcua")

@@ -141,7 +141,7 @@ def test_the_page_takes_the_next_port_where_its_own_is_taken(
 def test_without_its_extra_there_is_no_page_but_a_note(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("cell.installation.missing_packages", lambda _extra: ("uvicorn",))
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
     assert serving.free_page_port("127.0.0.1") is None
     assert "no page: uvicorn missing" in capsys.readouterr().err
 

@@ -10,7 +10,7 @@ from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStopped, ModelError
+from cell.errors import CellError, CellStopped, ModelError
 from cell.learning.collection import Collection
 from cell.learning.model import LoadedModel, load_model, save_model
 from cell.learning.taught_model import TaughtModel
@@ -91,12 +91,12 @@ def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench: Any, taugh
     bench.ready()
 
     def fail() -> None:
-        raise ValueError("a broken model")
+        raise CellError("a broken model")
 
     early = heads_of(taught, Scripted(LIKELY, look=fail), Scripted((0.9, 0.01)))
     found = bench.controller.identify(Scripted(LIKELY), [STEP], early=early)
     assert (found.label, found.records[0].early) == ("ball", None)
-    assert found.complaints == ("looks at the ramp of grasp 1: ValueError: a broken model",)
+    assert found.complaints == ("looks at the ramp of grasp 1: a broken model",)
     assert [len(head.grasps) for head in early.recognizers] == [1, 1]
     assert bench.controller.fault is None
 

@@ -15,7 +15,7 @@ import pytest
 
 from cell.control.journal import loop_values
 from cell.data.recording_reader import RecordedCycles, read_recording
-from cell.errors import ReportError
+from cell.errors import MissingExtraError, ReportError
 from cell.report.build import level_windows, loop_health, paper_table, servo_health, source_health
 from cell.report.data import Answered, ConfusionTable, HealthGroup, HealthState, ReportData
 from cell.report.pad_pictures import level_pictures, pressure_levels
@@ -304,7 +304,7 @@ def test_missing_extra_is_said_with_the_remedy(
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(
-        ReportError, match=rf"needs {missing}; install this project with its extra `report`"
+        MissingExtraError, match=rf"needs {missing}; install this project with its extra `report`"
     ):
         render_report(run)
 

@@ -104,6 +104,7 @@ def test_recorded_grasps_are_played_by_number() -> None:
         {"place": "ball", "pose": {"x_m": 1.0}},
         {"remove": False},
         {"state": 1},
+        {"kinds": 1},
         {"play": 0},
         {"inject": 5},
         {"inject": "can.lost"},

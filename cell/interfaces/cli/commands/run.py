@@ -48,8 +48,8 @@ def run(
 ) -> None:
     """Teach objects and identify each of them: the main job."""
     from cell.data.recording_reader import read_recording
-    from cell.errors import ReportError
-    from cell.installation import missing_packages, remedy
+    from cell.errors import CellError, MissingExtraError, ReportError
+    from cell.installation import missing_note
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_note, write_json
     from cell.jobs.run import teach_and_identify
@@ -61,11 +61,10 @@ def run(
     checked = cell_config(config, seed=seed, faults=faults)
     taught = None if model is None else TaughtModel(checked, load_model(model, pads_of(checked)))
     labels = _labels(checked, objects, taught)
-    missing = missing_packages("report")
-    no_report = f"no report page: {' and '.join(missing)} missing; {remedy('report')}"
-    if missing:
+    no_report = missing_note("report", "report page")
+    if no_report:
         print_note(no_report)
-    failed: ReportError | None = None
+    failed: CellError | None = None
     with running_cell(
         *(checked, "run", out_folder), config_file=config, json_file=json_file, capture=capture
     ) as (cell, progress):
@@ -82,18 +81,18 @@ def run(
             model=taught,
         )
         result.extra = {"health": cell.health()}
-    if not missing:
+    if not no_report:
         assert result.recording is not None
         try:
             page = folder / "report.html"
             write_report(page, recorded_report(read_recording(result.recording)))
             result.report = page
-        except ReportError as error:
+        except (ReportError, MissingExtraError) as error:
             failed = error
     if config is None and seed is None and not faults:
         _keep_for_serve(result, checked)
     print_result(result)
-    if missing:
+    if no_report:
         print_note(no_report)
     write_json(json_file, result.as_json())
     if failed is not None:

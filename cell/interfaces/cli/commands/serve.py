@@ -94,7 +94,7 @@ def serve(
     """
     from cell.config.file import changed_config
     from cell.interfaces.cli.session import cell_config, with_faults
-    from cell.interfaces.cli.signals import END_WITHIN_S, stopping
+    from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
     from cell.interfaces.cli.terminal import print_note
     from cell.jobs.common import job_folder
     from cell.jobs.taught_cache import cached_model
@@ -118,7 +118,7 @@ def serve(
     )
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
-    with stopping(over.set, end_within_s=END_WITHIN_S):
+    with stopping(over.set, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO):
         untaught = config is None and model is None and training_set is None
         if untaught:
             model = cached_model(own)
@@ -157,11 +157,11 @@ def _announced_doors(service: "Service") -> Iterator[None]:
 
 def free_page_port(listen: str) -> int | None:
     """Return the port of the page, or the next free one; None, and a note, without its extra."""
-    from cell.installation import missing_packages, remedy
+    from cell.installation import missing_note
     from cell.interfaces.cli.terminal import print_note
 
-    if missing := missing_packages("serve"):
-        print_note(f"no page: {' and '.join(missing)} missing; {remedy('serve')}")
+    if no_page := missing_note("serve", "page"):
+        print_note(no_page)
         return None
     family = socket.AF_INET6 if ":" in listen else socket.AF_INET
     for port in range(_PAGE_PORT, _PAGE_PORT + _PAGE_PORTS):

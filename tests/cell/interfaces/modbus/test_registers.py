@@ -271,9 +271,7 @@ def test_a_fault_is_a_number_and_a_text(connect: Any) -> None:
     assert inputs[2] & (FAULT | HOLDING | READY) == FAULT | HOLDING
     assert (inputs[3], inputs[9]) == (9, 6)
     assert inputs[7] == served.service.status().fault_number > 0
-    assert text_of(inputs).startswith(
-        "Check the CAN bus; tactile.loss_max_share is the limit of lost"
-    )
+    assert text_of(inputs).startswith("Check the CAN bus; look at tactile.loss_max_share. ")
     assert plc.command(IDENTIFY) == 505
     assert plc.command(CLEAR) == 0
     assert plc.inputs()[2] & (FAULT | NEEDS_RESET) == NEEDS_RESET
@@ -286,17 +284,23 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(
     _, second = connect(served)
     assert plc.refusal() == (0, "")
     assert plc.write(COMMAND, GRIP) == 6
-    assert plc.refusal() == (514, "change register 0, the life counter, to get the lease")
+    acquire = "Acquire the lease; keep the life sign going. "
+    assert plc.refusal() == (514, f"{acquire}change register 0, ")
     plc.adopt()
     assert second.write(LIFE, 5) == 6
-    assert second.refusal() == (514, "Modbus 127.0.0.1 is in command; wait until it ends")
+    assert second.refusal() == (514, f"{acquire}Modbus 127.0.0.1 is")
     text = "name the data set that trained the model when it is loaded, or begin without one"
     with monkeypatch.context() as alone:
         alone.setattr(served.plugin, "start", raising(TrainingSetMissing(text)))
         assert plc.command(TEACH, 1) == 517
-    assert plc.refusal() == (517, text[:64])
+    assert plc.refusal() == (
+        517,
+        "Start serve with --training-set, or teach without --model. name the data set"[:64],
+    )
     assert plc.command(VERIFY) == 505
-    assert plc.refusal()[1].startswith("the cell is IDLE; allowed: grasp, grip")
+    assert (
+        plc.refusal()[1] == "Give another command first, or wait for the job's end. the cell i"[:64]
+    )
     assert plc.command(GRIP, 0, 300) == 0
     served.ended()
     assert plc.refusal()[0] == 505  # until the next one

@@ -128,8 +128,22 @@ def test_command_is_taken_over_and_given_up(serve: Any, open_page: OpenPage) -> 
     becomes(page, "#commander", "This page")
     page.reload()
     becomes(page, "#commander", "This page")
+    # The browser copies the storage of a page to its duplicate, as to a page that it opens.
+    with page.context.expect_page() as opened:
+        page.evaluate("() => void window.open(location.href)")
+    twin = opened.value
+    becomes(twin, "#commander", "In command: page-")
+    becomes(twin, "#do_identify", "take command first")
+    name = served.service.lease.name
+    for again in (twin, page):
+        again.reload()
+        becomes(again, "#commander", "This page" if again is page else f"In command: {name}")
+    page.goto("about:blank")
+    page.go_back()
+    becomes(page, "#commander", "This page")
     page.click("#command")
     becomes(page, "#commander", "Nobody")
+    becomes(twin, "#commander", "Nobody")
 
 
 def test_a_cut_line_is_red_at_once_and_returns_by_itself(

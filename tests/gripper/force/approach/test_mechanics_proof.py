@@ -6,6 +6,7 @@ import pytest
 
 from gripper.errors import (
     GripContradicted,
+    LimitExceeded,
     MechanicsContradicted,
     PositionContradicted,
     ServoFault,
@@ -219,6 +220,17 @@ def test_a_release_after_it_goes_limp_again(make_cell, make_part, aperture_m, mo
     assert stop.most_n < most_n
 
 
+def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(
+    make_cell, make_part
+) -> None:
+    slow = {"approach_speed_m_s": 0.004, "contact_timeout_s": 1.0}
+    cell = make_cell(part=make_part(present=False), **slow)
+    cell.gripper.start()
+    with pytest.raises(LimitExceeded, match=r"after 3 s they have closed .*contact_timeout_s"):
+        cell.gripper.meet(ForceRamp.linear(3.0, 5.0))
+    assert cell.torques == [1, 1]
+
+
 def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
     """Settings that were changed while a part was held by an earlier run."""
     cell = make_cell(aperture_m=0.02)
@@ -231,4 +243,4 @@ def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
         gripper.release()
     assert cell.torques == [1, 1]
     assert cell.peak_n < 8.0
-    assert gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT

@@ -1,0 +1,44 @@
+"""Load of the CAN bus by a control unit: how often its frames can be sent."""
+
+from math import inf
+
+from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
+from tactile.layout import TaxelLayout
+from tactile.unit.settings import WINDOW_SHARE, LinkSettings
+
+
+def message_bits(n_bytes: int) -> int:
+    """Return the longest message of an identifier of 11 bits in bits, all stuff bits included.
+
+    ISO 11898-1: 47 bits around the data, and one stuff bit for each four of those that are stuffed.
+    """
+    return 47 + 8 * n_bytes + (33 + 8 * n_bytes) // 4
+
+
+def _other_share(settings: LinkSettings, bitrate: int) -> float:
+    """Return the load by force messages and heartbeats as a share of the bus."""
+    bits_s = message_bits(1) / settings.heartbeat_s
+    if settings.force_period_s:
+        bits_s += message_bits(MESSAGE_BYTES) / settings.force_period_s
+    return bits_s / bitrate
+
+
+def _frame_bits(layout: TaxelLayout) -> int:
+    return FrameFormat.of(layout).n_messages * message_bits(MESSAGE_BYTES)
+
+
+def bus_load(layout: TaxelLayout, settings: LinkSettings, bitrate: int) -> float:
+    """Return the largest load of a bus at ``bitrate`` bit/s as a share; above 1 it cannot be."""
+    period_bits = _frame_bits(layout) + message_bits(0)
+    return period_bits / settings.sync_period_s / bitrate + _other_share(settings, bitrate)
+
+
+def least_sync_period_s(layout: TaxelLayout, settings: LinkSettings, bitrate: int) -> float:
+    """Return the least period of SYNC in s in which a frame is through; inf where none is enough.
+
+    The burst of a frame is to be through in the synchronous window, and all else goes before it.
+    """
+    left_bits_s = bitrate * (1.0 - _other_share(settings, bitrate))
+    if left_bits_s <= 0.0:
+        return inf
+    return (_frame_bits(layout) / WINDOW_SHARE + message_bits(0)) / left_bits_s
