@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cell.config.model import CellConfig as CellConfig
     from cell.control.controller import CellController as CellController
     from cell.errors import CellError as CellError
-    from cell.interfaces.plugin.plugin import TactileCellPlugin as TactileCellPlugin
+    from cell.plugin.plugin import TactileCellPlugin as TactileCellPlugin
 
 _FACE = {
     "cell.build": "Cell build_cell",
@@ -24,7 +24,7 @@ _FACE = {
     "cell.config.model": "CellConfig",
     "cell.control.controller": "CellController",
     "cell.errors": "CellError",
-    "cell.interfaces.plugin.plugin": "TactileCellPlugin",
+    "cell.plugin.plugin": "TactileCellPlugin",
 }
 """Names by module, which is imported when one of them is first used."""
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}

@@ -5,13 +5,13 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, assert_never
+from typing import Any, assert_never
 
 from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
 from cell.control.axes import AxesPositioner, drive_axes, servo_axis
 from cell.control.controller import CellController
-from cell.control.journal import Journal, loop_values
+from cell.control.journal import Journal, link_values, loop_values
 from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
@@ -27,8 +27,8 @@ from cell.control.positioner import (
 )
 from cell.control.records import pad_array
 from cell.control.self_zero import kept_zeros
-from cell.data.recorder import Recorder, Tap
-from cell.errors import ConfigError
+from cell.data.recorder import Recorder
+from cell.errors import ConfigError, RecordingError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
@@ -43,15 +43,13 @@ from cell.simulation import (
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from motion.axes import Axes
 from motion.bus import Watch
 from simulator.cell import SimulatedCell
 from simulator.clock import Pace
 from tactile.can.bus import CanBus, close_bus, open_bus
-
-if TYPE_CHECKING:
-    from tactile.unit.link import TactileLink
+from tactile.source import FrameSource
 
 _IDLE_STEP_S = 0.02
 """Virtual time in s from one look at a paced cell with empty fingers to the next: one frame."""
@@ -92,6 +90,8 @@ class Cell:
 
     def idle(self) -> None:
         """Look after the cell while no job runs; a paced one lives on to the present."""
+        if self._recorder is not None:
+            self._recorder.look()
         if self.simulated is None or self._pace is None:
             self.controller.tick()
             return
@@ -104,7 +104,7 @@ class Cell:
 
     @property
     def records(self) -> bool:
-        """Whether anything takes what is recorded: a file, or a tap."""
+        """Whether a recording is made."""
         return self._recorder is not None
 
     @property
@@ -114,14 +114,20 @@ class Cell:
 
     @property
     def recording_fault(self) -> str | None:
-        """Why the recording has stopped; None where it has not, or there is none."""
+        """Why the recording has stopped; None while it is written, or where there is none."""
         fault = None if self._recorder is None else self._recorder.fault
         return None if fault is None else str(fault)
 
     @property
-    def link(self) -> "TactileLink":
-        """The link to the control unit, of a cell whose loop runs in this process, for tests."""
-        return self.controller.local_hand.link
+    def recording_loss(self) -> str | None:
+        """What is lost of the recording: why it has stopped, or its gap; None where nothing is."""
+        gap = "" if self._recorder is None else self._recorder.gap
+        return self.recording_fault or gap or None
+
+    def check_recording(self) -> None:
+        """Raise RecordingError where something is lost of the recording."""
+        if loss := self.recording_loss:
+            raise RecordingError(loss)
 
     @property
     def bus(self) -> ServoBus:
@@ -141,28 +147,20 @@ class Cell:
     def health(self) -> dict[str, Any]:
         """Return the counters of both links and the loop."""
         statistics = self.controller.hand.statistics
-        frames, servos, loop = statistics.link.frames, statistics.servo_bus, statistics.loop
+        links, sensor, forces = link_values(statistics), statistics.sensor, statistics.source.forces
         return {
-            "tactile": {
-                name: getattr(owner, name)
-                for owner, names in (
-                    (frames, ("complete", "lost", "torn", "duplicate", "reordered", "stale")),
-                    (frames, ("short", "corrupt")),
-                    (statistics.link, ("foreign", "malformed", "error_frames")),
-                    (statistics.sensor, ("bad_taxels", "saturated_frames", "void_frames")),
-                )
-                for name in names
+            "tactile": links["tactile"]
+            | {
+                name: getattr(sensor, name)
+                for name in ("bad_taxels", "saturated_frames", "void_frames")
             }
             | {
-                f"force_{name}": getattr(statistics.link.forces, name)
+                f"force_{name}": getattr(forces, name)
                 for name in ("received", "lost", "repeated", "late", "damaged")
             },
-            "servo_bus": {
-                name: getattr(servos, name)
-                for name in ("transactions", "retries", "timeouts", "corrupt", "late")
-            },
-            "loop": loop_values(loop, undelivered=statistics.undelivered),
-            "recording": self.recording_fault,
+            "servo_bus": links["servo_bus"],
+            "loop": loop_values(statistics.loop, undelivered=statistics.undelivered),
+            "recording": self.recording_loss,
         }
 
     def close(self) -> None:
@@ -180,7 +178,8 @@ def build_cell(
     capture: Path | None = None,
     simulated: SimulatedCell | None = None,
     partial: bool = False,
-    tap: Tap | None = None,
+    source: FrameSource | None = None,
+    note: Callable[[str], None] = lambda _text: None,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -203,8 +202,10 @@ def build_cell(
     partial
         Whether one line of the hand may be missing, for those who look or let go; see
         `Cell.missing`.
-    tap
-        Gets what is recorded, also where no recording is made.
+    source
+        Frame source of a simulated cell, in the place of its control unit.
+    note
+        Gets messages for the operator, as that the recording has stopped, from any thread.
 
     Raises
     ------
@@ -228,22 +229,22 @@ def build_cell(
         axes = positioner.axes if isinstance(positioner, AxesPositioner) else None
         if places is not None:
             positioner = HostPlaces(positioner, places)
-        hand = _hand(config, simulated, partial=partial)
+        hand = _hand(config, simulated, source, partial=partial)
         undo.callback(hand.close)
         recorder = None
-        if folder is not None or tap is not None:
+        if folder is not None:
             recorder = Recorder(
-                None if folder is None else folder / "recording.mcap",
+                folder / "recording.mcap",
                 clock,
                 pads=pad_array(hand.layout),
                 metadata={"cell": config.name, "config": config.model_dump_json()},
                 vital=config.recording.when_lost == "hold",
                 background=simulated is None,
-                tap=tap,
+                note=note,
             )
             undo.callback(recorder.close)
-            for note in hand.notes:
-                Journal(recorder).note("note", note)
+            for text in hand.notes:
+                Journal(recorder).note("note", text)
         controller = CellController(
             config,
             hand,
@@ -273,7 +274,13 @@ def _zero_folder(config: CellConfig, folder: Path | None) -> Path | None:
     return None if folder is None else folder.parent
 
 
-def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:
+def _hand(
+    config: CellConfig,
+    simulated: SimulatedCell | None,
+    source: FrameSource | None,
+    *,
+    partial: bool,
+) -> Hand:
     if simulated is None:
         if config.loop.own_process:
             return HandProcess(config, partial=partial)
@@ -284,7 +291,7 @@ def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool)
         stream=simulated.servo_port,
         can_bus=simulated.can_bus,
     )
-    return make_hand(config, lines)
+    return make_hand(config, lines, source=source, clock=simulated.clock)
 
 
 def _positioner(

@@ -1,12 +1,11 @@
 """Errors of the cell, in one tree; each message names cause, value, limit and next step."""
 
-from gripper.errors import fingers_left
 
-
-def error_text(error: BaseException) -> str:
-    """Return an error as text for hosts and operators: kind, message, and the fingers' place."""
-    left = fingers_left(error)
-    return f"{type(error).__name__}: {error}" + (f"; {left}" if left else "")
+def reason_text(cause: Exception) -> str:
+    """Return in words what an error of Python or numpy has found wrong in a file."""
+    if isinstance(cause, KeyError):
+        return f"{cause} is missing"
+    return str(cause) or ("too little memory" if isinstance(cause, MemoryError) else "cut off")
 
 
 class CellError(Exception):
@@ -15,6 +14,10 @@ class CellError(Exception):
 
 class ConfigError(CellError):
     """A config file or value is refused; nothing has moved."""
+
+
+class MissingExtraError(ConfigError):
+    """A package is not installed that an extra of this project brings; nothing has moved."""
 
 
 class DatasetError(CellError):

@@ -6,7 +6,6 @@ force, 3xx CAN and control unit, 4xx taxels and frames, 5xx cell, job and host, 
 all links are made from this table.
 """
 
-import re
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -84,7 +83,7 @@ class Fault:
 CATALOGUE: dict[type[BaseException], Fault] = {
     # -- 1xx: servos and servo line ------------------------------------------------------------
     gripper.GripperError: Fault(100, "Gripper fault",
-        "None of the kinds below.", "Read the full text.", KEPT, MEND),
+        "None of the kinds below.", "Remove the cause, then clear and reset.", KEPT, MEND),
     gripper.PortLost: Fault(101, "Servo port cannot be opened or is gone",
         "USB adapter unplugged, another program on the port, missing rights.",
         "Check adapter, cable and `gripper.port`; run `doctor`.",
@@ -97,19 +96,19 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "The other finger stands still.", REBOOT),
     gripper.LinkTooSlow: Fault(104, "Servo line too slow for the loop rate",
         "Latency timer of the USB adapter, baud rate.",
-        "Set the latency timer to 1 ms, raise the baud rate or lower the loop rate.", UNMOVED,
+        "Latency timer to 1 ms, a higher baud rate or a lower loop rate.", UNMOVED,
         START),
     gripper.BusCorrupt: Fault(105, "Damaged answers on the servo line",
         "Noise, ground, termination, two servos with one ID.", "Check cable, ground and IDs.",
         KEPT, REBOOT),
     gripper.BusUnreliable: Fault(106, "Too many periods without servo feedback",
         "Noise or another device on the servo line.",
-        "Check cable and ground; `gripper.feedback_loss_max_share` is the limit.", KEPT, MEND),
+        "Check cable, ground and `gripper.feedback_loss_max_share`.", KEPT, MEND),
     gripper.BusBusy: Fault(107, "Servo bus held by another thread",
         "The machine is too busy.", "Give the loop its own process and priority.", KEPT, MEND),
     gripper.ServoRejected: Fault(108, "A servo refused an instruction",
         "A value or state that the servo does not allow.",
-        "Read the error number in the text; run `doctor`.", KEPT, MEND),
+        "Run `doctor`; correct what it names.", KEPT, MEND),
     gripper.ServoFault: Fault(109, "A servo reports a hardware error or lost its torque",
         "Overload, heat, supply, shock; a restart.",
         "Remove the cause, clear, release; then clear with reboot, reset.",
@@ -130,16 +129,17 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Look where the fingers stand, correct the key, clear and reset.", LIMP, START),
     # -- 2xx: grip and force -------------------------------------------------------------------
     gripper.LimitExceeded: Fault(200, "Command or measured value outside a limit",
-        "A request beyond the config, or heat.", "Read value and limit in the text.",
+        "A request beyond the config, or heat.", "Ask for less, or let what is hot cool down.",
         "Kept; a refused command moves nothing.", MEND),
     gripper.ForceAboveCap: Fault(201, "Grip force above its cap",
         "The part was pushed, or the force control is wrong.",
-        "Look at the part; check cap and calibration after a risk assessment.", SET_OFF, MEND),
+        "Look at the part; assess the risk; check cap and calibration.", SET_OFF, MEND),
     gripper.PositionContradicted: Fault(202, "Pads contradict the reported finger position",
         "Encoder or linkage drifts.", "Look, release, then check encoder and linkage.", KEPT,
         LET_GO_FIRST),
     gripper.GripperStateError: Fault(203, "Gripper command not allowed in its state",
-        "A command out of order.", "Read the allowed commands in the text.", UNMOVED, LET_GO),
+        "A command out of order.", "Give another command first: clear, release or reset.",
+        UNMOVED, LET_GO),
     gripper.ForceSensorStale: Fault(204, "No valid tactile force for too long",
         "CAN load, control unit, a busy machine.",
         "Check the CAN link; `gripper.force_stale_ms` is the limit.", KEPT, MEND),
@@ -157,12 +157,12 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Look; clear, release, take the part out, reset.", KEPT, LET_GO),
     gripper.GripContradicted: Fault(209, "Pads and motors disagree on a part in the grip",
         "Wrong force messages, blind pads, something beside the taxels.",
-        "Look between the fingers, check control unit and pads, then release.", KEPT, MEND),
+        "Look between the fingers; check unit and pads; then release.", KEPT, MEND),
     gripper.GraspStopped: Fault(208, "Motion stopped on request",
         "A stop was requested.", "Release or go on.", KEPT, STOPPED),
     # -- 3xx: CAN and control unit -------------------------------------------------------------
     tactile.TactileError: Fault(300, "Tactile sensor fault",
-        "None of the kinds below.", "Read the full text.", KEPT, MEND),
+        "None of the kinds below.", "Remove the cause, then clear and reset.", KEPT, MEND),
     tactile.LinkStateError: Fault(301, "CAN link call not allowed in its state",
         "A command out of order.", "Clear and reset.", UNMOVED, LET_GO),
     tactile.LinkFault: Fault(302, "CAN link has failed",
@@ -203,7 +203,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     # -- 4xx: taxels and frames ----------------------------------------------------------------
     tactile.FrameTimeout: Fault(401, "No whole tactile frames, or frozen values",
         "CAN load, cable, a hanging unit.",
-        "Check the CAN bus; `tactile.loss_max_share` is the limit of lost frames.", KEPT, MEND),
+        "Check the CAN bus; look at `tactile.loss_max_share`.", KEPT, MEND),
     tactile.FrameError: Fault(402, "Values do not fit into a tactile frame",
         "Wrong layout.", "Check it.", UNMOVED, CONFIG),
     tactile.LayoutError: Fault(403, "Pad layout impossible or not that of the unit",
@@ -218,23 +218,24 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         KEPT, ZERO),
     tactile.ForceContradicted: Fault(407, "Force messages and frames show different forces",
         "Another table or zero in the control unit, or a failing pad.",
-        "Look at pads and calibration; a new start writes table and zero anew.", KEPT, MEND),
+        "Check pads and calibration; a new start writes table and zero.", KEPT, MEND),
     # -- 5xx: cell, job and host ---------------------------------------------------------------
     cell.CellError: Fault(500, "Cell error",
-        "None of the kinds below.", "Read the full text.", KEPT, MEND),
+        "None of the kinds below.", "Remove the cause, then clear and reset.", KEPT, MEND),
     cell.ConfigError: Fault(501, "Config or request value refused",
-        "Unknown key, wrong type or out of range.", "Correct the value that the text names.",
+        "Unknown key, wrong type or out of range.", "Correct this value.",
         UNMOVED, REQUEST),
     cell.DatasetError: Fault(502, "Data set cannot be read or written",
         "File or disk.", "Check the path.", APART, REQUEST),
     cell.RecordingError: Fault(503, "Recording cannot be read or has stopped",
-        "Full disk, or a damaged file.", "Free the disk; `recover` saves what is whole.",
+        "Full disk, or a damaged file.",
+        "Free the disk: it then goes on. `recover` saves what is whole.",
         "Kept where `recording.when_lost` is `hold`; else not concerned.", MEND),
     cell.ReportError: Fault(504, "Report cannot be made",
-        "File, disk or extra.", "Read the text.", APART, REQUEST),
+        "File or disk.", "Check folder and disk.", APART, REQUEST),
     cell.CellStateError: Fault(505, "Command not allowed in the state of the cell",
-        "A command out of order, or a job that runs.", "Read the allowed commands in the text.",
-        UNMOVED, REQUEST),
+        "A command out of order, or a job that runs.",
+        "Give another command first, or wait for the job's end.", UNMOVED, REQUEST),
     cell.PartInGrip: Fault(506, "A part may be in the grip at the start",
         "An earlier run or a fault left it there.", "Clear, release on purpose, reset.", UNMOVED,
         LET_GO),
@@ -254,7 +255,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Put it in place, start again.", "Open and empty.", AGAIN),
     cell.ZeroRefused: Fault(518, "Self-zero out of bounds: a pad or a finger",
         "A bent finger, a loose or worn pad, a horn that slipped.",
-        "Mend what the text names, then `tactile-cell zero`.", "Open and empty.", START),
+        "Mend pad or finger, then `tactile-cell zero`.", "Open and empty.", START),
     cell.CellStopped: Fault(512, "Job stopped on request",
         "Hold, or a silent host.", "Release, then go on.", KEPT, STOPPED),
     cell.RequestRefused: Fault(513, "Request refused: unknown, incomplete or wrong key",
@@ -272,13 +273,14 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "A pressed button of a panel; the text names it.",
         "Let the button go; `clear` acknowledges one whose client is gone.", UNMOVED, ON_HOLD),
     OSError: Fault(598, "The operating system refused a file or device",
-        "Rights, disk, memory, too many open files.", "Read the text.", KEPT, MEND),
+        "Rights, disk, memory, too many open files.", "Check rights, disk and device, then repeat.",
+        KEPT, MEND),
     Exception: Fault(599, "Unexpected error of the program",
-        "A defect of this program or of a callback.", "Report the text; clear and reset.", KEPT,
+        "A defect of this program or of a callback.", "Report this message; clear and reset.", KEPT,
         LET_GO),
     # -- 6xx: axes and wrist -------------------------------------------------------------------
     motion.MotionError: Fault(600, "Axis fault",
-        "None of the kinds below.", "Read the full text.", AXES_STOP, MEND),
+        "None of the kinds below.", "Remove the cause, then clear and reset.", AXES_STOP, MEND),
     motion.AxisLimitExceeded: Fault(601, "Position outside the limits of an axis",
         "A pose of the sequence, of a place or of the host.",
         "Ask for another pose, or set `positioner.axes[].low` and `high`.", UNMOVED, MEND),
@@ -286,7 +288,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Obstacle, load, or a velocity that is set too low.",
         "Free the axis; look at its velocity and load.", AXES_STOP, MEND),
     motion.AxisMissing: Fault(603, "Axis missing, or another device than configured",
-        "Supply, cable, node-ID or ID of the axis.", "Check them; run `doctor`.", UNMOVED, CONFIG),
+        "Supply, cable, node-ID or ID of the axis.", "Check them; run `doctor`.", UNMOVED, MEND),
     motion.AxisSilent: Fault(604, "Axis no longer answers",
         "Supply or cable of the drive or servo.", "Check both, then clear and reset.", AXES_STOP,
         MEND),
@@ -302,11 +304,25 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     motion.HomingFailed: Fault(608, "Axis has not found its home",
         "Home switch, homing method, or an obstacle.", "Check them, then clear and reset.",
         AXES_STOP, MEND),
+    motion.AxisNotOperational: Fault(610, "Drive of an axis left the state operational",
+        "Another CANopen master has stopped it.",
+        "Look for that master, then clear and reset: the next motion starts the drive.",
+        AXES_STOP, MEND),
+    motion.AxisDuplicated: Fault(611, "Two drives of axes with one node-ID",
+        "Same node-ID twice.", "Change one or take it off the bus, then clear and reset.",
+        AXES_STOP, MEND),
+    motion.AxisAnswerWrong: Fault(612, "Drive of an axis answers wrongly",
+        "Another drive or firmware, or a second sender with its node-ID.",
+        "Check drive, firmware and node-IDs, then clear and reset.", AXES_STOP, MEND),
+    motion.PositionImplausible: Fault(613, "Axis reads a position beyond its limits",
+        "Encoder or homing; an axis that was moved by hand.",
+        "Check encoder and homing, bring the axis between its limits, then clear and reset.",
+        AXES_STOP, MEND),
     cell.PositionerFault: Fault(609, "Axis of the positioner at fault",
         "The text names axis and cause.", "Mend it, then clear and reset.", AXES_STOP, MEND),
     # -- 7xx: recognition and models -----------------------------------------------------------
     recognition.RecognitionError: Fault(700, "Recognition failed",
-        "None of the kinds below.", "Read the full text.", APART, REQUEST),
+        "None of the kinds below.", "Grasp again, or teach again.", APART, REQUEST),
     recognition.ContactError: Fault(701, "No usable contact in a grasp",
         "A grasp beside the pads, or of too little force.", "Check pose and force.", APART, AGAIN),
     recognition.QuadricError: Fault(702, "No surface fits the contact",
@@ -315,14 +331,16 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Wrong poses.", "Check them.", APART, REQUEST),
     recognition.TrajectoryError: Fault(704, "No thresholds from this sweep",
         "Bands overlap.", "Teach more grasps.", APART, REQUEST),
-    recognition.MissingExtraError: Fault(705, "Library of this recogniser is not installed",
-        "A missing extra.", "Install the extra that the text names.", APART, CONFIG),
+    cell.MissingExtraError: Fault(705, "A library is not installed",
+        "A missing extra of this program.", "Install the missing extra.", UNMOVED, CONFIG),
     cell.ModelError: Fault(706, "Taught model cannot be read, written or used",
         "Damaged file, or a model of other pads.", "Name another model or teach again.", APART,
         REQUEST),
 }
 # fmt: on
 """Every error class and its entry; an error of a class that is not listed has that of its base."""
+
+_UNEXPECTED = CATALOGUE[Exception].number
 
 BY_NUMBER = {fault.number: fault for fault in CATALOGUE.values()}
 """Every entry by its number."""
@@ -336,7 +354,8 @@ def fault_of(error: BaseException) -> Fault:
     """
     kind = next((kind for kind in type(error).__mro__ if kind in CATALOGUE), Exception)
     cause = error.__cause__
-    if isinstance(cause, motion.MotionError) or (kind is cell.CellError and cause is not None):
+    by_axis = isinstance(cause, motion.MotionError) and not isinstance(error, motion.MotionError)
+    if cause is not None and (by_axis or kind is cell.CellError):
         return fault_of(cause)
     return CATALOGUE[kind]
 
@@ -344,6 +363,22 @@ def fault_of(error: BaseException) -> Fault:
 def fault_number(error: BaseException | None) -> int:
     """Return the number of an error; 0 for none."""
     return 0 if error is None else fault_of(error).number
+
+
+def error_text(error: BaseException) -> str:
+    """Return an error as text for hosts and operators: its message, and where the fingers stand.
+
+    The class stands in it for an unexpected error alone, which people report as a defect.
+    """
+    text, number = str(error), fault_number(error)
+    if not isinstance(error, Exception):
+        text = "the program was interrupted"
+    elif number == _UNEXPECTED:
+        text = f"unexpected error ({type(error).__name__}): {text}"
+    elif isinstance(error, OSError) and number == CATALOGUE[OSError].number:
+        text = ": ".join(str(part) for part in (error.strerror or text, error.filename) if part)
+    left = gripper.fingers_left(error)
+    return f"{text}; {left}" if left else text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -361,22 +396,17 @@ class Refusal:
     def of(cls, error: BaseException) -> Self:
         """Return an error as a refusal."""
         fault = fault_of(error)
-        text = f"{type(error).__name__}: {error}" if fault.number >= 598 else str(error)
-        return cls(number=fault.number, text=text, remedy=fault.remedy)
+        return cls(number=fault.number, text=error_text(error), remedy=fault.remedy)
 
     def __str__(self) -> str:
         if not self.number:
             return ""
-        remedy = "" if "text" in self.remedy else f". {self.remedy}".replace("`", "")
-        return f"{self.number}: {self.text}{remedy}"
+        return f"{self.number}: {self.text}. {self.remedy}".replace("`", "")
 
 
 def for_display(number: int, text: str) -> str:
-    """Return the text of a fault for displays that show its beginning alone: the remedy first.
+    """Return a text for displays that show its beginning alone: the remedy of the number first.
 
-    A remedy that refers to the text is left out; number 0 is no fault. The text is as of
-    `cell.errors.error_text`.
+    Number 0 is no fault. The text is as of `error_text`.
     """
-    remedy = BY_NUMBER[number].remedy.replace("`", "") if number else "text"
-    rest = re.sub(r"^\w+: ", "", text)
-    return rest if "text" in remedy else f"{remedy} {rest}"
+    return f"{BY_NUMBER[number].remedy.replace('`', '')} {text}" if number else text

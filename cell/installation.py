@@ -1,39 +1,60 @@
-"""How this project is installed: which packages of an extra are missing, and the way to add it."""
+"""How this project is installed: which packages of an extra are missing, and the way to add it.
+
+Whatever an extra brings is imported within `extra`, so that all say the same where it is missing.
+"""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+from cell.errors import MissingExtraError
+
 EXTRAS = {
     "report": ("jinja2", "matplotlib"),
     "mesh": ("trimesh",),
-    "cluster": ("distributed",),
-    "dbc": ("cantools",),
     "serve": ("fastapi", "uvicorn", "websockets"),
 }
-"""Extra -> the modules that it brings and that are loaded only where they are needed."""
+"""Extra -> the modules that it brings, which `doctor` or a note names before they are needed."""
 
 
-def missing_packages(extra: str) -> tuple[str, ...]:
-    """Return the modules of an extra that cannot be imported here; KeyError for another extra."""
-    return tuple(name for name in EXTRAS[extra] if find_spec(name) is None)
+@contextmanager
+def extra(name: str, *, needed_by: str) -> Iterator[None]:
+    """Have an import of an extra that is missing raise MissingExtraError, with who needs it."""
+    try:
+        yield
+    except ImportError as error:
+        package = (error.name or str(error)).partition(".")[0]
+        raise MissingExtraError(f"{needed_by} needs {package}; {remedy(name)}") from error
+
+
+def missing_note(extra: str, what: str) -> str:
+    """Return the note that something is left out without its extra; empty where nothing lacks."""
+    missing = [name for name in EXTRAS[extra] if find_spec(name) is None]
+    return f"no {what}: {' and '.join(missing)} missing; {remedy(extra)}" if missing else ""
 
 
 def remedy(extra: str) -> str:
     """Return how to add an extra to this installation, as an order to a person.
 
-    An installation from a folder is named by that folder (PEP 610, ``direct_url.json``). No package
-    index is named: whether one has this project is not known here.
+    pip finds the project where it was installed from (PEP 610, ``direct_url.json``): a folder, a
+    file, a repository, or else the index.
     """
     text = f"install this project with its extra `{extra}`"
     try:
         origin = json.loads(distribution("tactile-cell").read_text("direct_url.json") or "{}")
     except (PackageNotFoundError, ValueError):
         origin = {}
-    folder = Path(unquote(urlsplit(str(origin.get("url", ""))).path))
-    if "dir_info" in origin and folder.is_dir():
-        editable = "-e " if origin["dir_info"].get("editable") else ""
-        return f"{text}: pip install {editable}'{folder}[{extra}]'"
-    return text
+    url, option, what = str(origin.get("url", "")), "", f"tactile-cell[{extra}]"
+    if "dir_info" in origin:
+        folder = Path(unquote(urlsplit(url).path))
+        if not folder.is_dir():
+            return text
+        option, what = "-e " if origin["dir_info"].get("editable") else "", f"{folder}[{extra}]"
+    elif url:
+        kind = origin.get("vcs_info", {}).get("vcs")
+        what += f" @ {kind}+{url}" if kind else f" @ {url}"
+    return f"{text}: pip install {option}'{what}'"

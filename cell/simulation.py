@@ -2,8 +2,11 @@
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack
 from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +22,8 @@ from cell.config.tactile import (
 )
 from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
-from cell.errors import ConfigError, PositionerError
+from cell.errors import CellStateError, ConfigError, PositionerError, RequestRefused
+from cell.installation import extra
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
@@ -29,6 +33,7 @@ from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorError
 from simulator.faults.injector import VOCABULARY, check_fault
+from simulator.realtime.requests import CellRequests
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
@@ -40,6 +45,8 @@ from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
 from tactile.layout import TaxelLayout
 
+_REPLY_S = 5.0
+"""Longest wait in s for the reply to a request: a job may work out a model meanwhile."""
 _RACK_TRAVEL_M = 0.1
 """Travel of each simulated rack in m: more than the fingers of any config need."""
 _NOISE_DRAWS = 200
@@ -234,10 +241,7 @@ def simulated_objects(config: CellConfig) -> dict[str, Shape]:
     """Return the shapes of the configured objects by their labels. Raises ConfigError."""
     objects = {}
     for entry in config.simulator.objects:
-        try:
-            objects[entry.label] = parse_shape(entry.shape)
-        except (SimulatorError, ImportError) as error:
-            raise ConfigError(f"simulator.objects: {entry.label}: {error}") from error
+        objects[entry.label] = _shape(entry.shape, f"simulator.objects: {entry.label}")
     return objects
 
 
@@ -246,10 +250,15 @@ def drawn_shape(text: str) -> Shape:
 
     Raises ConfigError if the text is no shape, or a mesh file cannot be read.
     """
+    return _shape(text, f"shape {text!r}")
+
+
+def _shape(text: str, where: str) -> Shape:
     try:
-        return parse_shape(text)
-    except (SimulatorError, ImportError) as error:
-        raise ConfigError(f"shape {text!r}: {error}") from error
+        with extra("mesh", needed_by=f"{where}: a mesh file"):
+            return parse_shape(text)
+    except SimulatorError as error:
+        raise ConfigError(f"{where}: {error}") from error
 
 
 def converter_noise(
@@ -269,6 +278,52 @@ def sensor_law(config: CellConfig) -> SensorLaw:
         adc_max = layout_from_config(config.tactile).adc_max
         return SensorLaw(full_scale_n=adc_max * law.force_per_count_n)
     return SensorLaw(gain=1.0 / law.gain)
+
+
+class SimulationRequests:
+    """Requests of any thread to a simulated cell of this process, carried out on the cell's own.
+
+    Parameters
+    ----------
+    between_jobs
+        Has something done on the thread of the cell while no job runs; else the next piece of
+        virtual time does it.
+    """
+
+    def __init__(
+        self, cell: SimulatedCell, between_jobs: Callable[[Callable[[], None]], None]
+    ) -> None:
+        self._requests = CellRequests(cell.devices, cell.injector)
+        self._waiting: SimpleQueue[tuple[dict[str, Any], Future[dict[str, Any]]]] = SimpleQueue()
+        self._between_jobs = between_jobs
+        cell.clock.on_advance.append(lambda _now_s: self._answer())
+
+    def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out a request of `simulator.realtime.requests` and return its reply.
+
+        Raises RequestRefused if it cannot be carried out, CellStateError if the cell has no time
+        for it.
+        """
+        reply: Future[dict[str, Any]] = Future()
+        self._waiting.put((request, reply))
+        self._between_jobs(self._answer)
+        try:
+            return reply.result(_REPLY_S)
+        except SimulatorError as error:
+            raise RequestRefused(f"simulation: {error}") from error
+        except TimeoutError as error:
+            reply.cancel()
+            raise CellStateError(f"the cell was busy for {_REPLY_S:g} s: ask again") from error
+
+    def _answer(self) -> None:
+        while not self._waiting.empty():
+            request, reply = self._waiting.get()
+            if not reply.set_running_or_notify_cancel():
+                continue
+            try:
+                reply.set_result(self._requests(request))
+            except Exception as error:
+                reply.set_exception(error)
 
 
 class InProcessPlacer:

@@ -2,9 +2,9 @@
 
 `open_gripper` opens the servos' port; what stands below is all that a program needs that moves a
 gripper. Chapters: `force` (ramps and the force loop), `servos` (the servos of one gripper as a
-group), `dynamixel` (Protocol 2.0 on a serial line; the only importer of `serial` and the SDK);
-beside them `gripper`, `lifecycle`, `kinematics`, `settings`, the values (`state`, `force_sensor`,
-`outcome`, `servo_checks`), `clock` and `errors`.
+group), `mechanics` (linkage, friction, impact), `dynamixel` (Protocol 2.0 on a serial line; the
+only importer of `serial` and the SDK), `values` (what it reports and answers); beside them
+`gripper`, `lifecycle`, `settings`, `clock` and `errors`.
 """
 
 from importlib import import_module
@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gripper.errors import GripperError as GripperError
     from gripper.force.ramp import ForceRamp as ForceRamp
-    from gripper.force_sensor import ForceSample as ForceSample, ForceSensor as ForceSensor
     from gripper.gripper import Gripper as Gripper, open_gripper as open_gripper
-    from gripper.kinematics import (
+    from gripper.mechanics.kinematics import (
         Linkage as Linkage,
         ParallelLinkage as ParallelLinkage,
         RackPinion as RackPinion,
     )
-    from gripper.outcome import GraspOutcome as GraspOutcome, GraspResult as GraspResult
     from gripper.settings import (
         ForceLoopSettings as ForceLoopSettings,
         GripperSettings as GripperSettings,
         OverForce as OverForce,
         ServoSettings as ServoSettings,
     )
-    from gripper.state import (
+    from gripper.values.force_sensor import ForceSample as ForceSample, ForceSensor as ForceSensor
+    from gripper.values.outcome import GraspOutcome as GraspOutcome, GraspResult as GraspResult
+    from gripper.values.state import (
         Cycle as Cycle,
         GripperPhase as GripperPhase,
         GripperState as GripperState,
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 _FACE = {
     "gripper.errors": "GripperError",
     "gripper.force.ramp": "ForceRamp",
-    "gripper.force_sensor": "ForceSample ForceSensor",
+    "gripper.values.force_sensor": "ForceSample ForceSensor",
     "gripper.gripper": "Gripper open_gripper",
-    "gripper.kinematics": "Linkage ParallelLinkage RackPinion",
-    "gripper.outcome": "GraspOutcome GraspResult",
+    "gripper.mechanics.kinematics": "Linkage ParallelLinkage RackPinion",
+    "gripper.values.outcome": "GraspOutcome GraspResult",
     "gripper.settings": "ForceLoopSettings GripperSettings OverForce ServoSettings",
-    "gripper.state": "Cycle GripperPhase GripperState",
+    "gripper.values.state": "Cycle GripperPhase GripperState",
 }
 """Names by module, which is imported when one of them is first used."""
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}

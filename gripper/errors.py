@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from gripper.servo_checks import VerificationReport, hardware_error_names
+from gripper.values.servo_checks import VerificationReport, hardware_error_names
 
 _RESULT_CODES = {
     1: "Result Fail: the command was not carried out",

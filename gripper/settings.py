@@ -32,8 +32,8 @@ def setting(default: Any, *, low: float = -inf, above: float = -inf, high: float
 
 def check_number(
     name: str, value: float, *, low: float = -inf, above: float = -inf, high: float = inf
-) -> None:
-    """Raise LimitExceeded when a value is not finite or outside its range."""
+) -> float:
+    """Return a value; raise LimitExceeded when it is not finite or outside its range."""
     wanted = [
         (value >= low, f"at least {low:g}"),
         (value > above, f"above {above:g}"),
@@ -42,6 +42,7 @@ def check_number(
     if not isfinite(value) or not all(ok for ok, _ in wanted):
         broken = " and ".join(text for ok, text in wanted if not ok) or "a number"
         raise LimitExceeded(f"{name} is {value}, must be finite and {broken}")
+    return value
 
 
 def _check_settings(settings: Any) -> None:
@@ -81,7 +82,7 @@ class ForceLoopSettings:
     samples are young enough for it: on a soft part the fingers swing too slowly by themselves."""
     end_time_s: float = setting(0.14, low=0.0)
     """Time constant in s with which the force arrives at the end of a change; see
-    `gripper.force.controller.SetpointFilter`."""
+    `gripper.force.control.band_mode.arriving_n`."""
     dead_band_n: float = setting(0.03, low=0.0)
     hold_band_n: float = setting(0.04, low=0.0)
     """Error in N that is left alone while the force keeps its direction: on a ramp, in a
@@ -183,7 +184,7 @@ class GripperSettings:
     pad_stiffness_n_m: float = setting(55e3, low=1e3, high=1e6)
     """Stiffness in N/m of a pad under the hardest part: a flat one on all of a pad of 55 x 20 mm
     with foam of 3 mm and 150 kPa, as the simulated ones. With the moving mass it makes the impact
-    of an approach, see `gripper.impact`."""
+    of an approach, see `gripper.mechanics.impact`."""
     contact_force_n: float = setting(0.6, low=0.1, high=5.0)
     """Force on each pad in N that counts as contact."""
     contact_samples: int = setting(3, low=1, high=50)
@@ -238,7 +239,7 @@ class GripperSettings:
     holding, that is reported as a slip."""
     slide_m: float = setting(0.0015, above=0.0, high=0.05)
     """Way in m along the pads by which the centre of a held force may move; more where its noise is
-    larger, less where it moves suddenly: see `gripper.force.slip`."""
+    larger, less where it moves suddenly: see `gripper.force.supervision.slip`."""
     runaway_speed_m_s: float = setting(0.02, above=0.0, high=0.5)
     runaway_travel_m: float = setting(0.0005, above=0.0, high=0.05)
     """Fingers that close faster than the force loop wants by so much in m/s, over so far in m,

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from motion.bus import Watch, unwatched
-from motion.errors import AxisLimitExceeded, MotionError, PositionNotReached
+from motion.errors import (
+    AxisDuplicated,
+    AxisLimitExceeded,
+    MotionError,
+    PositionImplausible,
+    PositionNotReached,
+)
 
 _POLL_S = 0.005
 """Period in s in which moving axes are asked."""
@@ -66,6 +72,8 @@ class Axis:
     low: float
     high: float
     """Limits in m or rad."""
+    plausible: tuple[float, float]
+    """Lowest and highest position in m or rad that its encoder may read: limits, home and lag."""
     velocity: float
     acceleration: float
     """Of its profile in m/s and m/s², or rad/s and rad/s²; for the longest time of a way."""
@@ -75,8 +83,26 @@ class Axis:
 
     @property
     def position(self) -> float:
-        """Present position in m or rad."""
-        return self.device.position / self.increments
+        """Present position in m or rad.
+
+        Raises PositionImplausible if the axis cannot be there.
+        """
+        position = self.device.position / self.increments
+        low, high = self.plausible
+        if not low <= position <= high:
+            raise PositionImplausible(
+                f"{self.device.name} reads a position of {self.in_words(position)}, its limits are "
+                f"{self.in_words(self.low)} to {self.in_words(self.high)}: the reading has jumped, "
+                "or the axis was moved beyond its limits. Check encoder and homing, bring the axis "
+                "back between its limits, then clear the fault and start again"
+            )
+        return position
+
+    def arrived(self) -> bool:
+        """Return whether the target is reached. Raises MotionError as device and `position`."""
+        arrived = self.device.arrived()
+        _ = self.position
+        return arrived
 
     def target(self, position: float) -> int:
         """Return a position in increments.
@@ -165,10 +191,13 @@ class Axes:
             return self._move(targets, increments)
         except BaseException as error:
             raised = self.stop()
-            if isinstance(error, MotionError):
-                self._ready, self._reported = False, True
-                raise type(error)(f"{error}; {raised}") from error
-            raise
+            if not isinstance(error, MotionError):
+                raise
+            self._ready, self._reported = False, True
+            # Two drives with one node-ID show as anything: a boot-up, a fault, a wrong state.
+            found = self.inspect().values()
+            cause = next((one for one in found if isinstance(one, AxisDuplicated)), error)
+            raise type(cause)(f"{cause}; {raised}") from cause
         finally:
             self._watch.supervise = unwatched
 
@@ -184,7 +213,7 @@ class Axes:
         for name, target in increments.items():
             self._axes[name].device.go_to(target)
         # Those that have arrived are asked on: one that fails then stops the others too.
-        while under_way := [name for name in targets if not self._axes[name].device.arrived()]:
+        while under_way := [name for name in targets if not self._axes[name].arrived()]:
             if self._watch.clock.monotonic() > end_s:
                 where = ", ".join(
                     f"{name} is at {axis.in_words(axis.position)} instead of "

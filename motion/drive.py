@@ -10,22 +10,30 @@ from dataclasses import dataclass
 from typing import Any
 
 import can
-from canopen.nmt import NMT_COMMANDS
+from canopen.nmt import NMT_COMMANDS, NMT_STATES
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motion import object_dictionary as od
 from motion.bus import HOST_NODE, DriveBus
 from motion.errors import (
+    AxisAnswerWrong,
+    AxisDuplicated,
     AxisFault,
     AxisLimitExceeded,
     AxisMissing,
+    AxisNotOperational,
     AxisRestarted,
     AxisSilent,
     HomingFailed,
     LimitSwitchReached,
 )
 from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, State, Status
-from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE, PolledSdoClient
+from tactile.can.sdo_client import (
+    COB_SDO_REQUEST,
+    COB_SDO_RESPONSE,
+    PolledSdoClient,
+    SdoNotAnswered,
+)
 
 HEARTBEAT_S = 0.05
 """Period in s of the drive's heartbeat (1017h)."""
@@ -41,9 +49,17 @@ _STATE_S = 2.0
 """Longest time in s for a change of state: brakes and power stages take their time."""
 _POLL_S = 0.005
 """Period in s in which a moving drive is asked."""
-_BOOT_UP, _STATE_BITS = 0, 0x7F
-"""Heartbeat of a boot-up, and the bits that are the NMT state (CiA 301, 7.2.8.3.3)."""
+_BOOT_UP, _STOPPED, _OPERATIONAL = 0, 4, 5
+"""States in a heartbeat (CiA 301, 7.2.8.3.3)."""
+_STATE_BITS = 0x7F
+"""The bits of a heartbeat that are the state."""
+_SURPLUS_ANSWERS = 3
+"""So many SDO answers more than requests are a second drive's; one may be a doubled message."""
 _EMCY_BYTES = 8
+_ANSWER_REMEDY = (
+    "the drive is another one than CiA 402 describes, or somebody else sends with its node-ID. "
+    "Check drive, firmware and node-IDs, then clear the fault and start again"
+)
 _QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, od.CONTROLWORD, 0, Control.QUICK_STOP, 0)
 """SDO request that writes a controlword of two bytes (CiA 301, 7.2.4.3.3)."""
 
@@ -104,7 +120,9 @@ class Cia402Drive:
             timeout_s=_SDO_SHARE * bus.loss_s,
         )
         self._client.network = bus.network
-        self._heard_s: float | None = None
+        self._heard_s = 0.0
+        self._nmt_state = _OPERATIONAL
+        self._surplus = 0
         self._booted = False
         self._emergency = 0
         self._supervised = self._stopped = False
@@ -122,9 +140,10 @@ class Cia402Drive:
         """Return state and position in words; nothing is changed and nothing moves.
 
         Raises AxisMissing if nothing answers, or what answers is no CiA 402 drive with the modes
-        that are needed.
+        that are needed; AxisNotOperational if it is stopped, AxisDuplicated if two drives answer.
         """
-        self._supervised = False
+        self._supervised, self._nmt_state = False, _OPERATIONAL
+        self._surplus = self._client.surplus
         try:
             kind = self._read(od.DEVICE_TYPE)
             modes = self._read(od.SUPPORTED_MODES)
@@ -148,6 +167,8 @@ class Cia402Drive:
         words = f"{state.words}, position {self.position} increments"
         if state is State.FAULT:
             words += f", {od.error_code_text(self._read(od.ERROR_CODE))}"
+        self._bus.watch.pause(_POLL_S)
+        self.check()
         return words
 
     def prepare(self, *, reset: bool) -> None:
@@ -157,11 +178,17 @@ class Cia402Drive:
         fault, refuses its set-up or does not find its home.
         """
         self._bus.drop_old()
+        self._command("OPERATIONAL")  # a drive that is stopped answers no SDO
         self.identify()
-        self._booted, self._emergency, self._heard_s = False, 0, None
-        self._bus.send(od.COB_NMT, bytes((NMT_COMMANDS["OPERATIONAL"], self._node_id)))
+        self._booted, self._emergency, self._nmt_state = False, 0, _BOOT_UP
+        self._command("OPERATIONAL")  # one that was booting did not hear the first command
         self._write(od.HEARTBEAT_MS, 0, round(1e3 * HEARTBEAT_S))
-        self._until(lambda: self._heard_s is not None, _START_S, "sends no heartbeat", AxisMissing)
+        self._until(
+            lambda: self._nmt_state == _OPERATIONAL,
+            _START_S,
+            "sends no heartbeat as operational: look for another CANopen master",
+            AxisNotOperational,
+        )
         if self._state() is State.OPERATION_ENABLED:
             # It may still be on its way: nobody could stop a drive that was silent.
             self._write(od.CONTROLWORD, 0, Control.QUICK_STOP)
@@ -182,6 +209,7 @@ class Cia402Drive:
         Raises MotionError if it is missing, or its fault stays.
         """
         del reboot
+        self._command("OPERATIONAL")
         self.identify()
         self._reset_fault()
 
@@ -189,6 +217,7 @@ class Cia402Drive:
         """Look whether the drive is as it was left: alive, enabled, without a fault."""
         self._bus.drop_old()
         self._heard_s = self._bus.clock.monotonic()
+        self._surplus = self._client.surplus
         self._supervised = True
         if self._stopped and self._state() is State.QUICK_STOP_ACTIVE:
             self._enable()
@@ -251,6 +280,8 @@ class Cia402Drive:
     def stop(self) -> None:
         """Send a quick stop and wait for nothing; also a drive that is silent may still hear."""
         self.target, self._stopped = None, True
+        if self._nmt_state == _STOPPED:
+            self._command("PRE-OPERATIONAL")  # else it hears no SDO
         self._bus.send(COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
 
     def standing(self) -> bool:
@@ -260,8 +291,15 @@ class Cia402Drive:
         return still and self._state() is not State.OPERATION_ENABLED
 
     def check(self) -> None:
-        """Raise what heartbeat and emergencies have shown since the last look."""
+        """Raise what heartbeat, emergencies and answers have shown since the last look."""
         self._bus.service()
+        surplus = self._client.surplus - self._surplus
+        if surplus >= _SURPLUS_ANSWERS:
+            raise AxisDuplicated(
+                f"{surplus} SDO answers more came from {self.name} than were asked for: a second "
+                "drive has the same node-ID, or another program asks it. Leave one of them on the "
+                "bus, then clear the fault and start again"
+            )
         if not self._supervised:
             return
         if self._booted:
@@ -269,10 +307,12 @@ class Cia402Drive:
                 f"{self.name} has booted: its position is lost. Check its supply, then clear the "
                 "fault and start again; it is homed anew"
             )
+        if self._nmt_state != _OPERATIONAL:
+            raise self._not_operational()
         if self._emergency:
             raise AxisFault(self._fault_text(self._emergency))
         limit_s = self._bus.loss_s
-        silent_s = self._bus.clock.monotonic() - (self._heard_s or 0.0)
+        silent_s = self._bus.clock.monotonic() - self._heard_s
         if silent_s > limit_s:
             raise AxisSilent(
                 f"no heartbeat from {self.name} for {silent_s:.3f} s, allowed are {limit_s:g} s; "
@@ -285,6 +325,18 @@ class Cia402Drive:
         return _STATE_S + self._settings.velocity / self._settings.acceleration
 
     # -- parts -----------------------------------------------------------------------------------
+
+    def _command(self, command: str) -> None:
+        """Command an NMT state."""
+        self._bus.send(od.COB_NMT, bytes((NMT_COMMANDS[command], self._node_id)))
+
+    def _not_operational(self) -> AxisNotOperational:
+        state = NMT_STATES.get(self._nmt_state, "unknown").lower()
+        return AxisNotOperational(
+            f"{self.name} is in the NMT state {state}, it has to be operational: another CANopen "
+            "master has commanded it. Look for that master, then clear the fault and start again: "
+            "the next motion makes the drive operational"
+        )
 
     def _set_up(self) -> None:
         wanted = self._settings
@@ -413,11 +465,25 @@ class Cia402Drive:
         return State.of(self._status())
 
     def _status(self) -> int:
-        return self._read(od.STATUSWORD)
+        status = self._read(od.STATUSWORD)
+        try:
+            State.of(status)
+        except ValueError as error:
+            raise AxisAnswerWrong(
+                f"{self.name} sends the statusword {status:04X}h, which is no state of CiA 402: "
+                f"{_ANSWER_REMEDY}"
+            ) from error
+        return status
 
     def _read(self, index: int, subindex: int = 0) -> int:
+        variable = self._variable(index, subindex)
         data = self._transfer("read", index, subindex, self._client.upload)
-        return int(self._variable(index, subindex).decode_raw(data))
+        if 8 * len(data) != len(variable):
+            raise AxisAnswerWrong(
+                f"{self.name} sends {index:04X}h:{subindex} with a length of {len(data)} instead "
+                f"of {len(variable) // 8} bytes: {_ANSWER_REMEDY}"
+            )
+        return int(variable.decode_raw(data))
 
     def _write(self, index: int, subindex: int, value: int) -> None:
         data = self._variable(index, subindex).encode_raw(int(value))
@@ -441,15 +507,23 @@ class Cia402Drive:
                 ) from error
             except (can.CanError, OSError) as error:
                 raise AxisSilent(f"the CAN interface of {self.name} failed: {error}") from error
+        self.check()
+        if self._nmt_state == _STOPPED:
+            raise self._not_operational()
+        asked = f"{verb} of {index:04X}h:{subindex}, {_ATTEMPTS} times"
+        if not isinstance(failure, SdoNotAnswered):
+            raise AxisAnswerWrong(
+                f"{self.name} answers wrongly ({asked}; {failure}): {_ANSWER_REMEDY}"
+            ) from failure
         raise AxisSilent(
-            f"{self.name} does not answer ({verb} of {index:04X}h:{subindex}, {_ATTEMPTS} times): "
-            "check its supply and CAN cable"
+            f"{self.name} does not answer ({asked}): check its supply and CAN cable"
         ) from failure
 
     def _on_heartbeat(self, data: bytes) -> None:
         if len(data) == 1:
             self._heard_s = self._bus.clock.monotonic()
-            self._booted = self._booted or data[0] & _STATE_BITS == _BOOT_UP
+            self._nmt_state = data[0] & _STATE_BITS
+            self._booted = self._booted or self._nmt_state == _BOOT_UP
 
     def _on_emergency(self, data: bytes) -> None:
         if len(data) == _EMCY_BYTES:

@@ -35,3 +35,19 @@ class LimitSwitchReached(MotionError):
 
 class HomingFailed(MotionError):
     """An axis has not found its home."""
+
+
+class AxisNotOperational(MotionError):
+    """A drive has left the NMT state operational: another CANopen master commands it."""
+
+
+class AxisDuplicated(MotionError):
+    """Two drives on the bus have one node-ID."""
+
+
+class AxisAnswerWrong(MotionError):
+    """A drive answers, with something else than was asked for."""
+
+
+class PositionImplausible(MotionError):
+    """The position reading of an axis is beyond its limits; where the axis is, is not known."""

@@ -21,7 +21,7 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import PULSES_PER_TURN, OperatingMode, ServoModel
 from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
-from gripper.servo_checks import hardware_error_names
+from gripper.values.servo_checks import hardware_error_names
 from motion.bus import Watch
 from motion.errors import (
     AxisFault,
@@ -207,12 +207,17 @@ class ServoAxis:
         return self._axis(self._feedback()["present_position"])
 
     def stop(self) -> None:
-        """Have the servo hold where it is."""
+        """Have the servo hold where it is, without torque where its reading cannot be true."""
         # Other axes wait for their stop meanwhile.
         self._loss_s = 0.0
         self._target = None
         self._write(BUS_WATCHDOG, 0)
-        self._write(GOAL_POSITION, self._feedback()["present_position"])
+        at = self._feedback()["present_position"]
+        settings, slack = self._settings, self._settings.lag + self._settings.window
+        if settings.low - slack <= self._axis(at) <= settings.high + slack:
+            self._write(GOAL_POSITION, at)
+        else:
+            self._write(TORQUE_ENABLE, 0)
 
     def standing(self) -> bool:
         """Return whether the servo stands still after a stop."""

@@ -22,7 +22,3 @@ class TransformError(RecognitionError):
 
 class TrajectoryError(RecognitionError):
     """A sweep is too large, or its bands cannot be turned into thresholds."""
-
-
-class MissingExtraError(RecognitionError):
-    """A recogniser cannot be taught: the library that teaches it is not installed."""

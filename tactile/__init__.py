@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from tactile.errors import TactileError as TactileError
-    from tactile.frames.codec import TactileFrame as TactileFrame
     from tactile.layout import (
         Pad as Pad,
         TaxelLayout as TaxelLayout,
@@ -30,11 +29,12 @@ if TYPE_CHECKING:
         TactileSensor as TactileSensor,
     )
     from tactile.sensor.tare import TareResult as TareResult
+    from tactile.source import FrameSource as FrameSource, TactileFrame as TactileFrame
     from tactile.unit.settings import LinkSettings as LinkSettings
 
 _FACE = {
     "tactile.errors": "TactileError",
-    "tactile.frames.codec": "TactileFrame",
+    "tactile.source": "FrameSource TactileFrame",
     "tactile.layout": "Pad TaxelLayout paper_layout pinch_layout",
     "tactile.sensor.calibration": "Calibration FoamCalibration LinearCalibration",
     "tactile.sensor.grip_force": "GripForce",

@@ -4,17 +4,12 @@ from dataclasses import replace
 from typing import Any
 
 from cell.control.identification import Identification
-from cell.control.plan import GraspStep, Pose
-from cell.control.records import GraspRecord
-from gripper.force_sensor import ForceSample
-from gripper.outcome import GraspOutcome, GraspResult
-from gripper.state import Cycle, GripperPhase, GripperState, ServoState
-from recognition.grasp import Grasp
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import Cycle, GripperPhase, GripperState, ServoState
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
 from recognition.statistics.fusion import StopRule, decide, fuse
-from tactile.frames.assembler import FrameStatistics
-from tactile.unit.settings import LinkStatistics
+from tactile.source import FrameStatistics, SourceStatistics
 
 _SERVO = ServoState(
     servo_id=1,
@@ -60,28 +55,10 @@ def make_cycle(t_s: float = 1.0, **changes: Any) -> Cycle:
     return replace(cycle, **changes)
 
 
-def make_link_statistics(**changes: Any) -> LinkStatistics:
-    counts = dict.fromkeys(("syncs", "late_syncs", "foreign", "malformed", "error_frames"), 0)
+def make_source_statistics(**changes: Any) -> SourceStatistics:
+    counts = dict.fromkeys(("requests", "late_requests", "foreign", "malformed", "error_frames"), 0)
     values: dict[str, Any] = {"frames": FrameStatistics(), "recent_loss_rate": 0.0, **counts}
-    return LinkStatistics(**(values | changes))
-
-
-def make_record(grasp: Grasp, *cycles: Cycle, contact_t_s: float | None = None) -> GraspRecord:
-    pose = Pose(x_m=3e-3)
-    return GraspRecord(
-        grasp=grasp,
-        step=GraspStep(pose=pose, force_n=8.0),
-        reached=pose,
-        outcome=GraspOutcome(
-            result=GraspResult.FORCE_REACHED,
-            contact_t_s=contact_t_s,
-            contact_aperture_m=None,
-            final_aperture_m=0.012,
-            final_force_n=8.0,
-            overshoot_n=0.0,
-        ),
-        cycles=cycles or (make_cycle(),),
-    )
+    return SourceStatistics(**(values | changes))
 
 
 def make_identification(*posteriors: Posterior, **changes: Any) -> Identification:

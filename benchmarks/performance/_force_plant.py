@@ -10,13 +10,15 @@ from typing import Any, Protocol
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import PartLost
+from gripper.force.control.period import Period
+from gripper.force.estimates.grip import Grip
 from gripper.force.ramp import ForceRamp
-from gripper.force_sensor import ForceSample
 from gripper.gripper import Gripper
-from gripper.kinematics import ParallelLinkage
-from gripper.outcome import GraspResult
+from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.settings import HARD_FORCE_CAP_N, ForceLoopSettings, GripperSettings, ServoSettings
-from gripper.state import Cycle, GripperPhase
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle, GripperPhase
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
@@ -81,7 +83,7 @@ class Sensor(Protocol):
         """Take the force in N on each pad at a time in s."""
 
     def latest_force(self) -> ForceSample | None:
-        """Return the newest sample; see `gripper.force_sensor.ForceSensor`."""
+        """Return the newest sample; see `gripper.values.force_sensor.ForceSensor`."""
 
 
 class MessageSensor:
@@ -301,31 +303,22 @@ class Rig:
 
 
 class _PlainLaw:
-    """What a law of force shows to the gripper, for laws without a model."""
+    """A law of force in the place of all modes of the gripper's own, without a model."""
 
-    bias_n = 0.0
+    def __init__(self, grip: Grip, now_s: float, _pad_n_m: float) -> None:
+        self._grip = grip
+        self._integral_n = grip.drive_n - grip.setpoint_n
 
-    def __init__(
-        self, settings: ForceLoopSettings, *, force_n: float, drive_n: float, now_s: float
-    ) -> None:
-        self.model_n = force_n
-        self.drive_n = drive_n
-        self._integral_n = drive_n - force_n
-        self._sample_s = now_s
-
-    def step(
-        self,
-        now_s: float,
-        dt_s: float,
-        setpoint_n: float,
-        sample: ForceSample,
-        *,
-        friction_n: float,
-        drive_max_n: float,
-        **_: object,
-    ) -> float:
-        self.drive_n = min(max(self._law(dt_s, setpoint_n, sample), -friction_n), drive_max_n)
-        return self.drive_n
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period."""
+        grip, dt_s, setpoint_n = self._grip, period.moment.dt_s, period.setpoint_n
+        if not period.usable:
+            return grip.quiet_n
+        grip.rate_n_s = (setpoint_n - grip.asked_n) / dt_s if dt_s > 0.0 else 0.0
+        grip.asked_n = setpoint_n
+        wanted_n = self._law(dt_s, setpoint_n, period.sample)
+        grip.quiet_n = min(max(wanted_n, -period.friction_n), period.drive_max_n)
+        return min(grip.quiet_n, period.drive_max_n - period.inertia_n)
 
     def _law(self, dt_s: float, setpoint_n: float, sample: ForceSample) -> float:
         raise NotImplementedError

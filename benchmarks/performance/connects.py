@@ -22,8 +22,9 @@ from benchmarks.performance.soak import ResourceUse, look, show_growth
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import CellState
-from cell.interfaces.service.service import Service
-from cell.interfaces.service.serving import open_doors, open_service
+from cell.interfaces.opening import open_doors
+from cell.service.opening import open_service
+from cell.service.service import Service
 
 BLOCK = 1000
 """Connections between two looks."""

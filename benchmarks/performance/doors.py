@@ -25,8 +25,9 @@ from cell.config.model import CellConfig
 from cell.control.states import Command
 from cell.errors import CellStateError
 from cell.fault_catalogue import fault_number
-from cell.interfaces.service.service import RELEASE_KEY, Service
-from cell.interfaces.service.serving import open_doors, open_service
+from cell.interfaces.opening import open_doors
+from cell.service.opening import open_service
+from cell.service.service import RELEASE_KEY, Service
 
 _DOORS = {
     "serve.modbus_port": 0,

@@ -21,7 +21,7 @@ from simulator.servo.motor import ServoMotor
 from simulator.world.world import PhysicalWorld
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.force_check import force_table
+from tactile.sensor.opening import force_table
 from tactile.unit import object_dictionary
 from tactile.unit.link import TactileLink
 from tactile.unit.settings import LinkSettings

@@ -29,7 +29,7 @@ from benchmarks.performance._force_plant import (
     Rig,
     Truth,
 )
-from gripper.force import grip_control
+from gripper.force.control import grip_control
 from gripper.settings import ForceLoopSettings
 
 PARTS = {
@@ -59,7 +59,6 @@ BEGIN, END = (
 )
 MESSAGES_HZ = 500.0
 """Force messages a second: of 200, 333 and 500 that with the best figures."""
-_PLAIN = ForceLoopSettings(damping_n_s_m=0.0, stiffened_n_m=0.0, end_time_s=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,10 +80,8 @@ class Setup:
         if self.law is None:
             yield ForceLoopSettings()
             return
-        # A plain law has no planned motion beside it: no sample is young enough for one.
-        alone = mock.patch.object(grip_control, "_YOUNG_S", -1.0)
-        with alone, mock.patch.object(grip_control, "ForceController", self.law):
-            yield _PLAIN
+        with mock.patch.object(grip_control, "GripModes", self.law):
+            yield ForceLoopSettings()
 
 
 OWN, OWN_TRUTHS = "force loop, messages", "force loop, messages, further truths"

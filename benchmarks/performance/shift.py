@@ -27,8 +27,9 @@ from benchmarks.performance.connects import settle
 from benchmarks.performance.soak import ResourceUse, look, show_growth
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.interfaces.service.service import Service
-from cell.interfaces.service.serving import open_doors, open_service
+from cell.interfaces.opening import open_doors
+from cell.service.opening import open_service
+from cell.service.service import Service
 
 PART_S = 30.0
 """Time in s from one part of the shift to the next."""

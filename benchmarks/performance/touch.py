@@ -21,10 +21,10 @@ from benchmarks.performance._force_plant import Part, Rig, Sensor, Truth
 from benchmarks.performance.force_ramps import PARTS
 from gripper.errors import ForceAboveCap, GripperError, PartLost, PartSlipped
 from gripper.force.ramp import ForceRamp
-from gripper.force_sensor import ForceSample
-from gripper.outcome import GraspResult
 from gripper.settings import ForceLoopSettings
-from gripper.state import Cycle, GripperPhase
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle, GripperPhase
 
 RATES_HZ: dict[str, float | None] = {
     "500 Hz": 500.0,

@@ -4,15 +4,18 @@ A file for each servo in the cell's folder: backup-servo1.json is of the servo t
 The first backup stays: it holds the servo as it came.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Write
-from cell.data.files import write_text
+from cell.config.file import problem_text
+from cell.data.files import free_name
+from cell.data.formats import SERVO_BACKUP, read_json, write_json
 from cell.errors import CellError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
@@ -23,10 +26,14 @@ from gripper.dynamixel.control_table import (
     SERVO_ID,
     TORQUE_ENABLE,
 )
-from gripper.errors import GripperError, ServoRejected
+from gripper.dynamixel.transactions import HIGHEST_ID
+from gripper.errors import BusCorrupt, BusTimeout, ServoRejected
 
-_LAST = (SERVO_ID.name, BAUD_RATE.name)
-"""Items that are written last: with each of them the servo is reached in another way."""
+_LAST = (BAUD_RATE.name, SERVO_ID.name)
+"""Items that are written last: with each of them the servo is reached in another way. Between the
+two it has the ID that no other servo has had."""
+SETTLE_S = 0.1
+"""Time in s after a change of ID or baud rate before the servo is asked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +45,45 @@ class Backup:
     """Where the servo is reached after its commissioning: ID, baud rate in bit/s."""
     found: Mapping[str, int]
     """Raw values by the name of the item, read before the first write."""
+
+    @property
+    def set_at(self) -> "Place":
+        """Where it is reached after its commissioning."""
+        return Place(self.servo_id, self.baud_rate)
+
+    @property
+    def found_at(self) -> "Place":
+        """Where it was found."""
+        code = self.found[BAUD_RATE.name]
+        rate = next(rate for rate, number in BAUD_CODES.items() if number == code)
+        return Place(self.found[SERVO_ID.name], rate)
+
+    def wrong(self) -> str:
+        """Return which value no servo can have, or is missing; empty where all is well."""
+        for name in (MODEL_NUMBER.name, *_LAST):
+            if name not in self.found:
+                return f"{name} is missing"
+        for name, value in self.found.items():
+            low, high = REGISTERS[name].bounds if name in REGISTERS else (value, value)
+            if not low <= value <= high:
+                return f"{name} is {value}, must be from {low} to {high}"
+        servo_id, code = (self.found[name] for name in (SERVO_ID.name, BAUD_RATE.name))
+        if not max(servo_id, self.servo_id) <= HIGHEST_ID or self.servo_id < 0:
+            return f"IDs are {servo_id} and {self.servo_id}, must be from 0 to {HIGHEST_ID}"
+        if code not in BAUD_CODES.values() or self.baud_rate not in BAUD_CODES:
+            return f"baud rates are {code} (raw) and {self.baud_rate} bit/s, which no servo has"
+        return ""
+
+
+class Place(NamedTuple):
+    """Where a servo is reached."""
+
+    servo_id: int
+    baud_rate: int
+    """In bit/s."""
+
+    def __str__(self) -> str:
+        return f"ID {self.servo_id} at {self.baud_rate} bit/s"
 
 
 _BACKUP = TypeAdapter(Backup)
@@ -82,37 +128,37 @@ def keep(folder: Path, backup: Backup) -> Path | None:
     One of another model belongs to a servo that was exchanged, and is kept under another name.
     """
     path = backup_file(folder, backup.servo_id)
-    if path.exists():
-        earlier = _read(path)
-        if earlier.found.get(MODEL_NUMBER.name) == backup.found.get(MODEL_NUMBER.name):
+    earlier = _read(path)
+    if earlier is not None:
+        if earlier.found[MODEL_NUMBER.name] == backup.found[MODEL_NUMBER.name]:
             return None
-        number = 1
-        while (aside := path.with_suffix(f".{number}.json")).exists():
-            number += 1
-        path.rename(aside)
+        path.rename(free_name(path))
     folder.mkdir(parents=True, exist_ok=True)
-    text = _BACKUP.dump_json(backup, indent=2).decode() + "\n"
-    write_text(path, text, error=CellError, what="backup")
+    write_json(path, SERVO_BACKUP, backup, error=CellError)
     return path
 
 
-def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
+def restore(
+    bench: Bench, dialog: Dialog, port: str, begin: Callable[[], object] = lambda: None
+) -> tuple[str, ...]:
     """Write the EEPROM of each servo back as its backup has it; return what was done, in lines.
 
-    Each servo is read back. ID and baud rate come last; servos that shared an ID do so again.
+    Each servo is read back. Baud rate and ID come last; servos that shared an ID do so again.
+    ``begin`` is called before the first write: from then on no servo is as it was commissioned.
     Raises Left when the writes are refused; nothing is written then. Raises CellError if there is
-    no backup, a servo does not answer where it should, is of another model, has its torque on, or
-    does not keep a value.
+    no backup, a value of one is none, a servo does not answer where it should, is of another model,
+    has its torque on, or does not keep a value.
     """
-    backups = [_read(path) for path in sorted(bench.folder.glob("backup-servo[0-9]*.json"))]
-    backups = [b for b in backups if backup_file(bench.folder, b.servo_id).exists()]
+    files = (backup_file(bench.folder, number) for number in range(HIGHEST_ID + 1))
+    backups = [backup for path in files if (backup := _read(path)) is not None]
     if not backups:
         raise CellError(f"{bench.folder} holds no backup of a servo (backup-servo*.json)")
-    changes = {}
+    places, changes = _places(bench, port, backups), {}
     for backup in backups:
-        if _is_back(bench, port, backup):
-            continue
-        with bench.servo_bus(port, backup.baud_rate) as bus:
+        place = places[backup.servo_id]
+        if place == backup.found_at != backup.set_at:
+            continue  # it is back; others may be there, too
+        with bench.servo_bus(port, place.baud_rate) as bus:
             changes[backup.servo_id] = _differing(bus, backup)
     undo = "run `tactile-cell commission --redo servos`"
     writes = [
@@ -123,39 +169,69 @@ def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
     if not writes:
         return ("all servos are as they were found",)
     dialog.approve(writes)
+    begin()
     lines = []
-    for backup in (one for one in backups if one.servo_id in changes):
-        _write_back(bench, port, backup, changes[backup.servo_id])
+    for backup in (one for one in backups if changes.get(one.servo_id)):
+        found = changes[backup.servo_id]
+        _write_back(bench, port, places[backup.servo_id], backup, found)
         lines.append(
-            f"servo {backup.servo_id}: {len(changes[backup.servo_id])} items as they were found; "
-            f"it is ID {backup.found[SERVO_ID.name]} at {_rate(backup.found)} bit/s"
+            f"servo {backup.servo_id}: {len(found)} items as they were found; it is "
+            f"{backup.found_at}"
         )
     return tuple(lines)
 
 
-def _read(path: Path) -> Backup:
+def _read(path: Path) -> Backup | None:
+    """Return the backup in a file, None where there is no file."""
+    kept = read_json(path, SERVO_BACKUP, error=CellError)
+    if kept is None:
+        return None
     try:
-        return _BACKUP.validate_json(path.read_bytes())
-    except (OSError, ValidationError) as error:
-        raise CellError(f"{path} is no backup of a servo: {error}") from error
+        backup = _BACKUP.validate_python(kept)
+        wrong = backup.wrong()
+    except ValidationError as error:
+        wrong = problem_text(error)
+    if not wrong and backup_file(path.parent, backup.servo_id) != path:
+        wrong = f"it is of servo {backup.servo_id}"
+    if wrong:
+        raise CellError(f"{path} is damaged, nothing was written: {wrong}; {SERVO_BACKUP.remedy}")
+    return backup
 
 
-def _rate(found: Mapping[str, int]) -> int:
-    return {code: rate for rate, code in BAUD_CODES.items()}[found[BAUD_RATE.name]]
+def _places(bench: Bench, port: str, backups: Sequence[Backup]) -> dict[int, Place]:
+    """Return where each servo is now: where the wizard put it, where it was found, or half way.
 
-
-def _is_back(bench: Bench, port: str, backup: Backup) -> bool:
-    """Return whether a servo is no longer where the wizard put it, but where it was found.
-
-    So is one after a restore that was interrupted.
+    Half way, at its new ID and old baud rate, writes were interrupted. Servos may have been found
+    at one place, but no other one is half way there: the highest ID, which is written back last,
+    is looked for first.
     """
-    if (backup.servo_id, backup.baud_rate) == (backup.found[SERVO_ID.name], _rate(backup.found)):
-        return False
-    with bench.servo_bus(port, backup.baud_rate) as bus:
-        if bus.scan([backup.servo_id]):
+    places: dict[int, Place] = {}
+    for backup in sorted(backups, key=lambda one: one.servo_id, reverse=True):
+        half_way = Place(backup.servo_id, backup.found_at.baud_rate)
+        own = [place for place in (backup.set_at, half_way) if place not in places.values()]
+        for place in dict.fromkeys((*own, backup.found_at)):
+            if _answers(bench, port, place):
+                places[backup.servo_id] = place
+                break
+        else:
+            raise CellError(
+                f"servo {backup.servo_id} answers neither as {backup.set_at} nor as it was found, "
+                f"as {backup.found_at}; nothing was written: check its supply and cable, or let "
+                "`tactile-cell commission` find it"
+            )
+    return places
+
+
+def _answers(bench: Bench, port: str, place: Place) -> bool:
+    """Return whether a servo answers at a place, or several, whose answers collide."""
+    with bench.servo_bus(port, place.baud_rate) as bus:
+        try:
+            bus.ping(place.servo_id)
+        except BusTimeout:
             return False
-    with bench.servo_bus(port, _rate(backup.found)) as bus:
-        return bool(bus.scan([backup.found[SERVO_ID.name]]))
+        except BusCorrupt:
+            pass
+        return True
 
 
 def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
@@ -164,13 +240,7 @@ def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
     Those come last with which a servo is reached otherwise.
     """
     servo_id = backup.servo_id
-    try:
-        now = read_control_table(bus, servo_id)
-    except GripperError as error:
-        raise CellError(
-            f"servo {servo_id} does not answer at {bus.baudrate} bit/s, nothing was written: "
-            f"{error}"
-        ) from error
+    now = read_control_table(bus, servo_id)
     if now[MODEL_NUMBER.name] != backup.found[MODEL_NUMBER.name]:
         raise CellError(
             f"servo {servo_id} is of model number {now[MODEL_NUMBER.name]}, its backup of "
@@ -189,16 +259,19 @@ def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
 
 
 def _write_back(
-    bench: Bench, port: str, backup: Backup, changes: Mapping[str, tuple[int, int]]
+    bench: Bench, port: str, place: Place, backup: Backup, changes: Mapping[str, tuple[int, int]]
 ) -> None:
-    servo_id = backup.servo_id
-    with bench.servo_bus(port, backup.baud_rate) as bus:
+    servo_id = place.servo_id
+    with bench.servo_bus(port, place.baud_rate) as bus:
         for name, (_, wanted) in changes.items():
-            if name == BAUD_RATE.name:
+            if name in _LAST:
                 continue
             bus.write(servo_id, REGISTERS[name], wanted)
-            servo_id = wanted if name == SERVO_ID.name else servo_id
             if (found := bus.read(servo_id, REGISTERS[name])) != wanted:
                 raise CellError(f"servo {servo_id} did not keep {name}: wrote {wanted}, is {found}")
         if BAUD_RATE.name in changes:
             bus.write(servo_id, BAUD_RATE, changes[BAUD_RATE.name][1])
+            bench.clock.sleep(SETTLE_S)
+    if SERVO_ID.name in changes:
+        with bench.servo_bus(port, backup.found_at.baud_rate) as bus:
+            bus.write(servo_id, SERVO_ID, backup.found_at.servo_id)

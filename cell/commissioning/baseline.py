@@ -26,7 +26,7 @@ from cell.config.tactile import layout_from_config, make_calibration
 from cell.hand.interface import Hand
 from gripper.clock import Clock
 from gripper.errors import GripperError
-from gripper.outcome import GraspResult
+from gripper.values.outcome import GraspResult
 from tactile.errors import TactileError
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.sensor.tare import assess_health

@@ -9,14 +9,16 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal, NoReturn, Protocol
+from typing import Any, NoReturn, Protocol
 
 from pydantic import TypeAdapter, ValidationError
 
 from cell.commissioning.bench import CONFIG_NAME, Bench
 from cell.config.file import config_text, problem_text, schema_text
 from cell.data.files import write_text
-from cell.errors import CellError, error_text
+from cell.data.formats import COMMISSIONING, read_json, write_json
+from cell.errors import CellError
+from cell.fault_catalogue import error_text
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
@@ -249,7 +251,6 @@ class Approved:
 class _Store:
     """Content of commissioning.json."""
 
-    version: Literal[1]
     steps: dict[str, Finding]
     approved: list[Approved]
 
@@ -377,10 +378,9 @@ class Engine:
             leave(f"{step.title} failed")
 
     def _store(self) -> None:
-        content = _Store(version=1, steps=self.findings, approved=self.approved)
-        text = _STORE.dump_json(content, indent=2).decode() + "\n"
+        content = {"steps": self.findings, "approved": self.approved}
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(self.path, text, error=CellError, what="findings")
+        write_json(self.path, COMMISSIONING, content, error=CellError)
         self._fill_bench()
 
     def _fill_bench(self) -> None:
@@ -408,12 +408,10 @@ def _now() -> str:
 
 def _read(path: Path) -> _Store:
     """Return the content of commissioning.json; an empty one where there is no such file."""
+    kept = read_json(path, COMMISSIONING, error=CellError)
     try:
-        return _STORE.validate_json(path.read_bytes())
-    except FileNotFoundError:
-        return _Store(version=1, steps={}, approved=[])
-    except (OSError, ValidationError) as error:
-        why = problem_text(error) if isinstance(error, ValidationError) else str(error)
+        return _STORE.validate_python({"steps": {}, "approved": []} if kept is None else kept)
+    except ValidationError as error:
         raise CellError(
-            f"{path} cannot be read by this program ({why}): move it away to commission anew"
+            f"{path} cannot be read by this program ({problem_text(error)}): {COMMISSIONING.remedy}"
         ) from error

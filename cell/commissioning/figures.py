@@ -84,13 +84,13 @@ def pads(title: str, layout: TaxelLayout, values: ArrayLike, *, unit: str) -> Fi
 def svg(figure: Figure, name: str) -> str:
     """Return a figure as SVG elements; ``name`` tells those of one page apart.
 
-    Raises ReportError if matplotlib is missing.
+    Raises MissingExtraError if matplotlib is missing.
     """
     return _pads_svg(figure) if figure["kind"] == "pads" else _curves_svg(figure, name)
 
 
 def standalone_svg(figure: Figure) -> str:
-    """Return a figure as an SVG file, light or dark as its viewer. Raises ReportError as `svg`."""
+    """Return a figure as an SVG file, light or dark as its viewer. Raises as `svg`."""
     css = page_template("style.css.j2").render()
     drawn = _grid(figure) if figure["kind"] == "pads" else _curves_svg(figure, "figure")
     head, rest = drawn.split(">", 1)

@@ -31,7 +31,7 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, RAD_PER_PULSE, TORQUE_ENABLE
 from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import GripperError
-from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth

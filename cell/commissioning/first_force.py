@@ -28,9 +28,10 @@ from gripper.clock import Clock
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
-from gripper.outcome import GraspOutcome, GraspResult
+from gripper.servos.watchdog_proof import proof_travel_m
 from gripper.settings import largest_setpoint_n
-from gripper.state import Cycle
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import Cycle
 
 FIRST_FORCE_N = 1.0
 """Force in N of the first ramp: a part that it breaks is held by nothing."""
@@ -165,6 +166,8 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Write]:
     gripper = config.gripper
     limp = "the torque goes off at the end of the step; who leaves stops the fingers where they are"
     opened = f"{gripper.aperture_open_mm:g} mm open"
+    settings = config.gripper_settings
+    travel_mm = 1e3 * proof_travel_m(settings, config.linkage, settings.aperture_open_m)
     motions = [
         (
             "open, empty, at the least current that moves them",
@@ -173,9 +176,9 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Write]:
             limp,
         ),
         (
-            "close by some mm until their bus watchdog stops them",
+            "close until their bus watchdog stops them",
             opened,
-            "at most 12 mm less, then open again",
+            f"at most {travel_mm:.1f} mm less, then open again",
             limp,
         ),
         (

@@ -18,7 +18,7 @@ from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusCorrupt, BusTimeout
 from tactile.sensor.sensor import TactileSensor
-from tactile.unit.settings import LinkStatistics
+from tactile.source import SourceStatistics
 
 DURATION_S = 60.0
 """Time in s for which the lines are watched: a loose plug shows now and then."""
@@ -148,12 +148,12 @@ class LinkQualityStep(Step):
                 duration_s=self.duration_s,
                 dialog=dialog,
             )
-            link = None if sensor is None else sensor.link.statistics
+            source = None if sensor is None else sensor.source.statistics
             after = bus.statistics
         advice = _judge_servos(quality, before, after, period_s, notes)
-        if link is not None:
+        if source is not None:
             force_period_s = 1e-3 * bench.tactile().force_period_ms
-            advice += _judge_pads(quality, link, force_period_s, notes)
+            advice += _judge_pads(quality, source, force_period_s, notes)
         notes.fact(
             f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took "
             "too long, without the real-time priority that the loop of the cell has."
@@ -217,17 +217,17 @@ def _judge_servos(
 
 
 def _judge_pads(
-    quality: LinkQuality, link: LinkStatistics, force_period_s: float, notes: Finding
+    quality: LinkQuality, source: SourceStatistics, force_period_s: float, notes: Finding
 ) -> list[str]:
     """Note what was counted on the CAN bus; returns what to mend."""
-    frames, forces = link.frames, link.forces
+    frames, forces = source.frames, source.forces
     lost = frames.lost + frames.torn + frames.corrupt
     _, high_s, worst_s = _quantiles(_known(quality.force_gap_s))
     notes.fact(
         f"Pads: {frames.complete} frames, {lost} lost or damaged; {forces.received} force "
         f"messages, {forces.lost} lost, {1e3 * high_s:.1f} ms between two (99 %), "
-        f"{1e3 * worst_s:.1f} ms at most; {link.malformed} damaged messages, "
-        f"{link.error_frames} error frames."
+        f"{1e3 * worst_s:.1f} ms at most; {source.malformed} damaged messages, "
+        f"{source.error_frames} error frames."
     )
     notes.values |= {
         "force_gap_ms": [round(1e3 * value, 3) for value in (high_s, worst_s)],
@@ -238,12 +238,12 @@ def _judge_pads(
     }
     advice = []
     n_messages = max(1, frames.complete + forces.received)
-    if lost + forces.lost + link.malformed > _LOSS_SHARE * n_messages:
+    if lost + forces.lost + source.malformed > _LOSS_SHARE * n_messages:
         advice.append(
             "The CAN bus loses messages: check both terminating resistors (60 Ohm between CAN_H "
             "and CAN_L, switched off), the plugs, and the bus load."
         )
-    if link.error_frames:
+    if source.error_frames:
         advice.append("The CAN controller reports errors: check termination and cable.")
     if force_period_s and high_s > _GAP_PERIODS * force_period_s:
         advice.append(

@@ -14,9 +14,9 @@ from cell.hand.interface import Hand
 from cell.hand.lines import Lines
 from gripper.clock import Clock
 from gripper.errors import GraspStopped
-from gripper.state import Cycle, GripperPhase
+from gripper.values.state import Cycle, GripperPhase
 from tactile.can.bus import MissingBus
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 _TICK_S = 0.08
 """Time in s for which the grip is controlled between two looks at the person's answer."""

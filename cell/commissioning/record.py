@@ -25,7 +25,7 @@ def write_record(engine: Engine) -> tuple[Path, ...]:
     """Write the record of what the engine has found so far; return its path.
 
     Raises CellError if the disk refuses, or the packages of the extra ``report`` are missing
-    (ReportError).
+    (MissingExtraError).
     """
     path = engine.bench.folder / RECORD_NAME
     write_text(path, render_record(engine), error=CellError, what="record")

@@ -4,7 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from cell.commissioning.backup import Backup, keep, read_control_table, register_writes
+from cell.commissioning.backup import (
+    SETTLE_S,
+    Backup,
+    keep,
+    read_control_table,
+    register_writes,
+)
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     Dialog,
@@ -27,8 +33,8 @@ from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.dynamixel.serial_port import BAUD_RATES
 from gripper.errors import LinkTooSlow
-from gripper.servo_checks import hardware_error_names
 from gripper.servos.verification import Requirement, compare, requirements
+from gripper.values.servo_checks import hardware_error_names
 
 _OTHER_MODELS = {
     350: "XL-320",
@@ -51,8 +57,6 @@ _OTHER_MODELS = {
 """Names of further models by Model Number (register 0), for messages (e-Manual)."""
 SCAN_RATES = (57600, 1_000_000, *(r for r in BAUD_RATES if r not in {57600, 1_000_000}))
 """Order in which baud rates are scanned: the factory's and this package's first."""
-_SETTLE_S = 0.1
-"""Time in s after a change of ID or baud rate before the servo is asked."""
 _BOOT_S = 1.0
 """Time in s after servos were connected: they boot."""
 _MOST_FINGER_SERVOS = 2
@@ -271,9 +275,9 @@ def _renumber(
             dialog.say(f"backup of the servo: {kept}")
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)
-            bench.clock.sleep(_SETTLE_S)
+            bench.clock.sleep(SETTLE_S)
         bus.write(new_id, BAUD_RATE, BAUD_CODES[rate])
-    bench.clock.sleep(_SETTLE_S)
+    bench.clock.sleep(SETTLE_S)
     with bench.servo_bus(port, rate) as bus:
         bus.ping(new_id)
 

@@ -4,22 +4,24 @@ import difflib
 import io
 import json
 import re
-import stat
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from shlex import quote
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError, WithJsonSchema
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
-from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.nodes import CollectionNode, MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 
 from cell.config.model import CellConfig
 from cell.config.section import OneOf
+from cell.data.files import read_plain
+from cell.data.formats import CONFIG, GONE_KEYS, present_config
 from cell.errors import ConfigError
 
 _Section = TypeVar("_Section", bound=BaseModel)
@@ -186,18 +188,15 @@ def load_config(path: Path | None) -> CellConfig:
         If the file cannot be read, is cut off within its last line, is not YAML 1.2, has unknown
         or repeated keys, aliases, or values out of range. All complaints stand in one message.
     """
-    if path is None:
-        return CellConfig()
+    return CellConfig() if path is None else parse_config(config_file_text(path), source=str(path))
+
+
+def config_file_text(path: Path) -> str:
+    """Return the text of a config file, not yet checked. Raises ConfigError as `load_config`."""
+    data = read_plain(path, error=ConfigError, what="config", limit_bytes=MAX_BYTES)
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            # A pipe would be waited for.
-            raise ConfigError(f"{path}: not a plain file; name the file itself")
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
-            raise ConfigError(f"{path}: too long; a config has at most {MAX_BYTES} bytes")
         text = data.decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     if text and not text.endswith("\n"):
         line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
@@ -205,7 +204,7 @@ def load_config(path: Path | None) -> CellConfig:
             f"{path}:{line}:{column}: the last line does not end, the file may be cut off; "
             "complete it and end it with a line break"
         )
-    return parse_config(text, source=str(path))
+    return text
 
 
 def parse_config(text: str, *, source: str) -> CellConfig:
@@ -213,6 +212,19 @@ def parse_config(text: str, *, source: str) -> CellConfig:
 
     Raises ConfigError as `load_config`.
     """
+    root, data = _parsed(text, source)
+    if "format" in data:
+        CONFIG.check(data["format"], source, ConfigError)
+    try:
+        return CellConfig.model_validate_json(json.dumps(data, default=str))
+    except TypeError as error:
+        raise ConfigError(f"{source}: a key that is no plain text: {error}") from error
+    except ValidationError as error:
+        raise ConfigError(_complaints(error, root, source)) from error
+
+
+def _parsed(text: str, source: str) -> tuple[Node | None, dict[Any, Any]]:
+    """Return the nodes of a YAML text, None of an empty one, and its values."""
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{source}: {len(text)} characters; a config has at most {MAX_BYTES}")
     _refuse_brackets(text, source)
@@ -223,17 +235,79 @@ def parse_config(text: str, *, source: str) -> CellConfig:
         data = YAML(typ="safe", pure=True).load(text)
     except (YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(_not_yaml(error, text, source)) from error
-    if data is None:
-        data = {}
-    if not isinstance(data, dict):
-        kind = type(data).__name__
-        raise ConfigError(f"{source}:1:1: a config is a mapping of sections, not a {kind}")
+    if not isinstance(data, dict | None):
+        raise ConfigError(f"{source}:1:1: a config is a mapping of sections, as `gripper:`")
+    return root, data or {}
+
+
+def recorded_config(text: str) -> CellConfig | None:
+    """Return the config that a recording keeps as JSON; None for one that is not valid now.
+
+    What is gone since is left out.
+    """
     try:
-        return CellConfig.model_validate_json(json.dumps(data, default=str))
-    except TypeError as error:
-        raise ConfigError(f"{source}: a key that is no plain text: {error}") from error
-    except ValidationError as error:
-        raise ConfigError(_complaints(error, root, source)) from error
+        return CellConfig.model_validate_json(json.dumps(present_config(json.loads(text))))
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def converted_text(text: str, *, source: str) -> tuple[str, tuple[str, ...]]:
+    """Return the text of an older config as this version reads it, and what was changed, in lines.
+
+    What is gone is taken out; all else, comments too, stays as it is. Raises ConfigError if the
+    text is no config.
+    """
+    changes: tuple[str, ...] = ()
+    while found := next(_gone(_parsed(text, source)[0]), None):
+        text, change = _without(text, found)
+        changes += (change,)
+    parse_config(text, source=source)
+    return text, changes
+
+
+class _Gone(NamedTuple):
+    """A key of a text that is gone, or whose value is."""
+
+    name: str
+    """Its dotted path."""
+    section: MappingNode
+    key: ScalarNode
+    value: Node
+    """The nodes of the section that it is in, of itself and of its value."""
+
+
+def _gone(section: Node | None, way: str = "") -> Iterator[_Gone]:
+    """Return what is gone of a section; the only key of a section goes with that."""
+    if not isinstance(section, MappingNode):
+        return
+    for key, value in section.value:
+        gone = GONE_KEYS.get(f"{way}{key.value}", {})
+        if gone is None or (isinstance(value, ScalarNode) and value.value in gone):
+            yield _Gone(f"{way}{key.value}", section, key, value)
+        for inner in _gone(value, f"{way}{key.value}."):
+            alone = len(inner.section.value) == 1 and inner.section is value
+            cut = alone and GONE_KEYS[inner.name] is None
+            yield _Gone(inner.name, section, key, value) if cut else inner
+
+
+def _without(text: str, found: _Gone) -> tuple[str, str]:
+    """Return a text without a key that is gone, or with another value of it, and what changed."""
+    key, value = found.key, found.value
+    if gone := GONE_KEYS[found.name]:
+        start, end, new = value.start_mark.index, value.end_mark.index, gone[value.value]
+        change = f"{found.name}: {new} in the place of {value.value}"
+        return f"{text[:start]}{new}{text[end:]}", change
+    while isinstance(value, CollectionNode) and not value.flow_style and value.value:
+        last = value.value[-1]  # the block itself ends where the next key begins, behind comments
+        value = last[1] if isinstance(last, tuple) else last
+    before, after = text[: key.start_mark.index], text[value.end_mark.index :]
+    if found.section.flow_style:
+        comma = re.match(r"\s*,\s*", after)
+        before = before if comma else re.sub(r",\s*\Z", "", before)
+        after = after[comma.end() :] if comma else after
+    elif line_end := re.match(r"[ \t]*\r?\n", after):
+        before, after = before.rstrip(" \t"), after[line_end.end() :]
+    return before + after, f"{found.name}: taken out"
 
 
 def config_schema() -> dict[str, Any]:
@@ -321,7 +395,9 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         given = item.get("input")
         shown = "" if isinstance(given, dict | list) else f" (found: {given!r})"
         message = item["msg"].removeprefix("Value error, ")
-        if item["type"] == "extra_forbidden":
+        if _is_gone(item):
+            message = f"is gone: `tactile-cell config convert {quote(source)}` takes it out"
+        elif item["type"] == "extra_forbidden":
             message = f"unknown key; {_meant(item['loc'])}`tactile-cell config schema` lists all"
         elif item["type"] == "missing":
             shown = ""
@@ -329,6 +405,12 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
     if len(found) > len(lines):
         lines.append(f"{source}: {len(found) - len(lines)} more complaints")
     return "\n".join(lines)
+
+
+def _is_gone(complaint: Mapping[str, Any]) -> bool:
+    """Return whether a complaint of pydantic is of a key or value that an older version had."""
+    gone = GONE_KEYS.get(".".join(map(str, complaint["loc"])), {})
+    return gone is None or (isinstance(complaint["input"], str) and complaint["input"] in gone)
 
 
 def _meant(loc: tuple[int | str, ...]) -> str:

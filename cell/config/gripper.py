@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
 from gripper.dynamixel.models import MODELS, require_current_control
 from gripper.errors import LimitExceeded
-from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import (
     ForceLoopSettings,
     GripperSettings,

@@ -71,10 +71,8 @@ class ListedPoseConfig(Section):
 class SequenceConfig(Section):
     """Which poses and forces a sequence goes through, and when it stops."""
 
-    kind: Literal["random", "grid", "list", "active"] = "random"
-    """random: drawn from the ranges; grid: evenly spread over them; list: the listed poses;
-    active: of several drawn ones that which is expected to tell most (teaching draws at random; a
-    model file needs `train --poses`)."""
+    kind: Literal["random", "grid", "list"] = "random"
+    """random: drawn from the ranges; grid: evenly spread over them; list: the listed poses."""
     x_mm: Range = (-2.0, 2.0)
     """Range of the offset along the fingers in mm, within -100 to 100."""
     y_mm: Range = (-2.0, 2.0)
@@ -89,8 +87,6 @@ class SequenceConfig(Section):
     """Values on each open axis of a grid, 1 to 20."""
     poses: tuple[ListedPoseConfig, ...] = Field(default=(), max_length=10000)
     """Poses of a list, in order."""
-    candidates: int = Field(default=24, ge=2, le=1000)
-    """Poses and forces that an active sequence weighs before each grasp, 2 to 1000."""
     ramp: Annotated[
         LinearRampConfig | StaircaseRampConfig | SCurveRampConfig, Field(discriminator="kind")
     ] = LinearRampConfig()

@@ -53,9 +53,6 @@ class ServeConfig(Section):
     opcua_folder: str = Field(default="", max_length=500)
     """Certificates of OPC UA: certificate.der and key.pem of the cell, made at the first start, and
     in trusted/ those of the clients that may command; empty: read-only."""
-    foxglove_port: Port | None = None
-    """Port of the live stream for Foxglove (extra `foxglove`), 8765 by custom, at 127.0.0.1 alone;
-    0: any free one; none: closed."""
     lease_timeout_s: float = Field(default=2.0, ge=0.2, le=60.0)
     """Longest silence of the client in command in s, 0.2 to 60; then a job that runs is held."""
     objects: tuple[Annotated[str, AfterValidator(checked_label)], ...] = Field(

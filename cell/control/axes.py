@@ -17,7 +17,7 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from motion.axes import Axes, Axis, AxisDevice
 from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive, DriveSettings
@@ -76,12 +76,20 @@ def servo_axis(config: ServoAxisConfig, stream: ByteStream, watch: Watch) -> Axi
 
 def _axis(config: DriveAxisConfig | ServoAxisConfig, device: AxisDevice) -> Axis:
     si = si_per_unit(config.moves)
+    ends = [config.low, config.high]
+    if isinstance(config, ServoAxisConfig):
+        slack = config.window + config.lag
+    else:
+        slack = config.window + config.following_error
+        if config.homing != "none":
+            ends.append(config.home)
     return Axis(
         name=config.moves,
         device=device,
         increments=config.increments / si,
         low=config.low * si,
         high=config.high * si,
+        plausible=((min(ends) - slack) * si, (max(ends) + slack) * si),
         velocity=config.velocity * si,
         acceleration=config.acceleration * si,
         unit="mm" if config.moves in ("x", "y") else "deg",
@@ -204,4 +212,4 @@ class AxesPositioner:
         except (AxisLimitExceeded, PositionNotReached) as error:
             raise PositionerError(str(error)) from error
         except MotionError as error:
-            raise PositionerFault(f"{type(error).__name__}: {error}") from error
+            raise PositionerFault(str(error)) from error

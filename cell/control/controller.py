@@ -10,7 +10,6 @@ from cell.control.identification import (
     Identification,
     OnGrasp,
     ReadShape,
-    StepChooser,
     grasp_and_classify,
 )
 from cell.control.journal import Journal
@@ -29,14 +28,14 @@ from cell.errors import (
     NoPartFound,
     PartInGrip,
     PlanRefused,
-    PositionerFault,
+    PositionerError,
 )
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
 from gripper.gripper import Gripper
-from gripper.outcome import GraspResult, ReleaseReport
-from gripper.state import GripperPhase, shows_nothing
+from gripper.values.outcome import GraspResult, ReleaseReport
+from gripper.values.state import GripperPhase, shows_nothing
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import PadArray, SelfZero
 from recognition.recognizer import Recognizer
@@ -211,8 +210,10 @@ class CellController:
         self._life.go(Event.START)
         with self._life.latching_faults():
             self.hand.start()
-            if not self.hand.start_sensor().sends_forces:
+            unit = self.hand.start_sensor()
+            if not unit.sends_forces:
                 self._journal.note("note", FORCE_FROM_FRAMES)
+            self._zeros.of_unit(unit)
             if self.hand.phase is GripperPhase.HELD_AFTER_FAULT:
                 found = "; ".join(map(str, self.hand.conditions()))
                 raise PartInGrip(
@@ -237,8 +238,8 @@ class CellController:
 
     @property
     def zero_note(self) -> str:
-        """Why the last start has no self-zero, or other programs will not have it; else empty."""
-        return self._zero_refused or self._zeros.unkept
+        """Why there is no self-zero, or other programs will not have it; else empty."""
+        return self._zero_refused or self._zeros.unkept or self._zeros.refused
 
     def check_zero(self) -> None:
         """Raise PlanRefused where the config has no self-zero for these fingers."""
@@ -289,7 +290,7 @@ class CellController:
     def reset(self) -> None:
         """Leave the cleared fault behind; the next `start` verifies everything anew."""
         self._life.go(Event.RESET)
-        self.hand.close_sensor()
+        self.hand.stop_sensor()
 
     def cancel(self, reason: str = ON_REQUEST) -> None:
         """Stop the running sequence, or else the next one, and keep the grip.
@@ -352,7 +353,7 @@ class CellController:
         """
         self._life.go(Event.RELEASE_HELD)
         self._life.cancelled = False
-        self.hand.close_sensor()
+        self.hand.stop_sensor()
         self._journal.note("release", "on request, before the start")
         with self._life.latching_faults():
             report = self.hand.release()
@@ -404,7 +405,9 @@ class CellController:
             self._check_cancelled_between()
             self.tick()
 
+        self._journal.brought = None
         self._grasper.patiently(lambda: self._positioner.present(label, supervise), supervise)
+        self._journal.brought = label
 
     def grasp(
         self, step: GraspStep, looks: EarlyDecider | None = None, *, label: str = ""
@@ -494,7 +497,11 @@ class CellController:
             self._grasper.patiently(
                 lambda: self._positioner.carry_to(destination, supervise), supervise
             )
-        except PositionerFault:
+        except Exception as error:
+            # Fingers that fail have latched their fault; a refusal and a stop are none.
+            refused = isinstance(error, PositionerError | CellStopped)
+            if refused or self.state is not CellState.COMPLETE:
+                raise
             with self._life.latching_faults():
                 raise
         self._journal.note("place", f"{destination.label} at {destination.place}")
@@ -547,7 +554,6 @@ class CellController:
         plan: Sequence[GraspStep],
         *,
         early: EarlyClassifiers | None = None,
-        chooser: StepChooser | None = None,
         read_shape: ReadShape | None = None,
         on_grasp: OnGrasp | None = None,
         keep: Keep = Keep.NEVER,
@@ -559,8 +565,7 @@ class CellController:
         go meanwhile.
 
         With ``early`` a ramp ends as soon as it satisfies the stop rule together with the grasps
-        before it. With a ``chooser`` each step of the plan is a proposal that it may replace. With
-        ``read_shape`` the answer has shape and size too.
+        before it. With ``read_shape`` the answer has shape and size too.
 
         Raises
         ------
@@ -586,7 +591,6 @@ class CellController:
             keep=keep,
             regrasps=self._config.sequence.regrasp == "fixture",
             early=early,
-            chooser=chooser,
             read_shape=read_shape,
             on_grasp=on_grasp,
             begin=self._begin_answer,

@@ -32,20 +32,20 @@ from cell.control.self_zero import (
     unsound,
     zero_text,
 )
-from cell.data.dataset import text_refused
+from cell.data.grasp_limits import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, OnPeriod
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
-from gripper.kinematics import Linkage
-from gripper.outcome import GraspOutcome, GraspResult
-from gripper.state import Cycle
+from gripper.mechanics.kinematics import Linkage
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import Cycle
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
 from recognition.grasp import CELL_SOURCE, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyDecider
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 _T = TypeVar("_T")
 
@@ -180,7 +180,7 @@ class Grasper:
         self.hand.release(self.watch)
         why = part_between(outcome, found) or refused
         if found is not None:
-            why = why or unsound(found) or self.zeros.far_from_last(found.zero)
+            why = why or unsound(found) or self.zeros.far_off(found.zero)
             if not why:
                 self._kept_zero(found)
                 return ""

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 from cell.control.keeping import Judge, Keep, PartDecision
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
+from cell.fault_catalogue import error_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
@@ -64,14 +64,6 @@ class Identification:
             **dict(zip(self.fused.labels, known.tolist(), strict=True)),
             UNKNOWN: self.fused.unknown,
         }
-
-
-class StepChooser(Protocol):
-    """Chooses the next grasp by the answers to the grasps so far."""
-
-    def next_step(self, posteriors: Sequence[Posterior], planned: GraspStep, /) -> GraspStep:
-        """Return the step to take: the planned one, or another within the cell's limits."""
-        ...
 
 
 OnGrasp = Callable[[int, GraspRecord, Posterior, ShapeAnswer | None], None]
@@ -177,7 +169,7 @@ class SequenceAnswers:
 
     def complain(self, when: str, error: Exception) -> None:
         """Keep what went wrong without ending the sequence."""
-        self._complaints.append(f"{when}: {type(error).__name__}: {error}")
+        self._complaints.append(f"{when}: {error_text(error)}")
 
     def _fused_shape(self) -> ShapeAnswer | None:
         """Return shape and size by all grasps; an error is a complaint, never the label's."""
@@ -198,7 +190,6 @@ def grasp_and_classify(
     keep: Keep = Keep.NEVER,
     regrasps: bool = True,
     early: EarlyClassifiers | None = None,
-    chooser: StepChooser | None = None,
     read_shape: ReadShape | None = None,
     on_grasp: OnGrasp | None = None,
     begin: Begin = lambda answer: answer,
@@ -211,7 +202,7 @@ def grasp_and_classify(
         Carries one step out, ends its ramp where the looks at it decide, and does with the part
         what the judge decides; returns the record, and whether the part was kept.
     plan
-        Steps in order, at least one; with a ``chooser`` each is a proposal that it may replace.
+        Steps in order, at least one.
     error_rate
         Wanted rate of wrong answers at which the sequence stops early.
     keep
@@ -234,15 +225,11 @@ def grasp_and_classify(
     heads = None if early is None else early.as_wary_as(recognizer)
     steps = iter(plan)
 
-    def next_step() -> GraspStep:
-        planned = next(steps)
-        return planned if chooser is None else chooser.next_step(answers.posteriors, planned)
-
     def decide() -> PartDecision:
         answers.add()
         if answers.over:
             return PartDecision(keep=keep.keeps(answers.decision.label))
-        return PartDecision() if regrasps else PartDecision(further=next_step())
+        return PartDecision() if regrasps else PartDecision(further=next(steps))
 
     keeps = keep is not Keep.NEVER
     judge = Judge(begin=answers.begin, decide=decide, holds=keeps or not regrasps, keeps=keeps)
@@ -251,7 +238,7 @@ def grasp_and_classify(
         looks = None
         if heads is not None:
             looks = EarlyDecider(heads, answers.posteriors, rule)
-        _, kept = grasp(next_step(), looks, judge)
+        _, kept = grasp(next(steps), looks, judge)
         if not judge.holds:
             answers.add()
         if looks is not None and looks.error is not None:

@@ -1,6 +1,7 @@
 """The journal of a cell: what goes into its recording, where one is made."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from cell.control.identification import Identification
@@ -11,9 +12,9 @@ from cell.data.recorder import Recorder
 from cell.data.recording_values import estimate_values, plain_fields, shape_values
 from cell.hand.interface import HandStatistics
 from gripper.force.timing import Distribution, LoopStatistics
-from gripper.state import Cycle
+from gripper.values.state import Cycle
 from recognition.grasp import Grasp
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 DISTRIBUTIONS = ("lateness", "transaction", "sensor_age")
 """Durations of the force loop that are recorded with their quantiles."""
@@ -31,6 +32,16 @@ def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str
         for quantile in ("p50_s", "p99_s", "p999_s", "max_s"):
             values[f"{name}_{quantile}"] = getattr(found, quantile)
     return values
+
+
+def link_values(statistics: HandStatistics) -> dict[str, dict[str, int]]:
+    """Return the counts of the frame source and the servo bus, as `recording_schema` has them."""
+    source = statistics.source
+    counts = ("requests", "late_requests", "foreign", "malformed", "error_frames")
+    return {
+        "tactile": asdict(source.frames) | {name: getattr(source, name) for name in counts},
+        "servo_bus": asdict(statistics.servo_bus),
+    }
 
 
 def loop_line(statistics: LoopStatistics, period_s: float) -> str:
@@ -53,6 +64,8 @@ class Journal:
     def __init__(self, recorder: Recorder | None) -> None:
         self._recorder = recorder
         self._states: tuple[CellState, GraspState] | None = None
+        self.brought: str | None = None
+        """Label of what the positioner has brought; None where nobody has named it."""
 
     def _now(self, topic: str, values: Mapping[str, Any]) -> None:
         if self._recorder is not None:
@@ -100,8 +113,9 @@ class Journal:
             self._recorder.grasp(grasp)
 
     def loop(self, statistics: HandStatistics) -> None:
-        """Record how punctual the force loop was so far."""
-        self._now(schema.LOOP, loop_values(statistics.loop, undelivered=statistics.undelivered))
+        """Record how punctual the force loop was so far, and the counts of both links."""
+        loop = loop_values(statistics.loop, undelivered=statistics.undelivered)
+        self._now(schema.LOOP, loop | link_values(statistics))
 
     def result(self, found: Identification) -> None:
         """Record the answer of a sequence and its complaints."""
@@ -115,7 +129,17 @@ class Journal:
             "unknown": float(found.fused.unknown),
             "n_grasps": len(found.records),
             "n_ended_early": sum(record.early is not None for record in found.records),
+            "grasp_answers": [
+                {
+                    "probabilities": one.probability.tolist(),
+                    "unknown": float(one.unknown),
+                    "dependence": float(one.dependence),
+                }
+                for one in found.posteriors
+            ],
         }
+        if self.brought is not None:
+            values["held"] = self.brought
         if found.shape is not None:
             values["shape"] = shape_values(found.shape)
         if found.shapes:

@@ -18,8 +18,8 @@ from cell.control.states import (
     next_state,
     refusal,
 )
-from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, error_text
-from cell.fault_catalogue import fault_number
+from cell.errors import CellStateError, CellStopped, HandLost, PositionerError
+from cell.fault_catalogue import error_text, fault_number
 from cell.hand.interface import Hand
 from gripper.clock import Clock
 from gripper.errors import (
@@ -30,8 +30,8 @@ from gripper.errors import (
     ServoFault,
     fingers_left,
 )
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 
 _HOLDING = (
     GripperPhase.APPROACHING,
@@ -215,7 +215,7 @@ class CellLifecycle:
         """Go where a stop on request leads from the present state, and keep the grip."""
         if self.state is CellState.STARTING:
             self.go(Event.STOP)
-            self.hand.close_sensor()
+            self.hand.stop_sensor()
         elif self.state is CellState.EXECUTE:
             self.go(Event.HOLD)
             self.journal.note("held", f"stopped {self.stop_reason}", 0)

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.hand.interface import Measured
-from gripper.force_sensor import ForceSample
-from gripper.state import Cycle
-from tactile.frames.codec import TactileFrame
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import Cycle
+from tactile.source import TactileFrame
 
 FRESH_S = 0.5
 """Age in s beyond which a value counts as not measured: frames come each 0.02 s, periods of the

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.control.plan import GraspStep, Pose
-from gripper.outcome import GraspOutcome
-from gripper.state import Cycle
+from gripper.values.outcome import GraspOutcome
+from gripper.values.state import Cycle
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizer import Posterior
-from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
+from tactile.source import TactileFrame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,23 +1,22 @@
 """Self-zeros of a cell: when one is due, what is refused, and where the newest is kept."""
 
-import hashlib
-import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field
 from datetime import date
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from cell.config.model import CellConfig
-from cell.data.files import write_text
+from cell.data.formats import SELF_ZERO, read_json, write_json
 from cell.errors import CellError, PlanRefused
-from gripper.outcome import GraspOutcome, GraspResult
+from gripper.values.outcome import GraspOutcome, GraspResult
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import ZERO_COLUMNS, SelfZero
 from tactile.layout import TaxelLayout
+from tactile.source import SourceIdentity
 
 SelfZeroWhen = Literal["always", "daily", "on_demand", "never"]
 
@@ -31,8 +30,15 @@ _LONGEST_S = 86_400.0
 _FAR_M = 2e-3
 """Largest way in m from the self-zero before that a daily one may find, or from the config's zero:
 a flat part on all of both pads feels like the pads, and nobody has looked whether one is there."""
-_MOST_BYTES = 10_000
-"""Longest file of a self-zero."""
+_HAND_KEYS = {
+    "gripper": ("port", "servos", "linkage"),
+    "tactile": (
+        *("interface", "channel", "node_id", "serial_number", "board_serial_numbers"),
+        *("layout", "mounting", "calibration"),
+    ),
+    "simulator": ("pads",),
+}
+"""Keys of the config, by section, that say which hand it is."""
 
 
 def zero_file(directory: Path, cell_name: str) -> Path:
@@ -47,24 +53,20 @@ def kept_zeros(config: CellConfig, directory: Path | None) -> "SelfZeros":
         config.self_zero,
         pads_meet=config.gripper.pads_meet,
         path=None if directory is None else zero_file(directory, config.name),
-        hand=_hand_digest(config),
+        hand=_hand_of(config),
         new_hand=config.simulated,
     )
 
 
-def _hand_digest(config: CellConfig) -> str:
-    """Return a digest of what a self-zero rests on: servos, linkage, pads, the simulated hand."""
-    gripper, tactile = config.gripper, config.tactile
-    parts = [
-        [servo.model_dump(mode="json") for servo in gripper.servos],
-        gripper.linkage.model_dump(mode="json"),
-        tactile.model_dump(
-            mode="json", include={"layout", "mounting", "calibration", "board_serial_numbers"}
-        ),
-        config.simulator.pads.model_dump(mode="json"),
-        config.seed if config.simulated else None,
-    ]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+def _hand_of(config: CellConfig) -> dict[str, Any]:
+    """Return what a self-zero rests on, by dotted keys: ports, servos, linkage, pads, simulator."""
+    values = config.model_dump(mode="json")
+    hand = {
+        f"{section}.{key}": values[section][key]
+        for section, keys in _HAND_KEYS.items()
+        for key in keys
+    }
+    return hand | ({"seed": config.seed} if config.simulated else {})
 
 
 @dataclass
@@ -82,9 +84,9 @@ class SelfZeros:
     """Whether the pads of these fingers can press flat on each other."""
     path: Path | None = None
     """File that keeps it from program to program; None: this program alone has it. One that cannot
-    be read, or is of another hand, counts as none."""
-    hand: str = ""
-    """Digest of the hand that it is of."""
+    be read, or is of another hand, counts as none: `refused` has why."""
+    hand: Mapping[str, Any] = field(default_factory=dict)
+    """What says which hand it is of, plain values by name."""
     new_hand: bool = False
     """Whether each program has a new hand, a simulated one: its first start is the first of a day,
     and what a program does is the same at each time of the day."""
@@ -94,7 +96,11 @@ class SelfZeros:
     """Unix time in s of the last one, however old; 0 where there is none."""
     unkept: str = field(default="", init=False)
     """Why the newest one is of this program alone, its file cannot be written; else empty."""
+    refused: str = field(default="", init=False)
+    """Why the one in the file does not count, until another one is measured; else empty."""
     _last: SelfZero | None = field(default=None, init=False)
+    _kept_hand: Mapping[str, Any] = field(default_factory=dict, init=False)
+    """The hand that the one in the file is of."""
 
     def __post_init__(self) -> None:
         if self.path is not None and self.when != "never":
@@ -119,15 +125,26 @@ class SelfZeros:
         """Whether somebody wants it at each start, so that what stands in its way is a fault."""
         return self.when == "always"
 
-    def far_from_last(self, zero: SelfZero) -> str:
-        """Return as text that a self-zero is far from the last one or the config's, else ""."""
-        last_m = 0.0 if self._last is None else self._last.opening_m
-        if abs(zero.opening_m - last_m) <= _FAR_M:
-            return ""
-        return (
-            f"the fingers meet at {_mm(zero.opening_m)} mm, {_mm(last_m)} mm is where they met "
-            f"last or the config has it: something flat may be between them, or the zero has moved"
-        )
+    def of_unit(self, unit: SourceIdentity) -> None:
+        """Take the serial numbers of the control unit that answers, as a part of the hand."""
+        self.hand = {**self.hand, "unit.serial": unit.serial, "unit.boards": list(unit.boards)}
+        self._refuse_other_hand()
+
+    def far_off(self, zero: SelfZero) -> str:
+        """Return as text that a self-zero is far from the config's or from the last one, else "".
+
+        The config's bounds what the daily ones may move together.
+        """
+        places_m = {"the config has it": 0.0}
+        if self._last is not None:
+            places_m["they met last"] = self._last.opening_m
+        for where, place_m in places_m.items():
+            if abs(zero.opening_m - place_m) > _FAR_M:
+                return (
+                    f"the fingers meet at {_mm(zero.opening_m)} mm, {_mm(place_m)} mm is where "
+                    f"{where}: something flat may be between them, or the zero has moved"
+                )
+        return ""
 
     def check(self) -> None:
         """Raise PlanRefused where these fingers have no self-zero."""
@@ -142,31 +159,47 @@ class SelfZeros:
     def keep(self, zero: SelfZero) -> None:
         """Keep a self-zero that was measured now; `unkept` has why a file cannot."""
         self._last, self.measured_s = zero, self.now_s()
-        self.new_hand = False
-        self.unkept = ""
+        self._kept_hand, self.new_hand = self.hand, False
+        self.unkept = self.refused = ""
         if self.path is None:
             return
         kept = {"measured_s": self.measured_s, "hand": self.hand} | zero_values(zero)
         try:
             with suppress(OSError):  # What it means is told by the writing.
                 self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(self.path, json.dumps(kept, indent=1), error=CellError, what="self-zero")
+            write_json(self.path, SELF_ZERO, kept, error=CellError)
         except CellError as error:
             self.unkept = f"today's self-zero counts in this program alone: {error}"
 
     def _read(self, path: Path) -> None:
         try:
-            if path.stat().st_size > _MOST_BYTES:
+            values = read_json(path, SELF_ZERO, error=CellError)
+            if values is None:
                 return
-            values = json.loads(path.read_text())
-            if values["hand"] != self.hand:
-                return
-            measured_s = float(values["measured_s"])
+            last = SelfZero.from_values([values[name] for name in ZERO_COLUMNS])
+            measured_s, self._kept_hand = float(values["measured_s"]), dict(values["hand"])
             date.fromtimestamp(measured_s)
-            self._last = SelfZero.from_values([values[name] for name in ZERO_COLUMNS])
-            self.measured_s = measured_s
-        except (OSError, ValueError, KeyError, TypeError, OverflowError):
-            self._last = None
+        except CellError as error:
+            self._refuse(str(error))
+        except (ValueError, KeyError, TypeError, OverflowError, OSError):
+            self._refuse(f"{path} holds none; {SELF_ZERO.remedy}")
+        else:
+            self._last, self.measured_s = last, measured_s
+            self._refuse_other_hand()
+
+    def _refuse_other_hand(self) -> None:
+        """Let the last one count no more where it is of another hand."""
+        kept = self._kept_hand
+        others = [key for key, value in self.hand.items() if kept.get(key) != value]
+        if self._last is not None and others:
+            self._refuse(
+                f"{self.path or 'it'} is of another cell or hand, with other {', '.join(others)}. "
+                f"Give each cell a name of its own in its config; {SELF_ZERO.remedy}"
+            )
+
+    def _refuse(self, why: str) -> None:
+        self._last, self.measured_s = None, 0.0
+        self.refused = f"the kept self-zero does not count: {why}"
 
 
 def part_between(outcome: GraspOutcome, found: ZeroMeasurement | None = None) -> str:

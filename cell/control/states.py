@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypedDict
 
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 
 
 class GraspState(StrEnum):

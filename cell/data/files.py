@@ -1,7 +1,8 @@
-"""Files that are whole or not there: atomic writing, and bounded reading of npz archives."""
+"""Files: bounded reading of plain files and npz archives, atomic writing."""
 
 import ast
 import errno
+import itertools
 import os
 import re
 import secrets
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import to_json
 
-from cell.errors import CellError
+from cell.errors import CellError, reason_text
 
 MAX_MEMBERS = 512
 """Arrays that one archive may hold."""
@@ -33,6 +34,8 @@ _MAGIC = b"\x93NUMPY"
 """First bytes of an array (numpy.lib.format)."""
 _RECORDING = b"\x89MCAP"
 """First bytes of an MCAP file."""
+_ARCHIVE = b"PK"
+"""First bytes of a zip archive."""
 _PLAIN_DTYPE = re.compile(r"[<>|=]?(?:[iu][1248]|f[248]|b1|\?|[US][0-9]{1,6})\Z")
 """Types of numbers, booleans and strings; others could hold Python objects."""
 _REFUSED = (
@@ -49,6 +52,37 @@ _REFUSED = (
     IndexError,
     KeyError,
 )
+
+
+def open_plain(path: Path, *, error: type[CellError], what: str) -> BinaryIO:
+    """Open a plain file for reading. Anything else is refused: a pipe or device could block.
+
+    Raises ``error``, naming ``what`` was to be read.
+    """
+    try:
+        if stat.S_ISREG(path.stat().st_mode):
+            flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
+            return os.fdopen(os.open(path, flags), "rb")
+    except (OSError, ValueError) as cause:
+        reason = getattr(cause, "strerror", None) or cause
+        raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
+    raise error(f"cannot read {what} {path}: not a plain file; check the path")
+
+
+def read_plain(path: Path, *, error: type[CellError], what: str, limit_bytes: int) -> bytes:
+    """Return the bytes of a plain file. Raises ``error`` as `open_plain`, or for a longer one."""
+    with open_plain(path, error=error, what=what) as file:
+        # No more is asked for than there is: a read makes room for all that it is asked for.
+        data = file.read(min(os.fstat(file.fileno()).st_size, limit_bytes) + 1)
+    if len(data) > limit_bytes:
+        raise error(f"{path}: too long; a {what} has at most {limit_bytes} bytes")
+    return data
+
+
+def free_name(path: Path) -> Path:
+    """Return a name beside a file that no file has: ``cell.1.yaml`` for ``cell.yaml``."""
+    names = (path.with_suffix(f".{number}{path.suffix}") for number in itertools.count(1))
+    return next(name for name in names if not os.path.lexists(name))
 
 
 def write_atomically(
@@ -68,7 +102,9 @@ def write_atomically(
     """
     place = Path(os.path.realpath(path))
     if place.exists() and not place.is_file():
-        raise error(f"cannot write {what} to {path}: not a plain file; choose another name")
+        raise error(
+            f"cannot write {what} to {path}: not a plain file; move it away, or choose another name"
+        )
     part = place.with_name(f".{place.name}.{secrets.token_hex(4)}.part")
     try:
         handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
@@ -138,16 +174,20 @@ def read_npz(
     CellError
         Of the class ``error``, naming the file, the array, the value and the limit.
     """
-    if path.exists() and not path.is_file():
-        raise error(f"cannot read {what} {path}: not a plain file; check the path")
     try:
-        with path.open("rb") as file:
-            if file.read(len(_RECORDING)) == _RECORDING:
+        with open_plain(path, error=error, what=what) as file:
+            head = file.read(len(_RECORDING))
+            if head == _RECORDING:
                 raise error(
                     f"{path} is a recording, no {what}; train, evaluate and replay take its grasps "
                     "by its name, which ends in .mcap"
                 )
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            if not head.startswith(_ARCHIVE):
+                found = "no npz archive" if head else "empty"
+                raise error(
+                    f"{path} is no {what}: it is {found}; name a {what}, which ends in .npz"
+                )
+            archive = zipfile.ZipFile(file)
             members = archive.infolist()
             _check_directory(file, len(archive.comment), len(members))
             _check_sizes(members, path, error, limit_bytes)
@@ -159,7 +199,7 @@ def read_npz(
         raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
     except _REFUSED as cause:
         raise error(
-            f"{path} is no whole {what} ({type(cause).__name__}: {cause}); take another copy of it"
+            f"{path} is no whole {what} ({reason_text(cause)}); take another copy of it"
         ) from cause
 
 

@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
 
-FORMAT: Final = "tactile-cell-recording/1"
-"""Format of a recording, in its metadata."""
-
 METADATA: Final = "tactile-cell"
 """Name of the metadata record with format, clocks and pads."""
 
@@ -69,6 +66,10 @@ def _durations(name: str, text: str) -> dict[str, dict[str, Any]]:
         f"{name}_{key}": _number(f"{text}, s: {share}")
         for key, share in (shares | {"max_s": "the longest"}).items()
     }
+
+
+def _counts(text: str) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": {"type": "integer"}, "description": text}
 
 
 def _shape(text: str) -> dict[str, Any]:
@@ -181,6 +182,8 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         **_durations("lateness", "how late periods began"),
         **_durations("transaction", "time to read the servos"),
         **_durations("sensor_age", "age of the force when it was used"),
+        tactile=_counts("frames, messages and requests of the tactile sensor since its last start"),
+        servo_bus=_counts("transactions and wrong answers of the servo bus since it was opened"),
     ),
     GRASP: _schema(
         "tactile_cell.Grasp",
@@ -220,6 +223,20 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         unknown=_number("probability that the object was never taught"),
         n_grasps=_integer("grasps that led to the decision"),
         n_ended_early=_integer("those of them whose ramp ended early, because it sufficed"),
+        held=_text("what the positioner has brought; left out where nobody has named it"),
+        grasp_answers={
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "probabilities": _numbers("probability of each taught label"),
+                    "unknown": _number("probability that the object was never taught"),
+                    "dependence": _number("how far further grasps repeat this one, 0 to 1"),
+                },
+                "additionalProperties": False,
+            },
+            "description": "answer to each grasp by itself, in order",
+        },
         shape=_shape("shape and size after all grasps; left out where no grasp has one"),
         grasp_shapes={
             "type": "array",

@@ -9,16 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cell.data.recording_schema import FORMAT, METADATA, SCHEMAS, counts_crc32, metadata_crc32
+from cell.data.formats import RECORDING
+from cell.data.recording_schema import METADATA, SCHEMAS, counts_crc32, metadata_crc32
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
-    from gripper.state import Cycle
+    from gripper.values.state import Cycle
     from recognition.drift.grid import DriftGrid
     from recognition.grasp import Grasp, PadArray
     from recognition.shape.answer import ShapeAnswer
 
+CHUNK_BYTES = 64 << 10
+"""Size of a chunk before compression: what a killed program loses at most."""
 _AS_IT_IS = (int, str)
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
@@ -125,7 +128,7 @@ def metadata_values(pads: "PadArray", wall_ns: int, monotonic_ns: int) -> dict[s
         "adc_max": pads.adc_max,
     }
     return {
-        "format": FORMAT,
+        "format": str(RECORDING),
         "wall_clock_start_ns": str(wall_ns),
         "monotonic_start_ns": str(monotonic_ns),
         "pads": to_json(described),

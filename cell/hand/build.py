@@ -1,20 +1,23 @@
 """Building the hand of a config: links, sensor and gripper; no simulator."""
 
+import time
 from dataclasses import replace
 
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.hand.lines import Lines
 from cell.hand.local import LocalHand
+from gripper.clock import Clock
 from gripper.dynamixel.serial_port import SerialStream
-from gripper.force_sensor import ForceSample
 from gripper.gripper import open_gripper
+from gripper.values.force_sensor import ForceSample
 from tactile.can.bus import open_bus
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.quality import QualityLimits
-from tactile.sensor.sensor import SensorSettings
+from tactile.sensor.sensor import SensorSettings, TactileSensor
 from tactile.sensor.tare import TareLimits
+from tactile.source import FrameSource
 
 SHARED_PROCESS = (
     "the force loop shares its process with all other work, which may hold it up: set "
@@ -50,21 +53,38 @@ def open_hand(
 
 
 def make_hand(
-    config: CellConfig, lines: Lines, *, notes: tuple[str, ...] = (), by_current: bool = False
+    config: CellConfig,
+    lines: Lines,
+    *,
+    notes: tuple[str, ...] = (),
+    by_current: bool = False,
+    source: FrameSource | None = None,
+    clock: Clock = time,
 ) -> LocalHand:
     """Put gripper and sensor together on open lines, which the hand closes at its end.
 
-    With ``by_current`` the force is known by the motors' current, and the sensor is not to be used.
+    Parameters
+    ----------
+    by_current
+        Whether the force follows from the motors' current; the sensor must not be used then.
+    source, clock
+        Frame source in the place of the configured control unit, and its time.
     """
-    layout = layout_from_config(config.tactile)
-    sensor = open_sensor(
-        lines.can_bus,
-        layout,
-        make_calibration(config.tactile, layout),
-        node_id=config.tactile.node_id,
-        link=link_settings(config.tactile),
-        settings=sensor_settings(config.tactile, config.friction_n),
-    )
+    settings = sensor_settings(config.tactile, config.friction_n)
+    if source is not None:
+        calibration = make_calibration(config.tactile, source.layout)
+        sensor = TactileSensor(source, calibration, clock=clock, settings=settings)
+    else:
+        layout = layout_from_config(config.tactile)
+        sensor = open_sensor(
+            lines.can_bus,
+            layout,
+            make_calibration(config.tactile, layout),
+            node_id=config.tactile.node_id,
+            link=link_settings(config.tactile),
+            settings=settings,
+            reopen=lines.reopen_can,
+        )
     force = GripForce(sensor, ForceSample)
     gripper = open_gripper(
         lines.stream,

@@ -16,6 +16,7 @@ from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
+from cell.fault_catalogue import error_text
 from cell.hand.interface import Hand, Measured, OnPeriod
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
@@ -31,7 +32,7 @@ from cell.hand.messages import (
 )
 from gripper.errors import GripperError, copy_fingers
 from gripper.force.ramp import ForceRamp, check_ramp
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from tactile.errors import TactileError
 
 P = ParamSpec("P")
@@ -270,10 +271,10 @@ class HandProcess:
     read_sensor = _remote(Hand.read_sensor)
     keep_grip = _remote(Hand.keep_grip)
 
-    def close_sensor(self) -> None:
+    def stop_sensor(self) -> None:
         """End the tactile link; it has ended where the process is gone."""
         if self._loop.lost is None:
-            self._call(Hand.close_sensor)
+            self._call(Hand.stop_sensor)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""
@@ -319,7 +320,7 @@ class HandProcess:
             try:
                 self._call(Hand.shutdown)
             except (GripperError, TactileError) as error:
-                found = f"{type(error).__name__}: {error}"
+                found = error_text(error)
         return found
 
     def close(self) -> None:

@@ -11,15 +11,14 @@ from typing import Protocol
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
-from gripper.force_sensor import ForceSample
-from gripper.outcome import GraspOutcome, ReleaseReport
-from gripper.servo_checks import ServoCondition, VerificationReport
-from gripper.state import Cycle, GripperPhase
-from tactile.frames.codec import TactileFrame
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspOutcome, ReleaseReport
+from gripper.values.servo_checks import ServoCondition, VerificationReport
+from gripper.values.state import Cycle, GripperPhase
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import SensorStatistics, TactileReading
 from tactile.sensor.tare import TareResult
-from tactile.unit.settings import LinkStatistics, NodeIdentity
+from tactile.source import SourceIdentity, SourceStatistics, TactileFrame
 
 OnPeriod = Callable[[Cycle, Sequence[TactileFrame]], None]
 """Callback for each period of a command, in order, with the tactile frames that came in it.
@@ -44,8 +43,8 @@ class HandStatistics:
     """Timing of the force loop since it was made."""
     servo_bus: BusStatistics
     """Since the servos' port was opened."""
-    link: LinkStatistics
-    """Since the last start of the tactile link."""
+    source: SourceStatistics
+    """Of the frames, since the last start of the tactile sensor."""
     sensor: SensorStatistics = field(default_factory=SensorStatistics)
     """Since the last start of the tactile sensor."""
     undelivered: int = 0
@@ -112,11 +111,11 @@ class Hand(Protocol):
     def start(self) -> VerificationReport:
         """Verify the servos; nothing moves. See `Gripper.start`."""
 
-    def start_sensor(self) -> NodeIdentity:
-        """Start the tactile link. From now on the loop gets forces."""
+    def start_sensor(self) -> SourceIdentity:
+        """Start the tactile sensor. From now on the loop gets forces."""
 
-    def close_sensor(self) -> None:
-        """End the tactile link."""
+    def stop_sensor(self) -> None:
+        """Stop the tactile sensor."""
 
     def open(self, watch: OnPeriod) -> None:
         """Open the empty fingers."""

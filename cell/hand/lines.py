@@ -60,11 +60,6 @@ class Lines:
         """Whether there was no servo line when it was opened last."""
         return "servos" in self._missing
 
-    @property
-    def can_is_missing(self) -> bool:
-        """Whether there was no CAN bus when it was opened last."""
-        return "can" in self._missing
-
     def reopen_servos(self) -> ByteStream:
         """Open the servo line anew and return it; PortLost where it cannot be opened."""
         if self._owned:

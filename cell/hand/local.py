@@ -5,22 +5,22 @@ from collections.abc import Callable
 from cell.hand.interface import HandStatistics, Measured, OnPeriod
 from cell.hand.lines import Lines
 from gripper.force.ramp import ForceRamp
-from gripper.force_sensor import ForceSample
 from gripper.gripper import Gripper
-from gripper.outcome import GraspOutcome, ReleaseReport
-from gripper.state import Cycle, GripperPhase
-from tactile.errors import BusOff, ReceiveLoopDead, ZeroDrifted
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspOutcome, ReleaseReport
+from gripper.values.state import Cycle, GripperPhase
+from tactile.errors import ZeroDrifted
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileReading, TactileSensor
 from tactile.sensor.tare import TareResult
-from tactile.unit.settings import NodeIdentity
+from tactile.source import SourceIdentity
 
 
 class LocalHand:
     """Implements `cell.hand.interface.Hand` in the caller's thread.
 
     The gripper asks ``force`` for that of the sensor; the lines under both are closed at the end.
-    Gripper and sensor, their ``bus`` and ``link``, are public for tests and benchmarks: commands go
+    Gripper and sensor, and the servos' ``bus``, are public for tests and benchmarks: commands go
     through the hand.
     """
 
@@ -37,7 +37,7 @@ class LocalHand:
     ) -> None:
         self.gripper = gripper
         self.sensor = sensor
-        self.bus, self.link = gripper.bus, sensor.link
+        self.bus = gripper.bus
         self.layout, self.period_s = sensor.layout, gripper.period_s
         self.notes = notes
         self.measured = Measured()
@@ -50,7 +50,8 @@ class LocalHand:
         self.end_ramp = gripper.end_ramp
         self.keep_grip = gripper.keep_grip
         self.request_stop = gripper.request_stop
-        self.close_sensor = sensor.close
+        self.start_sensor: Callable[[], SourceIdentity] = sensor.start
+        self.stop_sensor = sensor.stop
 
     @property
     def phase(self) -> GripperPhase:
@@ -63,15 +64,9 @@ class LocalHand:
         return HandStatistics(
             loop=self.gripper.statistics,
             servo_bus=self.bus.statistics,
-            link=self.link.statistics,
+            source=self.sensor.source.statistics,
             sensor=self.sensor.statistics,
         )
-
-    def start_sensor(self) -> NodeIdentity:
-        """Start the tactile link, on a bus that is opened anew where it was lost; see `Hand`."""
-        if self._lines.can_is_missing or isinstance(self.link.fault, BusOff | ReceiveLoopDead):
-            self.link.use(self._lines.reopen_can())
-        return self.sensor.start()
 
     def open(self, watch: OnPeriod) -> None:
         """Open the empty fingers; see `Hand`."""
@@ -138,7 +133,7 @@ class LocalHand:
     def shutdown(self) -> str:
         """Leave servos and sensor in a defined state; see `Hand`."""
         self.gripper.close()
-        self.close_sensor()
+        self.stop_sensor()
         return ""
 
     def close(self) -> None:

@@ -14,8 +14,8 @@ from typing import Any
 
 from cell.config.model import CellConfig
 from cell.hand.interface import Hand, HandStatistics, Measured, OnPeriod
-from gripper.state import Cycle, GripperPhase
-from tactile.frames.codec import TactileFrame
+from gripper.values.state import Cycle, GripperPhase
+from tactile.source import TactileFrame
 
 # -- to the process ------------------------------------------------------------------------------
 

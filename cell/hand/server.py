@@ -37,8 +37,8 @@ from cell.hand.messages import (
 )
 from cell.hand.real_time import enter_real_time, stop_collecting
 from gripper.errors import GraspStopped, GripperError, copy_fingers
-from gripper.state import Cycle, GripperPhase
-from tactile.frames.codec import TactileFrame
+from gripper.values.state import Cycle, GripperPhase
+from tactile.source import TactileFrame
 
 
 class Outbox:

@@ -1,5 +1,5 @@
-"""Who asks a cell for something.
+"""The interfaces of a cell: command line, Modbus TCP, XML-RPC, HTTP with the page, OPC UA, wizard.
 
-`cli` is the command line, `plugin` the cell in a host's own process, `service` the resident cell
-behind the doors `modbus`, `xml_rpc`, `web` and `opc_ua`.
+`opening` opens those that the config names. `host_calls` and `host_values` are the tables that
+Modbus, XML-RPC and OPC UA are made of. `access` checks who may connect.
 """

@@ -17,7 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cell.config.serve import ServeConfig
 from cell.fault_catalogue import BY_NUMBER
-from cell.interfaces.service.doors import (
+from cell.interfaces.access import (
     BUSY_MAX,
     ConnectionPlaces,
     is_for_this_machine,
@@ -28,9 +28,11 @@ from cell.interfaces.service.doors import (
 REQUEST_BYTES = 65536
 """Largest request in bytes, without a photo."""
 _ACCEPTED_AT_ONCE = BUSY_MAX // 4
-"""Connections that are accepted before those that are there are read again."""
-_WAITING_MAX = 256
-"""Connections that wait until they are accepted; for a further one the system asks again later."""
+"""Connections that may wait, and that are accepted before the others are read again. More could
+take all places at once."""
+_SEND_BUFFER_BYTES = 65536
+"""Send buffer of the system for one connection in bytes: a client of the live WebSocket that
+stalled gets so much old state before the newest."""
 REMEDIES = {
     401: "Send the token that `serve` has printed, as `Authorization: Bearer TOKEN`.",
     403: "Use an address, name and origin that `serve.allow` and `serve.hosts` have.",
@@ -71,22 +73,33 @@ class Gate:
     app: Any
     config: ServeConfig
     """Has the allow-list."""
-    longest: Callable[[Scope, str], int]
-    """Returns the largest body in bytes of a request from a client."""
+    longest: Callable[[Scope], int]
+    """Returns the largest body in bytes of a request."""
     pages: bool
     """Whether pages of this very origin may ask; requests of other pages are always refused."""
+    whole: Callable[[Any], None]
+    """Called with the client of a request once all of it has arrived."""
 
     async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
         """Pass a request on, or answer 403 or 413."""
-        listened = scope["type"] in ("http", "websocket")
-        status, reason = self._refusal(scope) if listened else (0, "")
+        status, reason = self._refusal(scope)
+
+        async def watched() -> Any:
+            message = await receive()
+            if not message.get("more_body", False):
+                self.whole(scope["client"])
+            return message
+
+        if scope["type"] == "websocket" or not _body_bytes(scope):
+            self.whole(scope["client"])
         if not status:
-            await self.app(scope, receive, send)
+            await self.app(scope, watched, send)
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008})
         else:
             await refuse(send, status, reason)
+        self.whole(scope["client"])
 
     def _refusal(self, scope: Scope) -> tuple[int, str]:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
@@ -101,100 +114,97 @@ class Gate:
         own = self.pages and (origin or "").partition("://")[2] == headers.get(b"host")
         if origin is not None and not own:
             return 403, f"a page of another origin, {origin!r:.80}"
-        length = headers.get(b"content-length", "0")
-        longest = self.longest(scope, client[0])
-        if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > longest:
+        length, longest = _body_bytes(scope), self.longest(scope)
+        if length is None or length > longest:
             return 413, f"a request has a Content-Length of at most {longest}"
         return 0, ""
 
 
-class HttpConnection(H11Protocol):
-    """A connection that has a place at the door, and whose requests have a limit of time.
+def _body_bytes(scope: Scope) -> int | None:
+    """Return the announced length of a request's body in bytes; None where there is none."""
+    headers = {name.lower(): value for name, value in scope["headers"]}
+    length = headers.get(b"content-length", b"0")
+    if b"transfer-encoding" in headers or not length.isdigit():
+        return None
+    return int(length)
 
-    Parameters
-    ----------
-    places
-        Those of the door.
-    limit_s
-        Longest time in s from the first to the last byte of a request; a new connection has as much
-        for its first one. What the cell takes for the answer does not count.
+
+class HttpConnection(H11Protocol):
+    """A connection that has a place, and whose requests have a limit of time.
+
+    It overrides the callbacks of `asyncio.Protocol` alone.
     """
 
-    def __init__(self, places: ConnectionPlaces, limit_s: float, **server: Any) -> None:
+    def __init__(self, connections: "Connections", **server: Any) -> None:
         super().__init__(**server)
-        self._places = places
-        self._limit_s = limit_s
+        self._connections = connections
         self._limit: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin."""
+        """Take a place. A new connection has a limit of time for its first request."""
         super().connection_made(transport)
-        notice_dead_peers(transport.get_extra_info("socket"))
-        self._places.enter(transport, (transport.get_extra_info("peername") or ("",))[0])
+        self._connections.add(transport, self)
         self._begin()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes, the first ones of a request too."""
+        """Take bytes; the first ones of a request start its limit of time."""
         self._begin()
         super().data_received(data)
 
-    def handle_websocket_upgrade(self, event: Any) -> None:
-        """Hand the connection on; the limits of a WebSocket are those of its messages."""
-        self._end()
-        super().handle_websocket_upgrade(event)
-
-    def handle_events(self) -> None:
-        """Take what has come of requests; one that is whole keeps its place until its answer."""
-        super().handle_events()
-        cycle = self.cycle
-        if cycle is not None and not (cycle.more_body or cycle.response_complete):
-            self._end()
-
-    def on_response_complete(self) -> None:
-        """Go on to the next request, of which bytes may be there already."""
-        super().on_response_complete()
-        if self.conn.trailing_data[0]:
-            self._begin()
-
-    def send_400_response(self, msg: str) -> None:
-        """Refuse what is no request, in the shape of all refusals."""
-        self.transport.write(_NO_REQUEST)
-        self.transport.close()
-
     def connection_lost(self, exc: Exception | None) -> None:
-        """End."""
-        self._end()
+        """Give the place back."""
+        self.end_limit()
+        self._connections.remove(self.transport)
         super().connection_lost(exc)
-        self._unset_keepalive_if_required()
 
     def _begin(self) -> None:
         if self._limit is None:
-            self._limit = self.loop.call_later(self._limit_s, self.transport.abort)
+            self._limit = self.loop.call_later(self._connections.limit_s, self.transport.abort)
 
-    def _end(self) -> None:
-        self._places.heard(self.transport)
+    def end_limit(self) -> None:
+        """End the limit of time: the request is whole."""
         if self._limit is not None:
             self._limit.cancel()
             self._limit = None
 
 
-_REASON = json.dumps(refusal_values(400, "this is no HTTP request")).encode()
-_NO_REQUEST = (
-    b"HTTP/1.1 400 Bad Request\r\nContent-Type: application/json\r\nConnection: close\r\n"
-    b"Content-Length: %d\r\n\r\n%b" % (len(_REASON), _REASON)
-)
+class Connections:
+    """The connections of a server by the address of their client.
 
-
-class _Listener(socket.socket):
-    """A socket at which many connections may wait, however few the server accepts at once.
-
-    asyncio takes one number for both. Connections that are accepted in one go before any of them is
-    read could take all places, and with them that of a hold.
+    Parameters
+    ----------
+    limit_s
+        Longest time in s from the first to the last byte of a request; a new connection has as much
+        for its first one. The time that the cell takes for the answer does not count.
     """
 
-    def listen(self, _accepted_at_once: int = 0) -> None:
-        """Let as many connections wait as are dealt with in some tenths of a second."""
-        super().listen(_WAITING_MAX)
+    def __init__(self, limit_s: float) -> None:
+        self.limit_s = limit_s
+        self._places = ConnectionPlaces()
+        self._open: dict[Any, tuple[asyncio.Transport, HttpConnection]] = {}
+
+    def add(self, transport: asyncio.Transport, connection: HttpConnection) -> None:
+        """Add a new connection; where all places are taken, another one is cut."""
+        client = _client_of(transport)
+        self._open[client] = (transport, connection)
+        self._places.enter(transport, client[0])
+
+    def remove(self, transport: asyncio.Transport) -> None:
+        """Remove a connection that ended."""
+        self._open.pop(_client_of(transport), None)
+
+    def request_is_whole(self, client: Any) -> None:
+        """End the limit of time of a client's request; the connection keeps its place longest."""
+        if client is not None and (found := self._open.get(tuple(client))) is not None:
+            transport, connection = found
+            self._places.heard(transport)
+            connection.end_limit()
+
+
+def _client_of(transport: asyncio.Transport) -> tuple[str, int]:
+    """Return address and port of a client, as ASGI has them."""
+    host, port, *_ = transport.get_extra_info("peername") or ("", 0)
+    return host, port
 
 
 class HttpServer:
@@ -209,7 +219,7 @@ class HttpServer:
     port
         TCP port; 0: any free one.
     longest
-        Returns the largest body in bytes of a request from a client.
+        Returns the largest body in bytes of a request.
     pages
         As `Gate`.
     idle_s
@@ -225,18 +235,25 @@ class HttpServer:
         port: int,
         *,
         name: str,
-        longest: Callable[[Scope, str], int] = lambda _scope, _client: REQUEST_BYTES,
+        longest: Callable[[Scope], int] = lambda _scope: REQUEST_BYTES,
         pages: bool = False,
         idle_s: int = 5,
         **settings: Any,
     ) -> None:
-        places = ConnectionPlaces()
+        connections = Connections(config.request_timeout_s)
+        gate = Gate(
+            app=app,
+            config=config,
+            longest=longest,
+            pages=pages,
+            whole=connections.request_is_whole,
+        )
         server = uvicorn.Config(
-            Gate(app=app, config=config, longest=longest, pages=pages),
+            gate,
             log_config=None,
             access_log=False,
             lifespan="off",
-            http=partial(HttpConnection, places, config.request_timeout_s),  # type: ignore[arg-type]
+            http=partial(HttpConnection, connections),  # type: ignore[arg-type]
             timeout_graceful_shutdown=1,
             timeout_keep_alive=idle_s,
             backlog=_ACCEPTED_AT_ONCE,
@@ -244,11 +261,12 @@ class HttpServer:
         )
         server.load()  # certificates are read here, not in the thread
         family = socket.AF_INET6 if ":" in config.listen else socket.AF_INET
-        with socket.create_server((config.listen, port), family=family) as made:
-            self._socket = _Listener(fileno=made.detach())
-        # asyncio does so only where the protocol of the socket is named. Without it an answer waits
-        # 40 ms for the client's delayed acknowledgement.
+        self._socket = socket.create_server((config.listen, port), family=family)
+        # Each connection inherits these options. Without TCP_NODELAY an answer waits 40 ms for the
+        # client's delayed acknowledgement.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        notice_dead_peers(self._socket)
         self.port: int = self._socket.getsockname()[1]
         self._server = uvicorn.Server(server)
         self._thread = threading.Thread(

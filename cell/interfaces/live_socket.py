@@ -1,19 +1,13 @@
 """The WebSocket of the web door: each message is the newest one, however slow its client is."""
 
 import asyncio
-import socket
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from fastapi import WebSocket
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 RATE_HZ = 30.0
 """Messages a second to one WebSocket, whatever the source."""
-_SEND_BUFFER_BYTES = 65536
-"""Send buffer of the system for one WebSocket in bytes: a dozen messages, which a client that
-stalled still gets before the newest one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +23,13 @@ class LiveMessage:
 class LiveFeed:
     """Looks at the cell `RATE_HZ` times a second while a client listens, once for all of them.
 
-    It looks in another thread than that of the connections.
+    It looks in another thread than that of the connections. A client that takes no message for
+    ``limit_s`` s is dropped with TimeoutError.
     """
 
-    def __init__(self, look: Callable[[], LiveMessage]) -> None:
+    def __init__(self, look: Callable[[], LiveMessage], limit_s: float) -> None:
         self._look = look
+        self._limit_s = limit_s
         self._listeners = 0
         self._looking: asyncio.Task[None] | None = None
         self._next: asyncio.Future[LiveMessage]
@@ -55,9 +51,10 @@ class LiveFeed:
                 if gone.done():
                     return
                 moment = coming.result()
-                await link.send_text(moment.text)
-                if (frame := moment.frame(frames)) is not None:
-                    await link.send_bytes(frame)
+                async with asyncio.timeout(self._limit_s):
+                    await link.send_text(moment.text)
+                    if (frame := moment.frame(frames)) is not None:
+                        await link.send_bytes(frame)
         finally:
             self._listeners -= 1
             gone.cancel()
@@ -79,31 +76,3 @@ class LiveFeed:
 async def _until_gone(link: WebSocket) -> None:
     while (await link.receive())["type"] != "websocket.disconnect":
         pass
-
-
-class LiveLink(WebSocketsSansIOProtocol):
-    """A WebSocket without a queue: a message waits until the client has taken the one before.
-
-    After ``limit_s`` s of waiting the connection is cut.
-    """
-
-    def __init__(self, limit_s: float, *server: Any, **settings: Any) -> None:
-        super().__init__(*server, **settings)
-        self._limit_s = limit_s
-
-    def connection_made(self, transport: Any) -> None:
-        """Begin, with little room for messages that are not the newest any more."""
-        super().connection_made(transport)
-        # Not 0: with TLS asyncio (3.11) would pause at an empty buffer, and nothing would end that.
-        transport.set_write_buffer_limits(high=1, low=0)
-        link = transport.get_extra_info("socket")
-        link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-
-    async def send(self, message: Any) -> None:
-        """Send a message once the client has taken the one before; cut one that does not."""
-        try:
-            async with asyncio.timeout(self._limit_s):
-                await super().send(message)
-        except TimeoutError:
-            self.transport.abort()
-            raise

@@ -8,9 +8,6 @@ import asyncio
 import json
 from dataclasses import asdict
 from functools import cache
-from ipaddress import ip_address
-from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
@@ -20,20 +17,15 @@ from pydantic import Field, WithJsonSchema
 
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import (
-    NotInCommand,
-    RecordingError,
-    RequestRefused,
-)
+from cell.errors import RequestRefused
 from cell.fault_catalogue import CATALOGUE
 from cell.interfaces.http_server import REQUEST_BYTES, Scope
 from cell.interfaces.live_socket import LiveMessage
-from cell.interfaces.plugin.goals import goal_schema
-from cell.interfaces.service.photos import LONGEST_PHOTO
-from cell.interfaces.service.replay import UPLOAD_BYTES, Replay
-from cell.interfaces.service.service import Service
-from cell.interfaces.service.state import plain_data, state_values
-from cell.interfaces.web_server import Paths, RequestBody, WebServer, is_here
+from cell.interfaces.web_server import Paths, RequestBody, WebServer
+from cell.plugin.goals import goal_schema
+from cell.service.photos import LONGEST_PHOTO
+from cell.service.service import Service
+from cell.service.state import plain_data, state_values
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A number in a request."""
@@ -77,12 +69,10 @@ class CommandBody(LeaseBody):
     reboot: bool = False
 
 
-class ReplayBody(RequestBody):
-    """To pause or go on; seconds of the recording in a real one; number of a grasp, from 1."""
+class FaultBody(RequestBody):
+    """A fault of the simulated cell, as `serve --fault` takes it."""
 
-    pause: bool | None = None
-    speed: Finite | None = None
-    grasp: int | None = None
+    fault: str
 
 
 class PoseFields(RequestBody):
@@ -152,21 +142,19 @@ class WebDoor(WebServer):
             ("/commands", "POST", self.command),
             ("/pose", "POST", self.pose),
         )
-        if service.replay is not None:
+        if service.simulated:
             paths += (
-                ("/replay", "POST", self.control_replay),
-                ("/replay", "PUT", self.load_replay),
+                ("/simulation/faults", "GET", self.simulated_faults),
+                ("/simulation/faults", "POST", self.begin_fault),
+                ("/simulation/faults", "DELETE", self.end_fault),
             )
         config = service.config.serve
         super().__init__(service.lease, config, lambda: state_moment(service), paths)
 
-    def longest(self, scope: Scope, client: str) -> int:
-        """Return the most bytes of a body: more for a photo, and for a recording to a replay."""
-        if scope.get("method") == "PUT" and scope["path"].endswith("/photo"):
-            return LONGEST_PHOTO
-        sends = (scope.get("method"), scope["path"]) == ("PUT", "/api/replay")
-        taken = sends and self._service.replay is not None and ip_address(client).is_loopback
-        return UPLOAD_BYTES if taken else REQUEST_BYTES
+    def longest(self, scope: Scope) -> int:
+        """Return the most bytes of a body: more for a photo."""
+        photo = scope.get("method") == "PUT" and scope["path"].endswith("/photo")
+        return LONGEST_PHOTO if photo else REQUEST_BYTES
 
     def info(self) -> dict[str, Any]:
         """Name, mode, version, pads, limits, forces, taught objects, labels by id, places."""
@@ -256,31 +244,22 @@ class WebDoor(WebServer):
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
 
-    def control_replay(self, body: ReplayBody) -> dict[str, Any]:
-        """Pause the replay, set its speed, or go to a grasp; all clients see the same."""
-        self._replay.control(**body.model_dump())
-        return self._replay.values()
+    def simulated_faults(self) -> dict[str, Any]:
+        """List the kinds of faults that fit this simulated cell, and the faults that run.
 
-    async def load_replay(self, request: Request) -> dict[str, Any]:
-        """Play the recording in the body instead, from this machine only."""
-        if not is_here(request):
-            raise NotInCommand("a recording is taken from this machine only")
-        with NamedTemporaryFile(suffix=".mcap") as file:
-            async for piece in request.stream():
-                file.write(piece)
-            file.flush()
-            try:
-                await asyncio.to_thread(self._replay.load, Path(file.name), "the recording sent")
-            except RecordingError as error:
-                text = str(error).replace(file.name, "the file")
-                raise RequestRefused(f"this cannot be played: {text}") from error
-        return self._replay.values()
+        A fault is a text ``NAME[=VALUE][@START[..END]]``; one that waits has not begun.
+        """
+        return self._service.simulated_faults()
 
-    @property
-    def _replay(self) -> Replay:
-        if self._service.replay is None:  # its paths are there with a replay only
-            raise RequestRefused("this is a cell, no replay")
-        return self._service.replay
+    def begin_fault(self, body: FaultBody) -> dict[str, Any]:
+        """Begin a fault of the simulated cell; it needs no lease. Returns what GET does."""
+        self._service.simulate_fault(body.fault)
+        return self._service.simulated_faults()
+
+    def end_fault(self, fault: str) -> dict[str, Any]:
+        """End the faults with this text or name, those of `serve --fault` too."""
+        self._service.simulate_fault(fault, end=True)
+        return self._service.simulated_faults()
 
     def hold(
         self,

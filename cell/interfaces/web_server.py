@@ -8,7 +8,6 @@ import asyncio
 import json
 import secrets
 from collections.abc import Callable
-from functools import partial
 from ipaddress import ip_address
 from typing import Annotated, Any
 
@@ -30,11 +29,11 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import Refusal
+from cell.interfaces.access import read_secret, same_secret
 from cell.interfaces.http_server import REQUEST_BYTES, HttpServer, Scope, refusal_values
-from cell.interfaces.live_socket import LiveFeed, LiveLink, LiveMessage
+from cell.interfaces.live_socket import LiveFeed, LiveMessage
 from cell.interfaces.page import mount_page
-from cell.interfaces.service.doors import read_secret, same_secret
-from cell.interfaces.service.lease import Lease
+from cell.plugin.lease import Lease
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
@@ -115,7 +114,7 @@ class WebServer(HttpServer):
         """What clients authenticate with."""
         self._lease = lease
         self._request_timeout_s = config.request_timeout_s
-        self._feed = LiveFeed(look)
+        self._feed = LiveFeed(look, config.request_timeout_s)
         refusals: dict[int | str, dict[str, Any]] = {
             status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
         }
@@ -141,15 +140,15 @@ class WebServer(HttpServer):
             name="http",
             longest=self.longest,
             pages=True,
-            ws=partial(LiveLink, config.request_timeout_s),
+            ws="websockets-sansio",
             ws_max_size=REQUEST_BYTES,
             ws_per_message_deflate=False,  # on a local network it costs more than it saves
             ssl_certfile=config.tls_certificate or None,
             ssl_keyfile=config.tls_key or None,
         )
 
-    def longest(self, scope: Scope, client: str) -> int:
-        """Return the most bytes of the body of a request from a client."""
+    def longest(self, scope: Scope) -> int:
+        """Return the most bytes of the body of a request."""
         return REQUEST_BYTES
 
     def _authorize(
@@ -160,7 +159,7 @@ class WebServer(HttpServer):
 
     def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
         """Acquire the lease to command with."""
-        if body.take and not is_here(request):
+        if body.take and not _is_here(request):
             raise NotInCommand("the lease can be taken from another client at this machine only")
         return {"lease": self._lease.acquire(body.name, take=body.take)}
 
@@ -203,7 +202,7 @@ class WebServer(HttpServer):
             return  # the client is gone, takes nothing, or has not named its token
 
 
-def is_here(request: Request) -> bool:
+def _is_here(request: Request) -> bool:
     """Whether a request comes from this machine."""
     return request.client is not None and ip_address(request.client.host).is_loopback
 

@@ -24,8 +24,8 @@ from cell.config.serve import ServeConfig
 from cell.errors import RequestRefused
 from cell.fault_catalogue import Refusal
 from cell.interfaces.live_socket import LiveMessage
-from cell.interfaces.service.lease import Lease
 from cell.interfaces.web_server import Paths, RequestBody, WebServer
+from cell.plugin.lease import Lease
 
 _WATCH_S = 0.1
 """Time in s between two looks at what a person moves by hand."""
@@ -85,7 +85,7 @@ class Wizard(Dialog):
     def run(self, lease: int) -> None:
         """Begin, or go on with the first step that is not done.
 
-        Raises NotInCommand as `cell.interfaces.service.lease.Lease.alive`, and so the other
+        Raises NotInCommand as `cell.plugin.lease.Lease.alive`, and so the other
         commands, and RequestRefused while a step runs.
         """
         with self._changed:

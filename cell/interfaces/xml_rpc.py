@@ -1,7 +1,7 @@
 """XML-RPC: the door for robot programs.
 
 A robot program waits for each call and stops at an error: no call takes longer than 100 ms, and
-none raises. The calls and their page stand in `cell.interfaces.service.host_calls`.
+none raises. The calls and their page stand in `cell.interfaces.host_calls`.
 """
 
 import asyncio
@@ -9,10 +9,10 @@ import inspect
 from typing import Any, cast
 from xmlrpc.server import SimpleXMLRPCDispatcher
 
+from cell.interfaces.access import read_secret
+from cell.interfaces.host_calls import CLIENT, Calls, methods
 from cell.interfaces.http_server import HttpServer, Scope, Send, refuse, send_answer
-from cell.interfaces.service.doors import read_secret
-from cell.interfaces.service.host_calls import CLIENT, Calls, methods
-from cell.interfaces.service.service import Service
+from cell.service.service import Service
 
 _PATHS = ("/", "/RPC2")
 """Paths of the calls."""

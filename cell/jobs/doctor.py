@@ -39,12 +39,12 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
-from gripper.force.mechanics_proof import POSITION_ITEM
-from gripper.servo_checks import VerificationRow
+from gripper.force.approach.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
-from motion.errors import MotionError
+from gripper.values.servo_checks import VerificationRow
+from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 
 _TORQUE = "servo torque"
 """Name of the check whether the servos have torque."""
@@ -177,9 +177,10 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
     kept = kept_zeros(config, Path(config.recording.directory))
     if kept.newest is None:
         last = datetime.fromtimestamp(kept.measured_s).date()
+        none = f"none of today, the last is of {last}" if kept.measured_s else "not measured"
         return _result(
             "self-zero",
-            f"none of today, the last is of {last}" if kept.measured_s else "not measured",
+            kept.refused or none,
             f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, at "
             "the start of a session and after each change of pads or servos",
         )
@@ -301,8 +302,8 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
         return [_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     n_saturated = int(readings[-1].saturated.sum())
-    forces = hand.statistics.link.forces
-    statistics = hand.statistics.link.frames
+    source = hand.statistics.source
+    forces, statistics = source.forces, source.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
     changes = changed_unit(
         kept.found, serial=identity.serial, revision=identity.revision, boards=identity.boards
@@ -350,7 +351,7 @@ def _axes(cell: Cell) -> Iterator[CheckResult]:
         lost = isinstance(found, MotionError)
         fault = lost or "FAULT" in str(found) or "hardware error" in str(found)
         advice = "remedy the cause; after clear and reset the next motion resets the device"
-        if lost:
+        if isinstance(found, AxisMissing | AxisSilent):
             advice = "check its supply, cable and node-ID or ID"
         yield _result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 

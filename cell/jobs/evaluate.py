@@ -6,7 +6,8 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from cell.errors import CellError
+from cell.errors import CellError, MissingExtraError
+from cell.installation import extra
 from cell.jobs.calibrate import GAUGE_GRASPS
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
@@ -144,11 +145,12 @@ def evaluate_recognizers(
         progress("evaluate", 2 * number, 2 * len(names))
         trainer = make_trainer(name, use_aperture=True)
         try:
-            full = without = measure(trainer)
+            with extra("comparators", needed_by=f"teaching {name}"):
+                full = without = measure(trainer)
             progress("evaluate", 2 * number + 1, 2 * len(names))
             if trainer.uses_aperture:
                 without = measure(make_trainer(name, use_aperture=False))
-        except ValueError as error:
+        except (ValueError, MissingExtraError) as error:
             left_out[name] = str(error)
             continue
         figures[name] = RecognizerFigures(full=full, without_aperture=without)

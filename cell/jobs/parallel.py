@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 import joblib
 
 from cell.errors import CellError
+from cell.installation import extra
 from recognition.evaluation.evaluation import Mapper, one_by_one
 
 CONNECT_TIMEOUT_S = 15.0
@@ -52,12 +53,8 @@ def workers(jobs: int = 1, *, scheduler: str | None = None) -> Iterator[Mapper]:
 
 @contextmanager
 def _cluster(scheduler: str) -> Iterator[None]:
-    try:
-        from distributed import Client  # noqa: PLC0415  an extra, and slow to load
-    except ImportError as missing:
-        raise CellError(
-            "--scheduler needs Dask: pip install 'tactile-cell[cluster]' here and on all workers"
-        ) from missing
+    with extra("cluster", needed_by="--scheduler, here and on all workers,"):
+        from distributed import Client  # noqa: PLC0415  slow to load
     try:
         _knock(scheduler)
         client = Client(  # type: ignore[no-untyped-call]

@@ -17,15 +17,15 @@ from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from cell.learning.training import train
 from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
-from gripper.force_sensor import ForceSample
 from gripper.gripper import open_gripper
 from gripper.settings import HARD_FORCE_CAP_N
+from gripper.values.force_sensor import ForceSample
 from recognition.evaluation.metrics import wilson_interval
 from recognition.evaluation.splits import parse_split
 from recognition.grasp import Grasp
 from simulator.cell import SimulatedCell
-from tactile.frames.codec import TactileFrame
-from tactile.unit.link import TactileLink
+from tactile.sensor.opening import open_sensor
+from tactile.source import TactileFrame
 
 _SHORTEST_PERIOD_S = 0.012
 _WAIT_S = 0.001
@@ -168,18 +168,17 @@ class _Rig:
             if capture is not None:
                 capture_traffic(self._cell, capture, undo)
             self._period_s = max(_frame_period_s(grasps), _SHORTEST_PERIOD_S)
-            self._link = TactileLink(
+            self._source = open_sensor(
                 self._cell.can_bus,
+                layout,
                 node_id=config.tactile.node_id,
-                layout=layout,
-                clock=self._cell.clock,
-                settings=replace(
+                link=replace(
                     link_settings(config.tactile),
                     sync_period_s=self._period_s,
-                    threaded=False,
+                    force_period_s=0.0,
                     mounts=(),
                 ),
-            )
+            ).source
             self._gripper = undo.enter_context(
                 open_gripper(
                     self._cell.servo_port,
@@ -189,10 +188,10 @@ class _Rig:
                     force_sensor=_NoForce(),
                 )
             )
-            self._link.start()
-            undo.callback(self._link.close)
+            self._source.start()
+            undo.callback(self._source.stop)
             self._closing = undo.pop_all()
-        while not self._link.poll():
+        while not self._source.poll().frames:
             self._cell.clock.sleep(_WAIT_S)
 
     def __enter__(self) -> Self:
@@ -214,7 +213,7 @@ class _Rig:
             now_s = self._cell.clock.monotonic()
             if last_latched_s is None and self._cell.recorded.remaining == 0:
                 last_latched_s = now_s
-            new = self._link.poll()
+            new = self._source.poll().frames
             if new:
                 opening_m = self._gripper.read_state().aperture_m
                 frames += new

@@ -12,18 +12,17 @@ from cell.build import Cell
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
+from cell.jobs.collection import Collection
 from cell.jobs.common import Progress, progress_of
+from cell.jobs.identify import identify
+from cell.jobs.teach import teach
 from cell.learning.blas import one_blas_thread
-from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
+from cell.report.build import BASELINE, score_tables
 from cell.report.data import ConfusionTable
 from recognition.drift.grid import DriftGrid
-from recognition.recognizer import UNKNOWN, Posterior, Recognizer
-
-BASELINE = "level_check"
-"""The paper's own classifier: it names the likeliest object by one grasp, never UNKNOWN, as in its
-Table 1."""
+from recognition.recognizer import Posterior, Recognizer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,10 +53,6 @@ class MainResult:
     """Answers counted, by recogniser."""
     trials: tuple[Trial, ...]
     """The identifications, in order."""
-    examples: dict[str, GraspRecord]
-    """One grasp of each object, for the report."""
-    recognizers: dict[str, Recognizer]
-    """The recognisers by name, as they were taught."""
     dataset: Path | None
     model: Path | None
     recording: Path | None
@@ -120,19 +115,6 @@ class MainResult:
         }
 
 
-def score(
-    name: str, truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]
-) -> ConfusionTable:
-    """Count answers against the truth; those that are no label count as UNKNOWN."""
-    columns = (*labels, UNKNOWN)
-    counts = np.zeros((len(labels), len(columns)), dtype=np.int64)
-    for truth, answer in zip(truths, answers, strict=True):
-        if truth in labels:
-            place = columns.index(answer) if answer in columns else len(labels)
-            counts[labels.index(truth), place] += 1
-    return ConfusionTable(name=name, labels=tuple(labels), columns=columns, counts=counts)
-
-
 @one_blas_thread()
 def teach_and_identify(
     cell: Cell,
@@ -169,15 +151,15 @@ def teach_and_identify(
         model.train()
         model.save(files["model"])
         progress("train", 1, 2)
-        recognizers = baseline(model, taught)
+        recognizers = baseline(config.recognition.recognizer, taught)
         progress("train", 2, 2)
-    default = model.trainer_name
+    default = model.check_taught().trainer_name
     recognizers = {default: model.recognizer} | recognizers
     trials = []
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
             seed = _seed(config, 1 + repeat, number)
-            found = model.identify(cell.controller, held=label, seed=seed, whole_ramps=True)
+            found = identify(cell.controller, model, held=label, seed=seed, whole_ramps=True)
             others = {
                 name: recognizer.posterior(found.records[0].grasp)
                 for name, recognizer in recognizers.items()
@@ -186,18 +168,15 @@ def teach_and_identify(
             first = {default: found.posteriors[0]} | others
             trials.append(Trial(truth=label, found=found, first=first))
             progress(f"identify {label}", repeat + 1, n_trials)
-    examples = {
-        one.label: max(one.records, key=lambda record: record.step.force_n) for one in taught
-    }
     return MainResult(
         labels=tuple(labels),
         default=default,
         n_taught=sum(len(one.records) for one in taught),
         seconds=time.monotonic() - started_s,
-        scores=_scores(trials, labels, default),
+        scores=score_tables(
+            [(trial.truth, trial.found.label, trial.first) for trial in trials], labels, default
+        ),
         trials=tuple(trials),
-        examples=examples or {trial.truth: trial.found.records[0] for trial in trials},
-        recognizers=recognizers,
         dataset=files.get("dataset"),
         model=files.get("model"),
         recording=cell.recording_path,
@@ -210,9 +189,9 @@ def teach_and_identify(
     )
 
 
-def baseline(model: TaughtModel, taught: Sequence[Collection]) -> dict[str, Recognizer]:
+def baseline(default: str, taught: Sequence[Collection]) -> dict[str, Recognizer]:
     """Return the paper's classifier, by its name, taught the same; none where the model is one."""
-    if model.trainer_name == BASELINE:
+    if default == BASELINE:
         return {}
     grasps = [grasp for one in taught for grasp in one.grasps]
     return {BASELINE: train(grasps, BASELINE).recognizer}
@@ -229,30 +208,15 @@ def teach_objects(
 ) -> list[Collection]:
     """Grasp each object ``n_grasps`` times for the training set of the model.
 
-    Raises as `TaughtModel.collect`.
+    Raises as `cell.jobs.teach.teach`.
     """
     taught = [Collection(label=label, n_planned=n_grasps) for label in labels]
     for number, one in enumerate(taught):
         seed = _seed(config, 0, number)
-        model.collect(cell.controller, one, seed=seed, on_grasp=progress_of(progress))
+        teach(cell.controller, model, one, seed=seed, on_grasp=progress_of(progress))
     return taught
 
 
 def _seed(config: CellConfig, use: int, number: int) -> int:
     """Return a seed of its own for each plan, so that none repeats another."""
     return int(np.random.SeedSequence([config.seed, use, number]).generate_state(1)[0])
-
-
-def _scores(
-    trials: Sequence[Trial], labels: Sequence[str], default: str
-) -> dict[str, ConfusionTable]:
-    truths = [trial.truth for trial in trials]
-    answers = [trial.found.label for trial in trials]
-    scores = {default: score("This cell, as many grasps as it takes", truths, answers, labels)}
-    for name in trials[0].first if trials else ():
-        posteriors = [trial.first[name] for trial in trials]
-        answers = [p.best if name == BASELINE else p.name for p in posteriors]
-        key = f"{name}_one_grasp" if name == default else name
-        whose = "This cell" if name == default else "The paper's method"
-        scores[key] = score(f"{whose}, first grasp alone", truths, answers, labels)
-    return scores

@@ -8,7 +8,8 @@ import hashlib
 import importlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 from warnings import catch_warnings, simplefilter
@@ -16,9 +17,10 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.data.dataset import text_refused
 from cell.data.files import read_npz, savez, write_atomically
-from cell.errors import ModelError
+from cell.data.formats import MODEL
+from cell.data.grasp_limits import text_refused
+from cell.errors import ModelError, reason_text
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer
@@ -30,16 +32,13 @@ _REHEARSED_FORCE_N = 8.0
 """Force in N at the end of its ramp: the largest of the default sequence."""
 
 
-def rehearse(recognizer: Recognizer, pads: PadArray) -> None:
-    """Classify a made-up grasp, so that arrays that do not fit fail now, not over a held part.
-
-    A recogniser that refuses the grasp for what it is raises a RecognitionError; that is no fault.
-    """
+def made_up_grasp(pads: PadArray) -> Grasp:
+    """Return a round part in the middle of all pads, pressed ever harder, at a known opening."""
     share = np.linspace(0.0, 1.0, _REHEARSED_FRAMES)
     offset_m = pads.taxel_xy_m - pads.taxel_xy_m.mean(axis=0)
     extent_m = max(float(np.abs(offset_m).max()), 1e-6)
     print_ = np.maximum(0.0, 1.0 - np.sum((offset_m / (0.6 * extent_m)) ** 2, axis=1))
-    grasp = Grasp(
+    return Grasp(
         pads=pads,
         counts=(0.6 * pads.adc_max * share[:, None] * print_).astype(np.uint16),
         t_s=np.linspace(0.0, 2.0, _REHEARSED_FRAMES),
@@ -47,16 +46,19 @@ def rehearse(recognizer: Recognizer, pads: PadArray) -> None:
         force_n=_REHEARSED_FORCE_N * share,
         label="",
     )
-    try:
-        posterior = recognizer.posterior(grasp)
-    except RecognitionError:
-        return
-    if not np.all(np.isfinite(posterior.probability)) or not np.isfinite(posterior.unknown):
-        raise ValueError("its probabilities are not finite")
 
 
-FORMAT = "tactile-cell-model/1"
-"""Format and version in the header of a model file."""
+def rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
+    """Classify a grasp, and without its opening, so that arrays that do not fit fail now.
+
+    A recogniser that refuses the grasp for what it is raises a RecognitionError; that is no fault.
+    """
+    for one in (grasp, replace(grasp, aperture_m=np.array(np.nan))):
+        with suppress(RecognitionError):
+            posterior = recognizer.posterior(one)
+            if not np.all(np.isfinite([*posterior.probability, posterior.unknown])):
+                raise ValueError("its probabilities are not finite")
+
 
 MODEL_LIMIT_BYTES = 256 << 20
 """Largest unpacked size in bytes of a model file that is read; real ones have a few MB."""
@@ -80,6 +82,11 @@ _UNSUITABLE = (
     RuntimeWarning,
 )
 """Errors of arrays that have not the shapes, types or values that a recogniser expects."""
+_LARGEST = np.float64(1e12)
+"""Largest number of a model, far beyond all that training gives: its square is finite, too."""
+_UNKNOWN_ALLOWED = (".drawn_m", ".mean", ".spread", ".low", ".high")
+"""Ends of the names of arrays that have NaN for an object: one that was not drawn, or one whose
+grasps have no level (`recognition.recognizers.level_check`)."""
 _FARTHEST_M = 10.0
 """Largest coordinate of a taxel in m that is taken for one: far beyond any gripper."""
 _HEADER = "model"
@@ -166,7 +173,7 @@ def save_model(
             raise ValueError(f"{section!r} is no name of a section")
         arrays |= {f"{section}.{name}": np.asarray(array) for name, array in content.items()}
     header = {
-        "format": FORMAT,
+        "format": str(MODEL),
         "trainer": trainer_name,
         "class": kind.__name__,
         "labels": list(recognizer.labels),
@@ -186,9 +193,10 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
     path = Path(path)
     arrays = read_npz(path, error=ModelError, what="model", limit_bytes=MODEL_LIMIT_BYTES)
     header = _header(path, arrays)
+    _check_numbers(path, arrays)
     pads = _pads(path, arrays)
     if header.get("layout_hash") != layout_hash(pads):
-        raise ModelError(f"{path}: its pads do not have its layout hash; the file is damaged")
+        raise ModelError(f"{path}: its pads do not have its layout hash; take another copy of it")
     if expected_pads is not None and not pads.same_as(expected_pads):
         raise ModelError(
             f"{path} was taught on {_describe(pads)}, the cell has {_describe(expected_pads)}; "
@@ -204,12 +212,14 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         for label in recognizer.labels:
             if wrong := text_refused("label", label):
                 raise ValueError(f"a label {wrong}")
-        rehearse(recognizer, pads)
+        rehearse(recognizer, made_up_grasp(pads))
         return recognizer, tuple(recognizer.labels)
 
     recognizer, labels = _built(path, rehearsed)
     if list(labels) != header.get("labels"):
-        raise ModelError(f"{path} names other labels in its header than in its arrays")
+        raise ModelError(
+            f"{path} names other labels in its header than in its arrays; train it again"
+        )
     names = {name.partition(".")[0] for name in arrays if "." in name}
     return LoadedModel(
         recognizer=recognizer,
@@ -256,7 +266,7 @@ def _built(path: Path, build: Callable[[], _T]) -> _T:
             return build()
     except _UNSUITABLE as cause:
         raise ModelError(
-            f"{path} does not suit this program ({type(cause).__name__}: {cause}); train it again"
+            f"{path} does not suit this program ({reason_text(cause)}); {MODEL.remedy}"
         ) from cause
 
 
@@ -270,11 +280,12 @@ def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         header = json.loads(str(text))
     except (ValueError, RecursionError) as cause:
         raise ModelError(f"{path}: its header is no JSON ({cause})") from cause
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise ModelError(f"{path} is not of the format {FORMAT}; train it again")
+    if not isinstance(header, dict):
+        raise ModelError(f"{path}: its header is no object; {MODEL.remedy}")
+    MODEL.check(header.get("format"), path, ModelError)
     rest = {name: array for name, array in arrays.items() if name != _HEADER}
     if header.get("sha256") != _digest(rest):
-        raise ModelError(f"{path}: its arrays do not have its checksum; the file is damaged")
+        raise ModelError(f"{path}: its arrays do not have its checksum; take another copy of it")
     return header
 
 
@@ -284,6 +295,17 @@ def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
         digest.update(f"{name}|{array.dtype.str}|{array.shape}|".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+def _check_numbers(path: Path, arrays: Arrays) -> None:
+    for name, array in arrays.items():
+        if array.dtype.kind != "f":
+            continue
+        known = ~np.isnan(array) if name.endswith(_UNKNOWN_ALLOWED) else ...
+        if not np.all(np.abs(array[known]) <= _LARGEST):
+            raise ModelError(
+                f"{path}: {name} holds a value that is no number up to {_LARGEST:g}; train it again"
+            )
 
 
 def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
@@ -299,7 +321,9 @@ def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
                 adc_max=int(arrays[f"{_PADS}adc_max"]),
             )
     except (KeyError, ValueError, TypeError, IndexError, ArithmeticError, MemoryError) as cause:
-        raise ModelError(f"{path}: its pads cannot be read ({cause})") from cause
+        raise ModelError(
+            f"{path}: its pads cannot be read ({reason_text(cause)}); {MODEL.remedy}"
+        ) from cause
 
 
 def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer]:

@@ -1,36 +1,46 @@
 """Training: from labelled grasps to all that a model file keeps, and its optional parts back again.
 
-Beside the recogniser a model may keep early classifiers, which answer while a ramp still runs, and
-a pose memory, by which an active sequence chooses its next grasp.
+Beside the recogniser a model may keep early classifiers, which answer while a ramp still runs.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
 
-from cell.config.model import RecognitionConfig
-from cell.config.sequence import SequenceConfig
-from cell.errors import CellError, ModelError
+from cell.config.model import CellConfig
+from cell.errors import CellError, CellStateError, ModelError
+from cell.installation import extra
 from cell.learning.blas import one_blas_thread
-from cell.learning.model import Arrays, LoadedModel, rehearse
+from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
 from recognition.grasp import Grasp
+from recognition.ramp.running_load import load_so_far
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, teach_early
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
-from recognition.statistics.next_grasp import PoseMemory, build_pose_memory
 
 EARLY_SECTION = "early"
 """Section of a model file that holds the early classifiers."""
 
-MEMORY_SECTION = "memory"
-"""Section of a model file that holds the pose memory."""
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trained:
+    """Result of a training, as a model file keeps it."""
 
-def with_caution(recognizer: Recognizer, config: RecognitionConfig) -> Recognizer:
-    """Return the recogniser with the caution of the config, where it is of a kind that has one."""
-    if isinstance(recognizer, ForceRampRecognizer):
-        return replace(recognizer, caution=config.caution)
-    return recognizer
+    recognizer: Recognizer
+    """The recogniser of whole ramps."""
+    trainer_name: str
+    """Its kind, one of `recognition.recognizers.trainer_names`."""
+    early: EarlyClassifiers | None = None
+    """Classifiers for ramps that end early; None where they were not asked for."""
+    sections: Mapping[str, Arrays] = field(default_factory=dict)
+    """Further sections of the model file, those of the optional parts among them."""
+
+    def with_caution(self, caution: float) -> Self:
+        """Return it with a caution, where the recogniser is of a kind that has one."""
+        if not isinstance(self.recognizer, ForceRampRecognizer):
+            return self
+        return replace(self, recognizer=replace(self.recognizer, caution=caution))
 
 
 def may_end_early(recognizer: Recognizer) -> bool:
@@ -41,35 +51,35 @@ def may_end_early(recognizer: Recognizer) -> bool:
     return isinstance(recognizer, ForceRampRecognizer) and recognizer.both is not None
 
 
-def gaugeable(recognizer: Recognizer, trainer_name: str) -> ForceRampRecognizer:
-    """Return a recogniser that can be gauged. Raises ModelError for one of another kind."""
+def gaugeable(model: Trained | LoadedModel, *labels: str) -> ForceRampRecognizer:
+    """Return the recogniser of a model that can be gauged with these objects.
+
+    Raises ModelError if it is of another kind, and CellStateError if an object was not taught.
+    """
+    recognizer = model.recognizer
     if not isinstance(recognizer, ForceRampRecognizer):
-        raise ModelError(f"a model of {trainer_name} cannot be gauged; train one of force_ramp")
+        raise ModelError(
+            f"a model of {model.trainer_name} cannot be gauged; train one of force_ramp"
+        )
+    for label in labels:
+        if label not in recognizer.labels:
+            raise CellStateError(
+                f"{label!r:.80} was not taught: gauge with one of {', '.join(recognizer.labels)}"
+            )
     return recognizer
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trained:
-    """Result of a training."""
+def gauged(
+    recognizer: ForceRampRecognizer, label: str, grasps: Sequence[Grasp]
+) -> ForceRampRecognizer:
+    """Return a recogniser after grasps of a taught object that were taken now.
 
-    recognizer: Recognizer
-    """The recogniser of whole ramps."""
-    trainer_name: str
-    """Its kind, one of `recognition.recognizers.trainer_names`."""
-    early: EarlyClassifiers | None = None
-    """Classifiers for ramps that end early; None where they were not asked for."""
-    memory: PoseMemory | None = None
-    """Answers to the training grasps by pose; None where it was not asked for."""
-
-    @property
-    def sections(self) -> dict[str, Arrays]:
-        """Sections of a model file that keep the optional parts."""
-        sections: dict[str, Arrays] = {}
-        if self.early is not None:
-            sections[EARLY_SECTION] = self.early.to_arrays()
-        if self.memory is not None:
-            sections[MEMORY_SECTION] = self.memory.to_arrays()
-        return sections
+    Raises CellError if the object was not taught, or no grasp touched both pads.
+    """
+    try:
+        return recognizer.gauge(label, grasps)
+    except ValueError as error:
+        raise CellError(f"cannot gauge: {error}") from error
 
 
 @one_blas_thread()
@@ -79,7 +89,6 @@ def train(
     *,
     use_aperture: bool = True,
     early: bool = False,
-    poses: bool = False,
 ) -> Trained:
     """Train one kind of recogniser.
 
@@ -93,29 +102,31 @@ def train(
         Whether the opening of the fingers is a feature.
     early
         Whether ramps cut short train early classifiers too, where `may_end_early`.
-    poses
-        Whether a pose memory is built too, which takes four further trainings.
     """
     trainer = make_trainer(name, use_aperture=use_aperture)
     try:
-        recognizer = trainer.fit(grasps)
+        with extra("comparators", needed_by=f"teaching {name}"):
+            recognizer = trainer.fit(grasps)
     except ValueError as error:
         raise CellError(
             f"{name} cannot be trained on these {len(grasps)} grasps: {error}"
         ) from error
-    memory = None
-    if poses:
-        try:
-            memory = build_pose_memory(trainer, grasps)
-        except ValueError as error:
-            raise CellError(
-                f"{len(grasps)} taught grasps do not suffice to choose grasps by: {error}; teach "
-                "more grasps of each object, or choose random, grid or list"
-            ) from error
-    cut = None
-    if early and may_end_early(recognizer):
-        cut = teach_early(trainer, grasps, recognizer.labels)
-    return Trained(recognizer=recognizer, trainer_name=name, early=cut, memory=memory)
+    trained = Trained(recognizer=recognizer, trainer_name=name)
+    if not early or not may_end_early(recognizer):
+        return trained
+    cut = teach_early(trainer, grasps, recognizer.labels)
+    return replace(trained, early=cut, sections={EARLY_SECTION: cut.to_arrays()})
+
+
+def loaded(model: LoadedModel, config: CellConfig) -> Trained:
+    """Return a model file as trained, with what the config uses of it; raises as `load_early`."""
+    trained = Trained(
+        recognizer=model.recognizer,
+        trainer_name=model.trainer_name,
+        early=load_early(model) if config.decides_early else None,
+        sections=model.sections,
+    )
+    return trained.with_caution(config.recognition.caution)
 
 
 def load_early(model: LoadedModel) -> EarlyClassifiers | None:
@@ -129,36 +140,12 @@ def load_early(model: LoadedModel) -> EarlyClassifiers | None:
 
     def build(arrays: Arrays) -> EarlyClassifiers:
         heads = EarlyClassifiers.from_arrays(arrays, kind)
-        heads.rest.check(model.pads)
+        grasp = made_up_grasp(model.pads)
+        load_so_far(grasp, heads.rest)
         for head in heads.recognizers:
             if head.labels != model.recognizer.labels:
                 raise ValueError(f"ramps cut short name {head.labels}")
-            rehearse(head, model.pads)
+            rehearse(head, grasp)
         return heads
 
     return model.section(EARLY_SECTION, build)
-
-
-def load_pose_memory(model: LoadedModel, sequence: SequenceConfig) -> PoseMemory | None:
-    """Return the pose memory of a model file; None where the sequence is not active.
-
-    Raises ModelError if the sequence is active and the file has no poses, or they do not fit its
-    recogniser.
-    """
-    if sequence.kind != "active":
-        return None
-
-    def build(arrays: Arrays) -> PoseMemory:
-        memory = PoseMemory.from_arrays(arrays)
-        if memory.labels != model.labels:
-            raise ValueError(f"it remembers {', '.join(memory.labels)}")
-        return memory
-
-    memory = model.section(MEMORY_SECTION, build)
-    if memory is None:
-        raise ModelError(
-            f"sequence.kind is active, which goes by the poses of the grasps that taught, and "
-            f"{model.path} has none: train it with `tactile-cell train --poses`, or choose random, "
-            "grid or list"
-        )
-    return memory

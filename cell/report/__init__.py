@@ -1,5 +1,5 @@
-"""The report page of a run: tables, plots and the pressure on the pads.
+"""The report page of a recording: tables, plots and the pressure on the pads.
 
-For jobs: `build` makes the parts (`data`) of the values of a run, `page` writes them. Needs the
-extra `report` (matplotlib, jinja2).
+For interfaces: `recorded` makes the values (`data`) of a recording, with the parts of `build`;
+`page` writes them. Needs the extra `report` (matplotlib, jinja2).
 """

@@ -1,7 +1,6 @@
 """The parts of a report, made from the values of a run."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,11 +13,51 @@ from cell.report.data import (
 )
 from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
 from recognition.quadric.thresholds import LevelBands
+from recognition.recognizer import UNKNOWN, Posterior
 
-if TYPE_CHECKING:
-    from gripper.dynamixel.transactions import BusStatistics
-    from gripper.force.timing import LoopStatistics
-    from tactile.unit.settings import LinkStatistics
+BASELINE = "level_check"
+"""The paper's own classifier: it names the likeliest object by one grasp, never UNKNOWN, as in its
+Table 1."""
+
+
+def score(
+    name: str, truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]
+) -> ConfusionTable:
+    """Count answers against the truth; those that are no label count as UNKNOWN."""
+    columns = (*labels, UNKNOWN)
+    counts = np.zeros((len(labels), len(columns)), dtype=np.int64)
+    for truth, answer in zip(truths, answers, strict=True):
+        if truth in labels:
+            place = columns.index(answer) if answer in columns else len(labels)
+            counts[labels.index(truth), place] += 1
+    return ConfusionTable(name=name, labels=tuple(labels), columns=columns, counts=counts)
+
+
+def score_tables(
+    trials: Sequence[tuple[str, str, Mapping[str, Posterior]]], labels: Sequence[str], default: str
+) -> dict[str, ConfusionTable]:
+    """Return the tables of identifications, by recogniser; none without one.
+
+    Parameters
+    ----------
+    trials
+        What was held, the answer, and what each recogniser answers to the first grasp alone.
+    labels
+        The objects, in the order of the rows.
+    default
+        Name of the recogniser that answered.
+    """
+    if not trials:
+        return {}
+    truths, answers, first = zip(*trials, strict=True)
+    scores = {default: score("This cell, as many grasps as it takes", truths, answers, labels)}
+    for name in first[0]:
+        posteriors = [one[name] for one in first]
+        named = [p.best if name == BASELINE else p.name for p in posteriors]
+        key = f"{name}_one_grasp" if name == default else name
+        whose = "This cell" if name == default else "The paper's method"
+        scores[key] = score(f"{whose}, first grasp alone", truths, named, labels)
+    return scores
 
 
 def level_windows(levels: LevelBands, labels: Sequence[str]) -> tuple[Window, ...]:
@@ -52,69 +91,79 @@ def _count(name: str, value: int, *, bad: bool = False, note: str = "") -> Healt
     return HealthRow(name=name, value=f"{value:,}", state=state, note=note)
 
 
-def link_health(statistics: "LinkStatistics") -> HealthGroup:
-    """Return the counts of tactile frames, and of the link to the control unit."""
-    frames = statistics.frames
-    share = frames.lost / max(1, frames.complete + frames.lost)
-    whole: HealthState = "ok" if frames.complete else "bad"
+def source_health(counts: Mapping[str, int]) -> HealthGroup:
+    """Return the counts of tactile frames, and of the line that they come over."""
+    complete, lost = counts["complete"], counts["lost"]
+    share = lost / max(1, complete + lost)
     return HealthGroup(
-        title="Tactile frames (CAN)",
+        title="Tactile frames",
         rows=(
-            HealthRow(name="whole frames", value=f"{frames.complete:,}", state=whole),
-            _count("lost", frames.lost, bad=share > 0.01, note=f"{share:.2%} of all"),
-            _count("torn", frames.torn, note="begun and given up"),
-            _count("duplicate", frames.duplicate, note="messages, dropped"),
-            _count("out of order", frames.reordered, note="messages"),
-            _count("stale", frames.stale, note="older than the last, dropped"),
-            _count("short", frames.short, note="messages, dropped"),
-            _count("corrupt", frames.corrupt, bad=True, note="refused by checksum or phase"),
-            _count("late SYNC", statistics.late_syncs, note=f"of {statistics.syncs:,}"),
-            _count("malformed", statistics.malformed, note="other messages of the unit, dropped"),
-            _count("error frames", statistics.error_frames, bad=statistics.error_frames > 10),
+            HealthRow(
+                name="whole frames", value=f"{complete:,}", state="ok" if complete else "bad"
+            ),
+            _count("lost", lost, bad=share > 0.01, note=f"{share:.2%} of all"),
+            _count("torn", counts["torn"], note="begun and given up"),
+            _count("duplicate", counts["duplicate"], note="messages, dropped"),
+            _count("out of order", counts["reordered"], note="messages"),
+            _count("stale", counts["stale"], note="older than the last, dropped"),
+            _count("short", counts["short"], note="messages, dropped"),
+            _count("corrupt", counts["corrupt"], bad=True, note="refused by checksum or phase"),
+            _count("late requests", counts["late_requests"], note=f"of {counts['requests']:,}"),
+            _count("malformed", counts["malformed"], note="other messages, dropped"),
+            _count("error frames", counts["error_frames"], bad=counts["error_frames"] > 10),
         ),
     )
 
 
-def servo_health(statistics: "BusStatistics") -> HealthGroup:
+def servo_health(counts: Mapping[str, int]) -> HealthGroup:
     """Return the counts of transactions on the servo bus."""
-    total = statistics.transactions
+    total = counts["transactions"]
     return HealthGroup(
         title="Servo bus",
         rows=(
             HealthRow(name="transactions", value=f"{total:,}", state="ok" if total else "bad"),
-            _count("retries", statistics.retries, bad=statistics.retries * 100 > total),
-            _count("time-outs", statistics.timeouts, bad=statistics.timeouts * 100 > total),
-            _count("corrupt", statistics.corrupt, note="answers, never used"),
-            _count("late", statistics.late, note="answers to an earlier request, dropped"),
+            _count("retries", counts["retries"], bad=counts["retries"] * 100 > total),
+            _count("time-outs", counts["timeouts"], bad=counts["timeouts"] * 100 > total),
+            _count("corrupt", counts["corrupt"], note="answers, never used"),
+            _count("late", counts["late"], note="answers to an earlier request, dropped"),
         ),
     )
 
 
-def loop_health(statistics: "LoopStatistics", period_s: float) -> HealthGroup:
-    """Return how punctual the force loop was; ``period_s`` is the length of a period in s."""
-    total, worst_s = statistics.cycles, statistics.worst_lateness_s
-    share = statistics.late / max(1, total)
-    late, read, age = statistics.lateness, statistics.transaction, statistics.sensor_age
+def loop_health(values: Mapping[str, float], period_s: float) -> HealthGroup:
+    """Return how punctual the force loop was, by `cell.control.journal.loop_values`.
+
+    ``period_s`` is the length of a period in s.
+    """
+    total, late, worst_s = (int(values["cycles"]), int(values["late"]), values["worst_lateness_s"])
+
+    def ms(name: str) -> str:
+        return f"{values[name] * 1e3:.2f}"
+
     return HealthGroup(
         title="Force loop",
         rows=(
             HealthRow(name="periods", value=f"{total:,}", note=f"of {period_s * 1e3:.1f} ms"),
-            _count("late", statistics.late, bad=share > 0.01, note="by more than half a period"),
-            _count("overruns", statistics.overruns, note="work not done when the next was due"),
-            _count("without feedback", statistics.missed_reads, note="nothing was written in them"),
+            _count("late", late, bad=late > 0.01 * total, note="by more than half a period"),
+            _count("overruns", int(values["overruns"]), note="work not done when the next was due"),
+            _count(
+                "without feedback",
+                int(values["missed_reads"]),
+                note="nothing was written in them",
+            ),
             HealthRow(
                 name="worst lateness",
-                value=f"{worst_s * 1e3:.2f} ms",
+                value=f"{ms('worst_lateness_s')} ms",
                 state=_punctuality(worst_s, period_s),
-                note=f"p50 {late.p50_s * 1e3:.2f}, p99 {late.p99_s * 1e3:.2f}, "
-                f"p99.9 {late.p999_s * 1e3:.2f} ms",
+                note=f"p50 {ms('lateness_p50_s')}, p99 {ms('lateness_p99_s')}, "
+                f"p99.9 {ms('lateness_p999_s')} ms",
             ),
             HealthRow(
                 name="reading the servos",
-                value=f"{read.p50_s * 1e3:.2f} ms",
-                note=f"median; p99 {read.p99_s * 1e3:.2f} ms",
+                value=f"{ms('transaction_p50_s')} ms",
+                note=f"median; p99 {ms('transaction_p99_s')} ms",
             ),
-            HealthRow(name="oldest force used", value=f"{age.max_s * 1e3:.0f} ms"),
+            HealthRow(name="oldest force used", value=f"{values['sensor_age_max_s'] * 1e3:.0f} ms"),
         ),
     )
 

@@ -9,16 +9,58 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.control.identification import Identification
-from cell.control.records import GraspRecord
+from cell.data.recording_reader import RecordedCycles
 from recognition.evaluation.metrics import wilson_interval
-from recognition.recognizer import UNKNOWN
+from recognition.grasp import Grasp
+from recognition.recognizer import UNKNOWN, Posterior
+from recognition.shape.answer import ShapeAnswer
 from tactile.layout import TaxelLayout
 
-HeldAndFound = tuple[str, Identification]
-"""What it really was, and its identification."""
 HealthState = Literal["ok", "warn", "bad", "plain"]
 """How a figure of the links' health is marked."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Answered:
+    """One identification."""
+
+    truth: str
+    """What it really was; empty where nobody has named it."""
+    label: str
+    """The answer."""
+    fused: Posterior
+    """Answer to all grasps together."""
+    posteriors: tuple[Posterior, ...] = ()
+    """Answer to each grasp by itself, in order; empty where they are not known."""
+    n_grasps: int = 1
+    """Number of grasps."""
+    notes: tuple[str, ...] = ()
+    """Pose and force of each grasp; further ramps in the same grip have none."""
+    grasps: tuple[Grasp, ...] = ()
+    """The grasps; further ramps in the same grip are not among them."""
+    whole_ramps: bool = True
+    """Whether no ramp was ended before its force."""
+    shape: ShapeAnswer | None = None
+    """Shape and size by all grasps; None where none of them shows it."""
+    place: str = ""
+    """Where a sort has let it go; empty for no sort."""
+
+    @property
+    def name(self) -> str:
+        """What it was, as far as that is known."""
+        return self.truth or self.label
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShownGrasp:
+    """One grasp that is drawn: the pads, and force, current and opening over time."""
+
+    label: str
+    note: str
+    """What was held, pose and force."""
+    grasp: Grasp
+    cycles: RecordedCycles
+    """Its periods of the force loop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,11 +198,11 @@ class ReportData:
     """The result in a few large figures."""
     facts: tuple[tuple[str, str], ...] = ()
     """Description of the cell: name and value."""
-    examples: tuple[tuple[str, GraspRecord], ...] = ()
-    """One grasp of each object, by its label."""
+    examples: tuple[ShownGrasp, ...] = ()
+    """One grasp of each object."""
     trajectories: Trajectories | None = None
     """The paper's method, where it was taught."""
-    sequences: tuple[HeldAndFound, ...] = ()
+    sequences: tuple[Answered, ...] = ()
     """All identifications."""
     confusions: tuple[ConfusionTable, ...] = ()
     """One table for each recogniser; `build.paper_table` gives the paper's."""

@@ -7,13 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cell.control.identification import Identification
-from cell.control.records import GraspRecord
 from cell.data.files import write_atomically
 from cell.errors import ReportError
-from cell.installation import remedy
+from cell.installation import extra
 from cell.learning.shape_reading import in_words
-from cell.report.data import ConfusionTable, HeldAndFound, ReportData
+from cell.report.data import Answered, ConfusionTable, ReportData, ShownGrasp
 from cell.report.pad_pictures import level_pictures, pressure_levels
 from cell.report.plots import N_COLOURS, levels_figure, sweep_figure, timeline_figure
 from cell.report.shapes import shapes_view
@@ -40,23 +38,21 @@ DENSE_LABELS = 12
 def write_report(path: Path | str, data: ReportData) -> None:
     """Write the page, whole or not at all: an older file stays until the new one is whole.
 
-    Raises ReportError if jinja2 or matplotlib are missing (extra ``report``), or the disk refuses.
+    Raises ReportError if the disk refuses, and MissingExtraError without the extra ``report``.
     """
     page = render_report(data).encode("utf-8", errors="replace")
     write_atomically(Path(path), lambda file: file.write(page), error=ReportError, what="report")
 
 
 def render_report(data: ReportData) -> str:
-    """Return the page as HTML. Raises ReportError if jinja2 or matplotlib are missing."""
+    """Return the page as HTML. Raises MissingExtraError without jinja2 or matplotlib."""
     return page_template("report.html.j2").render(page_view(data))
 
 
 def page_template(name: str) -> "Template":
-    """Return a template of this package's pages. Raises ReportError if jinja2 is missing."""
-    try:
+    """Return a template of this package's pages. Raises MissingExtraError without jinja2."""
+    with extra("report", needed_by="the report"):
         from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415
-    except ImportError as cause:
-        raise ReportError(f"the report needs jinja2; {remedy('report')}") from cause
     environment = Environment(
         loader=PackageLoader("cell.report"),
         autoescape=True,
@@ -70,23 +66,24 @@ def page_template(name: str) -> "Template":
 def label_order(data: ReportData) -> tuple[str, ...]:
     """Return all taught labels, each once; its place is a label's colour on the whole page."""
     tables = [table.labels for table in data.confusions]
-    answers = [found.fused.labels for _, found in data.sequences]
-    return tuple(dict.fromkeys(label for labels in (*tables, *answers) for label in labels))
+    answers = [found.fused.labels for found in data.sequences]
+    drawn = [one.label for one in data.trajectories.objects] if data.trajectories else []
+    return tuple(dict.fromkeys(label for labels in (*tables, *answers, drawn) for label in labels))
 
 
-def example_view(layout: TaxelLayout, label: str, record: GraspRecord, name: str) -> dict[str, Any]:
+def example_view(layout: TaxelLayout, shown: ShownGrasp, name: str) -> dict[str, Any]:
     """Return heat maps, all of one scale, and time-line of one grasp."""
-    levels = pressure_levels(record.grasp)
+    levels = pressure_levels(shown.grasp)
     full = max([1.0, *(float(counts.max()) for counts in levels.values())])
     pictures = [level_pictures(layout, *level, full) for level in levels.items()]
     return {
-        "label": label,
-        "note": f"{record.reached}; ramp to {record.step.force_n:.1f} N",
+        "label": shown.label,
+        "note": shown.note,
         "levels": pictures,
         "last": pictures[-1],
         "full": f"{full:.0f}",
         "adc_max": layout.adc_max,
-        "timeline": timeline_figure(record, name),
+        "timeline": timeline_figure(shown.cycles, name),
     }
 
 
@@ -106,42 +103,51 @@ def trajectories_view(data: ReportData, colours: Mapping[str, int]) -> dict[str,
     }
 
 
-def drawn_sequences(data: ReportData) -> list[HeldAndFound]:
+def drawn_sequences(data: ReportData) -> list[Answered]:
     """Return some identifications of each object: wrong ones first, then the longest.
 
     These are what a reader wants to see; the tables count all.
     """
     drawn = []
-    for name in dict.fromkeys(truth for truth, _ in data.sequences):
-        found = [found for truth, found in data.sequences if truth == name]
-        found.sort(key=lambda one: (one.label == name, -len(one.posteriors)))
-        drawn += [(name, one) for one in found[:_SEQUENCES_PER_OBJECT]]
+    for name in dict.fromkeys(one.name for one in data.sequences):
+        found = [one for one in data.sequences if one.name == name]
+        found.sort(key=lambda one: (one.label == one.truth, -one.n_grasps))
+        drawn += found[:_SEQUENCES_PER_OBJECT]
     return drawn[:MAX_SEQUENCES]
 
 
-def sequence_view(truth: str, found: Identification, colours: Mapping[str, int]) -> dict[str, Any]:
+def sequence_view(found: Answered, colours: Mapping[str, int]) -> dict[str, Any]:
     """Return the bars of one identification.
 
     Its figure is the share of the answer in the last thick bar, whose shares sum to one.
     """
-    steps = []
-    for number, (posterior, record) in enumerate(
-        zip(found.posteriors, found.records, strict=True), start=1
-    ):
-        steps.append(
-            {
-                "note": f"{record.reached}; {record.step.force_n:.1f} N",
-                "fused": _bars(fuse(found.posteriors[:number]), colours),
-                "single": _bars(posterior, colours),
-            }
+    steps = [
+        {
+            "number": number,
+            "note": note,
+            "fused": _bars(fuse(found.posteriors[:number]), colours),
+            "single": _bars(posterior, colours),
+        }
+        for number, (posterior, note) in enumerate(
+            zip(found.posteriors, (*found.notes, *[""] * found.n_grasps), strict=False), start=1
         )
+    ] or [{"number": found.n_grasps, "note": "", "fused": _bars(found.fused, colours)}]
     unknown = found.label == UNKNOWN
+    shares = dict(zip(found.fused.labels, found.fused.probability.tolist(), strict=True))
+    share = found.fused.unknown if unknown else (1.0 - found.fused.unknown) * shares[found.label]
     shape = "" if found.shape is None else in_words(found.shape) if unknown else str(found.shape)
     return {
-        "truth": truth,
+        "truth": found.truth,
         "answer": found.label,
-        "probability": _percent(found.probabilities[found.label]),
-        "verdict": "right" if found.label == truth else "unknown" if unknown else "wrong",
+        "probability": _percent(share),
+        "verdict": "right"
+        if found.label == found.truth
+        else "unknown"
+        if unknown
+        else "wrong"
+        if found.truth
+        else "named",
+        "place": found.place,
         "shape": shape,
         "steps": steps,
     }
@@ -232,12 +238,12 @@ def page_view(data: ReportData) -> dict[str, Any]:
     order = label_order(data)
     colours = {label: place for place, label in enumerate(order)}
     shown = drawn_sequences(data)
-    shapes = shapes_view(data.sequences)
+    shapes = shapes_view([(one.truth, one.label, one.shape) for one in data.sequences])
     sections = {
-        "result": "Confusion",
+        "result": "Confusion" if data.confusions else "",
         "shapes": "Shape and size" if shapes is not None else "",
-        "sequences": "Identifications",
-        "examples": "Grasps",
+        "sequences": "Identifications" if shown else "",
+        "examples": "Grasps" if data.examples else "",
         "trajectories": "The paper's method" if data.trajectories is not None else "",
         "health": "Links",
         "cell": "Cell and files",
@@ -247,11 +253,10 @@ def page_view(data: ReportData) -> dict[str, Any]:
         "sections": [(key, name) for key, name in sections.items() if name],
         "legend": [(label, f"c{place % N_COLOURS}") for label, place in colours.items()],
         "examples": [
-            example_view(data.layout, label, record, f"t{number}")
-            for number, (label, record) in enumerate(data.examples)
+            example_view(data.layout, one, f"t{number}") for number, one in enumerate(data.examples)
         ],
         "trajectories": trajectories_view(data, colours),
-        "sequences": [sequence_view(*one, colours) for one in shown],
+        "sequences": [sequence_view(one, colours) for one in shown],
         "shapes": shapes,
         "n_hidden": len(data.sequences) - len(shown),
         "confusions": [confusion_view(table, colours) for table in data.confusions],

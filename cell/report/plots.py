@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.control.records import GraspRecord
-from cell.errors import ReportError
-from cell.installation import remedy
+from cell.data.recording_reader import RecordedCycles
+from cell.installation import extra
 from cell.report.data import Trajectories
+from gripper.values.state import GripperPhase
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,12 +73,10 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 def drawing() -> Any:
     """Return a context in which figures have the page's style.
 
-    Raises ReportError if matplotlib is missing.
+    Raises MissingExtraError without matplotlib.
     """
-    try:
+    with extra("report", needed_by="the report"):
         from matplotlib import rc_context  # noqa: PLC0415
-    except ImportError as cause:
-        raise ReportError(f"the report needs matplotlib; {remedy('report')}") from cause
     return rc_context(_STYLE)
 
 
@@ -110,16 +108,16 @@ _MAX_BINS = 260
 """Points of a sweep that are drawn; a plot has about two pixels for each."""
 
 
-def timeline_figure(record: GraspRecord, name: str) -> str:
+def timeline_figure(cycles: RecordedCycles, name: str) -> str:
     """Draw force against set-point, goal current and opening over time, from the first period on.
 
     Nothing is drawn of a force that is not known.
     """
-    cycles = record.cycles[:: max(1, len(record.cycles) // _MAX_PERIODS)]
-    start_s, contact_t_s = cycles[0].t_s, record.outcome.contact_t_s
-    t_s = np.array([cycle.t_s - start_s for cycle in cycles])
-    nowhere = (np.nan, np.nan)
-    force_n = np.array([cycle.force.force_n if cycle.force else nowhere for cycle in cycles])
+    every = slice(None, None, max(1, len(cycles) // _MAX_PERIODS))
+    since_s = cycles.t_s - cycles.t_s[0]
+    t_s, force_n = since_s[every], cycles.force_n[every]
+    ramps = np.flatnonzero(np.array(cycles.phase) == GripperPhase.RAMPING.name)
+    contact_s = float(since_s[ramps[0]]) if len(ramps) else None
     with drawing():
         figure = new_figure(6.4, 6.3)
         force, current, opening = figure.subplots(
@@ -129,25 +127,25 @@ def timeline_figure(record: GraspRecord, name: str) -> str:
             look: Any = {"color": colour(finger), "lw": 1.1, "alpha": 0.75}
             force.plot(t_s, force_n[:, finger], label=f"finger {finger}", **look)
         force.plot(t_s, force_n.mean(axis=1), color=colour(2), lw=2.0, label="grip")
-        asked_n = [cycle.setpoint_n for cycle in cycles]
+        asked_n = cycles.setpoint_n[every]
         force.plot(t_s, asked_n, color=INK, lw=1.3, ls=(0, (4, 2)), label="set-point")
         force.set_ylabel("force / N")
         force.set_ylim(bottom=min(0.0, _least(force_n)))
         force.legend(loc="upper left", ncols=4, handlelength=1.6, columnspacing=1.2)
         force.margins(y=0.22)
-        current.plot(t_s, [1e3 * cycle.goal_current_a for cycle in cycles], color=colour(3))
+        current.plot(t_s, 1e3 * cycles.goal_current_a[every], color=colour(3))
         current.set_ylabel("goal current / mA")
-        opening.plot(t_s, [1e3 * cycle.state.aperture_m for cycle in cycles], color=colour(6))
+        opening.plot(t_s, 1e3 * cycles.aperture_m[every], color=colour(6))
         opening.set_ylabel("opening / mm")
         opening.set_xlabel("time / s")
         for axes in (force, current, opening):
             axes.margins(x=0.01)
-            if contact_t_s is not None:
-                axes.axvline(contact_t_s - start_s, color=MUTED, lw=0.9, ls=":")
-        if contact_t_s is not None:
+            if contact_s is not None:
+                axes.axvline(contact_s, color=MUTED, lw=0.9, ls=":")
+        if contact_s is not None:
             opening.annotate(
                 "contact",
-                (contact_t_s - start_s, 0.92),
+                (contact_s, 0.92),
                 xycoords=("data", "axes fraction"),
                 xytext=(4, 0),
                 textcoords="offset points",

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from cell.learning.shape_reading import in_words
-from cell.report.data import HeldAndFound
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import ShapeAnswer
 
@@ -15,13 +14,16 @@ MAX_BARS = 30
 """Identifications of one object that are drawn, and of nameless ones that are listed; all are
 counted."""
 
+Felt = tuple[str, str, ShapeAnswer | None]
+"""What it really was, empty where nobody has named it, the answer, and its shape."""
+
 _TICKS = 6
 """Ticks of the scale at most."""
 
 
-def shapes_view(rows: Sequence[HeldAndFound]) -> dict[str, Any] | None:
+def shapes_view(rows: Sequence[Felt]) -> dict[str, Any] | None:
     """Return a group for each object, the scale, and what has no name; None without shapes."""
-    felt = [(truth, found.label, found.shape) for truth, found in rows if found.shape is not None]
+    felt = [(truth, label, shape) for truth, label, shape in rows if shape is not None]
     if not felt:
         return None
     ends_mm = [
@@ -31,10 +33,10 @@ def shapes_view(rows: Sequence[HeldAndFound]) -> dict[str, Any] | None:
     low_mm = step_mm * np.floor(min(ends_mm) / step_mm)
     high_mm = step_mm * np.ceil(max(ends_mm) / step_mm)
     span_mm = max(high_mm - low_mm, step_mm)
-    counts = Counter(truth for truth, _ in rows)
+    counts = Counter(truth or label for truth, label, _ in rows)
     groups = []
     for name, count in counts.items():
-        shapes = [shape for truth, _, shape in felt if truth == name]
+        shapes = [shape for truth, label, shape in felt if (truth or label) == name]
         groups.append(
             {
                 "label": name,
@@ -56,7 +58,7 @@ def shapes_view(rows: Sequence[HeldAndFound]) -> dict[str, Any] | None:
                 "text": _sizes(shapes),
             }
         )
-    strangers = [(truth, shape) for truth, answer, shape in felt if answer == UNKNOWN]
+    strangers = [(truth, shape) for truth, label, shape in felt if label == UNKNOWN]
     ticks = np.arange(low_mm, high_mm + 0.5 * step_mm, step_mm)
     return {
         "groups": groups,

@@ -1,7 +1,7 @@
 """The tables of the Modbus registers and commands, made from those of all doors."""
 
-from cell.interfaces.service.host_calls import COMMANDS
-from cell.interfaces.service.host_values import PLATE, VALUES
+from cell.interfaces.host_calls import COMMANDS
+from cell.interfaces.host_values import PLATE, VALUES
 
 
 def registers_page() -> str:

@@ -3,28 +3,28 @@
 from math import hypot
 
 from gripper.errors import LimitExceeded
-from gripper.force.grip_control import FrictionEstimate
+from gripper.force.estimates.friction import FrictionEstimate
 from gripper.force.loop import Moment
-from gripper.force_sensor import ForceSample
-from gripper.kinematics import Linkage, transmissions
+from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings, largest_setpoint_n
-from gripper.state import GripperState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import STANDING_M_S, GripperState
 
 _TORQUE_SHARE, _FRICTION_SHARE = 0.05, 0.15
 """Standard deviation of the torque constant, and of the friction once it was measured on the
-approach, as shares: servos of one model differ by so much (vendor's graphs, simulated cell)."""
+approach, as shares: servos of one model differ by so much (vendor's graphs, simulated cell).
+[vendor]"""
 _CAP_SIGMAS = 2.0
-"""So many standard deviations of the force are kept free below the cap of the force."""
+"""So many standard deviations of the force are kept free below the cap of the force. [chosen]"""
 _AT_REST = 1.25
-"""Friction at rest over that in motion, at most: only more current shows a part."""
-_STILL_M_S = 0.003
-"""Rate of the opening in m/s below which fingers may press on something."""
-_UNMEASURED = 1.6
-"""Friction over the model's, at most: before fingers have run their own is not known."""
+"""Friction at rest over that in motion, at most: only more current shows a part. [assumed]"""
+_STILL_M_S = 1.5 * STANDING_M_S
+"""Rate of the opening in m/s below which fingers may press on something: each servo is one count of
+its velocity off."""
 _EVEN_SHARE, _EVEN_PERIODS = 0.2, 10.0
 """Empty fingers whose speed differs by no more than this share from that of the last periods run
-evenly: friction alone takes their current."""
+evenly: friction alone takes their current. [tuned]"""
 
 
 def force_noise_n(drive_n: float, friction_n: float) -> float:
@@ -59,7 +59,7 @@ def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
 
 
 class ForceByCurrent:
-    """Force sensor by the servos' present current: a `gripper.force_sensor.ForceSensor`.
+    """Force sensor by the servos' present current: a `gripper.values.force_sensor.ForceSensor`.
 
     The gearing holds a load by friction: at a driving force u the grip force may be anywhere from
     u - phi to u + phi. While it rises it is u - phi, while it falls u + phi; phi is measured on the
@@ -97,7 +97,7 @@ class ForceByCurrent:
 
     def latest_force(self) -> ForceSample | None:
         """Return the force at the last feedback of the servos, None before one."""
-        state = self._servos.last_read
+        state = self._servos.feedback.last
         if state is not None and (self._sample is None or state.t_s > self._sample.t_s):
             self._sample = self._by_current(state)
         return self._sample
@@ -109,7 +109,7 @@ class ForceByCurrent:
             for servo, path in zip(state.servos, paths, strict=True)
         )
         # The square wave on the drive is over in two periods.
-        drive_n = tuple(map(_mean, now_n, self._drive_n or now_n))
+        drive_n = tuple(0.5 * sum(two) for two in zip(now_n, self._drive_n or now_n, strict=True))
         self._drive_n = now_n
         closing_m_s = -state.aperture_velocity_m_s
         self._pace_m_s += (closing_m_s - self._pace_m_s) / _EVEN_PERIODS
@@ -122,7 +122,7 @@ class ForceByCurrent:
         share = self._friction.friction_share()
         friction_n = tuple(share * path.friction_n for path in paths)
         if self._held_n is None and abs(closing_m_s) < _STILL_M_S:
-            at_rest = _AT_REST if self._friction.measured else _AT_REST * _UNMEASURED
+            at_rest = _AT_REST if self._friction.measured else _AT_REST * MOST_FRICTION
             pressing = (
                 drive >= self._settings.contact_force_n + at_rest * friction
                 for drive, friction in zip(drive_n, friction_n, strict=True)
@@ -145,7 +145,3 @@ class ForceByCurrent:
             lag_s=0.5 * self._settings.period_s,
             noise_n=force_noise_n(max(drive_n), max(friction_n)),
         )
-
-
-def _mean(first: float, second: float) -> float:
-    return 0.5 * (first + second)

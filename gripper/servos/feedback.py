@@ -20,10 +20,10 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
-from gripper.kinematics import Linkage, transmissions
+from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import GripperState, ServoState
+from gripper.values.state import GripperState, ServoState
 
 _TICK_S = 1e-3
 """One count of Realtime Tick (register 120) in s."""
@@ -51,9 +51,9 @@ _LEAP_RAD = 0.05
 """Motion in rad that is possible beside that: noise of the encoder, time of the reading."""
 _LEAP_LONGEST_S = 0.5
 """Pause in s after which two positions are not compared: a finger may have been moved by hand."""
-_BEYOND_CLOSED_RAD, _BEYOND_CLOSED_M = 0.08, 0.004
+_BEYOND_CLOSED_RAD, BEYOND_CLOSED_M = 0.08, 0.004
 """How far a finger may stand beyond closed, in rad or in m of the opening if that is more: pads
-give and fingers bend."""
+give, fingers bend, and a zero is set by hand."""
 _BEYOND_OPEN_RAD = 0.5
 """How far in rad a finger may stand beyond its widest opening: it may have been moved by hand."""
 _CURRENT_RESERVE = 1.5
@@ -330,7 +330,7 @@ class FeedbackCheck:
         self._settings = settings
         self._linkage = linkage
         self._lowest_rad = tuple(
-            angle - max(_BEYOND_CLOSED_RAD, _BEYOND_CLOSED_M / linkage.opening_per_rad_m(angle))
+            angle - max(_BEYOND_CLOSED_RAD, BEYOND_CLOSED_M / linkage.opening_per_rad_m(angle))
             for angle in linkage.angles_rad(0.0)
         )
         self._highest_rad = tuple(

@@ -20,17 +20,13 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
-from gripper.force_sensor import ForceSample
-from gripper.impact import ImpactLimit, closing_current_max_a, impact_limit
-from gripper.kinematics import Linkage, Transmission
-from gripper.recent import RecentForce
+from gripper.mechanics.impact import ImpactLimit, closing_current_max_a, impact_limit
+from gripper.mechanics.kinematics import Linkage, Transmission
 from gripper.settings import GripperSettings, OverForce, ServoSettings
-from gripper.state import GripperState, ServoState
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import QUIET_N, RecentForce
+from gripper.values.state import GripperState, ServoState
 
-_QUIET_N = 0.08
-"""Noise in N of the mean force that is compared with the cap: noise alone must not trip it."""
-_LEAST_SAMPLES, _LONGEST_S = 3, 0.05
-"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
 _SURE_SAMPLES = 2
 """Newest samples whose mean is compared with the cap where something else excludes noise."""
 _SINGLE_SAMPLE = 3.0
@@ -91,7 +87,7 @@ class GoalGuard:
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
         self._settings = settings
         self._linkage = linkage
-        self._forces = RecentForce(_QUIET_N, least=_LEAST_SAMPLES, longest_s=_LONGEST_S)
+        self._forces = RecentForce()
         self._previous_a: tuple[float, ...] = ()
         # Two apertures bound the angles: wide open, and closed onto each other with the goal as
         # far beyond as a gripping servo needs.
@@ -111,9 +107,9 @@ class GoalGuard:
         No sample of the pads enters the current: whatever these show, a finger presses with no more
         than the set-point, friction at rest, the share that a drive may lack and what the moving
         mass needs. Without a set-point it presses below the cap, as an approach does. A finger that
-        closes faster than the force left below the cap allows, see `gripper.impact`, is braked.
-        While nothing presses on its pad no goal lies farther ahead than that speed needs: between
-        two writes the position controller of the servo keeps to it.
+        closes faster than the force left below the cap allows (`gripper.mechanics.impact`) is
+        braked. While nothing presses on its pad no goal lies farther ahead than that speed needs:
+        between two writes the position controller of the servo keeps to it.
         """
         impact = impact_limit(self._settings, self._linkage, state.angles_rad)
         newest = self.newest_force
@@ -195,7 +191,12 @@ class GoalGuard:
 
         Raises LimitExceeded when a limit is against the goals; it is named.
         """
-        self._check_age(state, now_s)
+        settings, age_s = self._settings, now_s - state.t_s
+        if age_s > settings.bus_loss_s:
+            raise LimitExceeded(
+                f"the servos' feedback is {age_s:.3f} s old, at most {settings.bus_loss_s} s are "
+                f"allowed: check the servo bus"
+            )
         lowering = len(goals) == len(self._previous_a) and all(
             goal.current_a <= before_a + _EQUAL
             for goal, before_a in zip(goals, self._previous_a, strict=True)
@@ -209,9 +210,13 @@ class GoalGuard:
         if not lowering and not opening:
             for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
                 self._check_current_force(index, goal, servo.angle_rad)
-            self._check_temperature(state)
+            if state.temperature_c > settings.temperature_max_c:
+                raise LimitExceeded(
+                    f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
+                    f"{settings.temperature_max_c:g}: let it cool down"
+                )
             newest = self.newest_force
-            if newest is not None and now_s - newest.t_s <= self._settings.force_stale_s:
+            if newest is not None and now_s - newest.t_s <= settings.force_stale_s:
                 self.check_force()
         self._previous_a = tuple(goal.current_a for goal in goals)
 
@@ -228,25 +233,9 @@ class GoalGuard:
             second_n += sample.force_n[1]
             variance_n2 += sample.noise_n**2
             few = n < len(self._forces)
-            times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / _QUIET_N) if few else 1.0
+            times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / QUIET_N) if few else 1.0
             most_n = max(most_n, max(first_n, second_n) / n - times * settings.force_noise_n)
         return most_n - settings.force_max_n
-
-    def _check_age(self, state: GripperState, now_s: float) -> None:
-        settings = self._settings
-        if now_s - state.t_s > settings.bus_loss_s:
-            raise LimitExceeded(
-                f"the servos' feedback is {now_s - state.t_s:.3f} s old, at most "
-                f"{settings.bus_loss_s} s are allowed: check the servo bus"
-            )
-
-    def _check_temperature(self, state: GripperState) -> None:
-        settings = self._settings
-        if state.temperature_c > settings.temperature_max_c:
-            raise LimitExceeded(
-                f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
-                f"{settings.temperature_max_c:g}: let it cool down"
-            )
 
     def _check_goal(self, index: int, goal: ServoGoal, angle_rad: float) -> None:
         settings = self._settings

@@ -15,10 +15,10 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import MODELS
 from gripper.errors import BusCorrupt, BusTimeout, ServoFault, ServoMissing, VerificationFailed
-from gripper.servo_checks import ServoCondition, VerificationReport, VerificationRow
 from gripper.servos.verification import compare, requirements
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import GripperState
+from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
+from gripper.values.state import GripperState
 
 _TORQUE = RegisterBlock(TORQUE_ENABLE)
 _CHECKS = 3

@@ -8,10 +8,10 @@ step that opens.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.state import GripperState
 
 
 def frozen(

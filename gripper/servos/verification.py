@@ -26,8 +26,8 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import LimitExceeded
-from gripper.servo_checks import HardwareError, VerificationRow
 from gripper.settings import CORRECTABLE
+from gripper.values.servo_checks import HardwareError, VerificationRow
 
 _DRIVE_MODE_MASK = 0b1101
 """Bits of Drive Mode (register 10) that must be 0: reverse, time-based profile, torque by goal."""

@@ -5,34 +5,36 @@ Register 98 alone proves nothing: there is firmware in which it reads -1 and the
 stays silent until the watchdog must have tripped, and the positions are compared.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
 from gripper.errors import LimitExceeded, WatchdogUnproven
-from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.state import GripperState
+from gripper.values.state import GripperState
 
-_SPEED_RAW = 4
-"""Profile Velocity (register 112) of the test motion: 0.1 rad/s."""
-_SPEED_RAD_S = _SPEED_RAW * RAD_S_PER_VELOCITY_UNIT
-"""The same in rad/s."""
+_FASTEST_RAW = 4
+"""Largest Profile Velocity (register 112) of the test motion: 0.1 rad/s."""
+_SILENT_RAD = 0.0096
+"""Way in rad that the speed is chosen for within ``watchdog_s``: 6 pulses, 0.6 mm of a finger with
+links of 60 mm. A long watchdog makes the motion slow instead of long."""
 _FORCE_N = 1.0
 """Grip force in N that the current of the test motion allows beyond friction."""
-_START_S = 0.4
-"""Time in s in which the motors start against friction and reach the speed."""
+_START_RAD = 0.04
+"""Way in rad of the goal in which the motors start against friction and reach the speed."""
 _FEED_S = 0.02
 """Time in s between two readings, which feed the watchdog, until then."""
 _WAY_SHARE = 3.0
 """Time for which the motion would go on afterwards, in multiples of ``watchdog_s``."""
 _SILENT_SHARE, _SILENT_MORE_S = 1.5, 0.02
 """Silence of the host, in multiples of ``watchdog_s`` and, on top, a unit of the watchdog in s."""
-_REST_S = 0.15
-"""Time in s for which a stopped motor is watched."""
+_REST_RAD = 0.015
+"""Way in rad that a motor would go on in the time for which it is watched after the stop."""
 _FARTHEST_SHARE, _FARTHEST_MORE_PULSES = 1.5, 4
 """Longest way until the trip, in multiples of that in ``watchdog_s``, and on top in pulses."""
 _LEAST_PULSES = 3
@@ -88,38 +90,33 @@ def prove_watchdog(
     """Let the watchdog trip during a slow motion of the empty, open fingers.
 
     The torque is on and the watchdog armed before and after it. The motion is a profile of 0.1
-    rad/s that goes on for 0.4 s and three times ``watchdog_s``. A servo without a profile in this
-    mode (330 size) is at its goal at once, and stays unproven. Raises WatchdogUnproven when a servo
-    did not stop, did not trip or did not move. Raises LimitExceeded when the watchdog's time is too
-    long, or the fingers are too closed, for a safe motion.
+    rad/s, slower where the watchdog takes longer than 0.1 s; it goes on for its start and three
+    times ``watchdog_s``. A servo without a profile in this mode (330 size) is at its goal at once,
+    and stays unproven. Raises WatchdogUnproven when a servo did not stop, did not trip or did not
+    move. Raises LimitExceeded as `proof_travel_m`.
     """
-    way_rad = _way_rad(settings)
     begin = servos.read()
-    goals_rad = [angle_rad - way_rad for angle_rad in begin.angles_rad]
-    if linkage.aperture_m(goals_rad) < settings.aperture_min_m:
-        raise LimitExceeded(
-            f"the fingers stand at {begin.aperture_m * 1e3:.1f} mm, too closed for the self-test "
-            f"of the watchdog: open them first"
-        )
+    speed_raw, goals_rad = _motion(settings, linkage, begin.angles_rad)
+    speed_rad_s = speed_raw * RAD_S_PER_VELOCITY_UNIT
     paths = transmissions(settings, linkage, begin.angles_rad)
     current_a = motion_current_a(settings, paths, _FORCE_N)
     servos.write_goals(
         [ServoGoal(angle_rad=angle, current_a=current_a) for angle in goals_rad],
         begin,
-        profile_velocity_raw=_SPEED_RAW,
+        profile_velocity_raw=speed_raw,
     )
     # Against friction the motors start late; until then each reading feeds the watchdog.
     before = begin
-    while before.t_s - begin.t_s < _START_S:
+    while before.t_s - begin.t_s < _START_RAD / speed_rad_s:
         clock.sleep(_FEED_S)
         before = servos.read()
     clock.sleep(_SILENT_SHARE * settings.watchdog_s + _SILENT_MORE_S)
     stopped = servos.read()
-    clock.sleep(_REST_S)
+    clock.sleep(_REST_RAD / speed_rad_s)
     later = servos.read()
     tripped = health.watchdogs_tripped()
     servos.restart_watchdog(current_a)
-    farthest_rad = _FARTHEST_SHARE * _SPEED_RAD_S * settings.watchdog_s
+    farthest_rad = _FARTHEST_SHARE * speed_rad_s * settings.watchdog_s
     proofs = tuple(
         WatchdogProof(
             servo_id=servo.servo_id,
@@ -140,15 +137,38 @@ def prove_watchdog(
         )
 
 
-def _way_rad(settings: GripperSettings) -> float:
-    """Return the way of the test motion in rad; LimitExceeded when it is too long."""
-    way_rad = _SPEED_RAD_S * (_START_S + _WAY_SHARE * settings.watchdog_s)
+def proof_travel_m(settings: GripperSettings, linkage: Linkage, aperture_m: float) -> float:
+    """Return by how many m the test motion closes the fingers at most, from an opening in m.
+
+    Raises LimitExceeded when the watchdog's time is too long, or the fingers are too closed, for a
+    safe motion.
+    """
+    _, goals_rad = _motion(settings, linkage, linkage.angles_rad(aperture_m))
+    return aperture_m - linkage.aperture_m(goals_rad)
+
+
+def _motion(
+    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
+) -> tuple[int, list[float]]:
+    """Return Profile Velocity and goal angles in rad of the test motion from these angles."""
+    wanted_raw = round(_SILENT_RAD / settings.watchdog_s / RAD_S_PER_VELOCITY_UNIT)
+    speed_raw = min(max(wanted_raw, 1), _FASTEST_RAW)
+    way_rad = _START_RAD + _WAY_SHARE * settings.watchdog_s * speed_raw * RAD_S_PER_VELOCITY_UNIT
     if way_rad > _LONGEST_RAD:
         raise LimitExceeded(
-            f"watchdog_s is {settings.watchdog_s} s: its self-test would move the fingers by "
-            f"{way_rad:.2f} rad, at most {_LONGEST_RAD} rad are allowed; shorten watchdog_s"
+            f"the self-test of a watchdog of {settings.watchdog_s:g} s would move the fingers by "
+            f"{way_rad:.2f} rad, at most {_LONGEST_RAD} rad are allowed: shorten "
+            "gripper.watchdog_ms"
         )
-    return way_rad
+    goals_rad = [angle_rad - way_rad for angle_rad in angles_rad]
+    open_m, closed_m = linkage.aperture_m(angles_rad), linkage.aperture_m(goals_rad)
+    if closed_m < settings.aperture_min_m:
+        raise LimitExceeded(
+            f"the opening is {open_m * 1e3:.1f} mm, the self-test of the watchdog closes the "
+            f"fingers by {(open_m - closed_m) * 1e3:.1f} mm: open them further first "
+            "(gripper.aperture_open_mm), or shorten gripper.watchdog_ms"
+        )
+    return speed_raw, goals_rad
 
 
 def _pulses(first: GripperState, second: GripperState, index: int) -> int:

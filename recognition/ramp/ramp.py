@@ -85,6 +85,8 @@ class Rest:
             counts=np.asarray(arrays["rest_counts"], dtype=np.float64),
             noise_counts=np.asarray(arrays["noise_counts"], dtype=np.float64),
         )
+        if not rest.gripping or not set(rest.gripping) <= set(range(rest.pads.n_pads)):
+            raise ValueError(f"pads {rest.gripping} grip, there are 0 to {rest.pads.n_pads - 1}")
         largest = float(np.abs(np.concatenate([rest.counts, rest.noise_counts])).max())
         if not largest <= rest.pads.adc_max:
             raise ValueError(f"untouched pads read {largest:g}, beyond {rest.pads.adc_max}")

@@ -1,1 +1,1 @@
-"""Statistics of recognisers: discriminants, calibration, novelty, fusion, the next grasp."""
+"""Statistics of recognisers: discriminants, calibration, novelty, fusion."""

@@ -58,6 +58,14 @@ def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> 
     return float(np.exp(found.x))
 
 
+def kept_temperature(array: NDArray[np.float64]) -> float:
+    """Return a temperature that a model keeps. Raises ValueError for one that none is fitted to."""
+    temperature, largest = float(array), np.exp(2.0 * _LOG_TEMPERATURES[1])
+    if not 1.0 / largest < temperature < largest:
+        raise ValueError(f"temperature is {temperature:g}, beyond 1/{largest:.0f} to {largest:.0f}")
+    return temperature
+
+
 def to_probability(scores: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
     """Return (n, C) probabilities: softmax(scores / T) with a small uniform share."""
     p = np.exp(log_softmax(scores / temperature, axis=1))

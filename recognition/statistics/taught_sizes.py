@@ -13,6 +13,8 @@ _PRIOR_MM = (0.5, 0.2)
 the full load, which depends on the force, and of that at the first touch."""
 _PRIOR_GRASPS = 4.0
 """Weight of that expectation, in grasps: the units come from the grasps where there are more."""
+_LEAST_UNIT_MM = 1e-6
+"""Least usual distance in mm of a model that is read: the expectation gives far more."""
 _WITHOUT_LARGEST = 2.0
 """About how many times the mean square of these distances is that of all but the largest of each
 object, where neighbours lie at random. Of few grasps of a box the only one on another side lies
@@ -33,6 +35,10 @@ class TaughtSizes(ArrayRecord):
     """(n,) int64: object of each."""
     unit_mm: NDArray[np.float64]
     """(k,) float64: usual distance in mm from a grasp to the nearest one of the same object."""
+
+    def __post_init__(self) -> None:
+        if not np.all(self.unit_mm > _LEAST_UNIT_MM):
+            raise ValueError(f"unit_mm is {self.unit_mm}, must be above {_LEAST_UNIT_MM:g}")
 
     def distances(
         self, sizes_mm: NDArray[np.float64], slack_mm: NDArray[np.float64]

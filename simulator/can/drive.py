@@ -27,6 +27,9 @@ _REGISTER_GENERIC, _REGISTER_COMMUNICATION = 0x01, 0x11
 _SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4, 0x8
 _START_BIT, _HALT_BIT, _RESET_BIT = 0x10, 0x100, 0x80
 """Bits of the controlword (CiA 402-2)."""
+_SPECIFIER, _UPLOADED, _EXPEDITED = 0xE0, 0x40, 0x03
+"""First byte of an SDO answer: bits of the specifier, an object that is read, within the answer and
+with its size (CiA 301, 7.2.4.3.6)."""
 _STANDING = 100.0
 """Speed of the mechanism in increments/s up to which it stands."""
 _POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
@@ -64,6 +67,10 @@ class SimulatedDrive(CanopenDevice):
         """Fault knob: -1 or 1 for a limit switch that is always active."""
         self.slipped = 0.0
         """Fault knob: so much in m or rad the axis is off what the encoder shows."""
+        self.misread = 0.0
+        """Fault knob: so much in m or rad the encoder shows too much."""
+        self.answer_bytes: int | None = None
+        """Fault knob: each object that is read has so many bytes; None: as many as it has."""
         super().__init__(mount.node_id, od.of_node(mount.node_id), start_s)
         self._node.add_read_callback(self._read)
         self._node.add_write_callback(self._write)
@@ -71,7 +78,9 @@ class SimulatedDrive(CanopenDevice):
             od.STATUSWORD: lambda: self.statusword,
             od.MODE_DISPLAY: lambda: self._number(od.MODE),
             od.ERROR_CODE: lambda: self._error_code,
-            od.POSITION: lambda: round(self.motion.actual - self._zero),
+            od.POSITION: lambda: round(
+                self.motion.actual - self._zero + self.misread * mount.increments
+            ),
             od.VELOCITY: lambda: round(self.motion.actual_speed),
             od.FOLLOWING_ERROR: lambda: round(self.motion.demand - self.motion.actual),
             od.DIGITAL_INPUTS: self._inputs,
@@ -116,9 +125,7 @@ class SimulatedDrive(CanopenDevice):
         if now_s >= self._host_due_s:
             self._host_due_s = math.inf
             self._node.emcy.send(od.HOST_LOST_CODE, _REGISTER_COMMUNICATION, b"")
-            stops = self._number(od.ABORT_CONNECTION) == od.STOP_WHEN_HOST_IS_LOST
-            if stops and self.state is State.OPERATION_ENABLED:
-                self._quick_stop()
+            self._abort_connection()
         while self._stepped_s + STEP_S <= now_s + 1e-9:
             self._stepped_s += STEP_S
             self._step()
@@ -129,14 +136,20 @@ class SimulatedDrive(CanopenDevice):
         if self.dead or math.isfinite(self._boot_due_s):
             return
         if can_id == od.COB_NMT and len(data) == 2 and data[1] in {0, self.mount.node_id}:
-            if data[0] in RESETS:
-                self.power_cycle()
-            else:
-                self._node.nmt.on_command(0, data, now_s)
+            self.command(data[0])
         elif can_id == od.COB_HEARTBEAT + (self._number(od.CONSUMER_HEARTBEAT, 1) >> 16):
             self._host_due_s = now_s + 1e-3 * (self._number(od.CONSUMER_HEARTBEAT, 1) & 0xFFFF)
         elif can_id == self._node.sdo.rx_cobid and self._node.nmt.state != "STOPPED":
             self._serve(data)
+
+    def command(self, code: int) -> None:
+        """Carry out an NMT command."""
+        if code in RESETS:
+            self.power_cycle()
+            return
+        self._node.nmt.on_command(0, bytes((code, self.mount.node_id)), self._network.now_s)
+        if self._node.nmt.state == "STOPPED":
+            self._abort_connection()
 
     def power_cycle(self) -> None:
         """Lose power and come back: set-up and position are lost, the axis stays where it is."""
@@ -244,6 +257,12 @@ class SimulatedDrive(CanopenDevice):
         elif low == Control.ENABLE_OPERATION:
             self.state = State.OPERATION_ENABLED
 
+    def _abort_connection(self) -> None:
+        """Do what 6007h asks for when the host is lost or has stopped the node (CiA 402-2)."""
+        stops = self._number(od.ABORT_CONNECTION) == od.STOP_WHEN_HOST_IS_LOST
+        if stops and self.state is State.OPERATION_ENABLED:
+            self._quick_stop()
+
     def _quick_stop(self) -> None:
         if self.state is not State.OPERATION_ENABLED:
             if self.state is not State.QUICK_STOP_ACTIVE:
@@ -339,3 +358,9 @@ class SimulatedDrive(CanopenDevice):
 
     def _silenced(self) -> bool:
         return self.dead
+
+    def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
+        upload = can_id == self._node.sdo.tx_cobid and data[0] & _SPECIFIER == _UPLOADED
+        if upload and self.answer_bytes is not None:
+            data = bytes((_UPLOADED | (4 - self.answer_bytes) << 2 | _EXPEDITED, *data[1:]))
+        super()._emit(t_s, can_id, data)

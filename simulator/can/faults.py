@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import SimulatorSettingsError
-from tactile.frames.force_message import ForceMessage
+from tactile.source import ForceMessage
 
 _EMPTY_MESSAGES = 50
 """Messages of the empty pads that are kept to be shown again."""

@@ -12,7 +12,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.frames.force_message import ForceMessage
+from tactile.source import ForceMessage
 
 MESSAGE_BYTES = 8
 FORCE_COUNTERS = 16

@@ -21,8 +21,8 @@ from simulator.can.messages import (
     read_table,
     read_zero,
 )
-from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import TaxelLayout
+from tactile.source import ForceMessage, ForceStatus
 
 _MEAN_SCANS = 4
 """Scans of the running mean that decides what is touched: 12 ms at 333 scans a second."""

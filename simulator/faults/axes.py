@@ -62,6 +62,12 @@ def _slip(target: Target) -> None:
     _axis(target).slipped += target.number
 
 
+def _second_node(target: Target) -> Effect:
+    bus = target.devices.axes_can_devices
+    assert bus is not None, "a drive is on a bus"
+    return Effect(undo=bus.add(SimulatedDrive(_drive(target).mount, start_s=target.now_s)))
+
+
 # fmt: off
 AXIS = (
     FaultEntry("axisN.following_error", FaultKind.STUCK,
@@ -79,6 +85,22 @@ AXIS = (
                  _fault, Number("code", 1, 0xFFFF, default=0x2310, whole=True)),
     moment_fault("axisN.reboot", FaultKind.REBOOT,
                  "its drive or servo restarts: torque off, set-up and position lost", _reboot),
+    FaultEntry("axisN.misread", FaultKind.WRONG,
+               "the encoder of its drive reads so much more from one moment to the next",
+               lambda target: Effect(undo=turned(_drive(target), "misread", target.number)),
+               "axis_position", Number("m or rad", -100.0, 100.0, default=5.0), check=_drive),
+    moment_fault("axisN.nmt", FaultKind.OFF,
+                 "another CANopen master commands its drive: 2 stop, 128 pre-operational",
+                 lambda target: _drive(target).command(int(target.number)),
+                 Number("command", 1, 130, default=2, whole=True), check=_drive),
+    FaultEntry("axisN.second_node", FaultKind.WRONG,
+               "another drive with the same node-ID joins the bus", _second_node, "axis_second",
+               check=_drive),
+    FaultEntry("axisN.wrong_length", FaultKind.WRONG,
+               "its drive answers with so many bytes for each object that is read",
+               lambda target: Effect(
+                   undo=turned(_drive(target), "answer_bytes", int(target.number))),
+               "axis_answers", Number("bytes", 1, 4, default=1, whole=True), check=_drive),
     moment_fault("axisN.slip", FaultKind.WRONG,
                  "a coupling slips by so much, which no encoder shows", _slip,
                  Number("m or rad", -1.0, 1.0, default=0.001)),

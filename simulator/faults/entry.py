@@ -156,7 +156,7 @@ class FaultEntry:
     apply: Callable[[Target], Effect]
     """Begins the fault on a target."""
     knob: str = ""
-    """Faults of one knob (and one servo) exclude each other at the same time."""
+    """Faults of one knob of a component (and of one servo) exclude each other at the same time."""
     value: Number | Setting | None = None
     """What may stand behind ``=``; None for nothing."""
     moment: bool = False
@@ -164,6 +164,11 @@ class FaultEntry:
     check: Callable[[Target], object] | None = None
     """Refuses what does not fit the cell, with SimulatorSettingsError, before anything is changed.
     """
+
+    def turns_knob_of(self, other: "FaultEntry") -> bool:
+        """Whether both turn the same knob; ``servos`` and ``servoN`` are one component."""
+        one, two = (entry.name.partition(".")[0].rstrip("sN") for entry in (self, other))
+        return bool(self.knob) and (one, self.knob) == (two, other.knob)
 
 
 Apply = Callable[[Target], Effect]
@@ -211,6 +216,8 @@ def moment_fault(
     meaning: str,
     act: Callable[[Target], object],
     value: Number | None = None,
+    *,
+    check: Callable[[Target], object] | None = None,
 ) -> FaultEntry:
     """Return a fault that is over as it happens."""
 
@@ -218,7 +225,7 @@ def moment_fault(
         act(target)
         return Effect(undo=nothing)
 
-    return FaultEntry(name, kind, meaning, apply, value=value, moment=True)
+    return FaultEntry(name, kind, meaning, apply, value=value, moment=True, check=check)
 
 
 def knob_fault(

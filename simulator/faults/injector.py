@@ -7,12 +7,13 @@ when it begins; `simulator.faults.text` has the form. Nothing here can reach rea
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from difflib import get_close_matches
 from functools import partial
 
 from simulator.clock import ROUNDING_S
 from simulator.devices import CellDevices
-from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.errors import SimulatorError, SimulatorSettingsError, SimulatorStateError
 from simulator.faults.axes import AXIS
 from simulator.faults.can import CAN, TAXELS, UNIT
 from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target, turned
@@ -121,7 +122,7 @@ class InjectedFault:
 
     def meets(self, other: "InjectedFault") -> bool:
         """Return whether both turn the same knob and may do so at the same time."""
-        if not self.entry.knob or self.entry.knob != other.entry.knob:
+        if not self.entry.turns_knob_of(other.entry):
             return False
         if self.entry.name.startswith(_EACH) and other.entry.name.startswith(_EACH):
             shared = self.entry.knob == "delay" or self.servo == other.servo
@@ -169,22 +170,37 @@ class FaultInjector:
         not fit this cell. Raises SimulatorStateError if a fault on the same knob is there at that
         time.
         """
-        fault = InjectedFault(self, text, self.now_s)
+        fault = self._checked(text)
         for other in self.faults:
             if fault.meets(other):
                 raise SimulatorStateError(
                     f"{other.text} is injected and turns the same knob as {fault.text}: "
                     "clear it first, or give both a start and an end"
                 )
-        if fault.entry.name.startswith("object."):
-            _ = self.devices.physical
-        if fault.entry.check is not None:
-            fault.entry.check(fault.target(self.devices, self._plugs, self.now_s))
         self._seen_s[fault] = {}
         if fault.begins_at_once:
             self._begin(fault, self.now_s)
         else:
             self._pending.append(fault)
+        return fault
+
+    def kinds(self) -> dict[str, FaultEntry]:
+        """Return the faults that fit this cell by their names, each servo and axis for itself."""
+        devices, found = self.devices, {}
+        for entry in VOCABULARY.values():
+            each = {"servoN": len(devices.settings.servos), "axisN": len(devices.axes)}
+            for number in range(each.get(entry.name.partition(".")[0], 1)):
+                name = entry.name.replace("N.", f"{number + 1}.")
+                with suppress(SimulatorError):
+                    found[name] = self._checked(name).entry
+        return found
+
+    def _checked(self, text: str) -> InjectedFault:
+        fault = InjectedFault(self, text, self.now_s)
+        if fault.entry.name.startswith("object."):
+            _ = self.devices.physical
+        if fault.entry.check is not None:
+            fault.entry.check(fault.target(self.devices, self._plugs, self.now_s))
         return fault
 
     def clear(self, text: str) -> int:

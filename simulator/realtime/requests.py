@@ -1,18 +1,23 @@
 """Requests of other processes to a simulated cell: objects, recorded grasps, state, faults."""
 
 import math
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields
 from typing import Any
+
+import numpy as np
 
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.injector import FaultInjector
 from simulator.world.shapes import ObjectPose
+from tactile.layout import Pad
 
 _POSE_FIELDS = tuple(entry.name for entry in fields(ObjectPose))
 _FARTHEST = 100.0
 """Largest coordinate or angle of a pose in m or rad: far beyond any cell, and safe to square."""
+_NEAR_EDGE = 0.7
+"""Distance of a fingertip at an edge from the middle of the pad, over that of the edge."""
 
 
 class CellRequests:
@@ -22,12 +27,16 @@ class CellRequests:
 
     - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest
     - ``{"remove": true}``: ``{"removed": true}``
-    - ``{"press": pad, "x_m": 0.0, "y_m": 0.0, "force_n": 2.0}``: ``{"pressed": pad}``, a person's
-      fingertip on a pad; ``{"lift": true}``: ``{"lifted": true}``
+    - ``{"press": "finger0.inner", "at": ["tip", "left"], "force_n": 2.0}``: ``{"pressed": pad}``, a
+      person's fingertip on a pad, in its middle or at some of tip, base, left, right, inside,
+      outside as `simulator.realtime.hands` has them; ``{"lift": true}``: ``{"lifted": true}``
     - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
     - ``{"hand": {"1": 0.02, "2": 0}}``: a person moves the fingers of these servos, without torque,
       to half openings in m: ``{"moving": true}``; "state" shows when they are left
-    - ``{"state": true}``: what is placed, forces, opening, frames left, axes, faults
+    - ``{"state": true}``: what is placed and pressed, forces, opening, half openings, number of
+      servos, names of the pads, frames left, axes, faults
+    - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, kind, meaning,
+      value (null for none), and whether it is a moment, without an end
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
     - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
     """
@@ -35,6 +44,7 @@ class CellRequests:
     def __init__(self, devices: CellDevices, injector: FaultInjector) -> None:
         self._devices = devices
         self._injector = injector
+        self._pressed: str | None = None
         self._requests: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
             "place": self._place,
             "remove": self._remove,
@@ -43,6 +53,7 @@ class CellRequests:
             "play": self._play,
             "hand": self._hand,
             "state": self._state,
+            "kinds": self._kinds,
             "inject": self._inject,
             "clear": self._clear,
         }
@@ -59,6 +70,10 @@ class CellRequests:
                 f"a request names one of {', '.join(self._requests)}; got {', '.join(request)}"
             )
         return self._requests[named[0]](request)
+
+    @property
+    def _pads(self) -> Sequence[Pad]:
+        return self._devices.settings.layout.pads
 
     def _place(self, request: dict[str, Any]) -> dict[str, Any]:
         label, wanted = request["place"], request.get("pose", {})
@@ -85,19 +100,22 @@ class CellRequests:
         return {"removed": True}
 
     def _press(self, request: dict[str, Any]) -> dict[str, Any]:
-        pad = request["press"]
-        if type(pad) is not int:
-            raise SimulatorSettingsError(f"press takes the number of a pad, got {pad!r:.40}")
-        x_m, y_m = (_number(name, request.get(name, 0.0)) for name in ("x_m", "y_m"))
-        if max(abs(x_m), abs(y_m)) > _FARTHEST:
-            raise SimulatorSettingsError(f"x_m, y_m are {x_m:g}, {y_m:g}, limit {_FARTHEST:g} m")
+        name, places = request["press"], request.get("at", [])
+        pads = {pad.name: number for number, pad in enumerate(self._pads)}
+        if not isinstance(name, str) or name not in pads:
+            raise SimulatorSettingsError(
+                f"there is no pad {name!r:.40}; there are {', '.join(pads)}"
+            )
+        x_m, y_m = _place_on(self._pads[pads[name]], places)
         force_n = _number("force_n", request.get("force_n", 2.0))
-        self._devices.physical.press(pad, x_m, y_m, force_n)
-        return {"pressed": pad}
+        self._devices.physical.press(pads[name], x_m, y_m, force_n)
+        self._pressed = name
+        return {"pressed": name}
 
     def _lift(self, request: dict[str, Any]) -> dict[str, Any]:
         _is_true(request, "lift")
         self._devices.physical.lift()
+        self._pressed = None
         return {"lifted": True}
 
     def _play(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -129,8 +147,12 @@ class CellRequests:
         placed = None if plays else devices.physical.placed
         return {
             "placed": None if placed is None else placed[0],
+            "pressed": self._pressed,
+            "pads": [pad.name for pad in self._pads],
+            "servos": len(devices.settings.servos),
             "contact_force_n": list(devices.world.contact_force_n()),
             "aperture_m": devices.mechanics.aperture_m,
+            "fingers_m": list(devices.mechanics.finger_position_m),
             "moved_by_hand": devices.mechanics.moved_by_hand,
             "frames_left": devices.recorded.remaining if plays else 0,
             "control_unit": devices.unit.state,
@@ -141,12 +163,42 @@ class CellRequests:
             "faults": {fault.text: fault.began_s for fault in self._injector.faults},
         }
 
+    def _kinds(self, request: dict[str, Any]) -> dict[str, Any]:
+        _is_true(request, "kinds")
+        return {
+            "kinds": [
+                {
+                    "name": name,
+                    "kind": entry.kind.value,
+                    "meaning": entry.meaning,
+                    "value": None if entry.value is None else asdict(entry.value),
+                    "moment": entry.moment,
+                }
+                for name, entry in self._injector.kinds().items()
+            ]
+        }
+
     def _inject(self, request: dict[str, Any]) -> dict[str, Any]:
         self._injector.inject(_text(request, "inject"))
         return {"inject": request["inject"]}
 
     def _clear(self, request: dict[str, Any]) -> dict[str, Any]:
         return {"cleared": self._injector.clear(_text(request, "clear"))}
+
+
+def _place_on(pad: Pad, places: Any) -> tuple[float, float]:
+    """Return the place on a pad in its plane in m that words name, as ``["tip", "left"]``."""
+    to_tip, inside = np.eye(3)[0], np.eye(3)[2]
+    face = inside if pad.face == "tip" else pad.normal
+    # Finger 1's frame is left-handed.
+    left = (1 - 2 * pad.finger) * np.cross(face, to_tip)
+    ways = {"tip": to_tip, "left": left, "inside": inside, "middle": np.zeros(3)}
+    ways |= {"base": -to_tip, "right": -left, "outside": -inside}
+    if not isinstance(places, list) or any(str(place) not in ways for place in places):
+        raise SimulatorSettingsError(f"a pad has the places {', '.join(ways)}; got {places!r:.60}")
+    way = np.array([pad.x_axis, pad.y_axis]) @ sum((ways[name] for name in places), np.zeros(3))
+    along_m, across_m = 0.5 * pad.rows * pad.pitch_x_m, 0.5 * pad.columns * pad.pitch_y_m
+    return _NEAR_EDGE * along_m * float(way[0]), _NEAR_EDGE * across_m * float(way[1])
 
 
 def _is_true(request: dict[str, Any], name: str) -> None:

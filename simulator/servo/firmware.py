@@ -33,7 +33,7 @@ from gripper.dynamixel.control_table import (
     WATCHDOG_UNIT_S,
 )
 from gripper.dynamixel.models import PULSES_PER_TURN, OperatingMode, ServoModel
-from gripper.servo_checks import HardwareError
+from gripper.values.servo_checks import HardwareError
 from simulator.servo.control_table import ServoRegisters, is_x330
 from simulator.servo.motor import (
     OVERLOAD_BUDGET_S,

@@ -139,8 +139,7 @@ class ThreadedReceiver:
             if isinstance(error, can.CanError | OSError):
                 raise interface_failed(error) from error
             raise ReceiveLoopDead(
-                f"the receive thread ended with {type(error).__name__}: {error}; start the link "
-                "again"
+                f"the receive thread ended ({error!r}); start the link again"
             ) from error
         if self._overrun:
             raise ReceiveLoopDead(

@@ -28,6 +28,10 @@ COB_SDO_REQUEST = 0x600
 logging.getLogger(SdoClient.__module__).setLevel(logging.CRITICAL)
 
 
+class SdoNotAnswered(SdoCommunicationError):
+    """No response came in time."""
+
+
 class PolledSdoClient(SdoClient):
     """canopen's client without its queue's real-time wait: works in one thread, in any time.
 
@@ -100,13 +104,13 @@ class PolledSdoClient(SdoClient):
             super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
     def read_response(self) -> bytes:
-        """Wait for a response; SdoCommunicationError after the time-out."""
+        """Wait for a response; SdoNotAnswered after the time-out."""
         deadline_s = self._clock.monotonic() + self._timeout_s
         self._service()
         while self.responses.empty():
             left_s = deadline_s - self._clock.monotonic()
             if left_s <= 0.0:
-                raise SdoCommunicationError(f"no SDO response within {self._timeout_s:g} s")
+                raise SdoNotAnswered(f"no SDO response within {self._timeout_s:g} s")
             self._wait(left_s)
             self._service()
         response: bytes = self.responses.get_nowait()

@@ -1,11 +1,8 @@
 """The assembler of frames from bursts of messages; a frame that is not whole is dropped."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from tactile.frames.codec import (
-    COUNTER_MASK,
     CRC_BYTES,
     INDEX_BITS,
     MESSAGE_BYTES,
@@ -13,34 +10,12 @@ from tactile.frames.codec import (
     PHASES,
     TRAILER,
     FrameFormat,
-    TactileFrame,
     crc16_ccitt,
 )
+from tactile.source import COUNTER_MASK, FrameStatistics, TactileFrame
 
 _HALF_TURN = 0x8000
 """A counter that is this much or more ahead of the last one is behind it."""
-
-
-@dataclass(slots=True, kw_only=True)
-class FrameStatistics:
-    """Counts of messages and frames since the assembler was made."""
-
-    complete: int = 0
-    """Frames handed out."""
-    lost: int = 0
-    """Frames missing between two handed out, by their counters."""
-    torn: int = 0
-    """Frames begun and given up because messages were missing."""
-    duplicate: int = 0
-    """Messages received twice, dropped."""
-    reordered: int = 0
-    """Messages received after one with a higher index, or after a newer frame had begun; used."""
-    stale: int = 0
-    """Whole frames that were not newer than the last one handed out, dropped."""
-    short: int = 0
-    """Messages that are not of 8 bytes, dropped."""
-    corrupt: int = 0
-    """Frames or messages refused: wrong CRC, wrong phase, index beyond the burst."""
 
 
 class _Burst:

@@ -10,10 +10,6 @@ counter u16 LE, status u8, and CRC-16/CCITT-FALSE u16 LE over all data before it
 import binascii
 import struct
 from dataclasses import dataclass
-from enum import IntFlag
-
-import numpy as np
-from numpy.typing import NDArray
 
 from tactile.errors import LayoutError
 from tactile.layout import TaxelLayout
@@ -25,8 +21,6 @@ TRAILER = struct.Struct("<HBH")
 CRC_BYTES = 2
 CRC_START = 0xFFFF
 """Start value of CRC-16/CCITT-FALSE."""
-COUNTER_MASK = 0xFFFF
-"""The frame counter has 16 bits."""
 PHASES = 4
 """Frames until the phase, the counter's two lowest bits, comes again."""
 PHASE_SHIFT = 6
@@ -36,19 +30,6 @@ INDEX_BITS = 0x3F
 _SHORT_INDEX_LIMIT = INDEX_BITS + 1
 _LONG_INDEX_LIMIT = _SHORT_INDEX_LIMIT * 256
 """Messages that a header of one byte, or of two, can number."""
-
-
-class FrameStatus(IntFlag):
-    """Status byte of a frame."""
-
-    TARED = 0x01
-    """The unit has subtracted a zero of its own from the samples."""
-    SATURATED = 0x02
-    """At least one sample is at full scale."""
-    CONVERTER_FAULT = 0x04
-    """The unit's converter or multiplexer failed its self-test: the samples are void."""
-    OVERRUN = 0x08
-    """The burst before this one was not finished within the synchronous window."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,28 +82,6 @@ class FrameFormat:
     def payload_bytes(self) -> int:
         """Bytes of data of all messages of a frame."""
         return self.n_messages * self.data_bytes
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TactileFrame:
-    """One whole scan of all taxels."""
-
-    t_s: float
-    """Monotonic time in s at which its last message was received."""
-    counter: int
-    """Number of the scan, modulo 65536."""
-    status: int
-    """`FrameStatus` bits."""
-    counts: NDArray[np.uint16]
-    """(n_taxels,) uint16: samples in the order of the layout."""
-    begun_s: float | None = None
-    """Monotonic time in s at which its first message was received, just after the scan; None where
-    that is not known."""
-
-    @property
-    def scanned_s(self) -> float:
-        """Monotonic time of the scan in s, as near as it is known."""
-        return self.t_s if self.begun_s is None else self.begun_s
 
 
 def crc16_ccitt(data: bytes) -> int:

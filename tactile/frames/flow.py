@@ -3,7 +3,7 @@
 from collections import deque
 
 from tactile.errors import DuplicateNode, FrameTimeout
-from tactile.frames.codec import COUNTER_MASK
+from tactile.source import COUNTER_MASK
 
 _LAG_FRAMES = 250
 """Frames after which the least lag seen before is forgotten, once or twice."""

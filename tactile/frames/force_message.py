@@ -11,9 +11,6 @@ and the zero of each taxel. All numbers of both are u16 little-endian.
 """
 
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntFlag
 from typing import Any
 
 import numpy as np
@@ -21,6 +18,7 @@ from numpy.typing import NDArray
 
 from tactile.errors import FrameError
 from tactile.frames.codec import CRC_BYTES, MESSAGE_BYTES, crc16_ccitt
+from tactile.source import ForceMessage, ForceStatus
 
 FORCE_N = 0.002
 """Unit of a force in N: up to 65 N either way."""
@@ -65,36 +63,6 @@ def crc8(data: bytes | bytearray) -> int:
     return crc ^ _CRC8_END
 
 
-class ForceStatus(IntFlag):
-    """Status of a force message, 4 bits."""
-
-    ZEROED = 0x1
-    """Table and zero are there: the forces are forces."""
-    SATURATED = 0x2
-    """A taxel of a gripping pad is at full scale: the force may be more."""
-    CONVERTER_FAULT = 0x4
-    """The unit's converter or multiplexer failed its self-test: the forces are void."""
-    OVERRUN = 0x8
-    """The scan before this one was not finished in time and was left out."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForceMessage:
-    """Force on both gripping pads in one scan."""
-
-    t_s: float
-    """Monotonic time of reception in s."""
-    counter: int
-    """Number of the message modulo 16."""
-    status: ForceStatus
-    """What the unit says of it."""
-    force_n: tuple[float, float]
-    """Force on the pad of finger 0 and of finger 1 in N."""
-    centre_taxels: tuple[float, float] | None = None
-    """Centre of force of both pads together, along and across the fingers from the pads' middle, in
-    pitches of the taxels; None where nothing touches."""
-
-
 def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage:
     """Return the message in 8 bytes received at ``t_s`` s; FrameError for damaged ones."""
     if len(data) != MESSAGE_BYTES:
@@ -112,25 +80,6 @@ def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage:
         if along == _NO_CENTRE
         else (along * CENTRE_TAXELS, across * CENTRE_TAXELS),
     )
-
-
-def mean_centre_taxels(messages: Sequence[ForceMessage]) -> tuple[float, float] | None:
-    """Return the centre of what messages show together, the stronger ones for more, in pitches.
-
-    Those of next to no force, as of a part that is let go, have a centre that is noise. None where
-    none with a centre has any force.
-    """
-    loaded = [
-        (max(0.0, sum(message.force_n)), message.centre_taxels)
-        for message in messages
-        if message.centre_taxels is not None
-    ]
-    total_n = sum(force_n for force_n, _ in loaded)
-    if not total_n > 0.0:
-        return None
-    along = sum(force_n * centre[0] for force_n, centre in loaded) / total_n
-    across = sum(force_n * centre[1] for force_n, centre in loaded) / total_n
-    return along, across
 
 
 def encode_table(force_n: NDArray[np.float64]) -> bytes:

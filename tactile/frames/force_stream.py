@@ -1,33 +1,18 @@
 """The stream of force messages: each is handed out once, none after a newer one. Pure."""
 
 from collections import deque
-from dataclasses import dataclass
 from math import inf
 from operator import itemgetter
 
 from tactile.errors import FrameError
-from tactile.frames.force_message import COUNTERS, ForceMessage, ForceStatus, decode_force_message
+from tactile.frames.force_message import COUNTERS, decode_force_message
+from tactile.source import ForceMessage, ForceStatistics, ForceStatus
 
 _USUAL_MESSAGES = 250
 """Messages after which their least delay is forgotten, once or twice: a unit's clock may be wrong
 by a few thousandths."""
 _BEHIND_S, _LEAST_BEHIND = 0.1, 3
 """Time in s, and least number of messages, that must all come later than usual."""
-
-
-@dataclass(slots=True, kw_only=True)
-class ForceStatistics:
-    """Counts of force messages since the start."""
-
-    received: int = 0
-    """Messages handed out."""
-    lost: int = 0
-    """Messages missing between two handed out, by counter; after a silence so many at least."""
-    repeated: int = 0
-    late: int = 0
-    """Messages received twice; messages that came after a newer one. Dropped."""
-    damaged: int = 0
-    """Messages with a wrong CRC or length, dropped."""
 
 
 class ForceStream:

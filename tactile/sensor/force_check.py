@@ -16,14 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import ForceContradicted
-from tactile.frames.force_message import (
-    TABLE_NODES,
-    ForceMessage,
-    encode_table,
-    mean_centre_taxels,
-)
 from tactile.layout import TaxelLayout
-from tactile.sensor.calibration import Calibration
+from tactile.source import ForceMessage, mean_centre_taxels
 
 _BEFORE_S, _AFTER_S = 0.0065, 0.0055
 """Messages compared with a frame: received from so many s before the first message of its burst to
@@ -68,17 +62,6 @@ _ADVICE = (
     "table, zero or pads are wrong, so neither is used; the grip is kept. Look at the pads and the "
     "calibration, then start the link again"
 )
-
-
-def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:
-    """Return object 0x2141, the table of counts to force of both gripping pads."""
-    table_n = np.empty((2, TABLE_NODES))
-    for node in range(TABLE_NODES):
-        counts = np.full(layout.n_taxels, layout.adc_max * node / (TABLE_NODES - 1))
-        force_n = calibration.force_n(counts)
-        for finger, pad in enumerate(layout.gripping_pads):
-            table_n[finger, node] = force_n[layout.taxels_of(pad)].mean()
-    return encode_table(table_n)
 
 
 class ForceCentres:

@@ -4,10 +4,9 @@ from collections.abc import Callable, Sequence
 from math import inf, sqrt
 from typing import Generic, TypeVar
 
-from tactile.frames.codec import TactileFrame
-from tactile.frames.force_message import ForceMessage, ForceStatus, mean_centre_taxels
 from tactile.sensor.force_check import ForceCentres
 from tactile.sensor.sensor import TactileReading, TactileSensor
+from tactile.source import ForceMessage, ForceStatus, TactileFrame, mean_centre_taxels
 
 _MESSAGE_S = 0.0015
 """From a scan to the reception of its message in s: half a scan, the wire, the adapter."""

@@ -1,13 +1,16 @@
-"""Opening a sensor: the control unit's bus, its link and the sensor in one call."""
+"""Opening a sensor on the CANopen control unit: bus, link and sensor in one call."""
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+
+import numpy as np
 
 from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.clock import Clock
+from tactile.frames.force_message import TABLE_NODES, encode_table
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration
-from tactile.sensor.force_check import force_table
 from tactile.sensor.sensor import SensorSettings, TactileSensor
 from tactile.unit.link import TactileLink
 from tactile.unit.settings import LinkSettings
@@ -23,6 +26,7 @@ def open_sensor(
     node_id: int = 5,
     link: LinkSettings | None = None,
     settings: SensorSettings | None = None,
+    reopen: Callable[[], CanBus] | None = None,
 ) -> TactileSensor:
     """Open the control unit's CAN bus and return its sensor; ``with`` starts the unit.
 
@@ -46,6 +50,8 @@ def open_sensor(
         CANopen node-ID of the unit, 1 to 127.
     link, settings
         Periods and limits of the link, and of the way from frames to forces.
+    reopen
+        Opens a lost bus anew at the next start; without it a lost bus stays lost.
 
     Raises
     ------
@@ -67,16 +73,27 @@ def open_sensor(
             clock=clock,
             settings=replace(link or LinkSettings(), threaded=clock is time),
             force_table=force_table(layout, calibration),
+            reopen=reopen,
         )
         return TactileSensor(
             tactile_link,
-            layout,
             calibration,
             clock=clock,
             settings=settings,
-            close_bus=(lambda: close_bus(bus)) if owned else None,
+            close_line=(lambda: close_bus(bus)) if owned else None,
         )
     except BaseException:
         if owned:
             close_bus(bus)
         raise
+
+
+def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:
+    """Return object 0x2141, the table of counts to force of both gripping pads."""
+    table_n = np.empty((2, TABLE_NODES))
+    for node in range(TABLE_NODES):
+        counts = np.full(layout.n_taxels, layout.adc_max * node / (TABLE_NODES - 1))
+        force_n = calibration.force_n(counts)
+        for finger, pad in enumerate(layout.gripping_pads):
+            table_n[finger, node] = force_n[layout.taxels_of(pad)].mean()
+    return encode_table(table_n)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import FrameTimeout, require_at_least
-from tactile.frames.codec import COUNTER_MASK, TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.filters import Neighbourhood, Values
 from tactile.sensor.tare import TareResult
+from tactile.source import COUNTER_MASK, TactileFrame
 
 Mask = NDArray[np.bool_]
 

@@ -1,10 +1,10 @@
-"""The tactile sensor: whole frames in, forces on taxels, pads and fingers out."""
+"""The tactile sensor: turns the frames of a source into forces on taxels, pads and fingers."""
 
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf, sqrt
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,6 @@ from tactile.errors import (
     ZeroDrifted,
     require_at_least,
 )
-from tactile.frames.codec import FrameStatus, TactileFrame
-from tactile.frames.force_message import ForceMessage, encode_zero
 from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
@@ -33,10 +31,14 @@ from tactile.sensor.filters import (
 from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
 from tactile.sensor.quality import QualityLimits, QualityWatch
 from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
-from tactile.unit.settings import NodeIdentity
-
-if TYPE_CHECKING:
-    from tactile.unit.link import TactileLink
+from tactile.source import (
+    ForceMessage,
+    FrameSource,
+    FrameStatus,
+    PadZero,
+    SourceIdentity,
+    TactileFrame,
+)
 
 _KEPT_FORCES = 1000
 """Force messages that wait to be taken: five seconds at 200 a second; older ones are dropped."""
@@ -45,13 +47,6 @@ _LEAST_TOUCHED = 9
 _EDGE = 1.7
 """Taxels that the unit sums for each that the frames show as touched: it takes their neighbours in,
 and their noise grows with the load (simulated cell, 1 to 8 N)."""
-_TOUCH_SIGMAS = 5.0
-"""Threshold above which the unit counts a taxel, in standard deviations of what it compares."""
-_UNIT_GAIN = 6.0 / 16.0 * sqrt(1.0 / 7.0)
-"""How far the unit's binomial mean over 3 x 3 taxels, of a running mean over 4 scans, shrinks
-independent noise."""
-_TOUCH_SHARE = 0.012
-"""Least such threshold, as a share of the full scale: above the drift that a zero may have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,35 +126,36 @@ class TactileReading:
 
 
 class TactileSensor:
-    """The tactile sensor: tares the frames of a link and turns them into forces.
+    """The tactile sensor: tares the frames of a source and turns them into forces.
 
     Parameters
     ----------
     calibration
         Counts to forces; must be for the layout's full scale.
-    close_bus
-        Closes the bus of the link at the end of a ``with``; None where that is another's.
+    close_line
+        Closes the line of the source at the end of a ``with``; None where another one owns it.
     """
 
     def __init__(
         self,
-        link: "TactileLink",
-        layout: TaxelLayout,
+        source: FrameSource,
         calibration: Calibration,
         *,
         clock: Clock,
         settings: SensorSettings | None = None,
-        close_bus: Callable[[], None] | None = None,
+        close_line: Callable[[], None] | None = None,
     ) -> None:
+        layout = source.layout
         if calibration.adc_max != layout.adc_max:
             raise CalibrationError(
                 f"the calibration is for a full scale of {calibration.adc_max} counts, layout "
                 f"{layout.name} has {layout.adc_max}"
             )
-        self._link = link
-        self._close_bus = close_bus
+        self.source = source
+        """Where frames and force messages come from."""
+        self._close_line = close_line
         self._running = False
-        self._identity: NodeIdentity | None = None
+        self._identity: SourceIdentity | None = None
         self._layout = layout
         self._calibration = calibration
         self._clock = clock
@@ -194,8 +190,8 @@ class TactileSensor:
         return self._layout
 
     @property
-    def identity(self) -> NodeIdentity | None:
-        """Control unit that the last start found, None before one."""
+    def identity(self) -> SourceIdentity | None:
+        """Device that the last start found, None before one."""
         return self._identity
 
     @property
@@ -223,35 +219,25 @@ class TactileSensor:
         return self._tare
 
     @property
-    def link(self) -> "TactileLink":
-        """Where frames and force messages come from."""
-        return self._link
-
-    @property
     def running(self) -> bool:
         """Whether it was started, and not closed since."""
         return self._running
 
-    def start(self) -> NodeIdentity:
-        """Start the link; the zero of an earlier start is forgotten."""
+    def start(self) -> SourceIdentity:
+        """Start the source; the zero of an earlier start is forgotten."""
         self._running = False
         self._reset()
-        self._identity = self._link.start()
+        self._identity = self.source.start()
         self._running = True
         return self._identity
 
-    def close(self) -> None:
-        """Close the link; the bus stays open for another start."""
+    def stop(self) -> None:
+        """Stop the source; the line stays open for another start."""
         self._running = False
-        self._link.close()
-
-    def close_bus(self) -> None:
-        """Close the bus, where `open_sensor` has opened it."""
-        if self._close_bus is not None:
-            self._close_bus()
+        self.source.stop()
 
     def __enter__(self) -> Self:
-        """Start the sensor, see `start`; where that raises the bus is closed."""
+        """Start the sensor, see `start`; where that raises the line is closed."""
         try:
             self.start()
         except BaseException:
@@ -260,23 +246,24 @@ class TactileSensor:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        """Close link and bus."""
-        self.close()
-        self.close_bus()
+        """Stop the source, and close the line where `open_sensor` has opened it."""
+        self.stop()
+        if self._close_line is not None:
+            self._close_line()
 
     def poll(self) -> tuple[TactileReading, ...]:
         """Return the readings that came since the last call, oldest first; does not wait.
 
-        Raises what the link raises, and from then on always, FrameTimeout when the samples are
+        Raises what the source raises, and from then on always, FrameTimeout when the samples are
         frozen, and ForceContradicted when force messages and frames differ.
         """
         if self._failed is not None:
             raise self._failed
-        frames = self._link.poll()
-        for message in self._link.take_forces():
-            self._new_forces.append(message)
+        arrived = self.source.poll()
+        self._new_forces.extend(arrived.forces)
+        for message in arrived.forces:
             self._force_check.add(message)
-        readings = tuple(self._reading(frame) for frame in frames)
+        readings = tuple(self._reading(frame) for frame in arrived.frames)
         if readings:
             self._latest = readings[-1]
         return readings
@@ -332,7 +319,7 @@ class TactileSensor:
         self.poll()
         deadline_s = self._clock.monotonic() + timeout_s
         while len(frames) < n_frames:
-            new = self._link.poll()
+            new = self.source.poll().frames
             frames += new
             if new:
                 deadline_s = self._clock.monotonic() + timeout_s
@@ -355,22 +342,23 @@ class TactileSensor:
         return result
 
     def _write_zero(self, tare: TareResult) -> None:
-        """Give the unit the zero, and the taxels that fail now, for its force messages."""
+        """Set the zero, and the taxels that fail now, for the force messages of the source."""
         self._force_bad = None
-        if not self._link.sends_forces:
+        if not self.source.sends_forces:
             return
         first_n, second_n = (
             float(np.median(self._per_count_n[one] * tare.noise_counts[one])) for one in self._grips
         )
         self._taxel_noise_n = (first_n, second_n)
         grip = np.concatenate([np.arange(one.start, one.stop) for one in self._grips])
-        bad, adc_max = self._quality.bad, self._layout.adc_max
-        noise_counts = float(np.median(tare.noise_counts[grip]))
-        touch_counts = max(_TOUCH_SIGMAS * noise_counts * _UNIT_GAIN, _TOUCH_SHARE * adc_max)
-        self._link.write_zero(
-            encode_zero(touch_counts, tare.offset_counts[grip], bad[grip], adc_max)
+        bad = self._quality.bad
+        self.source.set_zero(
+            PadZero(
+                offset_counts=tare.offset_counts[grip],
+                noise_counts=tare.noise_counts[grip],
+                bad=bad[grip],
+            )
         )
-        self._link.take_forces()
         self._new_forces.clear()
         self._force_check.reset(max(self._taxel_noise_n))
         self._force_bad = bad
@@ -385,7 +373,7 @@ class TactileSensor:
     def check_zero(self) -> None:
         """Compare the newest reading of untouched pads with the zero, before a grasp.
 
-        Where a taxel has failed since the zero was taken, the unit is told now: it takes some ms.
+        Where a taxel has failed since the zero was taken, the zero is set anew: that takes some ms.
 
         Before the first tare, and before the first reading after it, there is nothing to compare.
 

@@ -5,16 +5,19 @@ canopen does the SDO service; the frame messages go past it, from the raw COB-ID
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import sqrt
 from typing import TypeVar
 
 import can
+import numpy as np
 
+from tactile.can.bus import MissingBus
 from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
 from tactile.clock import Clock
-from tactile.errors import LinkFault, LinkStateError, NodeMissing
-from tactile.frames.codec import TactileFrame
-from tactile.frames.force_message import ForceMessage, ForceStatus
+from tactile.errors import BusOff, LinkFault, LinkStateError, NodeMissing, ReceiveLoopDead
+from tactile.frames.force_message import encode_zero
 from tactile.layout import TaxelLayout
+from tactile.source import Arrivals, ForceStatus, PadZero, SourceStatistics
 from tactile.unit import object_dictionary
 from tactile.unit.commissioning import (
     Check,
@@ -28,18 +31,26 @@ from tactile.unit.commissioning import (
 )
 from tactile.unit.mounting import Mounting
 from tactile.unit.session import LinkSession
-from tactile.unit.settings import LinkSettings, LinkStatistics, NodeIdentity
+from tactile.unit.settings import LinkSettings, NodeIdentity
 from tactile.unit.supervision import OPERATIONAL
 
 _Result = TypeVar("_Result")
 
+_TOUCH_SIGMAS = 5.0
+"""Threshold above which the unit counts a taxel, in standard deviations of what it compares."""
+_UNIT_GAIN = 6.0 / 16.0 * sqrt(1.0 / 7.0)
+"""Factor by which the unit's mean shrinks independent noise: binomial over 3 x 3 taxels, running
+over 4 scans."""
+_TOUCH_SHARE = 0.012
+"""Least threshold as a share of the full scale: above the drift that a zero may have."""
+
 
 class TactileLink:
-    """One control unit on one CAN bus.
+    """One control unit on one CAN bus; implements `tactile.source.FrameSource`.
 
     `start`, then call `poll` often: it takes in what was received, sends SYNC when due and looks
     at all deadlines, in the caller's thread. A fault is raised at once and again by every later
-    call until `close` and `start`. The bus stays the caller's: `close` leaves it open.
+    call until `stop` and `start`. The bus stays the caller's: `stop` leaves it open.
 
     Parameters
     ----------
@@ -51,6 +62,8 @@ class TactileLink:
         Monotonic time; real time if ``settings.threaded``.
     force_table
         Object 0x2141, the table by which the unit sums the force; None: no force messages.
+    reopen
+        Opens the bus anew where it was lost; without it a lost bus stays lost.
     """
 
     def __init__(
@@ -62,10 +75,12 @@ class TactileLink:
         clock: Clock,
         settings: LinkSettings | None = None,
         force_table: bytes | None = None,
+        reopen: Callable[[], can.BusABC] | None = None,
     ) -> None:
         if not 1 <= node_id <= 127:
             raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
         self._bus = bus
+        self._reopen = reopen
         self._node_id = node_id
         self.layout = layout
         """The taxels of the unit."""
@@ -85,13 +100,6 @@ class TactileLink:
         kind = ThreadedReceiver if self.settings.threaded else PolledSource
         return kind(self._bus, self._clock)
 
-    def use(self, bus: can.BusABC) -> None:
-        """Take a bus that was opened anew in the place of a lost one, before the next start."""
-        if self._running:
-            raise LinkStateError("the link is running: close it before it takes another bus")
-        self._bus = bus
-        self._source = self._new_source()
-
     def _new_session(self) -> LinkSession:
         return LinkSession(
             self._bus,
@@ -103,7 +111,7 @@ class TactileLink:
         )
 
     @property
-    def statistics(self) -> LinkStatistics:
+    def statistics(self) -> SourceStatistics:
         """Counts since the last start."""
         return self._session.statistics
 
@@ -122,10 +130,14 @@ class TactileLink:
 
         Returns its identity when it is operational. Raises NodeMissing when it does not show up
         in time, IdentityMismatch when it is another one, and any other LinkFault. Allowed again
-        after `close`, which clears a latched fault.
+        after `stop`, which clears a latched fault.
         """
         if self._running:
-            raise LinkStateError("the link runs already: close it before starting again")
+            raise LinkStateError("the link runs already: stop it before starting again")
+        lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
+        if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
+            self._bus = self._reopen()
+            self._source = self._new_source()
         self._running = True
         self._fault = None
         self._session = self._new_session()
@@ -158,35 +170,36 @@ class TactileLink:
         session.service()
         return replace(identity, sends_forces=session.sends_forces)
 
-    def poll(self) -> tuple[TactileFrame, ...]:
-        """Return the whole frames that came since the last call, oldest first; does not wait."""
+    def poll(self) -> Arrivals:
+        """Return the whole frames and force messages since the last call; does not wait."""
         self._guarded(self._session.service)
-        return tuple(map(self._mounting.frame, self._session.take_frames()))
-
-    def take_forces(self) -> tuple[ForceMessage, ...]:
-        """Return the force messages that the polls since the last call took in, oldest first."""
-        return tuple(map(self._mounting.force, self._session.take_forces()))
+        return self._mounting.arrivals(self._session.take())
 
     @property
     def sends_forces(self) -> bool:
         """Whether the unit was set up to send force messages."""
         return self._session.sends_forces
 
-    def write_zero(self, zero: bytes) -> None:
+    def set_zero(self, zero: PadZero) -> None:
         """Write object 0x2142, the zero of the force messages, and read it back.
 
-        Raises IdentityMismatch where the unit did not keep it, and FrameTimeout where messages from
-        before it still come after it. Takes tens of ms; the messages of that time are dropped.
+        Does nothing where the unit sends none. Raises IdentityMismatch where the unit did not keep
+        it, and FrameTimeout where messages from before it still come after it. Takes tens of ms;
+        the messages of that time are dropped.
         """
-        sent = self._mounting.zero(zero)
+        if not self.sends_forces:
+            return
+        noise_counts, adc_max = float(np.median(zero.noise_counts)), self.layout.adc_max
+        touch_counts = max(_TOUCH_SIGMAS * noise_counts * _UNIT_GAIN, _TOUCH_SHARE * adc_max)
+        sent = self._mounting.zero(encode_zero(touch_counts, zero.offset_counts, zero.bad, adc_max))
 
         def write() -> None:
             session = self._session
             objects = session.objects
             objects.write(object_dictionary.FORCE_ZERO, 0, sent)
-            session.take_forces()
+            session.drop_forces()
             found = objects.read(object_dictionary.FORCE_ZERO)
-            old = [one for one in session.take_forces() if not one.status & ForceStatus.ZEROED]
+            old = [one for one in session.drop_forces() if not one.status & ForceStatus.ZEROED]
             late_s = len(old) * self.settings.force_period_s
             if late_s > self.settings.force_late_s:
                 raise session.forces_late(late_s)
@@ -194,10 +207,11 @@ class TactileLink:
                 [Check(what="zero of the force", expected=sent.hex(), found=found.hex())],
                 f"{self._session.name} did not keep its zero and so",
             )
+            session.drop_forces()
 
         self._guarded(write)
 
-    def close(self) -> None:
+    def stop(self) -> None:
         """Stop the frames and the receiver; does not raise on a dead bus, leaves the bus open."""
         if self._running:
             self._running = False

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.frames.codec import TactileFrame
-from tactile.frames.force_message import ForceMessage, reordered_zero
+from tactile.frames.force_message import reordered_zero
 from tactile.layout import PadMount, TaxelLayout, taxel_order
+from tactile.source import Arrivals, ForceMessage
 
 
 class Mounting:
@@ -50,16 +50,17 @@ class Mounting:
         ordered.setflags(write=False)
         return ordered
 
-    def frame(self, frame: TactileFrame) -> TactileFrame:
-        """Return a frame of the unit in the order of the layout."""
+    def arrivals(self, arrived: Arrivals) -> Arrivals:
+        """Return frames and force messages of the unit in the order of the layout."""
         if self._order is None:
-            return frame
-        return replace(frame, counts=self.counts(frame.counts))
+            return arrived
+        return Arrivals(
+            tuple(replace(one, counts=self.counts(one.counts)) for one in arrived.frames),
+            tuple(map(self._force, arrived.forces)),
+        )
 
-    def force(self, message: ForceMessage) -> ForceMessage:
+    def _force(self, message: ForceMessage) -> ForceMessage:
         """Return a force message of the unit with the forces of the layout's fingers."""
-        if self._order is None:
-            return message
         first_n, second_n = message.force_n
         centre = message.centre_taxels
         along, across = self._signs

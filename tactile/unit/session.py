@@ -14,14 +14,14 @@ from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
 from tactile.errors import DuplicateNode, FrameTimeout, NodeMissing
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, TactileFrame
+from tactile.frames.codec import FrameFormat
 from tactile.frames.flow import FrameFlow
-from tactile.frames.force_message import ForceMessage
-from tactile.frames.force_stream import ForceStatistics, ForceStream
+from tactile.frames.force_stream import ForceStream
 from tactile.layout import TaxelLayout
+from tactile.source import Arrivals, ForceMessage, ForceStatistics, SourceStatistics, TactileFrame
 from tactile.unit import object_dictionary as od
 from tactile.unit.sdo import ObjectAccess
-from tactile.unit.settings import LinkSettings, LinkStatistics
+from tactile.unit.settings import LinkSettings
 from tactile.unit.supervision import NodeSupervisor, TrafficLimit
 
 _SURPLUS_ANSWERS = 3
@@ -128,27 +128,28 @@ class LinkSession:
         }
 
     @property
-    def statistics(self) -> LinkStatistics:
+    def statistics(self) -> SourceStatistics:
         """Counts since the start."""
-        return LinkStatistics(
+        return SourceStatistics(
             frames=replace(self._assembler.counts),
             forces=ForceStatistics() if self._forces is None else replace(self._forces.counts),
             recent_loss_rate=self._flow.recent_loss_rate,
-            syncs=self._syncs,
-            late_syncs=self._late_syncs,
             foreign=self._foreign,
             malformed=self._unusable_now(),
             error_frames=self.supervisor.error_frames,
+            requests=self._syncs,
+            late_requests=self._late_syncs,
         )
 
-    def take_frames(self) -> tuple[TactileFrame, ...]:
-        """Return the whole frames since the last call."""
-        frames = tuple(self._frames)
+    def take(self) -> Arrivals:
+        """Return what arrived since the last call, as the unit sends it."""
+        arrived = Arrivals(tuple(self._frames), tuple(self._new_forces))
         self._frames.clear()
-        return frames
+        self._new_forces.clear()
+        return arrived
 
-    def take_forces(self) -> tuple[ForceMessage, ...]:
-        """Return the force messages since the last call."""
+    def drop_forces(self) -> tuple[ForceMessage, ...]:
+        """Take the force messages that wait out of the next arrivals, and return them."""
         forces = tuple(self._new_forces)
         self._new_forces.clear()
         return forces

@@ -1,4 +1,4 @@
-"""Settings of the link to the control unit, what identifies a unit, and what the link counts.
+"""Settings of the link to the control unit, and the identity of a unit.
 
 Each number is declared once, with its default and range; the config file takes both from here.
 """
@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, fields
 from math import inf
 from typing import Any
 
-from tactile.frames.assembler import FrameStatistics
-from tactile.frames.force_stream import ForceStatistics
 from tactile.layout import PadMount
+from tactile.source import SourceIdentity
 from tactile.unit import object_dictionary
 
 WINDOW_SHARE = 0.85
@@ -28,18 +27,11 @@ def setting(default: Any, low: float, high: float) -> Any:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NodeIdentity:
-    """Identity object 0x1018 of the unit that answers, and its name."""
+class NodeIdentity(SourceIdentity):
+    """Identity object 0x1018 of the unit that answers, its name and its boards."""
 
     vendor_id: int
     product_code: int
-    revision: int
-    serial: int
-    name: str = ""
-    boards: tuple[int, int] = (0, 0)
-    """Serial numbers of the pads' boards on finger 0 and finger 1; 0 where a board has none."""
-    sends_forces: bool = False
-    """Whether it was set up to send force messages."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,25 +125,3 @@ class LinkSettings:
         if self.sync_window_s is None:
             return WINDOW_SHARE * self.sync_period_s
         return self.sync_window_s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkStatistics:
-    """What the link counted since its start."""
-
-    frames: FrameStatistics
-    """Frames and frame messages."""
-    recent_loss_rate: float
-    """Share of frames lost in the window of `LinkSettings.loss_window_frames`."""
-    syncs: int
-    """SYNC messages sent."""
-    late_syncs: int
-    """SYNCs that `poll` came to send more than one period late: they are not made up for."""
-    foreign: int
-    """Messages of other nodes or of unknown COB-IDs."""
-    malformed: int
-    """Emergencies, force messages and remote or extended messages that cannot be used, and lines of
-    a serial adapter that are none."""
-    error_frames: int
-    """Error frames of the host's CAN controller."""
-    forces: ForceStatistics = field(default_factory=ForceStatistics)

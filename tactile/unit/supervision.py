@@ -36,7 +36,7 @@ MULTIPLEXER_FAULT = 0xFF04
 ZERO_LOST = 0xFF05
 """Emergency codes that the control unit defines itself; the first one is from CiA 301."""
 
-EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
+_EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
     {
         ERROR_RESET: "no error",
         WINDOW_EXCEEDED: "a burst was cut short, it does not fit into the synchronous window",
@@ -72,7 +72,7 @@ _ACTIVE = 0x40
 """State of the controller in data byte 1 of an error frame: passive in receiving or sending."""
 
 
-def state_name(state: int) -> str:
+def _state_name(state: int) -> str:
     """Return the name of an NMT state as a heartbeat has it."""
     if state == BOOT_UP:
         return "boot-up"
@@ -81,7 +81,7 @@ def state_name(state: int) -> str:
 
 def emergency_text(code: int) -> str:
     """Return the meaning of an emergency code, or of its group where it has none of its own."""
-    exact = EMERGENCY_TEXTS.get(code)
+    exact = _EMERGENCY_TEXTS.get(code)
     if exact is not None:
         return exact
     group: str = EmcyError(code, 0, b"", 0.0).get_desc()
@@ -191,7 +191,7 @@ class NodeSupervisor:
                 )
         elif self._in_operation and self.state != OPERATIONAL:
             raise NodeStateChanged(
-                f"{self._name} is {state_name(self.state)}, expected operational: another NMT "
+                f"{self._name} is {_state_name(self.state)}, expected operational: another NMT "
                 "master, or an error in the unit (object 0x1029); start the link again"
             )
         elif self._in_operation:

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.performance import connects
 from cell.interfaces.http_server import HttpConnection
-from cell.interfaces.service.serving import open_doors
+from cell.interfaces.opening import open_doors
 
 pytestmark = pytest.mark.long
 
@@ -21,7 +21,7 @@ N = 60
 SHORT = f"""
 from contextlib import closing
 from benchmarks.performance import connects
-from cell.interfaces.service.serving import open_doors
+from cell.interfaces.opening import open_doors
 
 connects.BLOCK, connects.REST_S = {N // 2}, 0.0
 with closing(connects.serve()) as service, open_doors(service) as found:

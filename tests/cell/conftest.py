@@ -17,7 +17,7 @@ from cell.data.dataset import read_dataset
 from cell.interfaces.cli.app import app
 from cell.jobs.run import MainResult, teach_and_identify
 from cell.pytest_plugin.virtual import VirtualCell
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Posterior
 from simulator.clock import VirtualClock
@@ -233,3 +233,12 @@ class Scripted:
 
 SURE, UNSURE, STRANGE = (0.9999, 0.001), (0.6, 0.01), (0.9, 0.999)
 """Answers: the first label, either, and neither."""
+
+
+from tests.cell.served import (  # noqa: E402, F401  it takes `small_config` from here
+    anyio_backend,
+    make_plugin,
+    plugin,
+    serve,
+    tls,
+)

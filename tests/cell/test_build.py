@@ -13,7 +13,7 @@ from cell.control.positioner import CallbackPositioner, OperatorPositioner
 from cell.control.states import CellState
 from cell.errors import ConfigError, PositionerError
 from gripper.errors import PortLost
-from gripper.outcome import GraspResult
+from gripper.values.outcome import GraspResult
 from tactile.errors import BusNotOpened, TactileError
 from tests.cell.conftest import MakeBench, small_config
 from tests.cell.jobs.test_doctor import REAL

@@ -13,8 +13,8 @@ import motion
 import recognition
 import tactile
 from cell.errors import CellError, CellStopped, ConfigError, PartInGrip
-from cell.fault_catalogue import CATALOGUE, Fault, fault_number, fault_of
-from cell.interfaces.plugin.worker import Job, JobFailed, JobOutcome, JobStatus
+from cell.fault_catalogue import CATALOGUE, Fault, error_text, fault_number, fault_of
+from cell.plugin.worker import Job, JobFailed, JobOutcome, JobStatus
 from gripper.errors import BusTimeout, FingerSilent, GripperError, PartLost, ServoMissing
 from motion.errors import MotionError
 from recognition.errors import RecognitionError
@@ -44,7 +44,8 @@ FROZEN = {
     "Exception": 599,
     "MotionError": 600, "AxisLimitExceeded": 601, "PositionNotReached": 602, "AxisMissing": 603,
     "AxisSilent": 604, "AxisRestarted": 605, "AxisFault": 606, "LimitSwitchReached": 607,
-    "HomingFailed": 608, "PositionerFault": 609,
+    "HomingFailed": 608, "PositionerFault": 609, "AxisNotOperational": 610,
+    "AxisDuplicated": 611, "AxisAnswerWrong": 612, "PositionImplausible": 613,
     "RecognitionError": 700, "ContactError": 701, "QuadricError": 702, "TransformError": 703,
     "TrajectoryError": 704, "MissingExtraError": 705, "ModelError": 706,
 }  # fmt: skip
@@ -85,6 +86,20 @@ def test_texts_fit_a_display(fault: Fault) -> None:
     assert fault.text.isprintable()
     assert 100 <= fault.number <= 799
     assert all((fault.cause, fault.remedy, fault.grip))
+    # A display shows the remedy alone: it refers to nothing else.
+    assert len(fault.remedy.replace("`", "")) <= 64
+    assert "text" not in fault.remedy
+
+
+@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.__name__)
+def test_people_read_no_class_names(kind: type[BaseException]) -> None:
+    error = kind.__new__(kind, "the cause")
+    error.args = ("the cause",)  # past the arguments that some take
+    error.add_note(note := "the fingers stopped while closing")
+    text = {"OSError": "the cause", "Exception": "unexpected error (Exception): the cause"}
+    assert error_text(error) == text.get(kind.__name__, "the cause") + f"; {note}"
+    assert error_text(OSError(28, "No space left", "x.npz")) == "No space left: x.npz"
+    assert error_text(KeyboardInterrupt()) == "the program was interrupted"
 
 
 def test_a_subclass_has_the_most_specific_entry() -> None:

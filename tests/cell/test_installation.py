@@ -34,9 +34,16 @@ def test_a_module_that_hides_a_package_is_named(name: str, tmp_path: Path) -> No
         ('{"url": "file://HERE", "dir_info": {"editable": true}}', ": pip install -e 'HERE[mesh]'"),
         ('{"url": "file://HERE", "dir_info": {}}', ": pip install 'HERE[mesh]'"),
         ('{"url": "file:///gone", "dir_info": {}}', ""),
-        ('{"url": "https://host/x.whl", "archive_info": {}}', ""),
-        ("", ""),
-        ("not JSON", ""),
+        (
+            '{"url": "https://host/x.whl", "archive_info": {}}',
+            ": pip install 'tactile-cell[mesh] @ https://host/x.whl'",
+        ),
+        (
+            '{"url": "https://host/x", "vcs_info": {"vcs": "git", "commit_id": "1"}}',
+            ": pip install 'tactile-cell[mesh] @ git+https://host/x'",
+        ),
+        ("", ": pip install 'tactile-cell[mesh]'"),
+        ("not JSON", ": pip install 'tactile-cell[mesh]'"),
     ],
 )
 def test_an_extra_is_added_to_the_installation_that_is_there(
@@ -51,6 +58,7 @@ def test_an_extra_is_added_to_the_installation_that_is_there(
 
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert installation.missing_packages("report") == ()
+    assert installation.missing_note("report", "report page") == ""
     monkeypatch.setitem(sys.modules, "jinja2", None)
-    assert installation.missing_packages("report") == ("jinja2",)
+    note = installation.missing_note("report", "report page")
+    assert note.startswith("no report page: jinja2 missing; install this project with its extra")

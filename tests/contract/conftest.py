@@ -37,7 +37,7 @@ from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive
 from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 from tactile.unit.link import TactileLink
 from tactile.unit.settings import LinkSettings
 from tests.faults.scenarios.axes import CHANGES
@@ -108,7 +108,7 @@ class Unit:
         found: list[TactileFrame] = []
         end_s = self.clock.monotonic() + seconds
         while self.clock.monotonic() < end_s:
-            found += self.link.poll()
+            found += self.link.poll().frames
             self.clock.sleep(0.001)
         return found
 
@@ -230,7 +230,7 @@ def unit(
         found.clock.sleep(POWER_UP_S)
         found.reset()
         yield found
-        link.close()
+        link.stop()
         found.reset()
     finally:
         bench.close()

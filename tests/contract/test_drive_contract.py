@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from motion import object_dictionary as od
-from motion.errors import AxisMissing
+from motion.errors import AxisMissing, AxisNotOperational
 from motion.object_dictionary import Control, ModeOfOperation, State
 
 READY = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON)
@@ -30,6 +30,16 @@ def test_its_heartbeat_comes_as_often_as_it_shall(drive: Any) -> None:
     beats = drive.heard(od.COB_HEARTBEAT + drive.node_id, 1.0)
     assert 15 <= len(beats) <= 25
     assert all(len(data) == 1 and data[0] & 0x7F in (4, 5, 127) for _, data in beats)
+
+
+def test_a_stopped_drive_beats_on_and_answers_no_sdo(drive: Any) -> None:
+    drive.device._write(od.HEARTBEAT_MS, 0, 50)
+    drive.device._command("STOPPED")
+    with pytest.raises(AxisNotOperational, match="NMT state stopped"):
+        drive.device.identify()
+    drive.device.clear_fault(reboot=False)
+    beats = drive.heard(od.COB_HEARTBEAT + drive.node_id, 0.5)
+    assert {data[0] & 0x7F for _, data in beats[1:]} == {5}
 
 
 def test_what_is_set_up_is_read_back(drive: Any) -> None:

@@ -40,7 +40,7 @@ def test_each_sync_gives_one_whole_frame(unit: Any) -> None:
         assert frame.counts.shape == (layout.n_taxels,)
         assert frame.counts.max() <= layout.adc_max
     found = unit.link.statistics
-    assert len(frames) <= found.syncs
+    assert len(frames) <= found.requests
     counts = found.frames
     assert (counts.lost, counts.torn, counts.short, counts.corrupt) == (0, 0, 0, 0)
 
@@ -48,7 +48,7 @@ def test_each_sync_gives_one_whole_frame(unit: Any) -> None:
 def test_without_sync_no_frame_comes(unit: Any) -> None:
     unit.link.start()
     unit.frames(0.1)
-    unit.link.close()
+    unit.link.stop()
     end_s = unit.clock.monotonic() + 0.05
     while unit.clock.monotonic() < end_s:
         unit.receive(0x180 + unit.node_id, 0.01)  # what was on its way

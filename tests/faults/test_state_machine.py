@@ -10,16 +10,17 @@ from hypothesis import given, settings
 
 from cell.control.controller import CellController
 from cell.control.keeping import Keep
+from cell.interfaces.host_calls import Calls
 from cell.interfaces.modbus.registers import ModbusDoor
-from cell.interfaces.service.host_calls import Calls
-from cell.interfaces.service.lease import Lease
-from cell.interfaces.service.service import RELEASE_KEY, Service
+from cell.plugin.lease import Lease
+from cell.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action
-from gripper.force.part_loss import EmptyGrip, PartWatch
+from gripper.force.supervision.doubt import Doubted
+from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.gripper import Gripper
 from gripper.servos.group import ServoGroup
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from simulator.faults.injector import check_fault
 from tests.cell.conftest import once
 from tests.faults import driver
@@ -115,7 +116,7 @@ def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
 def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     fault = "unit.force_gain=0@contact+80ms"
     drive(fault=fault)
-    monkeypatch.setattr(PartWatch, "_confirmed", lambda watch, *_, **__: watch.doubts)
+    monkeypatch.setattr(Doubted, "lost", lambda *_: True)
     monkeypatch.setattr(EmptyGrip, "step", lambda *_: Action(done=True))
     with pytest.raises(InvariantBroken, match=r"open by themselves on a part .* [123]\.\d"):
         drive(fault=fault)

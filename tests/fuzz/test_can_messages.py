@@ -18,10 +18,10 @@ from simulator.settings import SimulatorSettings
 from tactile.can.sdo_client import MAX_OBJECT_BYTES, PolledSdoClient
 from tactile.errors import NodeEmergency, NodeMissing, TactileError
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, TactileFrame
-from tactile.frames.force_message import ForceMessage, ForceStatus
+from tactile.frames.codec import FrameFormat
 from tactile.frames.force_stream import ForceStream
 from tactile.layout import paper_layout
+from tactile.source import ForceMessage, ForceStatus, TactileFrame
 from tactile.unit import object_dictionary as od
 from tactile.unit.sdo import ObjectAccess
 from tactile.unit.session import LinkSession
@@ -180,7 +180,7 @@ def test_a_link_in_operation_gives_frames_that_came_or_its_own_errors(bus, befor
         session.service()
     except TactileError:
         return "refused"
-    frames = session.take_frames()
+    frames = session.take().frames
     for frame in frames:
         assert_came(frame, PAPER, [bytes(one.data) for one in messages])
     return "whole frames" if frames else "dropped"

@@ -14,9 +14,11 @@ import pytest
 import trimesh
 from hypothesis import strategies as st
 
+from cell.commissioning.backup import Backup
 from cell.config.file import MAX_BYTES, config_text, parse_config
 from cell.config.model import CellConfig
-from cell.errors import ConfigError
+from cell.data.formats import SERVO_BACKUP, read_json, write_json
+from cell.errors import CellError, ConfigError
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.injector import FaultInjector
@@ -72,6 +74,27 @@ configs = (
         json.dumps
     )
 )
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    path = tmp_path_factory.mktemp("kept") / "backup-servo1.json"
+    backup = Backup(servo_id=1, baud_rate=1_000_000, found={"model_number": 1020, "id": 1})
+    write_json(path, SERVO_BACKUP, backup, error=CellError)
+    return path, path.read_bytes()
+
+
+@bad_input(harm=damages(), sound={"harm": []})
+def test_a_kept_file_is_refused_or_read_as_it_was_written(harm, kept):
+    path, data = kept
+    path.write_bytes(spoilt(data, harm))
+    try:
+        found = read_json(path, SERVO_BACKUP, error=CellError)
+    except CellError:
+        return "refused"
+    values = json.loads(data)
+    assert found == {name: values[name] for name in ("servo_id", "baud_rate", "found")}
+    return "read"
 
 
 @bad_input(text=configs, examples=120, limit_s=3.0)

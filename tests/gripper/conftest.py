@@ -12,12 +12,12 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from gripper.force.ramp import ForceRamp
-from gripper.force_sensor import ForceSample
 from gripper.gripper import Gripper
-from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
-from gripper.outcome import GraspResult
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
-from gripper.state import Cycle
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo

@@ -20,7 +20,7 @@ from gripper.errors import (
 )
 from gripper.force.ramp import ForceRamp
 from gripper.settings import OverForce
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 

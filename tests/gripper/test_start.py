@@ -9,9 +9,9 @@ from gripper.errors import (
     VerificationFailed,
 )
 from gripper.force.ramp import ForceRamp
-from gripper.outcome import GraspResult
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 
 
 def test_a_servo_with_another_id_is_named_in_the_table(make_cell) -> None:

@@ -21,8 +21,8 @@ from cell.hand.client import HandProcess
 from cell.pytest_plugin.process import CellProcess
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp
-from gripper.outcome import GraspResult
-from gripper.state import Cycle, GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle, GripperPhase
 from tests.hil.program import first
 
 pytestmark = pytest.mark.real_time

@@ -11,7 +11,7 @@ from xmlrpc.client import ServerProxy
 
 import pytest
 
-from cell.interfaces.service.service import RELEASE_KEY
+from cell.service.service import RELEASE_KEY
 from tests.hil import program
 from tests.hil.program import CONFIG, LIMIT_S, first
 

@@ -15,6 +15,7 @@ from motion.drive import Cia402Drive, DriveSettings
 from motion.object_dictionary import HomingMethod
 from motion.servo import ServoAxis, ServoAxisSettings
 from simulator.can.drive import DriveMount, SimulatedDrive
+from simulator.can.link import CanDevices
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream
@@ -44,6 +45,7 @@ class DriveBench:
 
     clock: VirtualClock
     simulated: SimulatedDrive
+    devices: CanDevices
     bus: InMemoryCanBus
     drive: Cia402Drive
     axes: Axes
@@ -53,6 +55,11 @@ class DriveBench:
         return self.axes.move({"x": x_m}, lambda: self.supervised.append(self.clock.monotonic()))[
             "x"
         ]
+
+    def second_drive(self) -> Callable[[], None]:
+        """Let a drive with the same node-ID join the bus; returns what takes it off again."""
+        now_s = self.clock.monotonic()
+        return self.devices.add(SimulatedDrive(self.simulated.mount, start_s=now_s))
 
     def once_moving(self, act: Callable[[], Any]) -> None:
         """Do something once, 20 ms after the axis began to move."""
@@ -79,7 +86,8 @@ def make_drive() -> Iterator[MakeDrive]:
                 absolute=settings.homing is None,
             )
         )
-        bus = InMemoryCanBus(simulated, clock)
+        devices = CanDevices(simulated)
+        bus = InMemoryCanBus(devices, clock)
         buses.append(bus)
         clock.sleep(BOOT_S)
         watch = Watch(clock, 0.005)
@@ -90,12 +98,13 @@ def make_drive() -> Iterator[MakeDrive]:
             increments=PER_M,
             low=-0.02,
             high=0.02,
+            plausible=(-0.026, 0.026),
             velocity=settings.velocity / PER_M,
             acceleration=settings.acceleration / PER_M,
             unit="mm",
             shown=1e3,
         )
-        return DriveBench(clock, simulated, bus, drive, Axes([axis], watch))
+        return DriveBench(clock, simulated, devices, bus, drive, Axes([axis], watch))
 
     yield make
     for bus in buses:
@@ -144,6 +153,7 @@ def make_wrist() -> Callable[..., WristBench]:
             increments=PER_RAD,
             low=0.0,
             high=math.pi,
+            plausible=(-0.2, math.pi + 0.2),
             velocity=1.4,
             acceleration=7.0,
             unit="deg",

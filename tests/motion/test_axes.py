@@ -7,7 +7,14 @@ import pytest
 
 from motion.axes import Axes, Axis
 from motion.bus import Watch
-from motion.errors import AxisFault, AxisLimitExceeded, AxisMissing, AxisRestarted, AxisSilent
+from motion.errors import (
+    AxisFault,
+    AxisLimitExceeded,
+    AxisMissing,
+    AxisRestarted,
+    AxisSilent,
+    PositionImplausible,
+)
 from motion.object_dictionary import State
 from simulator.clock import VirtualClock
 from tests.cell.conftest import once
@@ -58,6 +65,7 @@ class Device:
 
 def axes_of(*devices: Device) -> Axes:
     common: dict[str, Any] = {"low": -1.0, "high": 1.0, "velocity": 1.0, "acceleration": 1.0}
+    common["plausible"] = (-1.1, 1.1)
     return Axes(
         [
             Axis(name=one.name, device=one, increments=100.0, unit="mm", shown=1e3, **common)
@@ -128,6 +136,11 @@ def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist
         ("silent", AxisSilent, "does not answer as it should"),
         ("overload", AxisFault, "hardware error overload; remedy the cause"),
         ("reboot", AxisSilent, "does not answer as it should"),
+        (
+            "jump",
+            PositionImplausible,
+            r"reads a position of 2\d\d.\d\d deg, its limits are 0",
+        ),
     ],
 )
 def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
@@ -141,13 +154,18 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
         "silent": lambda: simulated.bus.faults.silent.add(7),
         "overload": simulated.servo.core.plant.overload,
         "reboot": lambda: simulated.servo.core.boot(bench.clock.monotonic()),
+        "jump": lambda: setattr(simulated.servo.core.plant, "encoder_offset_rad", 3.5),
     }
     once(bench.clock, lambda: simulated.moving, acts[fail])
     with pytest.raises(error, match=words):
         bench.move(3.0)
+    assert simulated.position < 1.0
     simulated.blocked = False
     simulated.bus.faults.silent.clear()
     bench.clock.sleep(1.0)
+    if fail == "jump":
+        assert not simulated.servo.core.torque_on  # nobody can hold what nobody can measure
+        simulated.servo.core.plant.encoder_offset_rad = 0.0
     assert bench.move(1.0) == pytest.approx(1.0, abs=NEAR_RAD)
 
 

@@ -1,5 +1,6 @@
 """One CiA 402 drive: set-up, motion, homing, stops, and each way in which it fails."""
 
+from collections.abc import Callable
 from typing import Any
 
 import can
@@ -7,18 +8,22 @@ import pytest
 
 from motion import object_dictionary as od
 from motion.errors import (
+    AxisAnswerWrong,
+    AxisDuplicated,
     AxisFault,
     AxisLimitExceeded,
     AxisMissing,
+    AxisNotOperational,
     AxisRestarted,
     AxisSilent,
     HomingFailed,
     LimitSwitchReached,
     MotionError,
+    PositionImplausible,
     PositionNotReached,
 )
 from motion.object_dictionary import HomingMethod, State
-from tests.motion.conftest import NODE, DriveBench, MakeDrive
+from tests.motion.conftest import BOOT_S, NODE, DriveBench, MakeDrive
 
 NEAR_M = 5e-5
 
@@ -88,6 +93,12 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive: MakeDriv
         ("dead", AxisSilent, r"no heartbeat from axis x \(drive 11\) for 0.1"),
         ("reboot", AxisRestarted, "has booted: its position is lost"),
         ("shut", AxisFault, "left OPERATION ENABLED for READY TO SWITCH ON"),
+        ("stopped", AxisNotOperational, "NMT state stopped, .* another CANopen master"),
+        ("pre-operational", AxisNotOperational, "NMT state pre-operational, .* another CANopen"),
+        ("twice", AxisDuplicated, "SDO answers more came .* a second drive has the same node-ID"),
+        ("short", AxisAnswerWrong, "sends (6041|1000)h:0 with a length of 1 instead of [24] bytes"),
+        ("no state", AxisAnswerWrong, "sends the statusword 0001h, which is no state of CiA 402"),
+        ("jump", PositionImplausible, r"reads a position of \d{4}.\d\d mm, its limits are -20.00"),
     ],
 )
 def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
@@ -102,18 +113,73 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
         "dead": lambda: setattr(simulated, "dead", True),
         "reboot": simulated.power_cycle,
         "shut": lambda: simulated._command(od.Control.SHUTDOWN),
+        "stopped": lambda: simulated.command(2),
+        "pre-operational": lambda: simulated.command(128),
+        "twice": lambda: undo.append(bench.second_drive()),
+        "short": lambda: setattr(simulated, "answer_bytes", 1),
+        "no state": lambda: simulated._live.update({od.STATUSWORD: lambda: 1}),
+        "jump": lambda: setattr(simulated, "misread", 5.0),
     }
+    undo: list[Callable[[], None]] = []
     bench.once_moving(acts[fail])
     with pytest.raises(error, match=words) as caught:
         bench.move(0.015)
-    stopped = "not confirmed to stand still" if fail == "dead" else "all axes stand still"
+    unseen = fail in ("dead", "twice", "short", "no state")
+    stopped = "not confirmed to stand still" if unseen else "all axes stand still"
     assert stopped in str(caught.value)
     bench.clock.sleep(0.2)
     assert simulated.dead or not simulated.motion.speed
+    if fail in ("twice", "short", "no state", "jump"):
+        with pytest.raises(error, match=words):
+            bench.move(0.005)
+    for take_off in undo:
+        take_off()
     simulated.motion.blocked = simulated.dead = False
-    simulated.forced_switch = 0
+    simulated._live[od.STATUSWORD] = lambda: simulated.statusword
+    simulated.forced_switch, simulated.answer_bytes, simulated.misread = 0, None, 0.0
     assert bench.move(0.005) == pytest.approx(0.005, abs=NEAR_M)
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
+
+
+def test_a_drive_that_another_master_stopped_is_started_by_the_next_motion(
+    bench: DriveBench,
+) -> None:
+    bench.move(-0.01)
+    bench.simulated.command(2)
+    bench.clock.sleep(1.0)
+    with pytest.raises(AxisNotOperational, match="NMT state stopped"):
+        bench.move(0.0)
+    bench.simulated.command(2)
+    with pytest.raises(AxisNotOperational, match="NMT state stopped"):
+        raise next(iter(bench.axes.inspect().values()))  # type: ignore[misc]
+    bench.axes.clear_faults(reboot=False)
+    bench.simulated.command(2)
+    assert bench.move(0.0) == pytest.approx(0.0, abs=NEAR_M)
+    # A master that does so again and again is named, too.
+    bench.clock.on_advance.append(lambda _now_s: bench.simulated.command(128))
+    with pytest.raises(AxisNotOperational, match="pre-operational"):
+        bench.move(0.01)
+    with pytest.raises(AxisNotOperational, match="sends no heartbeat as operational: look for"):
+        bench.move(0.01)
+
+
+def test_of_two_drives_with_one_node_id_none_is_enabled(bench: DriveBench) -> None:
+    bench.second_drive()
+    bench.clock.sleep(BOOT_S)
+    for _ in range(2):
+        with pytest.raises(AxisDuplicated, match=r"more came from axis x \(drive 11\)"):
+            bench.move(0.0)
+        assert bench.simulated.state is State.SWITCH_ON_DISABLED
+
+
+def test_an_answer_to_another_question_is_no_silence(bench: DriveBench) -> None:
+    bench.move(0.0)
+    other = bytes((0x4B, 0x64, 0x60, 0, 0, 0, 0, 0))
+    bench.simulated._network._send = lambda t_s, can_id, data: bench.simulated._emit(
+        t_s, can_id, other if can_id == 0x580 + NODE else data
+    )
+    with pytest.raises(AxisAnswerWrong, match=r"answers wrongly \(read of 6041h:0, 3 times; Node"):
+        bench.move(0.01)
 
 
 def test_a_fault_is_reset_only_by_who_has_seen_it(bench: DriveBench) -> None:

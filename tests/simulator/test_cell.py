@@ -12,8 +12,9 @@ from simulator.servo.protocol2 import Instruction, encode_instruction
 from simulator.settings import SimulatedServoSettings, SimulatorSettings
 from simulator.world.shapes import ObjectPose
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, TactileFrame
+from tactile.frames.codec import FrameFormat
 from tactile.layout import pinch_layout
+from tactile.source import TactileFrame
 
 
 class Host:

@@ -9,9 +9,8 @@ import pytest
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
-from tactile.frames.codec import TactileFrame
-from tactile.frames.force_message import ForceMessage
 from tactile.layout import TaxelLayout, paper_layout
+from tactile.source import ForceMessage, TactileFrame
 from tactile.unit.link import TactileLink
 from tactile.unit.settings import LinkSettings
 
@@ -70,7 +69,7 @@ class Bench:
         frames: list[TactileFrame] = []
         for _ in range(round(seconds / step_s)):
             self.clock.sleep(step_s)
-            frames += self.link.poll()
+            frames += self.link.poll().frames
         return frames
 
     def forces(self, seconds: float) -> list[ForceMessage]:
@@ -78,8 +77,8 @@ class Bench:
         found: list[ForceMessage] = []
         end_s = self.clock.monotonic() + seconds
         while self.clock.monotonic() < end_s:
-            self.run(0.001, 0.001)
-            found += self.link.take_forces()
+            self.clock.sleep(0.001)
+            found += self.link.poll().forces
         return found
 
     def put(self, cob_id: int, data: bytes, **options: object) -> None:
@@ -111,7 +110,7 @@ def make_bench() -> Iterator[Callable[..., Bench]]:
 
     yield make
     for bench in benches:
-        bench.link.close()
+        bench.link.stop()
         bench.bus.shutdown()
 
 

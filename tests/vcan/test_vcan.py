@@ -57,7 +57,7 @@ def frames(link: TactileLink, n: int) -> list[np.ndarray]:
     found: list[np.ndarray] = []
     deadline_s = time.monotonic() + 60.0
     while len(found) < n:
-        found += [frame.counts for frame in link.poll()]
+        found += [frame.counts for frame in link.poll().frames]
         assert time.monotonic() < deadline_s, f"{len(found)} of {n} frames came"
         time.sleep(0.005)
     return found

@@ -12,13 +12,13 @@ from cell.interfaces.cli.commands import (
     clear,
     commission,
     config,
-    dbc,
     doctor,
     evaluate,
     identify,
     recover,
     release,
     replay,
+    report,
     run,
     serve,
     simulate,
@@ -74,12 +74,12 @@ for command in (
     release.release,
     clear.clear,
     evaluate.evaluate,
+    report.report,
     replay.replay,
     recover.recover,
     serve.serve,
     simulate.simulate,
     doctor.doctor,
-    dbc.dbc,
 ):
     app.command()(command)
 app.add_typer(config.app, name="config")
@@ -99,7 +99,9 @@ def main() -> None:
         _fail(str(error), 1)
     except OSError as error:
         # A full disk behind the output, no more open files: the system's word is all there is.
-        _fail(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}", 1)
+        from cell.fault_catalogue import error_text  # noqa: PLC0415  help takes no notice of it
+
+        _fail(error_text(error), 1)
 
 
 def _fail(text: str, code: int) -> NoReturn:

@@ -12,18 +12,22 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LOOK_S = 0.1
 """Time in s between two looks whether the parent is still there."""
 
-INTERRUPTED = "interrupted; nothing was let go"
+INTERRUPTED = "interrupted"
+NOTHING_LET_GO = "; nothing was let go"
+"""What follows where a cell may hold a part and no command is there to let it go."""
 END_WITHIN_S = 0.4
 """Time that a second signal leaves for closing files; what takes longer is cut off."""
 
 
 @contextmanager
-def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -> Iterator[None]:
+def stopping(
+    cancel: Callable[[], None], *, end_within_s: float | None = None, left: str = ""
+) -> Iterator[None]:
     """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt.
 
-    With ``end_within_s`` the second signal is answered at once on standard error, and this program
-    ends so long after it with exit code 1, whatever it does then; further signals change nothing.
-    What was recorded can be recovered, and the grip is kept.
+    With ``end_within_s`` the second signal is answered at once on standard error, with what is
+    ``left`` behind. This program ends so long after it with exit code 1, whatever it does then;
+    further signals change nothing. What was recorded can be recovered, and the grip is kept.
 
     The death of the process that started this one counts as a signal. A program that was started
     with SIGHUP ignored (``nohup``) is meant to outlive terminal and parent, and does.
@@ -39,7 +43,7 @@ def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -
                     signal.signal(number, signal.SIG_IGN)
                 _end_after(end_within_s)
                 with suppress(OSError):
-                    os.write(2, f"\nerror: {INTERRUPTED}\n".encode())
+                    os.write(2, f"\nerror: {INTERRUPTED}{left}\n".encode())
             raise KeyboardInterrupt
         cancel()
 

@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Protocol
 
-from cell.interfaces.service.doors import ConnectionPlaces, notice_dead_peers
+from cell.interfaces.access import ConnectionPlaces, notice_dead_peers
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE, DEVICE_BUSY = 1, 2, 3, 4, 6
 """Exception codes."""

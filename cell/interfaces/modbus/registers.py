@@ -16,6 +16,9 @@ from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
+from cell.interfaces.access import may_connect, read_secret, same_secret
+from cell.interfaces.host_calls import COMMANDS
+from cell.interfaces.host_values import PLATE, VALUES, Value
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
     ILLEGAL_ADDRESS,
@@ -23,10 +26,7 @@ from cell.interfaces.modbus.protocol import (
     ModbusError,
     ModbusServer,
 )
-from cell.interfaces.service.doors import may_connect, read_secret, same_secret
-from cell.interfaces.service.host_calls import COMMANDS
-from cell.interfaces.service.host_values import PLATE, VALUES, Value
-from cell.interfaces.service.service import JobView, Service
+from cell.service.service import JobView, Service
 from recognition.recognizer import UNKNOWN
 
 SIGNATURE = 0x5443
@@ -49,9 +49,10 @@ _REGISTERS = {"grasps": GRASPS, "max_grasps": GRASPS, "parts": OBJECT, "key": KE
 READY, REMOTE, RUNNING, DONE, REFUSED, FAULT, HOLDING, NO_PART, LOST, UNNAMED, NEEDS_RESET = (
     1 << bit for bit in range(11)
 )
-ON_HOLD = 1 << 11
+ON_HOLD, NOT_RECORDED = 1 << 11, 1 << 12
 """Bits of the third input register; `REMOTE`: the lease is with Modbus, `ON_HOLD`: some client
-keeps the cell on hold, `HOLDING`: a part may be in the grip."""
+keeps the cell on hold, `HOLDING`: a part may be in the grip, `NOT_RECORDED`: the recording has
+stopped."""
 
 
 NOT_MEASURED = 0x8000
@@ -109,6 +110,7 @@ def input_registers(
         (UNNAMED, job.label == UNKNOWN or job.same is False),
         (NEEDS_RESET, status.needs_reset),
         (ON_HOLD, bool(now.held_by)),
+        (NOT_RECORDED, bool(status.recording_fault)),
     )
     words = [0] * TEXT_AT
     for value in (*VALUES, *PLATE):
@@ -128,7 +130,7 @@ def input_registers(
         shown = for_display(status.fault_number, status.fault)
     else:
         shown = on_hold or for_display(job.fault_number, job.error)
-    return [*words, *_text(shown), *_text(refusal.text)]
+    return [*words, *_text(shown), *_text(for_display(refusal.number, refusal.text))]
 
 
 class ModbusDoor:

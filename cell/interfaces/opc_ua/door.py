@@ -17,10 +17,10 @@ from cryptography.x509 import ExtensionNotFound
 
 from cell.errors import ConfigError
 from cell.fault_catalogue import BY_NUMBER
+from cell.interfaces.host_calls import Calls, methods
+from cell.interfaces.host_values import PLATE, REFUSAL, VALUES, ur_pose
 from cell.interfaces.opc_ua.server import CellServer, Clients, Sessions
-from cell.interfaces.service.host_calls import Calls, methods
-from cell.interfaces.service.host_values import PLATE, REFUSAL, VALUES, ur_pose
-from cell.interfaces.service.service import Service, Snapshot
+from cell.service.service import Service, Snapshot
 
 NAMESPACE = "urn:tactile-cell:cell"
 """Namespace of the nodes; their ids are their paths, as ``Cell.Job.Label``."""

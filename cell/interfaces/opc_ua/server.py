@@ -29,7 +29,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from cell.config.serve import ServeConfig
-from cell.interfaces.service.doors import BUSY_MAX, ConnectionPlaces, may_connect, notice_dead_peers
+from cell.interfaces.access import BUSY_MAX, ConnectionPlaces, may_connect, notice_dead_peers
 
 _LONGEST_BYTES = 1 << 20
 """Largest request in bytes."""

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_softmax
 
-from recognition.errors import MissingExtraError
 from recognition.statistics.array_record import ArrayRecord
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
 
@@ -43,14 +42,6 @@ class Classifier(Protocol):
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
 
 
-def missing_extra(kind: str) -> MissingExtraError:
-    """Return the error for a classifier whose library is not installed."""
-    return MissingExtraError(
-        f"{kind} is taught by scikit-learn, which is not installed: "
-        "pip install 'tactile-cell[comparators]'; a taught model needs nothing more"
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Arrays(ArrayRecord):
     """A classifier whose fields are arrays, whose features show what is new."""
@@ -74,13 +65,11 @@ class Network(_Arrays):
 
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
-        """Fit the weights. Raises MissingExtraError without scikit-learn."""
+        """Fit the weights. Raises ImportError without scikit-learn."""
+        from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
+        from sklearn.neural_network import MLPClassifier  # noqa: PLC0415
+
         del n_classes
-        try:
-            from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
-            from sklearn.neural_network import MLPClassifier  # noqa: PLC0415
-        except ImportError as cause:
-            raise missing_extra("a neural network") from cause
         network = MLPClassifier(
             (_HIDDEN,), solver="lbfgs", alpha=_WEIGHT_DECAY, max_iter=_ITERATIONS, random_state=0
         )
@@ -186,12 +175,10 @@ class Forest(_Arrays):
 
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
-        """Grow the trees. Raises MissingExtraError without scikit-learn."""
+        """Grow the trees. Raises ImportError without scikit-learn."""
+        from sklearn.ensemble import ExtraTreesClassifier  # noqa: PLC0415
+
         del n_classes
-        try:
-            from sklearn.ensemble import ExtraTreesClassifier  # noqa: PLC0415
-        except ImportError as cause:
-            raise missing_extra("a forest of trees") from cause
         grown = ExtraTreesClassifier(_TREES, random_state=0).fit(rows, classes)
         trees = [one.tree_ for one in grown.estimators_]
         starts = np.cumsum([0] + [tree.node_count for tree in trees])

@@ -30,6 +30,7 @@ from recognition.statistics.calibration import (
     KNOWN_KEPT,
     blocked_folds,
     fit_temperature,
+    kept_temperature,
     to_probability,
 )
 from recognition.statistics.lda import squared_distances
@@ -147,7 +148,7 @@ class Comparator:
                 mean=arrays["mean"],
                 scale=arrays["scale"],
                 classifier=cls.method.classifier.from_arrays(learnt),
-                temperature=float(arrays["temperature"]),
+                temperature=kept_temperature(arrays["temperature"]),
                 samples=arrays["samples"],
                 limit=float(arrays["limit"]),
             )

@@ -19,7 +19,7 @@ from recognition.features.aperture import aperture_features, sizes_mm
 from recognition.features.footprint import PadGrid
 from recognition.features.groups import FeatureView, touch_features
 from recognition.ramp.levels import Levels, stack_levels
-from recognition.statistics.calibration import blocked_folds, fit_temperature
+from recognition.statistics.calibration import blocked_folds, fit_temperature, kept_temperature
 from recognition.statistics.class_spread import ClassSpread, fit_class_spread
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
 from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
@@ -232,6 +232,7 @@ class View:
             **self.model.sizes.to_arrays(f"{prefix}sizes_"),
             f"{prefix}taught": self.model.taught,
             f"{prefix}limit": self.limit,
+            f"{prefix}temperature": np.array(self.temperature),
             **{f"{prefix}{name}": np.array(getattr(self, name)) for name in _NUMBERS},
         }
 
@@ -247,12 +248,13 @@ class View:
                 spread=ClassSpread.from_arrays(arrays, spread) if has_spread else None,
             ),
             limit=arrays[f"{prefix}limit"],
+            temperature=kept_temperature(arrays[f"{prefix}temperature"]),
             **{name: float(arrays[f"{prefix}{name}"]) for name in _NUMBERS},
         )
 
 
-_NUMBERS = ("temperature", "log_new", "placing_mm", "doubt")
-"""Attributes of a `View` that are single numbers."""
+_NUMBERS = ("log_new", "placing_mm", "doubt")
+"""Further attributes of a `View` that are single numbers."""
 
 
 def fit_view(

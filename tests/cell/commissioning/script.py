@@ -20,8 +20,8 @@ class Script(Dialog):
     """Implements `Dialog`: answers by the keys of the questions, and keeps what was shown.
 
     A list of replies is used up one by one, its last one stays. A question without a reply takes
-    its default; one without a default fails the test. ``leave_at`` names a question, or ``approve``
-    or ``approve.STEP``, at which the person leaves, once.
+    that of ``otherwise``, or its default; one without a default fails the test. ``leave_at`` names
+    a question, or ``approve`` or ``approve.STEP``, at which the person leaves, once.
     """
 
     replies: Mapping[str, Reply | list[Reply]] = field(default_factory=dict)
@@ -32,6 +32,7 @@ class Script(Dialog):
     findings: dict[str, Finding] = field(default_factory=dict)
     watched: list[str] = field(default_factory=list)
     began: list[str] = field(default_factory=list)
+    otherwise: Callable[[Question], str | float | None] = lambda _question: None
     moment: Callable[[], None] = lambda: None
     """Called at each `live`: time that passes, hands that move."""
 
@@ -60,6 +61,8 @@ class Script(Dialog):
         reply = self.replies.get(question.key)
         if isinstance(reply, list):
             reply = reply.pop(0) if len(reply) > 1 else reply[0]
+        if reply is None:
+            reply = self.otherwise(question)
         done = reply() if callable(reply) else reply
         answer = done if isinstance(done, str | float | int) else None
         if watch is not None:

@@ -115,7 +115,7 @@ def test_a_line_that_is_lost_fails_the_step_which_keeps_what_it_has_found(tmp_pa
     with pytest.raises(Left):
         Engine([Lost("ports")], Bench(tmp_path)).run(script := Script({"ports.again": "leave"}))
     finding = script.findings["ports"]
-    assert finding.lines == ["the port opens", "PortLost: the cable is out"]
+    assert finding.lines == ["the port opens", "the cable is out"]
     assert (finding.figures, finding.settings) == ({"force": {"x": [1.0]}}, {})
 
 

@@ -16,12 +16,11 @@ from cell.commissioning.fingers import (
     zero_pulse,
 )
 from cell.commissioning.servos import ServosStep
-from gripper.kinematics import ParallelLinkage, RackPinion
+from gripper.mechanics.kinematics import ParallelLinkage, RackPinion
 from gripper.servos.group import ServoGroup
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings
 from tests.cell.commissioning.conftest import MakeStand, Stand
-from tests.cell.commissioning.hands import Hands
 
 STEP = FingersStep()
 BLOCKS_M = (0.010, 0.030)
@@ -125,7 +124,8 @@ def test_one_servo_with_a_pinion(stand: MakeStand) -> None:
 
 def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: MakeStand) -> None:
     one = limp("servo2.turned", "servo1.horn=164")
-    found = one.passes(STEP, **Hands(one.cell, first=2).replies())
+    second_first = {"Open one finger": ("open 1", ""), "open the other": ("open 0", "")}
+    found = one.passes(STEP, practice=second_first)
     first, second = found.settings["gripper.servos"]
     assert (first["id"], first["direction"]) == (2, -1)
     assert (second["id"], second["direction"]) == (1, 1)
@@ -153,12 +153,10 @@ def test_a_person_stops_the_first_motion_while_it_runs(limp: MakeStand) -> None:
     assert one.torques == [0, 0]
 
 
-@pytest.mark.parametrize("place", ["near", "far"])
-def test_a_first_motion_begins_with_room_on_both_sides(limp: MakeStand, place: str) -> None:
+@pytest.mark.parametrize("tight", ["close", "open"])
+def test_a_first_motion_begins_with_room_on_both_sides(limp: MakeStand, tight: str) -> None:
     one = limp()
-    hands = Hands(one.cell)
-    tight = hands.close if place == "near" else lambda: hands.all_to(0.05)
-    one.passes(STEP, fingers__free=[tight, hands.free])
+    one.passes(STEP, fingers__free=[one.does("empty", tight), one.does("half")])
     assert one.person.script.asked.count("fingers.free") == 2
 
 
@@ -183,7 +181,7 @@ def test_a_finger_that_does_not_open_is_named_and_limp(
     one = limp()
 
     def free() -> None:
-        Hands(one.cell).free()
+        one.does("empty", "half")()
         happens(one)
 
     found = one.run(STEP, fingers__free=free)
@@ -203,7 +201,7 @@ def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(limp: Make
 
 def test_a_finger_that_was_not_moved_is_asked_for_again(limp: MakeStand) -> None:
     one = limp()
-    opened = [lambda: None, lambda: Hands(one.cell).move(servo1=0.05)]
+    opened = [lambda: None, one.does("open 0")]
     one.run(STEP, fingers__open_first=opened)
     assert one.person.script.asked.count("fingers.open_first") == 2
     assert "One finger should have moved" in one.person.script.text
@@ -211,7 +209,7 @@ def test_a_finger_that_was_not_moved_is_asked_for_again(limp: MakeStand) -> None
 
 def test_fingers_that_were_not_closed_are_found_out(limp: MakeStand) -> None:
     one = limp()
-    found = one.run(STEP, fingers__close=Hands(one.cell).close_on(20.0))
+    found = one.run(STEP, fingers__close=one.does("block 20"))
     assert found.status is Verdict.FAIL
     assert "something was between them" in found.lines[0]
     assert "fingers.block2" not in one.person.script.asked
@@ -219,10 +217,9 @@ def test_fingers_that_were_not_closed_are_found_out(limp: MakeStand) -> None:
 
 def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(limp: MakeStand) -> None:
     one = limp()
-    hands = Hands(one.cell)
     replies: dict[str, Any] = {
-        "fingers.on_block2": hands.close_on(30.0),
-        "fingers.on_block3": hands.close_on(20.0),
+        "fingers.on_block2": one.does("block 30"),
+        "fingers.on_block3": one.does("block 20"),
     }
     found = one.run(STEP, fingers__block2=50.0, fingers__block3=20.0, **replies)
     assert found.status is Verdict.FAIL

@@ -1,5 +1,7 @@
 """First force of the wizard: empty, watchdog, 1 N, the cap; nothing moves before it was shown."""
 
+import re
+
 import pytest
 
 from cell.commissioning.engine import Left, Verdict
@@ -26,6 +28,22 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(one: Stand) -
     assert len(one.person.script.writes) == 4
     assert abs(finding.values["meet_mm"]) < 1.0
     assert finding.figures["force"]["limits"] == {"cap": 15.0}
+
+
+@pytest.mark.parametrize("watchdog_ms", [100.0, 500.0])
+def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(
+    one: Stand, watchdog_ms: float
+) -> None:
+    one.knows(gripper__watchdog_ms=watchdog_ms)
+    opened_m = []
+    one.cell.clock.on_advance.append(
+        lambda _: opened_m.append(one.cell.devices.mechanics.aperture_m)
+    )
+    with pytest.raises(Left):
+        one.run(STEP, leave_at=["first_force.part"])
+    shown = re.fullmatch(r"at most (\S+) mm less.*", one.person.script.writes[1].after)
+    assert shown is not None
+    assert 0.0142 - min(opened_m) < 1e-3 * float(shown[1]) < 0.01
 
 
 def test_nothing_moves_that_was_not_shown(one: Stand) -> None:
@@ -72,7 +90,7 @@ def test_a_person_stops_a_motion_while_it_runs(one: Stand, moment: str) -> None:
 
 
 def test_fingers_that_find_no_part_fail_the_step(one: Stand) -> None:
-    finding = one.run(STEP, first_force__part=None)
+    finding = one.run(STEP, first_force__part=lambda: None)
     assert finding.status is Verdict.FAIL
     assert "The fingers hold nothing (no_contact)" in finding.lines[-1]
     assert one.torques == [0, 0]

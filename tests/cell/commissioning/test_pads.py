@@ -41,11 +41,6 @@ def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(stand: Make
     assert finding.settings == {"tactile.board_serial_numbers": None}
 
 
-def test_pads_where_the_layout_has_them_pass(stand: MakeStand) -> None:
-    finding = stand().passes(PRESSED)
-    assert finding.settings == {"tactile.mounting": []}
-
-
 TURNED = [PadMount(pad=p, sent_as=p, rows_mirrored=True, columns_mirrored=True) for p in (0, 1)]
 EXCHANGED = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
 
@@ -90,8 +85,9 @@ def test_both_pads_turned_and_exchanged_are_what_the_simulated_cell_has(stand: M
 
 def test_a_dead_pad_is_named_and_fails_the_step(stand: MakeStand) -> None:
     one = stand()
-    presses = {0: None, 1: 1}
-    finding = one.run(PRESSED, presses=presses.get, pads_pressed__again="skip")
+    finding = one.run(
+        PRESSED, practice={"!Press finger0.inner": ("lift", "")}, pads_pressed__again="skip"
+    )
     assert finding.status is Verdict.FAIL
     assert "finger0.inner was not seen" in finding.lines[-1]
     assert "No pad showed a fingertip within 30 s" in one.person.script.text
@@ -100,17 +96,25 @@ def test_a_dead_pad_is_named_and_fails_the_step(stand: MakeStand) -> None:
 
 def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand: MakeStand) -> None:
     one = stand()
-    wrong, looks = [0, 0, 1], 0
+    practice = {"!Press finger1.inner with": ("press finger0.inner", "")}
 
-    def moment() -> None:
-        nonlocal looks
-        one.person.moment()
-        looks += 1
-        last = one.person.script.said[-1]
-        if "Press finger1.inner with" in last and len(wrong) > 1 and looks > 4:
-            one.cell.devices.physical.press(wrong.pop(), 0.0, 0.0, 2.0)
+    def again() -> str:
+        one.does("lift")()
+        # First the middle of the right pad, then its corner.
+        if one.person.practice.pop("!Press finger1.inner with")[0] == "press finger0.inner":
+            one.person.practice["!Press finger1.inner with"] = ("press finger1.inner", "")
+        return "again"
 
-    one.passes(PRESSED, moment=moment)
+    one.passes(PRESSED, practice=practice, pads_pressed__again=again)
+    assert one.person.script.asked == ["pads_pressed.again"] * 2
+
+
+@pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
+def test_each_pad_is_found_by_who_follows_the_words(stand: MakeStand, layout: Any) -> None:
+    one = stand(layout=layout)
+    one.knows(tactile__layout=layout.name)
+    assert one.passes(PRESSED).settings == {"tactile.mounting": []}
+    assert one.person.script.asked == []
 
 
 def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: MakeStand) -> None:

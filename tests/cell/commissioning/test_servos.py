@@ -1,17 +1,20 @@
 """Servos that are new or set otherwise: numbered, backed up, set, read back, and brought back."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cell.commissioning import backup
 from cell.commissioning.backup import restore
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Left
 from cell.commissioning.servos import ServosStep
 from cell.errors import CellError
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import Register
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.cell.commissioning.script import Script
 
@@ -65,32 +68,100 @@ def test_restore_brings_the_servos_back_as_they_came(new: Stand, tmp_path: Path)
         restore(Bench(tmp_path / "other", new.lines), Script(), PORT)
 
 
-def test_a_restore_that_was_interrupted_goes_on(
-    new: Stand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+class Killed(BaseException):
+    """The program ends here."""
+
+
+@contextmanager
+def killed_after(n_writes: int) -> Iterator[list[Register]]:
+    """Let the program die behind so many writes to servos; yields the items written."""
+    written: list[Register] = []
+    write = ServoBus.write
+
+    def dying(bus: ServoBus, servo_id: int, register: Register, raw: int) -> None:
+        write(bus, servo_id, register, raw)
+        written.append(register)
+        if len(written) == n_writes:
+            raise Killed
+
+    with pytest.MonkeyPatch.context() as patch, suppress(Killed):
+        patch.setattr(ServoBus, "write", dying)
+        yield written
+
+
+@pytest.mark.parametrize("n_writes", range(1, 8))
+def test_a_restore_brings_back_what_a_kill_left_half_done(stand: MakeStand, n_writes: int) -> None:
+    """Behind each write of the step, and again behind each write of the way back."""
+    one = stand("servo1.factory", "servo2.factory", "servo1.wrong=homing_offset:100")
+    one.cell.clock.sleep(1.0)
+    before = eeproms(one)
+    with killed_after(n_writes) as written:
+        one.run(STEP)
+    assert len(written) == n_writes
+    if "servo2.off" in [fault.text for fault in one.cell.injector.faults]:
+        one.person.does("connect servo 2")()
+    restore(one.bench, Script(), PORT)
+    assert eeproms(one) == before
+    one.passes(STEP)
+    with killed_after(n_writes) as written:
+        restore(one.bench, Script(), PORT)
+    assert len(written) == n_writes
+    restore(one.bench, Script(), PORT)
+    assert eeproms(one) == before
+
+
+def test_a_servo_that_is_not_there_is_named_with_the_way_to_find_it(new: Stand) -> None:
+    new.passes(STEP)
     before = eeproms(new)
-    new.run(STEP)
-    write_back = backup._write_back
-
-    def first_only(*arguments: Any) -> None:
-        write_back(*arguments)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(backup, "_write_back", first_only)
-        with pytest.raises(KeyboardInterrupt):
-            restore(new.bench, Script(), PORT)
-    assert len(restore(new.bench, Script(), PORT)) == 1
+    new.person.does("disconnect servo 2")()
+    with pytest.raises(CellError, match=r"servo 2 answers neither .*`tactile-cell commission`"):
+        restore(new.bench, Script(), PORT)
     assert eeproms(new) == before
 
 
+def altered(path: Path, **values: Any) -> None:
+    """Change values of a backup, a dotted name within ``found`` too; None takes one out."""
+    kept = json.loads(path.read_text())
+    for name, value in values.items():
+        owner = kept["found"] if name in kept["found"] else kept
+        if value is None:
+            del owner[name]
+        else:
+            owner[name] = value
+    path.write_text(json.dumps(kept))
+
+
+NO_SUM = {"format": None, "sha256": None}
+"""As a backup of a version without checksums."""
+
+
 @pytest.mark.parametrize(
-    "text", ["", "{}", '{"servo_id": 1, "baud_rate": 1, "found": {"id": "x"}}']
+    ("values", "says"),
+    [
+        ({"return_delay_time": 251}, "checksum"),
+        ({"sha256": None}, "checksum"),
+        ({"format": None}, "names no format"),
+        (NO_SUM | {"id": 300}, "id is 300, must be from 0 to 255"),
+        (NO_SUM | {"id": 253}, "must be from 0 to 252"),
+        (NO_SUM | {"baud_rate": 77}, "baud"),
+        (NO_SUM | {"homing_offset": 1 << 31}, "homing_offset is 2147483648"),
+        (NO_SUM | {"model_number": None}, "model_number is missing"),
+        (NO_SUM | {"servo_id": 1}, "it is of servo 1"),
+        (NO_SUM | {"found": {"id": "x"}}, "found.id"),
+        (NO_SUM | {"found": None}, "names no format"),
+        ({"format": "tactile-cell-servo-backup/2"}, "update tactile-cell"),
+    ],
 )
-def test_a_damaged_backup_is_named(new: Stand, tmp_path: Path, text: str) -> None:
-    (tmp_path / "backup-servo1.json").write_text(text)
-    with pytest.raises(CellError, match=r"backup-servo1\.json is no backup of a servo"):
-        restore(new.bench, Script(), PORT)
+def test_nothing_is_written_of_a_backup_that_is_damaged(
+    new: Stand, tmp_path: Path, values: dict[str, Any], says: str
+) -> None:
+    new.passes(STEP)
+    before = eeproms(new)
+    altered(tmp_path / "backup-servo2.json", **values)
+    begun: list[bool] = []
+    with pytest.raises(CellError, match=rf"backup-servo2\.json .*{says}"):
+        restore(new.bench, Script(), PORT, begin=lambda: begun.append(True))
+    assert (eeproms(new), begun) == (before, [])
 
 
 def test_nothing_is_written_that_was_refused(new: Stand, tmp_path: Path) -> None:

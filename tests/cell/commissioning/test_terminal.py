@@ -3,18 +3,19 @@
 import contextlib
 import json
 import re
-import time
+import subprocess
+import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from cell.commissioning.law import GRAVITY_N_KG
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.pytest_plugin.process import CellProcess
-from tactile.layout import pinch_layout
-from tests.cell.commissioning.hands import WIDE_M, Hands
+from simulator.realtime.hands import Hands
+from tests.cell.commissioning.hands import PRACTICE, done, hands_at
 from tests.cell.commissioning.terminal import Answer, Person
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
@@ -38,41 +39,22 @@ def cell() -> Iterator[CellProcess]:
 
 
 def typed(hands: Hands) -> dict[str, Answer]:
-    """Return what a person types and does."""
-    layout = pinch_layout()
-    pads = [pad.name for pad in layout.pads]
-
-    def load(match: re.Match[str]) -> str:
-        hands.load(pads.index(match[1]), int(match[2]) * 1e-3 * GRAVITY_N_KG)
-        time.sleep(0.3)
-        return match[2]
+    """Return what a person does and types."""
 
     def fail(_match: object) -> None:
         raise AssertionError("a step failed")
 
+    def answer(practice: tuple[str, str], match: re.Match[str]) -> str:
+        words, answer = done(match, *practice)
+        for one in words:
+            hands.do(one)
+        return answer
+
     return {
-        "Disconnect all servos but one": lambda _: hands.connect(1),
-        "Connect the next servo": lambda _: hands.connect(1, 2),
-        "Does it drive both": "2",
         "Do this\\? y": "y",
-        "close them by hand": lambda _: hands.close(),
-        "Open one finger by hand": lambda _: hands.move(servo1=WIDE_M),
-        "open the other one": lambda _: hands.move(servo2=WIDE_M),
-        "best about (10|30) mm thick": lambda match: match[1],
-        "Hold the block of (\\d+) mm": lambda match: hands.close_on(float(match[1]))(),
-        "How do the fingers move\\?": "",
-        "Take the block out": lambda _: hands.free(),
-        "Did each finger open": "1",
-        "!Press (\\S+) with a fingertip": lambda match: hands.press(layout, pads.index(match[1])),
-        "!Lift the fingertip|Take the load off": lambda _: hands.ask(lift=True),
-        "Do you have weights": "1",
-        "Load \\d of \\d on (\\S+): about (\\d+) g": load,
-        "With which force may it": "4",
-        "Take everything out|Take the part away": lambda _: hands.empty(),
-        "Hold .*between the pads, (and keep|until)": lambda _: hands.ask(place="ball"),
-        "Take hold of the": "",
         "What is its name": "ball",
         "failed\\. Mend it": fail,
+        **{pattern: partial(answer, practice) for pattern, practice in PRACTICE.items()},
     }
 
 
@@ -87,7 +69,7 @@ def findings(folder: Path) -> dict[str, dict[str, object]]:
 def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     cell: CellProcess, tmp_path: Path
 ) -> None:
-    hands = Hands(cell)
+    hands = hands_at(cell)
     # The config of a simulated cell names its ports, and allows for the stalls of its process.
     command = ["commission", "box", "--config", str(cell.config_path)]
 
@@ -97,7 +79,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     # A person who presses q, then Ctrl-C, then closes the window, then goes on.
     leaves: list[dict[str, Answer]] = [
         {"Do this\\? y": "q"},
-        {"best about (10|30) mm thick": "\x03"},
+        {"best about (\\d+) mm thick": "\x03"},
         {"Load \\d of \\d on (\\S+): about (\\d+) g": end},
     ]
     for leaving in leaves:
@@ -105,7 +87,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
             code = person.meet(typed(hands) | leaving)
             code = person.hang_up() if code == -1 else code
             assert code == 1, person.text
-    hands.empty()
+    hands.do("empty")
     with contextlib.closing(Person(command, tmp_path)) as person:
         assert person.meet(typed(hands), timeout_s=120.0) == 0, person.text[-6000:]
     steps = findings(tmp_path / "box")
@@ -129,11 +111,20 @@ def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(
     folder = Path(cell.positioner_socket).parent
     ask = ["simulate", "--out", str(folder), "--ask"]
     for request, replied in (
-        ('{"hand": {"1": 0.02}}', '{"moving": true}'),
+        ("open finger 0", "finger 0 59.1 mm from the middle, finger 1 15.0 mm"),
         ('{"remove": true}', '{"removed": true}'),
-        ('{"hand": {"7": 0.02}}', "there is no servo 7"),
-        ("hand", "is no JSON"),
+        ("help", "disconnect servo N"),
+        ("open finger 7", "`help` prints what is"),
+        ("press finger0.tip", "there is no pad 'finger0.tip'; there are finger0.inner"),
+        ("{hand", "is no JSON"),
     ):
         with contextlib.closing(Person([*ask, request], tmp_path)) as person:
             person.meet({})
             assert replied in person.text
+    program = "from cell.interfaces.cli import main; main()"
+    command = [sys.executable, "-P", "-c", program, *ask, "-"]
+    shown = subprocess.run(
+        command, input="dance\nclose\n", capture_output=True, text=True, check=True
+    )
+    assert "'dance' is nothing that a hand does" in shown.stderr
+    assert shown.stdout.startswith("hands> hands> finger 0 0.0 mm from the middle")

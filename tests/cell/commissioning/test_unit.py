@@ -76,7 +76,7 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(stand: MakeSta
     one.bench.lines = lines = Adapter(one.cell)
     assert one.run(STEP).settings["tactile.bitrate"] == 500_000
     lines.rates = ()
-    assert one.run(STEP).lines == ["BusNotOpened: invalid bit rate 1000000"]
+    assert one.run(STEP).lines == ["invalid bit rate 1000000"]
 
 
 def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand: MakeStand) -> None:
@@ -116,7 +116,7 @@ def test_a_unit_of_another_bit_rate_is_found_over_a_real_serial_adapter(tmp_path
         assert finding.status is Verdict.PASS, finding.lines
         assert finding.settings["tactile.bitrate"] == 500_000
         bench.settings = finding.settings
-        cell.ask(press=1, x_m=0.015, y_m=0.006, force_n=2.0)
+        cell.ask(press="finger1.inner", at=["tip", "right"])
         finding = carry_out(PadsAtRestStep(), bench, Script())
         assert finding.status is Verdict.FAIL
         assert "for an untouched taxel: clear the pads" in finding.lines[-1]

@@ -10,8 +10,10 @@ from cell.config.file import (
     MAX_BYTES,
     config_schema,
     config_text,
+    converted_text,
     load_config,
     parse_config,
+    recorded_config,
     schema_text,
 )
 from cell.config.model import CellConfig
@@ -129,6 +131,12 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ),
         ("sequence:\n  x_mm: [3, 1]\n", ["x_mm", "[3, 1]", "low"]),
         ("sequence:\n  kind: list\n", ["poses"]),
+        ("sequence:\n  candidates: 24\n", ["cell.yaml:2:3: sequence.candidates: is gone"]),
+        ("sequence:\n  kind: active\n", ["cell.yaml:2:3: sequence.kind: is gone", "'active'"]),
+        (
+            "serve: {foxglove_port: 8765}\n",
+            ["port: is gone: `tactile-cell config convert"],
+        ),
         ("gripper: {port: /dev/ttyUSB0}\n", ["both be `simulated` or both be real"]),
         (
             "gripper: {port: /dev/ttyUSB0}\ntactile: {interface: socketcan}\n",
@@ -195,7 +203,7 @@ def test_a_file_that_was_cut_off_within_a_line_is_refused(tmp_path: Path) -> Non
 
 
 def test_missing_unreadable_and_oversized_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match=r"cannot read config .*check the path"):
         load_config(tmp_path / "none.yaml")
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00")
@@ -240,3 +248,50 @@ def test_a_number_of_thousands_of_digits_is_named_by_its_place(digits: str) -> N
     assert complaint(f"seed: {digits}\n") == (
         f"cell.yaml:1:7: a value of {len(digits)} characters; a config has none of more than 1000"
     )
+
+
+GONE = {"serve.door": None, "sequence.kind": {"old": "grid"}, "sequence.extra": None}
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("name: a\nserve:\n  door: 8  # mine\nseed: 3\n", "name: a\n  # mine\nseed: 3\n"),
+        (
+            "serve:\n  # the door\n  door: 8\n  # the port\n  http_port: 1\n",
+            "serve:\n  # the door\n  # the port\n  http_port: 1\n",
+        ),
+        (
+            "sequence: {kind: old, extra: [1, 2], max_grasps: 2} # one\n",
+            "sequence: {kind: grid, max_grasps: 2} # one\n",
+        ),
+        ("sequence: {kind: 'old', extra: {a: 1}}\r\n", "sequence: {kind: grid}\r\n"),
+        ("{sequence: {extra: 1}, seed: 3}\n", "{seed: 3}\n"),
+        ("sequence:\n  extra:\n    a:\n      - 1\n\n# s\nseed: 3\n", "\n# s\nseed: 3\n"),
+        ("serve: {door: 1}\nsequence:\n  extra: 1\n", ""),
+    ],
+)
+def test_what_is_gone_is_named_and_converted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str, after: str
+) -> None:
+    """All else stays as it is, comments and line ends too."""
+    for module in ("config.file", "data.formats"):
+        monkeypatch.setattr(f"cell.{module}.GONE_KEYS", GONE)
+    path = tmp_path / "a cell.yaml"
+    path.write_text(before, newline="")
+    with pytest.raises(ConfigError, match=rf"is gone: `tactile-cell config convert '{path}'`"):
+        load_config(path)
+    text, changes = converted_text(before, source="x")
+    assert text == after
+    assert len(changes) == sum(name in before for name in ("door: ", "old", "extra"))
+    values = YAML(typ="safe", pure=True).load(before)
+    assert recorded_config(json.dumps(values)) == parse_config(after, source="x")
+
+
+def test_a_config_of_another_format_is_refused() -> None:
+    assert parse_config("format: tactile-cell-config/1\n", source="x") == CellConfig()
+    with pytest.raises(ConfigError, match=r"its format is '1', expected tactile-cell-config/1"):
+        parse_config("format: 1\n", source="x")
+    with pytest.raises(ConfigError, match=r"reads up to tactile-cell-config/1: update"):
+        parse_config("format: tactile-cell-config/2\nnew: 1\n", source="x")
+    assert [recorded_config(text) for text in ("", "[1]", '{"seed": "x"}')] == [None] * 3

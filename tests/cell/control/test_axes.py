@@ -13,7 +13,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from tests.cell.conftest import MakeBench, once, small_config
 from tests.faults.scenarios.axes import CHANGES
 
@@ -147,14 +147,32 @@ def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
     assert placed.rotation_rad == pytest.approx(POSE.rotation_rad, abs=NEAR_RAD)
 
 
-def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(bench: Any) -> None:
+@pytest.mark.parametrize(
+    ("fault", "number"),
+    [
+        ("axis2.fault", 606),
+        ("axis2.nmt=2", 610),
+        ("axis2.second_node", 611),
+        ("axis2.wrong_length=1", 612),
+        ("axis2.misread", 613),
+        ("a defect of the program", 599),
+    ],
+)
+def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
+    bench: Any, monkeypatch: pytest.MonkeyPatch, fault: str, number: int
+) -> None:
     bench.ready()
     bench.controller.grip(3.0, Pose())
-    bench.simulated.inject("axis2.fault")
+    if number == 599:
+        axes = bench.controller._positioner.axes
+        monkeypatch.setattr(axes, "_move", lambda *_args: {}["defect"])
+    else:
+        bench.simulated.inject(fault)
     there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3))
-    with pytest.raises(PositionerFault, match="drive 12"):
+    with pytest.raises((PositionerFault, KeyError), match=r"drive 12|defect"):
         bench.controller.carry_to(there)
     assert bench.controller.state is CellState.ABORTED
+    assert bench.controller.status.fault_number == number
     bench.sleep(1.0)
     assert bench.grip_n > 1.0
     assert not any(axis.moving for axis in bench.simulated.devices.axes.values())

@@ -15,8 +15,8 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.learning.shape_reading import shape_reader
 from gripper.errors import GripContradicted, GripperError, LimitExceeded
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, small_config
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
@@ -144,7 +144,7 @@ def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path
     assert result["shape"]["size_m"] == pytest.approx(found.shape.size_m, abs=1e-6)
     assert [one["kind"] for one in result["grasp_shapes"]] == ["sphere"]
     texts = [event["text"] for event in recording.events if event["kind"] == "callback"]
-    assert texts == ["after grasp 1: RuntimeError: window closed"]
+    assert texts == ["after grasp 1: unexpected error (RuntimeError): window closed"]
     assert [loop["overruns"] for loop in recording.statistics] == [0, 0]
     after_grasp, at_end = recording.statistics
     assert 100 < after_grasp["cycles"] <= at_end["cycles"]

@@ -8,7 +8,7 @@ import pytest
 from cell.control.identification import Identification, grasp_and_classify
 from cell.control.keeping import Judge
 from cell.control.records import GraspRecord
-from cell.errors import ConfigError
+from cell.errors import CellError, ConfigError
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shape_reading import in_words, shape_reader
 from recognition.recognizer import UNKNOWN, Posterior
@@ -20,7 +20,7 @@ from tests.cell.conftest import SURE, UNSURE, Scripted, small_config
 @pytest.fixture
 def record(taught: Any) -> GraspRecord:
     """Return a grasp of the ball without its label."""
-    ball: GraspRecord = taught.result.examples["ball"]
+    ball: GraspRecord = taught.result.trials[0].found.records[0]
     return replace(ball, grasp=replace(ball.grasp, label=""))
 
 
@@ -82,11 +82,11 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
     read = shape_reader(small_config())
     assert read is not None
     for options, complaint in (
-        ({"on_grasp": raising(RuntimeError("closed"))}, "after grasp 1: RuntimeError: closed"),
-        ({"read_shape": raising(ValueError("no law"))}, "shape of grasp 1: ValueError: no law"),
+        ({"on_grasp": raising(CellError("closed"))}, "after grasp 1: closed"),
+        ({"read_shape": raising(CellError("no law"))}, "shape of grasp 1: no law"),
         (
             {"read_shape": lambda grasp: replace(read(grasp), evidence=())},
-            "shape of all grasps: ValueError: a fused shape",
+            "shape of all grasps: unexpected error (ValueError): a fused shape",
         ),
     ):
         found = identified(record, **options)

@@ -18,7 +18,7 @@ from cell.errors import CellStopped, ConfigError, PositionerError
 from cell.hand.local import LocalHand
 from cell.learning.model import load_model
 from gripper.errors import PartLost, PartSlipped
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from tactile.errors import TactileError
 from tests.cell.conftest import STRANGE, SURE, UNSURE, Bench, MakeBench, Scripted, small_config

@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +16,15 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.self_zero import SelfZeros, kept_zeros, zero_file, zero_values
 from cell.control.states import CellState
 from cell.data.dataset import read_grasps
-from cell.errors import PartInGrip, PlanRefused, ZeroRefused
+from cell.data.formats import SELF_ZERO, write_json
+from cell.errors import CellError, PartInGrip, PlanRefused, ZeroRefused
 from cell.interfaces.cli.session import cell_config
-from cell.interfaces.plugin import tasks
-from cell.interfaces.plugin.goals import ZeroGoal, checked_goal
-from cell.interfaces.plugin.health import health_values
 from cell.jobs.doctor import examine
+from cell.plugin import tasks
+from cell.plugin.goals import ZeroGoal, checked_goal
+from cell.plugin.health import health_values
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import SelfZero
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import call, small_config
@@ -300,9 +303,7 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(
     assert kept.newest is not None
     # A simulated hand is new in each program, a real one is not.
     assert kept.due
-    real = {"gripper.port": "/dev/ttyUSB0", "tactile.interface": "socketcan"}
-    real |= {"tactile.channel": "can0", "positioner.kind": "operator", "self_zero": "daily"}
-    there = changed_config(CellConfig(), real)
+    there = changed_config(CellConfig(), REAL | {"self_zero": "daily"})
     assert kept_zeros(there, tmp_path).due
     kept_zeros(there, tmp_path).keep(ZERO)
     assert not kept_zeros(there, tmp_path).due
@@ -328,26 +329,141 @@ DAY_S = 86_400.0
 ZERO = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"measured_s": 1e300}', "x" * 20_000])
-def test_a_damaged_file_counts_as_none(tmp_path: Path, text: str) -> None:
+def damage(path: Path, how: str) -> None:
+    """Put something that is no self-zero in the place of one."""
+    path.unlink()
+    if how == "pipe":
+        os.mkfifo(path)
+    elif how == "device":
+        path.symlink_to("/dev/zero")
+    elif how == "huge":
+        with path.open("wb") as file:
+            file.truncate(1 << 40)
+    else:
+        path.write_text(how)
+
+
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        ("", "no JSON"),
+        ("[1]", "holds no object"),
+        ("[" * 100_000, "no JSON"),
+        ("{}", "names no format"),
+        ('{"measured_s": 1e300}', "names no format"),
+        ('{"format": "tactile-cell-self-zero/9"}', "update tactile-cell"),
+        ('{"format": "tactile-cell-self-zero/1"}', "checksum"),
+        ("pipe", "not a plain file"),
+        ("device", "not a plain file"),
+        ("huge", "too long"),
+    ],
+)
+def test_a_damaged_file_is_named_and_counts_as_none(tmp_path: Path, how: str, says: str) -> None:
     path = tmp_path / "zero.json"
-    path.write_text(text)
-    assert SelfZeros("daily", path=path).newest is None
-    SelfZeros("daily", path=path).keep(ZERO)
+    path.write_text("")
+    damage(path, how)
+    zeros = SelfZeros("daily", path=path)
+    assert zeros.newest is None
+    assert str(path) in zeros.refused
+    assert says in zeros.refused
+    path.unlink()
+    zeros.keep(ZERO)
+    assert not zeros.refused
     assert SelfZeros("daily", path=path).newest == ZERO
 
 
-def test_a_file_of_another_hand_counts_as_none(tmp_path: Path) -> None:
+@pytest.mark.parametrize("values", [{}, {"measured_s": "x"}, {"measured_s": 1e300}, {"hand": 3}])
+def test_a_whole_file_of_other_values_counts_as_none(
+    tmp_path: Path, values: dict[str, Any]
+) -> None:
+    kept = {"measured_s": 1.8e9, "hand": {}} | (zero_values(ZERO) if values else {}) | values
+    write_json(tmp_path / "zero.json", SELF_ZERO, kept, error=CellError)
+    zeros = SelfZeros("daily", path=tmp_path / "zero.json")
+    assert zeros.newest is None
+    assert "holds none; `tactile-cell zero`" in zeros.refused
+
+
+REAL = {
+    "gripper.port": "/dev/ttyUSB0",
+    "tactile.interface": "socketcan",
+    "tactile.channel": "can0",
+    "positioner.kind": "operator",
+}
+"""Ports of a real cell."""
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"gripper.port": "/dev/ttyUSB1"}, "gripper.port"),
+        ({"tactile.channel": "can1"}, "tactile.channel"),
+        ({"tactile.node_id": 6}, "tactile.node_id"),
+        ({"tactile.serial_number": 7}, "tactile.serial_number"),
+        ({"gripper.servos": [{"id": 1}, {"id": 3}]}, "gripper.servos"),
+        ({"gripper.linkage.link_mm": 61.0}, "gripper.linkage"),
+        ({"simulator.pads": {"stiffness": [0.8, 1.0]}}, "simulator.pads"),
+    ],
+)
+def test_a_zero_of_another_cell_counts_as_none_and_is_named(
+    tmp_path: Path, change: dict[str, Any], named: str
+) -> None:
+    here = changed_config(CellConfig(), REAL)
+    kept_zeros(here, tmp_path).keep(ZERO)
+    assert kept_zeros(here, tmp_path).newest == ZERO
+    other = kept_zeros(changed_config(here, change), tmp_path)
+    assert (other.newest, other.due) == (None, True)
+    assert f"with other {named}. Give each cell a name of its own" in other.refused
+    assert kept_zeros(changed_config(here, {"gripper.force_max_n": 12.0}), tmp_path).newest == ZERO
+
+
+def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Path) -> None:
+    """Two cells whose adapters have changed places have the same config."""
     config = small_config()
-    kept_zeros(config, tmp_path).keep(ZERO)
-    assert kept_zeros(config, tmp_path).newest == ZERO
-    for other in (
-        {"simulator__pads": {"stiffness": [0.8, 1.0]}},
-        {"gripper__linkage__link_mm": 61.0},
-        {"seed": 3},
-    ):
-        assert kept_zeros(small_config(**other), tmp_path).newest is None
-    assert kept_zeros(small_config(gripper__force_max_n=12.0), tmp_path).newest == ZERO
+
+    def begun(job: str) -> Any:
+        (tmp_path / job).mkdir()
+        bench = make_bench(config, folder=tmp_path / job).ready()
+        bench.simulated.remove()
+        return bench
+
+    begun("first").controller.measure_zero()
+    same = begun("same")
+    assert (same.controller.self_zero is None, same.controller.zero_note) == (False, "")
+    kept = json.loads(zero_file(tmp_path, config.name).read_text())
+    del kept["format"], kept["sha256"]
+    kept["hand"]["unit.boards"] = [1, 9]
+    write_json(zero_file(tmp_path, config.name), SELF_ZERO, kept, error=CellError)
+    other = begun("other")
+    assert other.controller.self_zero is None
+    assert "with other unit.boards." in other.controller.zero_note
+    other.controller.measure_zero()
+    assert not other.controller.zero_note
+
+
+def test_daily_zeros_do_not_drift_away_from_the_config(make_bench, tmp_path: Path) -> None:
+    """Sheets of 1.8, 3.6 and 5.4 mm, one a start, then empty fingers."""
+    config, taken = small_config(self_zero="daily"), []
+    for sheet_mm in (1.8, 3.6, 5.4, 0.0):
+        (tmp_path / f"{sheet_mm}").mkdir()
+        bench = make_bench(config, folder=tmp_path / f"{sheet_mm}")
+        bench.simulated.remove()
+        if sheet_mm:
+            bench.simulated.place(f"box:length=80mm,width=40mm,height={sheet_mm}mm")
+        bench.controller.start()
+        if not (note := bench.controller.zero_note):
+            taken.append(sheet_mm)
+            assert 1e3 * bench.controller.self_zero.opening_m == pytest.approx(sheet_mm, abs=0.3)
+        else:
+            assert "+0.00 mm is where the config has it" in note
+    assert taken == [1.8, 0.0]
+
+
+def test_a_zero_far_from_the_last_one_is_no_daily_one() -> None:
+    zeros = SelfZeros("daily")
+    assert not zeros.far_off(replace(ZERO, opening_m=0.0))
+    zeros.keep(replace(ZERO, opening_m=3e-3))  # somebody has asked for it
+    assert "+3.00 mm is where they met last" in zeros.far_off(replace(ZERO, opening_m=0.5e-3))
+    assert "+0.00 mm is where the config has it" in zeros.far_off(replace(ZERO, opening_m=3e-3))
 
 
 def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ from cell.control.states import (
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, CellStopped
 from docs.tools.states_page import DOES, GRASP_DOES, states_page
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 from tactile.errors import BusOff
 from tests.cell.conftest import MakeBench, once
 

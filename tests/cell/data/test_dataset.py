@@ -115,8 +115,8 @@ def test_recorded_grasps_load_and_round_trip(tmp_path: Path) -> None:
 Change = Callable[[dict[str, NDArray[Any]]], Any]
 
 DAMAGE: dict[str, tuple[Change, str]] = {
-    "other format": (lambda a: a.update(format=np.array("grasp-dataset/2")), "expected"),
-    "format not text": (lambda a: a.update(format=np.array(1)), "not one text"),
+    "other format": (lambda a: a.update(format=np.array("dataset/1")), "expected grasp-"),
+    "format not text": (lambda a: a.update(format=np.array(1)), "its format is"),
     "array missing": (lambda a: a.pop("counts"), "counts missing"),
     "a model": (lambda a: a.update(model=a.pop("counts")), "is a model: name the data sets"),
     "misspelt array": (lambda a: a.update(force_N=a.pop("force_n")), "unknown arrays 'force_N'"),
@@ -251,8 +251,9 @@ def test_archives_of_something_else_or_beyond_a_limit_are_refused(
     ("content", "says"),
     [
         (None, "check the path"),
-        (b"label: ball\n", "take another copy"),
-        (b"", "take another copy"),
+        (b"label: ball\n", "is no grasp data set: it is no npz archive; name a grasp data set"),
+        (b"", "is no grasp data set: it is empty; name"),
+        (b"PK\x03\x04", "is no whole grasp data set .*; take another copy"),
         (b"\x89MCAP0\r\n" + bytes(100), r"is a recording, no grasp data set; .* in \.mcap"),
     ],
 )

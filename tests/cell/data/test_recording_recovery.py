@@ -15,7 +15,7 @@ from cell.data.recording_reader import read_recording
 from cell.data.recording_recovery import RECOVERED, recover_recording
 from cell.errors import RecordingError
 from cell.interfaces.cli.app import app
-from tactile.frames.codec import TactileFrame
+from tactile.source import TactileFrame
 from tests.cell.conftest import plain_grasp
 
 

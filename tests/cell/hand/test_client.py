@@ -23,17 +23,17 @@ from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
-from gripper.force_sensor import ForceSample
-from gripper.state import GripperPhase
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import GripperPhase
 from tactile.errors import HeartbeatLost, LinkFault
-from tactile.frames.codec import TactileFrame
-from tests.values import make_cycle, make_link_statistics
+from tactile.source import TactileFrame
+from tests.values import make_cycle, make_source_statistics
 
 RAMP = ForceRamp.linear(3.0, 5.0)
 STATISTICS = HandStatistics(
     loop=LoopStatistics(cycles=5),
     servo_bus=BusStatistics(),
-    link=make_link_statistics(),
+    source=make_source_statistics(),
 )
 
 
@@ -206,7 +206,7 @@ def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand: HandProcess)
     loop = loop_of(hand)
     assert hand.shutdown() == ""
     loop.coming.append(SILENT)
-    assert hand.shutdown() == "HeartbeatLost: silent"
+    assert hand.shutdown() == "silent"
     assert loop.sent == [("shutdown", {})] * 2
 
 
@@ -219,7 +219,7 @@ def test_a_lost_process_is_told_until_it_is_cleared(hand: HandProcess) -> None:
     for call in (hand.tick, hand.keep_grip, hand.start):
         with pytest.raises(HandLost, match="killed"):
             call()
-    hand.close_sensor()
+    hand.stop_sensor()
     assert hand.shutdown() == ""
     hand.clear_fault(reboot=False)
     assert len(FakeLoop.made) == 2

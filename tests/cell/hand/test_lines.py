@@ -64,12 +64,12 @@ def test_one_line_may_be_missing_where_that_is_allowed_but_not_both() -> None:
 
     openers = Openers("can")
     lines = Lines(openers.servos, openers.can, partial=True)
-    assert lines.can_is_missing
+    assert lines.notes == (f"{MISSING}no bus",)
     with pytest.raises(BusNotOpened):
         lines.reopen_can()
     openers.failing.clear()
     assert lines.reopen_can() is openers.made[-1]
-    assert not lines.can_is_missing
+    assert lines.notes == ()
     lines.close()
     assert [line.closed for line in openers.made] == [1, 1]
 

@@ -31,12 +31,11 @@ from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, ServoFault, ServoRejected, VerificationFailed
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import Distribution, LoopStatistics
-from gripper.servo_checks import VerificationReport, VerificationRow
-from gripper.state import GripperPhase
+from gripper.values.servo_checks import VerificationReport, VerificationRow
+from gripper.values.state import GripperPhase
 from tactile.errors import NodeEmergency
-from tactile.frames.assembler import FrameStatistics
-from tactile.frames.codec import TactileFrame
-from tests.values import make_cycle, make_link_statistics
+from tactile.source import FrameStatistics, TactileFrame
+from tests.values import make_cycle, make_source_statistics
 
 RAMP = ForceRamp.staircase((2.0, 4.0), 5.0, 0.2)
 
@@ -45,7 +44,7 @@ def statistics() -> HandStatistics:
     return HandStatistics(
         loop=LoopStatistics(cycles=9, lateness=Distribution(n=9, max_s=0.1)),
         servo_bus=BusStatistics(transactions=3),
-        link=make_link_statistics(frames=FrameStatistics(complete=4)),
+        source=make_source_statistics(frames=FrameStatistics(complete=4)),
     )
 
 
@@ -64,7 +63,7 @@ ANSWER = HandReply(
 
 def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
     watched = {"open", "grasp", "meet", "carry", "squeeze", "release"}
-    unwatched = {"start", "start_sensor", "close_sensor", "tare", "conditions", "inspect"}
+    unwatched = {"start", "start_sensor", "stop_sensor", "tare", "conditions", "inspect"}
     unwatched |= {"read_sensor", "keep_grip", "clear_fault", "shutdown"}
     assert {name for name, is_watched in HAND_COMMANDS.items() if is_watched} == watched
     assert set(HAND_COMMANDS) == watched | unwatched

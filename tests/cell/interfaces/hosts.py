@@ -9,7 +9,7 @@ from pymodbus.client import ModbusTcpClient
 from websockets.sync.client import connect as open_socket
 
 from cell.interfaces.modbus.registers import COMMAND, COMMAND_SEQ, LIFE
-from tests.cell.interfaces.conftest import LIMIT_S
+from tests.cell.served import LIMIT_S
 
 
 class Plc:

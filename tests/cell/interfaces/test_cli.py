@@ -23,8 +23,9 @@ from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
+from cell.data.recorder_sink import DirectFile
 from cell.data.recording_reader import read_recording
-from cell.errors import ConfigError
+from cell.errors import ConfigError, RecordingError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.run import confusion_table, print_result
@@ -39,7 +40,7 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
 )
 from cell.learning.model import load_model, save_model
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
@@ -160,7 +161,8 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(
 
 
 def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[str]) -> None:
-    from cell.jobs.run import MainResult, score
+    from cell.jobs.run import MainResult
+    from cell.report.build import score
 
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")
     result = MainResult(
@@ -170,8 +172,6 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
         seconds=1.0,
         scores=dict.fromkeys(("force_ramp", "level_check"), score("", labels, labels, labels)),
         trials=(),
-        examples={},
-        recognizers={},
         dataset=None,
         model=None,
         recording=None,
@@ -238,6 +238,41 @@ def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None
     assert data["kept"] is False
     assert "the part was kept" not in text
     assert "COMPLETE" not in [state["state"] for state in recording.states]
+
+
+@pytest.mark.parametrize(
+    ("command", "answer"),
+    [
+        ("identify -m {model} --object box -c {config} --json {json}", "answer: box"),
+        ("run -c {config} --json {json}", "One grasp takes"),
+        ("teach ball -n 3 -o {out}/b.npz -c {config} --json {json}", "3 grasps of ball added"),
+        ("sort --parts 1 -m {model} -c {config} --json {json}", "1 parts sorted"),
+        ("calibrate --gauge ball -n 1 -m {model} -o {out}/c.npz -c {config}", "1 grasps of ball"),
+    ],
+)
+@pytest.mark.usefixtures("run_at_once")
+def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
+    *,
+    config: Path,
+    model: Path,
+    tmp_path: Path,
+    command: str,
+    answer: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(_file: DirectFile) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(DirectFile, "close", refuse)
+    found = tmp_path / "found.json"
+    names = {"model": model, "config": config, "out": tmp_path, "json": found}
+    result = RUNNER.invoke(app, [part.format(**names) for part in command.split()])
+    assert answer in result.stdout
+    assert isinstance(result.exception, RecordingError)
+    assert "stopped after" in str(result.exception)
+    assert "No space left" in str(result.exception)
+    if found.exists():
+        assert "No space left" in read_json(found)["health"]["recording"]
 
 
 def test_identify_keeps_the_part_where_that_is_asked_for(
@@ -450,7 +485,6 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
         "recognizer": "level_check",
         "n_grasps": 20,
         "early": False,
-        "n_remembered": 0,
         "labels": ["ball", "box"],
     }
 
@@ -652,6 +686,7 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
     placed = operated.replace("places: []", "places:\n  - {label: ball, place: left}")
     texts = {
         "pinch": "tactile: {layout: pinch}\n",
+        "meshed": "simulator: {objects: [{label: a, shape: 'mesh:file=a.stl'}]}\n",
         "undrawn": "simulator: {objects: [{label: a, shape: 'sphere:diameter=9'}]}\n",
         "operated": operated,
         "placed": placed,
@@ -660,7 +695,7 @@ def files(tmp_path: Path, taught: Any, config: Path) -> dict[str, Path]:
         paths[name] = tmp_path / f"{name}.yaml"
         paths[name].write_text(text)
     given = {"dataset": taught.result.dataset, "model": taught.result.model, "config": config}
-    return paths | given | {"real": EXAMPLES / "paper-gripper.yaml"}
+    return paths | given | {"real": EXAMPLES / "paper-gripper.yaml", "folder": tmp_path / "new"}
 
 
 @pytest.mark.parametrize(
@@ -723,6 +758,34 @@ def test_wrong_use_is_two_and_a_failing_job_one(
     assert not files["made"].exists()
 
 
+@pytest.mark.parametrize(
+    ("extra", "command"),
+    [
+        ("trimesh: mesh", "teach x -o {made} --mesh {none}"),
+        ("trimesh: mesh", "config check {meshed}"),
+        ("sklearn: comparators", "train {dataset} -o {made} --recognizer extra_trees"),
+        ("sklearn: comparators", "evaluate {dataset} --recognizer extra_trees --jobs 1"),
+        ("distributed: cluster", "evaluate {dataset} --scheduler tcp://127.0.0.1:9"),
+        ("fastapi: serve", "commission {folder} --page"),
+        ("fastapi: serve", "serve -c {config} --http 0"),
+        ("asyncua: opcua", "serve -c {config} --opcua 0"),
+    ],
+)
+def test_a_missing_extra_is_named_with_the_command_that_adds_it(
+    fail: Any, files: dict[str, Path], extra: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package, _, extra = extra.partition(": ")
+    users = [f"cell.interfaces.{name}" for name in ("opc_ua", "w", "page")]
+    for name in list(sys.modules):
+        if name.partition(".")[0] == package:
+            monkeypatch.setitem(sys.modules, name, None)
+        elif name.startswith(tuple(users)):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    said = fail(*command.format(**files).split(), code=1 if "--jobs" in command else 2)
+    assert f" needs {package}; install this project with its extra `{extra}`: pip install" in said
+
+
 def when_pressed(made: Any, act: Callable[[], None]) -> None:
     world = made.simulated.world
     once(made.simulated.clock, lambda: min(world.contact_force_n()) > 2.0, act)
@@ -770,13 +833,12 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
     config: Path, fail: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from cell.errors import ReportError
-    from cell.jobs import run_report
 
     def refuse(*_arguments: object) -> None:
         raise ReportError("cannot write report: no space left")
 
     printed: list[Any] = []
-    monkeypatch.setattr(run_report, "main_report", refuse)
+    monkeypatch.setattr("cell.report.page.write_report", refuse)
     monkeypatch.setattr("cell.interfaces.cli.commands.run.print_result", printed.append)
     said = fail("run", "-c", config)
     assert said.endswith("error: cannot write report: no space left")
@@ -835,7 +897,7 @@ def test_an_interrupt_outside_a_sequence_is_one(monkeypatch: pytest.MonkeyPatch,
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cell.jobs.doctor, "examine", interrupt)
-    assert fail("doctor") == f"{BUILT_IN} error: interrupted; nothing was let go"
+    assert fail("doctor") == f"{BUILT_IN} error: interrupted"
 
 
 def test_an_empty_gripper_tells_that_nothing_is_held(

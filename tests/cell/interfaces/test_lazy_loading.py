@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-MODULE = "cell.interfaces.plugin.plugin"
+MODULE = "cell.plugin.plugin"
 LATER = ("scipy", "matplotlib", "canopen", "can", "dynamixel_sdk")
 
 

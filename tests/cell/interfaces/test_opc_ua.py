@@ -3,7 +3,6 @@
 import asyncio
 import socket
 import struct
-import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, suppress
 from itertools import pairwise
@@ -35,6 +34,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from cell.control.states import Command
 from cell.errors import CellError, ConfigError
+from cell.interfaces.host_values import VALUES
 from cell.interfaces.opc_ua.door import (
     FAULT_EVENT,
     NAMESPACE,
@@ -43,11 +43,10 @@ from cell.interfaces.opc_ua.door import (
     SHUTDOWN_EVENT,
     OpcUaDoor,
 )
-from cell.interfaces.service.host_values import VALUES
-from cell.interfaces.service.service import RELEASE_KEY
-from cell.interfaces.service.serving import open_doors
+from cell.interfaces.opening import open_doors
+from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
-from tests.cell.interfaces.conftest import LIMIT_S, Served, serving
+from tests.cell.served import LIMIT_S, Served, serving
 
 pytestmark = pytest.mark.anyio
 ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt
@@ -467,9 +466,3 @@ def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_pa
     (folder / "key.pem").unlink()
     with pytest.raises(CellError, match=r"key\.pem"), open_doors(served.service):
         pass
-
-
-def test_a_missing_extra_is_named(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "cell.interfaces.opc_ua.door", None)
-    with pytest.raises(ConfigError, match=r"tactile-cell\[opcua\]"):
-        serve("opcua")

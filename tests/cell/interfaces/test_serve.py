@@ -18,11 +18,11 @@ import pytest
 from cell.config.model import CellConfig
 from cell.errors import CellError
 from cell.interfaces.cli.commands import serve as serving
-from cell.interfaces.service.serving import open_doors, page_address
+from cell.interfaces.opening import open_doors, page_address
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
-from tests.cell.interfaces.conftest import LIMIT_S, until
 from tests.cell.interfaces.hosts import Client
+from tests.cell.served import LIMIT_S, until
 
 PROGRAM = "from cell.interfaces.cli import main; main()"
 SMALL = "tactile:\n  tare_frames: 25\nserve:\n  lease_timeout_s: 20\n"
@@ -34,14 +34,12 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Return what starts the program on the small simulated cell: the process and its line."""
     made: list[subprocess.Popen[str]] = []
 
-    def run(
-        *options: str, config: str | None = "", command: tuple[str, ...] = ("serve", "--speed", "0")
-    ) -> tuple[subprocess.Popen[str], dict[str, Any]]:
+    def run(*options: str, config: str | None = "") -> tuple[subprocess.Popen[str], dict[str, Any]]:
         if config is not None:
             (tmp_path / "cell.yaml").write_text(SMALL + config)
             options += ("-c", "cell.yaml")
         process = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *command, *options],
+            [sys.executable, "-c", PROGRAM, "serve", "--speed", "0", *options],
             cwd=tmp_path,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -143,7 +141,7 @@ def test_the_page_takes_the_next_port_where_its_own_is_taken(
 def test_without_its_extra_there_is_no_page_but_a_note(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("cell.installation.missing_packages", lambda _extra: ("uvicorn",))
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
     assert serving.free_page_port("127.0.0.1") is None
     assert "no page: uvicorn missing" in capsys.readouterr().err
 
@@ -243,12 +241,3 @@ def test_a_first_start_that_is_to_end_ends_at_once(serve: Any, cache: Path) -> N
     serving._teach_first(served.service, served.plugin, served.service.config, over)
     assert len(served.plugin.asked) == 1
     assert cached_model(served.service.config) is None
-
-
-def test_a_recording_is_shown_on_the_page(start: Any, taught: Any) -> None:
-    recording = str(taught.result.recording)
-    process, line = start(recording, "--live", config=None, command=("replay",))
-    assert set(line) == {"listen", "http_port", "token"}
-    assert Client(line).get("/api/state")["replay"]["name"] == "recording.mcap"
-    page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"
-    assert ended(process) == [page]

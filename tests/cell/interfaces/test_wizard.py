@@ -31,8 +31,8 @@ from cell.errors import NotInCommand
 from cell.interfaces.wizard import Wizard, WizardDoor
 from tactile.layout import paper_layout
 from tests.cell.commissioning.test_engine import REAL, Asking
-from tests.cell.interfaces.conftest import until
 from tests.cell.interfaces.hosts import Client
+from tests.cell.served import until
 
 WRITES = tuple(
     Write(
@@ -278,7 +278,7 @@ def test_what_ends_the_wizard_is_named_and_the_step_is_taken_up_again(
     client.acquire()
     client.tell("run")
     state = client.becomes("failed")
-    assert "RuntimeError: this step has a mistake" in state["error"]["text"]
+    assert state["error"]["text"] == "unexpected error (RuntimeError): this step has a mistake"
     assert state["error"]["number"] > 0
     client.tell("run")
     assert client.becomes("asking")["error"] is None

@@ -17,13 +17,13 @@ import pytest
 
 from cell.control.plan import Pose
 from cell.control.states import Command
+from cell.interfaces.host_calls import METHODS
+from cell.interfaces.host_values import ur_pose
 from cell.interfaces.http_server import REQUEST_BYTES
-from cell.interfaces.service.host_calls import METHODS
-from cell.interfaces.service.host_values import ur_pose
-from cell.interfaces.service.service import RELEASE_KEY
+from cell.service.service import RELEASE_KEY
 from gripper.errors import PartSlipped, ServoFault
-from tests.cell.interfaces.conftest import LIMIT_S, Served, until
 from tests.cell.interfaces.ur_script import Robot
+from tests.cell.served import LIMIT_S, Served, until
 
 
 @pytest.fixture

@@ -12,14 +12,14 @@ import pytest
 from cell.config.file import changed_config, config_text
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, CellStateError, ConfigError, ModelError
-from cell.interfaces.plugin import tasks
-from cell.interfaces.plugin.goals import GaugeGoal
 from cell.jobs.calibrate import calibrate_model
 from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
 from cell.learning.model import load_model
 from cell.learning.taught_model import TaughtModel
-from gripper.outcome import GraspResult
+from cell.plugin import tasks
+from cell.plugin.goals import GaugeGoal
+from gripper.values.outcome import GraspResult
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.recognizers import make_trainer
 from tests.cell.conftest import call

@@ -1,10 +1,8 @@
 """The main job: teach, train, identify; its files, its figures, its page."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,23 +11,22 @@ from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.data.files import json_bytes
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
+from cell.jobs.collection import Collection, grasps_of
 from cell.jobs.common import job_folder, progress_of
-from cell.jobs.run import BASELINE, _scores, baseline, score
-from cell.jobs.run_report import report_data
+from cell.jobs.run import baseline
 from cell.jobs.teach import labelled, name_recorded, teach_to_dataset
-from cell.learning.collection import Collection, grasps_of
 from cell.learning.model import load_model
 from cell.learning.training import train
-from gripper.state import GripperPhase
+from cell.report.build import BASELINE, score, score_tables
+from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from tests.cell.conftest import MakeBench
 
 
-def test_the_papers_check_names_the_likeliest_also_in_doubt(taught: Any) -> None:
+def test_the_papers_check_names_the_likeliest_also_in_doubt() -> None:
     doubtful = Posterior(labels=("ball", "box"), probability=np.array([0.55, 0.45]), unknown=0.6)
-    (trial, _) = taught.result.trials
-    trial = replace(trial, first={"force_ramp": doubtful, BASELINE: doubtful})
-    scores = _scores([trial], ("ball", "box"), "force_ramp")
+    first = {"force_ramp": doubtful, BASELINE: doubtful}
+    scores = score_tables([("ball", "ball", first)], ("ball", "box"), "force_ramp")
     assert scores[BASELINE].counts.tolist() == [[1, 0, 0], [0, 0, 0]]
     assert scores["force_ramp_one_grasp"].counts.tolist() == [[0, 0, 1], [0, 0, 0]]
 
@@ -88,27 +85,8 @@ def test_json_has_what_was_promised(taught: Any) -> None:
     assert data["report"] is None
 
 
-def test_the_baseline_as_default_is_trained_once(make_bench: MakeBench, taught: Any) -> None:
-    bench, model = make_bench(taught.config), Mock(trainer_name=BASELINE)
-    assert baseline(model, ()) == {}
-    scores = {f"{BASELINE}{kind}": taught.result.scores[BASELINE] for kind in ("", "_one_grasp")}
-    result = replace(taught.result, default=BASELINE, scores=scores)
-    captions = [
-        [figure.caption for figure in report_data(one, taught.config, bench.cell).key_figures]
-        for one in (taught.result, result)
-    ]
-    assert captions == [
-        ["right", "right with one grasp", "right by the paper's method", "grasps until sure"],
-        ["right", "right with one grasp", "grasps until sure"],
-    ]
-
-
-def test_the_page_shows_figures_and_files(make_bench: MakeBench, taught: Any) -> None:
-    data = report_data(taught.result, taught.config, make_bench(taught.config).cell)
-    assert "10 grasps taught, 2 identifications" in data.subtitle
-    assert "XM430-W350 (id 1)" in dict(data.facts)["Servos"]
-    assert ("Recording", str(taught.result.recording)) in data.files
-    assert "Simulated cell" in data.notes[-1]
+def test_the_baseline_as_default_is_trained_once() -> None:
+    assert baseline(BASELINE, ()) == {}
 
 
 # -- scores ------------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
         folder=tmp_path,
         progress=silent,
     )
-    statistics = cell.link.statistics
+    statistics = cell.controller.hand.statistics.source
     cell.close()
     assert (result.n_taught, len(result.trials)) == (8, 2)
     assert statistics.frames.lost == statistics.frames.torn == statistics.error_frames == 0
@@ -61,7 +61,7 @@ def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
     kinds = Counter(int(cob_id, 16) for cob_id, *_ in rows)
     assert set(kinds) == {0x000, 0x080, 0x285, 0x385, 0x585, 0x605, 0x705}
     whole = statistics.frames.complete
-    assert kinds[0x080] == statistics.syncs
+    assert kinds[0x080] == statistics.requests
     assert kinds[0x385] in (MESSAGES_A_FRAME * whole, MESSAGES_A_FRAME * (whole + 1))
     assert kinds[0x585] == kinds[0x605] > 10
     commands = [int(command, 0) for _, _, command, _ in rows if command]

@@ -1,7 +1,7 @@
 """Shape and size as they are told to people and to host programs."""
 
-from cell.interfaces.plugin.answer import FeltShape
 from cell.learning.shape_reading import beside, in_words
+from cell.plugin.answer import FeltShape
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import UNCLEAR, ShapeAnswer, Thickness
 

@@ -49,7 +49,7 @@ def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
     assert cell.config.gripper.force_max_n == 9.0
     assert cell.config.positioner.kind == "simulated"
     assert [servo.servo_id for servo in cell.simulated.settings.servos] == [11, 12]
-    assert cell.start().cell.link.statistics.frames.complete > 0
+    assert cell.start().cell.controller.hand.statistics.source.frames.complete > 0
 
 
 def test_a_mover_takes_the_place_of_the_positioner(simulated_cell: Any) -> None:
@@ -92,10 +92,13 @@ def test_settings_that_cannot_be_are_refused(
 
 def test_time_passes_only_while_somebody_waits(simulated_cell: Any) -> None:
     cell = simulated_cell(objects=PIN, changes=QUICK).start("pin")
-    before_s, frames = cell.clock.monotonic(), cell.cell.link.statistics.frames.complete
+    before_s, frames = (
+        cell.clock.monotonic(),
+        cell.cell.controller.hand.statistics.source.frames.complete,
+    )
     cell.idle(0.5)
     assert cell.clock.monotonic() - before_s == pytest.approx(0.5, abs=0.02)
-    assert cell.cell.link.statistics.frames.complete - frames >= 20
+    assert cell.cell.controller.hand.statistics.source.frames.complete - frames >= 20
     cell.sleep(0.05)
     assert cell.clock.monotonic() - before_s == pytest.approx(0.55, abs=0.02)
 

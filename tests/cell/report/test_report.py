@@ -2,8 +2,8 @@
 
 import re
 import sys
+from collections import defaultdict
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import fields, is_dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,13 +13,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from cell.build import build_cell
-from cell.control.identification import Identification
-from cell.control.records import GraspRecord
-from cell.errors import ReportError
-from cell.jobs.run_report import report_data
-from cell.report.build import level_windows, link_health, loop_health, paper_table, servo_health
-from cell.report.data import ConfusionTable, HealthGroup, HealthState, HeldAndFound, ReportData
+from cell.control.journal import loop_values
+from cell.data.recording_reader import RecordedCycles, read_recording
+from cell.errors import MissingExtraError, ReportError
+from cell.report.build import level_windows, loop_health, paper_table, servo_health, source_health
+from cell.report.data import Answered, ConfusionTable, HealthGroup, HealthState, ReportData
 from cell.report.pad_pictures import level_pictures, pressure_levels
 from cell.report.page import (
     drawn_sequences,
@@ -29,26 +27,24 @@ from cell.report.page import (
     trajectories_view,
     write_report,
 )
-from cell.report.shapes import MAX_BARS, shapes_view
-from gripper.dynamixel.transactions import BusStatistics
+from cell.report.recorded import recorded_report
+from cell.report.shapes import MAX_BARS, Felt, shapes_view
 from gripper.force.timing import LoopStatistics
+from recognition.grasp import Grasp
 from recognition.quadric.thresholds import find_thresholds
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.answer import ShapeAnswer
-from tactile.frames.assembler import FrameStatistics
+from recognition.statistics.fusion import fuse
 from tactile.layout import TaxelLayout, paper_layout
-from tests.cell.conftest import plain_grasp
-from tests.values import make_identification, make_link_statistics, make_record, make_shape
+from tests.values import make_shape
 
 LAYOUT = paper_layout()
-RECORD = make_record(plain_grasp(""))
 
 
-def identified(
-    answer: str, *posteriors: Posterior, shape: ShapeAnswer | None = None
-) -> Identification:
-    records = (RECORD,) * len(posteriors)
-    return make_identification(*posteriors, label=answer, records=records, shape=shape)
+def identified(truth: str, answer: str, *posteriors: Posterior, **changes: Any) -> Answered:
+    n = len(posteriors)
+    known = {"fused": fuse(posteriors), "posteriors": posteriors, "n_grasps": n}
+    return Answered(truth=truth, label=answer, **known | changes)
 
 
 def report(**parts: Any) -> ReportData:
@@ -58,20 +54,13 @@ def report(**parts: Any) -> ReportData:
 @pytest.fixture(scope="module")
 def run(taught: Any) -> ReportData:
     """A small run and the paper's table; its first grasp began 50 s later, one answer is wrong."""
-    with closing(build_cell(taught.config)) as cell:
-        data = report_data(taught.result, taught.config, cell)
-    (label, record), *others = data.examples
-    assert record.outcome.contact_t_s is not None
-    contact_t_s = record.outcome.contact_t_s + 50.0
-    late = replace(
-        record,
-        cycles=tuple(replace(cycle, t_s=cycle.t_s + 50.0) for cycle in record.cycles),
-        outcome=replace(record.outcome, contact_t_s=contact_t_s),
-    )
+    data = recorded_report(read_recording(taught.result.recording))
+    first, *others = data.examples
+    late = replace(first, cycles=replace(first.cycles, t_s=first.cycles.t_s + 50.0))
     return replace(
         data,
-        examples=((label, late), *others),
-        sequences=(*data.sequences, ("cylinder", data.sequences[0][1])),
+        examples=(late, *others),
+        sequences=(*data.sequences, replace(data.sequences[0], truth="cylinder")),
         confusions=(*data.confusions, paper_table()),
     )
 
@@ -145,7 +134,9 @@ def mapped(value: Any, change: Callable[[str], str]) -> Any:
         return value if value in get_args(HealthState) else change(value)
     if isinstance(value, tuple):
         return tuple(mapped(one, change) for one in value)
-    if not is_dataclass(value) or isinstance(value, TaxelLayout | GraspRecord | Identification):
+    if not is_dataclass(value) or isinstance(
+        value, TaxelLayout | Answered | Grasp | RecordedCycles
+    ):
         return value
     texts = {field.name: mapped(getattr(value, field.name), change) for field in fields(value)}
     return replace(value, **texts)
@@ -179,7 +170,7 @@ def test_labels_and_paths_are_shown_not_interpreted(run: ReportData) -> None:
     p = Posterior(labels=(NASTY, "b"), probability=np.array([0.7, 0.3]), unknown=0.1)
     assert run.trajectories is not None
     one = replace(run.trajectories, objects=run.trajectories.objects[:1], windows=())
-    sequence = (NASTY, identified("b", p))
+    sequence = identified(NASTY, "b", p)
     data = replace(
         mapped(replace(run, trajectories=one), lambda _text: NASTY), sequences=(sequence,)
     )
@@ -207,7 +198,7 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn_small() ->
 
 
 def test_levels_are_picked_by_force(run: ReportData) -> None:
-    grasp = run.examples[0][1].grasp
+    grasp = run.examples[0].grasp
     levels = pressure_levels(grasp)
     most_n = grasp.force_n.max()
     assert list(levels) == [f"{share * most_n:.1f} N" for share in (0.25, 0.5, 0.75, 1.0)]
@@ -234,7 +225,7 @@ def test_every_plot_colours_an_object_as_the_legend_does(run: ReportData) -> Non
 def test_the_figure_of_a_card_is_the_share_of_its_bar() -> None:
     p = Posterior(labels=("ball", "cylinder"), probability=np.array([0.001, 0.999]), unknown=0.23)
     for answer in ("cylinder", UNKNOWN):
-        view = sequence_view("", identified(answer, p), {"ball": 0, "cylinder": 1})
+        view = sequence_view(identified("", answer, p), {"ball": 0, "cylinder": 1})
         bar = {part["label"]: part for part in view["steps"][0]["fused"]}
         assert sum(float(part["share"]) for part in bar.values()) == pytest.approx(100.0)
         assert view["probability"] == bar[answer]["text"]
@@ -248,7 +239,7 @@ def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
     )
     p = Posterior(labels=labels, probability=np.full(36, 1 / 36), unknown=0.0)
     answers = [
-        (truth, identified(answer, p))
+        identified(truth, answer, p)
         for truth in labels
         for answer in (truth, "object 1", "object 0")
     ]
@@ -258,7 +249,7 @@ def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
     # Two of each object, the wrong ones first.
     assert (page.count("card sequence wrong"), page.count("card sequence right")) == (70, 2)
     assert "36 more are not drawn" in page
-    others = [(f"another {truth}", found) for truth, found in answers]
+    others = [replace(one, truth=f"another {one.truth}") for one in answers]
     assert len(drawn_sequences(replace(data, sequences=(*answers, *others)))) == 80
     assert f'<th scope="col">{UNKNOWN}</th>' not in page  # nobody was named so
 
@@ -268,30 +259,30 @@ def test_health_marks_what_is_wrong() -> None:
         return {row.name: row.state for row in group.rows}
 
     def frames(**counts: int) -> dict[str, str]:
-        return states(link_health(make_link_statistics(frames=FrameStatistics(**counts))))
+        return states(source_health(defaultdict(int, counts)))
+
+    def loop(**counts: Any) -> dict[str, str]:
+        return states(loop_health(loop_values(LoopStatistics(**counts)), 0.005))
 
     assert set(frames(complete=1000).values()) == {"ok"}
     some = frames(complete=1000, lost=1, corrupt=1)
     assert (some["lost"], some["corrupt"], some["torn"]) == ("warn", "bad", "ok")
     assert frames(complete=100, lost=10)["lost"] == "bad"
     assert frames()["whole frames"] == "bad"
-    bus = states(servo_health(BusStatistics(transactions=1000, retries=1, timeouts=20)))
+    bus = states(servo_health(defaultdict(int, transactions=1000, retries=1, timeouts=20)))
     assert (bus["transactions"], bus["retries"], bus["time-outs"]) == ("ok", "warn", "bad")
-    loop = loop_health(LoopStatistics(cycles=1000, late=2, worst_lateness_s=0.011), 0.005)
-    assert states(loop) == {
+    assert loop(cycles=1000, late=2, worst_lateness_s=0.011) == {
         "periods": "plain", "late": "warn", "overruns": "ok", "without feedback": "ok",
         "worst lateness": "bad", "reading the servos": "plain", "oldest force used": "plain",
     }  # fmt: skip
-    assert states(loop_health(LoopStatistics(cycles=10, late=1), 0.005))["late"] == "bad"
-    assert (
-        states(loop_health(LoopStatistics(worst_lateness_s=0.004), 0.005))["worst lateness"]
-        == "warn"
+    assert loop(cycles=10, late=1)["late"] == "bad"
+    assert loop(worst_lateness_s=0.004)["worst lateness"] == "warn"
+    marks = frames(complete=10, requests=10, late_requests=1, error_frames=11)
+    assert (marks["late requests"], marks["malformed"], marks["error frames"]) == (
+        "warn",
+        "ok",
+        "bad",
     )
-    link = make_link_statistics(
-        frames=FrameStatistics(complete=10), syncs=10, late_syncs=1, foreign=3, error_frames=11
-    )
-    marks = states(link_health(link))
-    assert (marks["late SYNC"], marks["malformed"], marks["error frames"]) == ("warn", "ok", "bad")
     assert marks["whole frames"] == "ok"
 
 
@@ -313,7 +304,7 @@ def test_missing_extra_is_said_with_the_remedy(
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(
-        ReportError, match=rf"needs {missing}; install this project with its extra `report`"
+        MissingExtraError, match=rf"needs {missing}; install this project with its extra `report`"
     ):
         render_report(run)
 
@@ -326,18 +317,22 @@ def test_unwritable_place_is_a_clear_error(tmp_path: Path) -> None:
 # -- shape and size ----------------------------------------------------------------------------
 
 
-def felt(truth: str, shape: ShapeAnswer | None, answer: str = "ball") -> HeldAndFound:
+def felt(truth: str, shape: ShapeAnswer | None, answer: str = "ball") -> Felt:
+    return truth, answer, shape
+
+
+def page_of(*rows: Felt) -> str:
     p = Posterior(labels=("ball", "box"), probability=np.array([0.9, 0.1]), unknown=0.01)
-    return truth, identified(answer, p, shape=shape)
+    return render_report(report(sequences=tuple(identified(*r[:2], p, shape=r[2]) for r in rows)))
 
 
 def test_shape_and_size_stand_beside_each_identification() -> None:
     pin = make_shape("cylinder", 6.1)
-    page = render_report(report(sequences=(felt("pin", pin), felt("pin", pin, UNKNOWN))))
+    page = page_of(felt("pin", pin), felt("pin", pin, UNKNOWN))
     assert "cylinder, 6.1 mm (5.8 to 6.4)" in page
     assert "a cylinder of 6.1 mm (5.8 to 6.4)" in page
     assert 'id="shapes"' in page
-    assert 'id="shapes"' not in render_report(report(sequences=(felt("pin", None),)))
+    assert 'id="shapes"' not in page_of(felt("pin", None))
 
 
 def test_all_shapes_are_drawn_on_one_scale() -> None:
@@ -364,7 +359,7 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
     marks = [m for group in view["groups"] for b in group["bars"] for m in b["marks"]]
     assert all(0.0 <= float(m["left"]) <= 100.0 - float(m["width"]) for m in marks)
     (stranger,) = view["strangers"]
-    page = render_report(report(sequences=rows))
+    page = page_of(*rows)
     assert f"UNKNOWN: {stranger['text']}" in page
     assert "it was bar" in page
     assert "without shape 1 of 3" in page

@@ -35,13 +35,14 @@ STEP = GraspStep(pose=Pose(x_m=2e-3, rotation_rad=1.0, roll_rad=1.0), force_n=3.
 def axis_fails(row: FaultRow) -> Observed:
     """Inject while the axes move to the second pose; then take the steps of the fault.
 
-    It is detected when another drive is in its quick stop.
+    It is detected when another drive than that of the axis that fails is in its quick stop.
     """
     with campaign_cell(CHANGES | dict(row.changes)) as cell:
         cell.start()
         cell.grasp()
         axes = cell.simulated.devices.axes
         drives = [axis for axis in axes.values() if isinstance(axis, SimulatedDrive)]
+        failing = list(axes.values())[int(row.injected[len("axis")]) - 1]
         began_s = once(
             cell.clock,
             lambda: all(axis.moving for axis in axes.values()),
@@ -49,7 +50,8 @@ def axis_fails(row: FaultRow) -> Observed:
         )
 
         def stopped() -> bool:
-            return any(drive.state is State.QUICK_STOP_ACTIVE for drive in drives)
+            others = [drive for drive in drives if drive is not failing]
+            return any(drive.state is State.QUICK_STOP_ACTIVE for drive in others)
 
         with cell.first_time(stopped) as known_s:
             observed = observe(cell, job=lambda one: one.controller.grasp(STEP))

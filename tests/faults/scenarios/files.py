@@ -22,8 +22,8 @@ from cell.data.recorder_sink import BackgroundFile, DirectFile
 from cell.data.recording_reader import read_recording, recording_grasps
 from cell.data.recording_recovery import recover_recording
 from cell.errors import CellError, ConfigError, ModelError, RecordingError
-from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.learning.model import save_model
+from cell.plugin.plugin import TactileCellPlugin
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import PortLost
 from recognition.recognizers import make_trainer

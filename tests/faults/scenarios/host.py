@@ -14,8 +14,8 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.records import GraspCollector, GraspRecord
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped
-from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
-from gripper.state import GripperPhase
+from cell.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
+from gripper.values.state import GripperPhase
 from recognition.recognizer import Posterior
 from tests.faults.campaign import (
     CampaignCell,
@@ -184,7 +184,7 @@ def host_is_silent(row: FaultRow) -> Observed:
         status, state = plugin.feedback(job), plugin.state()
         if state == CellState.HELD:
             plugin.release()
-        silent = re.search(r"host was silent for ([0-9.]+) s", status.error)
+        silent = re.search(r"host' was silent for ([0-9.]+) s", status.error)
         return Observed(
             "HOLD" if silent is not None else status.outcome.value,
             None if silent is None else float(silent[1]),

@@ -27,7 +27,7 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStateError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.session import running_cell
-from cell.interfaces.plugin.plugin import TactileCellPlugin
+from cell.plugin.plugin import TactileCellPlugin
 from cell.pytest_plugin.process import CellProcess
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import BUS_WATCHDOG

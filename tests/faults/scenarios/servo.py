@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from benchmarks.performance.force_cap import trial
 from cell.errors import NoPartFound
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 from tests.faults.campaign import (
     CampaignCell,
     FaultRow,

@@ -26,7 +26,7 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import MODELS, XM430_W350, require_current_control
 from gripper.errors import LimitExceeded
-from gripper.servo_checks import hardware_error_names
+from gripper.values.servo_checks import hardware_error_names
 
 
 def test_addresses_sizes_and_signs_are_those_of_the_manual() -> None:
@@ -111,7 +111,7 @@ def test_hardware_error_bits_have_names() -> None:
 def test_pure_modules_load_no_vendor_library() -> None:
     code = (
         "import sys, gripper, gripper.dynamixel.control_table, "
-        "gripper.force.ramp, gripper.force.controller;"
+        "gripper.force.ramp, gripper.force.estimates.force_estimate;"
         "print([m for m in sys.modules if m.split('.')[0] in ('serial', 'dynamixel_sdk')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

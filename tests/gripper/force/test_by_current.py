@@ -8,9 +8,9 @@ import pytest
 from gripper.errors import LimitExceeded, PartLost
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
-from gripper.outcome import GraspOutcome, GraspResult
 from gripper.settings import largest_setpoint_n
-from gripper.state import Cycle
+from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.state import Cycle
 
 
 def by_current(cell: Any) -> Gripper:

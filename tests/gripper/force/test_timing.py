@@ -7,7 +7,7 @@ import pytest
 
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import Histogram, LoopTimer
-from gripper.state import Cycle, GripperPhase
+from gripper.values.state import Cycle, GripperPhase
 
 RATE_N_S = 5.0
 RAMP = ForceRamp.linear(8.0, RATE_N_S, hold_s=0.1)

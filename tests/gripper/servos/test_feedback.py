@@ -5,7 +5,7 @@ import pytest
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.errors import FeedbackImplausible, ServoFault
 from gripper.force.ramp import ForceRamp
-from gripper.state import GripperPhase
+from gripper.values.state import GripperPhase
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 

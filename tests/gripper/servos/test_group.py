@@ -4,8 +4,8 @@ import pytest
 
 from gripper.errors import BusTimeout, ServoFault
 from gripper.force.ramp import ForceRamp
-from gripper.outcome import GraspResult
-from gripper.state import GripperPhase
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
 
 
 @pytest.fixture

@@ -72,3 +72,19 @@ def test_after_a_lag_new_answers_are_taken_at_once() -> None:
     new, old, came = refused(lambda _now_s: 1.0, 20.0, lags=lambda now_s: now_s % 4.0 > 3.7)
     assert new == 0
     assert old == came > 200
+
+
+def test_the_servos_own_clock_shows_old_answers_and_restarts() -> None:
+    watch = TickWatch()
+    assert watch.check(1, 32760, 0.0, 0.001) is None
+    assert watch.check(1, 2, 0.010, 0.011) is None
+    old = watch.check(1, 3, 0.040, 0.041)
+    assert old is not None
+    assert "old answer" in str(old)
+    assert watch.check(1, 33, 0.041, 0.042) is None
+    assert watch.check(1, 20000, 0.046, 0.047) is not None
+    assert watch.check(1, 20005, 0.051, 0.052) is None
+    assert watch.check(1, 1, 30.0, 30.001) is None
+    assert watch.check(1, 31000, 30.01, 30.011) is not None
+    watch.forget()
+    assert watch.check(1, 7, 30.02, 30.021) is None

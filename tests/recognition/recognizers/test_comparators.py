@@ -3,7 +3,6 @@
 What they share with the other recognisers is in `test_recognizers`.
 """
 
-import builtins
 import dataclasses
 import warnings
 
@@ -12,7 +11,6 @@ import pytest
 from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.neural_network import MLPClassifier
 
-from recognition.errors import MissingExtraError
 from recognition.recognizers import make_trainer
 from recognition.recognizers.comparators.classifiers import Forest, Network
 
@@ -31,20 +29,6 @@ def test_opening_alone_moves_trees_that_may_use_it(train, fresh):
         trees = make_trainer("extra_trees", use_aperture=use).fit(train)
         pairs = [[trees.posterior(g).probability for g in pair] for pair in moved]
         assert any(not np.array_equal(*pair) for pair in pairs) is changes
-
-
-@pytest.mark.parametrize("name", WITH_SKLEARN)
-def test_without_scikit_learn_the_extra_is_named(name, train, monkeypatch):
-    real = builtins.__import__
-
-    def none_of_it(module, *args, **kwargs):
-        if module.startswith("sklearn"):
-            raise ImportError(module)
-        return real(module, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", none_of_it)
-    with pytest.raises(MissingExtraError, match=r"tactile-cell\[comparators\]"):
-        make_trainer(name).fit(train)
 
 
 @pytest.mark.parametrize("n_classes", [2, 4])

@@ -16,11 +16,12 @@ from simulator.can.control_unit import (
 from simulator.can.faults import ControlUnitFaults
 from simulator.errors import SimulatorStateError
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, FrameStatus, TactileFrame
-from tactile.frames.force_message import ForceMessage, ForceStatus, decode_force_message
+from tactile.frames.codec import FrameFormat
+from tactile.frames.force_message import decode_force_message
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.force_check import force_table
+from tactile.sensor.opening import force_table
+from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
 from tactile.unit import object_dictionary as od
 from tactile.unit.object_dictionary import UnitTareResult
 from tests.tactile.conftest import Skin

@@ -182,6 +182,17 @@ def test_a_stopped_node_serves_nothing(bench: StepNetwork) -> None:
     assert bench.seen == []
 
 
+@pytest.mark.parametrize("option", [0, od.STOP_WHEN_HOST_IS_LOST])
+def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(
+    bench: StepNetwork, option: int
+) -> None:
+    sdo = enabled(bench.witness)
+    sdo[od.ABORT_CONNECTION].raw = option
+    bench.witness.nmt.send_command(2)
+    braked = option == od.STOP_WHEN_HOST_IS_LOST
+    assert (bench.drive.state is State.QUICK_STOP_ACTIVE) is braked
+
+
 def test_a_restart_is_seen_and_forgets_all(bench: StepNetwork) -> None:
     sdo = enabled(bench.witness)
     sdo[od.HEARTBEAT_MS].raw = 100

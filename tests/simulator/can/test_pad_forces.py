@@ -7,15 +7,11 @@ import pytest
 
 from simulator.can.faults import ControlUnitFaults
 from simulator.can.pad_forces import PadForces
-from tactile.frames.force_message import (
-    ForceMessage,
-    ForceStatus,
-    decode_force_message,
-    encode_zero,
-)
+from tactile.frames.force_message import decode_force_message, encode_zero
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
-from tactile.sensor.force_check import force_table
+from tactile.sensor.opening import force_table
+from tactile.source import ForceMessage, ForceStatus
 
 LAYOUTS = [
     (paper_layout(), FoamCalibration(255)),

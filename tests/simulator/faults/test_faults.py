@@ -15,7 +15,7 @@ from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.faults.text import FaultEvent, FaultMoment, parse_fault
 from simulator.servo.firmware import WatchdogStop
 from simulator.servo.wrist import WristMount
-from simulator.settings import SimulatorSettings
+from simulator.settings import RecordedGrasp, SimulatorSettings
 from tactile.layout import pinch_layout
 
 
@@ -151,7 +151,8 @@ def _knobs(cell: SimulatedCell) -> Any:
     press = None if world._press is None else world._press.swell_m
     wire = repr(devices.faults.servo_wire).split("_generator", maxsplit=1)[0]
     drive, wrist = devices.axes["x"], devices.axes["roll"]
-    axes = (drive.dead, drive.forced_switch, drive.motion.blocked, wrist.blocked)
+    axes = [drive.dead, drive.forced_switch, drive.motion.blocked, wrist.blocked]
+    axes += [drive.misread, drive.answer_bytes, len(devices.axes_can_devices._devices)]
     return (
         axes,
         world.force_gain,
@@ -164,6 +165,21 @@ def _knobs(cell: SimulatedCell) -> Any:
         stuck,
         press,
     )
+
+
+def test_the_kinds_are_those_that_fit_the_cell(cell: SimulatedCell) -> None:
+    kinds = set(cell.injector.kinds())
+    assert {"can.off", "servo1.off", "servo2.off", "axis1.misread", "axis2.fault"} <= kinds
+    assert not kinds & {"servo3.off", "axis2.misread", "axis3.fault", "servoN.off"}
+    assert {name.replace("axis1", "axisN").replace("servo1", "servoN") for name in kinds} >= set(
+        VOCABULARY
+    )
+    plays = SimulatorSettings(
+        layout=pinch_layout(),
+        grasps=(RecordedGrasp(counts=np.zeros((4, 156), np.uint16), aperture_m=np.full(4, 0.02)),),
+    )
+    with SimulatedCell(plays) as other:
+        assert not {name for name in other.injector.kinds() if name[:6] in ("object", "axis1.")}
 
 
 def test_a_fault_begins_and_ends_at_its_times(cell: SimulatedCell) -> None:
@@ -206,9 +222,12 @@ def test_two_faults_of_one_knob_are_refused_unless_their_times_differ(cell: Simu
     cell.inject("can.loss=0.3@2s..3s")
     cell.inject("servo1.supply=9")
     cell.inject("servo2.supply=9")
+    for unrelated in ("servo1.turned", "taxels.turned=0", "taxels.force_gain", "unit.force_gain"):
+        cell.inject(unrelated)
     cell.inject("servo1.slow")
-    with pytest.raises(SimulatorStateError, match="same knob"):
-        cell.inject("servo2.slow")
+    for related in ("servo2.slow", "servos.delayed"):
+        with pytest.raises(SimulatorStateError, match="same knob"):
+            cell.inject(related)
     cell.clock.sleep(2.5)
     assert cell.devices.faults.can.drop_rate == 0.3
 

@@ -57,7 +57,9 @@ def test_objects_are_placed_and_the_reply_says_where_they_rest(
 
 
 def test_a_fingertip_presses_a_pad_and_lifts(requests: CellRequests, devices: CellDevices) -> None:
-    assert requests({"press": 3, "x_m": 0.02, "force_n": 1.5}) == {"pressed": 3}
+    assert requests({"press": "finger0.side_b", "at": ["tip"], "force_n": 1.5}) == {
+        "pressed": "finger0.side_b"
+    }
     force_n = devices.physical.taxel_force_n()
     assert force_n.sum() == pytest.approx(1.5)
     assert set(devices.settings.layout.taxel_pad[force_n > 1e-6]) == {3}
@@ -65,9 +67,11 @@ def test_a_fingertip_presses_a_pad_and_lifts(requests: CellRequests, devices: Ce
     assert devices.physical.taxel_force_n().sum() == 0.0
     for wrong in (
         {"press": 10},
-        {"press": "a"},
-        {"press": 0, "x_m": 1.0},
-        {"press": 0, "y_m": 1e9},
+        {"press": ["finger0.tip"]},
+        {"press": "finger2.tip"},
+        {"press": "finger0.tip", "at": "left"},
+        {"press": "finger0.tip", "at": [["left"]]},
+        {"press": "finger0.tip", "force_n": -1.0},
     ):
         with pytest.raises(SimulatorSettingsError):
             requests(wrong)
@@ -100,6 +104,7 @@ def test_recorded_grasps_are_played_by_number() -> None:
         {"place": "ball", "pose": {"x_m": 1.0}},
         {"remove": False},
         {"state": 1},
+        {"kinds": 1},
         {"play": 0},
         {"inject": 5},
         {"inject": "can.lost"},

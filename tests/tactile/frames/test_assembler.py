@@ -7,7 +7,8 @@ import pytest
 
 from simulator.can.messages import BurstFormat
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import PHASE_SHIFT, FrameFormat, TactileFrame
+from tactile.frames.codec import PHASE_SHIFT, FrameFormat
+from tactile.source import TactileFrame
 
 N_FRAMES = 6
 N_MESSAGES = 59

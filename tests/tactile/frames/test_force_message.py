@@ -10,14 +10,13 @@ from tactile.errors import FrameError
 from tactile.frames.force_message import (
     BAD_TAXEL,
     TABLE_NODES,
-    ForceMessage,
-    ForceStatus,
     crc8,
     decode_force_message,
     encode_table,
     encode_zero,
 )
 from tactile.frames.force_stream import ForceStream
+from tactile.source import ForceMessage, ForceStatus
 
 
 def message(counter: int, force_n: float = 1.0, t_s: float = 0.0) -> ForceMessage:

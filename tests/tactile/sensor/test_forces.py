@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator.can.messages import read_table, read_zero
+from simulator.can.messages import read_table
 from tactile.errors import ForceContradicted
-from tactile.frames.force_message import (
-    TABLE_NODES,
-    ForceMessage,
-    ForceStatus,
-)
+from tactile.frames.force_message import TABLE_NODES
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces, force_table
+from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
+from tactile.sensor.opening import force_table
 from tactile.sensor.sensor import TactileSensor
+from tactile.source import ForceMessage, ForceStatus, PadZero
 from tests.tactile.sensor.test_sensor import CALIBRATION, LAYOUT, Frames, readings
 
 
@@ -34,10 +32,10 @@ class Forces(Frames):
     def __init__(self) -> None:
         super().__init__()
         self.force_n = (0.0, 0.0)
-        self.zeros: list[bytes] = []
+        self.zeros: list[PadZero] = []
         self.due_s = 0.0
 
-    def write_zero(self, zero: bytes) -> None:
+    def set_zero(self, zero: PadZero) -> None:
         self.zeros.append(zero)
 
     def centre_taxels(self) -> tuple[float, float] | None:
@@ -47,7 +45,7 @@ class Forces(Frames):
             return None
         return centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m
 
-    def take_forces(self) -> tuple[ForceMessage, ...]:
+    def new_forces(self) -> tuple[ForceMessage, ...]:
         found = []
         while self.due_s <= self.now_s:
             shown = message(self.due_s, *self.force_n)
@@ -58,7 +56,7 @@ class Forces(Frames):
 
 def tared() -> tuple[TactileSensor, Forces]:
     link = Forces()
-    sensor = TactileSensor(link, LAYOUT, CALIBRATION, clock=link)
+    sensor = TactileSensor(link, CALIBRATION, clock=link)
     sensor.start()
     assert not sensor.has_forces
     sensor.tare()
@@ -74,19 +72,18 @@ def test_the_table_is_that_of_the_calibration() -> None:
     np.testing.assert_array_equal(table_n[0], table_n[1])
 
 
-def test_a_tare_gives_the_unit_its_zero_and_a_threshold_above_the_noise() -> None:
+def test_a_tare_sets_zero_and_noise_of_the_source() -> None:
     sensor, link = tared()
     assert len(repr(sensor.tare_result)) < 200
     assert sensor.has_forces
     assert sensor.tare_result is not None
-    touch_counts, zero_counts, bad = read_zero(link.zeros[-1], 128, 255)
     first, second = LAYOUT.gripping_pads
     expected = np.concatenate(
         [sensor.tare_result.offset_counts[LAYOUT.taxels_of(pad)] for pad in (first, second)]
     )
-    np.testing.assert_allclose(zero_counts, expected, atol=0.003)
-    assert not bad.any()
-    assert 3.0 < touch_counts < 5.0
+    np.testing.assert_array_equal(link.zeros[-1].offset_counts, expected)
+    assert not link.zeros[-1].bad.any()
+    assert 5.0 < np.median(link.zeros[-1].noise_counts) < 7.0
     assert sensor.take_forces() == ()
 
 
@@ -99,8 +96,7 @@ def test_a_taxel_that_fails_in_a_grip_sends_the_force_back_to_the_frames_until_i
     assert len(link.zeros) == 1
     sensor.check_zero()
     assert sensor.has_forces
-    bad = read_zero(link.zeros[-1], 128, 255)[2]
-    assert np.flatnonzero(bad).tolist() == [64 + 7]
+    assert np.flatnonzero(link.zeros[-1].bad).tolist() == [64 + 7]
 
 
 def test_the_noise_of_a_message_follows_what_is_touched() -> None:

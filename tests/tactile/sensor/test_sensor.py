@@ -11,19 +11,26 @@ from tactile.errors import (
     TareRefused,
     ZeroDrifted,
 )
-from tactile.frames.codec import FrameStatus, TactileFrame
-from tactile.frames.force_message import ForceMessage
-from tactile.layout import paper_layout, pinch_layout
+from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 from tactile.sensor.filters import Neighbourhood
 from tactile.sensor.quality import QualityLimits
 from tactile.sensor.sensor import SensorSettings, SensorStatistics, TactileSensor
 from tactile.sensor.tare import TareLimits, assess_health, compute_tare
-from tactile.unit.settings import NodeIdentity
+from tactile.source import (
+    Arrivals,
+    ForceMessage,
+    FrameStatistics,
+    FrameStatus,
+    PadZero,
+    SourceIdentity,
+    SourceStatistics,
+    TactileFrame,
+)
 
 LAYOUT = paper_layout()
 CALIBRATION = FoamCalibration(255)
-IDENTITY = NodeIdentity(vendor_id=1, product_code=2, revision=3, serial=4)
+IDENTITY = SourceIdentity(serial=4)
 
 # Share of the force on each taxel of five, by row and column from the middle.
 FOOTPRINTS = {
@@ -35,16 +42,17 @@ FOOTPRINTS = {
 
 
 class Frames:
-    """A link that gives a frame every 20 ms, and the clock that goes with it."""
+    """A frame source without a bus: a frame every 20 ms, and the clock that goes with it."""
 
     sends_forces = False
+    statistics = SourceStatistics(frames=FrameStatistics())
 
-    def __init__(self, n_taxels: int = 408, adc_max: int = 255, seed: int = 1) -> None:
+    def __init__(self, layout: TaxelLayout = LAYOUT, seed: int = 1) -> None:
+        self.layout = layout
         self.now_s = 0.0
         self.next_s = 0.02
         self.rng = np.random.default_rng(seed)
-        self.adc_max = adc_max
-        self.base = np.zeros(n_taxels)
+        self.base = np.zeros(layout.n_taxels)
         self.noise = True
         self.status = 0
         self.counter = 0
@@ -60,13 +68,16 @@ class Frames:
     def sleep(self, seconds: float, /) -> None:
         self.now_s += seconds
 
-    def start(self) -> NodeIdentity:
+    def start(self) -> SourceIdentity:
         return IDENTITY
 
-    def close(self) -> None:
+    def stop(self) -> None:
         self.closed = True
 
-    def poll(self) -> tuple[TactileFrame, ...]:
+    def set_zero(self, zero: PadZero) -> None:
+        raise AssertionError("it sends no force messages")
+
+    def poll(self) -> Arrivals:
         if self.error is not None:
             raise self.error
         frames = []
@@ -74,7 +85,7 @@ class Frames:
             counts = self.base.copy()
             if self.noise:
                 counts += np.clip(np.abs(self.rng.normal(0, 10, len(counts))), 1, 20)
-            counts = np.clip(np.rint(counts), 0, self.adc_max).astype(np.uint16)
+            counts = np.clip(np.rint(counts), 0, self.layout.adc_max).astype(np.uint16)
             counts[list(self.stuck)] = list(self.stuck.values())
             self.alter(counts)
             frames.append(
@@ -84,9 +95,9 @@ class Frames:
             )
             self.counter += 1
             self.next_s += 0.02
-        return tuple(frames)
+        return Arrivals(tuple(frames), self.new_forces())
 
-    def take_forces(self) -> tuple[ForceMessage, ...]:
+    def new_forces(self) -> tuple[ForceMessage, ...]:
         return ()
 
     def press(self, force_n: float, shape: str = "plus", finger: int = 0) -> None:
@@ -102,7 +113,7 @@ def make(
 ) -> tuple[TactileSensor, Frames]:
     frames = Frames(seed=seed)
     frames.noise = noise
-    sensor = TactileSensor(frames, LAYOUT, CALIBRATION, clock=frames, settings=settings)
+    sensor = TactileSensor(frames, CALIBRATION, clock=frames, settings=settings)
     sensor.start()
     return sensor, frames
 
@@ -121,9 +132,9 @@ def noiseless() -> tuple[TactileSensor, Frames]:
 
 def pinching(*, noise: bool) -> tuple[TactileSensor, Frames]:
     """Return a tared sensor of the layout that has the gripping pads alone, with a linear law."""
-    frames = Frames(n_taxels=156, adc_max=4095)
+    frames = Frames(pinch_layout())
     frames.noise = noise
-    sensor = TactileSensor(frames, pinch_layout(), LinearCalibration(0.001, 4095), clock=frames)
+    sensor = TactileSensor(frames, LinearCalibration(0.001, 4095), clock=frames)
     sensor.start()
     sensor.tare(20)
     return sensor, frames
@@ -137,7 +148,7 @@ def frames() -> Frames:
 @pytest.fixture
 def sensor(frames: Frames) -> TactileSensor:
     """A sensor that has taken its zero."""
-    made = TactileSensor(frames, LAYOUT, CALIBRATION, clock=frames)
+    made = TactileSensor(frames, CALIBRATION, clock=frames)
     made.start()
     made.tare()
     return made
@@ -387,7 +398,7 @@ def test_start_forgets_the_zero(sensor, frames) -> None:
     assert sensor.tare_result is None
     assert not readings(sensor, frames, 5)[-1].ok
     assert sensor.layout is LAYOUT
-    sensor.close()
+    sensor.stop()
     assert frames.closed
 
 

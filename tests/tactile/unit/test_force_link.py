@@ -9,16 +9,18 @@ import pytest
 
 from simulator.can.control_unit import ControlUnitSettings
 from tactile.errors import FrameTimeout, IdentityMismatch, LinkFault
-from tactile.frames.force_message import ForceStatus, encode_zero
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.force_check import force_table
+from tactile.sensor.opening import force_table
+from tactile.source import ForceStatus, PadZero
 from tactile.unit import object_dictionary as od
 from tests.tactile.conftest import Bench
 
 LAYOUT = paper_layout()
 TABLE = force_table(LAYOUT, FoamCalibration(255))
-ZERO = encode_zero(4.0, np.zeros(128), np.zeros(128, dtype=np.bool_), 255)
+ZERO = PadZero(
+    offset_counts=np.zeros(128), noise_counts=np.full(128, 5.6), bad=np.zeros(128, dtype=np.bool_)
+)
 
 
 @pytest.fixture
@@ -31,7 +33,7 @@ def make_forces(make_bench: Callable[..., Bench]) -> Callable[..., Bench]:
 def bench(make_forces: Callable[..., Bench]) -> Bench:
     made = make_forces()
     made.link.start()
-    made.link.write_zero(ZERO)
+    made.link.set_zero(ZERO)
     return made
 
 
@@ -95,7 +97,7 @@ def test_a_longer_silence_is_allowed_where_that_is_set(
 ) -> None:
     bench = make_forces(silence_s=silence_s, heartbeat_s=1.0)
     bench.link.start()
-    bench.link.write_zero(ZERO)
+    bench.link.set_zero(ZERO)
     bench.forces(0.1)
     setattr(bench.unit.faults, knob, True)
     bench.forces(silence_s - 0.04)
@@ -117,7 +119,7 @@ def test_a_stall_of_the_host_is_no_silence_of_the_unit(
 ) -> None:
     bench = make_forces(heartbeat_s=0.02)
     bench.link.start()
-    bench.link.write_zero(ZERO)
+    bench.link.set_zero(ZERO)
     for _ in range(5):
         bench.forces(0.1)
         stall(bench, monkeypatch)

@@ -66,17 +66,17 @@ def test_frames_come_at_the_rate_of_sync(make_bench, layout) -> None:
     statistics = bench.link.statistics
     assert (statistics.frames.complete, statistics.frames.lost) == (len(frames), 0)
     assert statistics.recent_loss_rate == 0.0
-    assert statistics.foreign == statistics.malformed == statistics.late_syncs == 0
+    assert statistics.foreign == statistics.malformed == statistics.late_requests == 0
     assert bench.link.last_frame_s == frames[-1].t_s
 
 
 def test_a_slow_caller_does_not_make_up_for_syncs_and_does_not_lose_the_link(bench) -> None:
     bench.run(0.1)
-    before = bench.link.statistics.syncs
+    before = bench.link.statistics.requests
     bench.clock.sleep(0.5)
     bench.link.poll()
-    assert bench.link.statistics.syncs == before + 1
-    assert bench.link.statistics.late_syncs == 1
+    assert bench.link.statistics.requests == before + 1
+    assert bench.link.statistics.late_requests == 1
     assert len(bench.run(0.2)) >= 10
 
 
@@ -84,8 +84,8 @@ def test_after_a_late_sync_the_next_one_does_not_cut_into_the_burst(bench) -> No
     bench.run(0.1)
     bench.clock.sleep(0.036)
     bench.link.poll()
-    late, late_s = bench.link.statistics.syncs, bench.clock.monotonic()
-    while bench.link.statistics.syncs == late:
+    late, late_s = bench.link.statistics.requests, bench.clock.monotonic()
+    while bench.link.statistics.requests == late:
         bench.clock.sleep(0.001)
         bench.link.poll()
     assert bench.clock.monotonic() - late_s >= 0.018
@@ -160,7 +160,7 @@ def test_another_unit_is_refused_with_expected_and_found(make_bench, entry, valu
     with pytest.raises(IdentityMismatch, match=says):
         bench.link.start()
     assert bench.unit.state == "PRE-OPERATIONAL"
-    assert bench.link.statistics.syncs == 0
+    assert bench.link.statistics.requests == 0
 
 
 def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_bench) -> None:
@@ -218,7 +218,7 @@ def test_a_failing_interface_is_bus_off(bench, monkeypatch, error, call) -> None
     monkeypatch.setattr(owner, call, Mock(side_effect=error))
     with pytest.raises(BusOff, match=r"gone.*plugged in"):
         bench.run(0.1)
-    bench.link.close()
+    bench.link.stop()
 
 
 def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None:
@@ -340,14 +340,14 @@ def test_a_fault_latches_until_closed_and_started_again(bench) -> None:
     with pytest.raises(NodeRebooted):
         bench.run(0.1)
     bench.unit.command("OPERATIONAL", bench.clock.monotonic())
-    syncs = bench.link.statistics.syncs
+    syncs = bench.link.statistics.requests
     for _ in range(3):
         bench.clock.sleep(0.02)
         with pytest.raises(NodeRebooted):
             bench.link.poll()
     assert isinstance(bench.link.fault, NodeRebooted)
-    assert bench.link.statistics.syncs == syncs
-    bench.link.close()
+    assert bench.link.statistics.requests == syncs
+    bench.link.stop()
     bench.link.start()
     assert bench.link.fault is None
     assert len(bench.run(0.2)) == 10
@@ -357,10 +357,10 @@ def test_calls_out_of_order_are_refused(idle) -> None:
     with pytest.raises(LinkStateError, match="start it first"):
         idle.link.poll()
     idle.link.start()
-    with pytest.raises(LinkStateError, match="close it"):
+    with pytest.raises(LinkStateError, match="stop it"):
         idle.link.start()
-    idle.link.close()
-    idle.link.close()
+    idle.link.stop()
+    idle.link.stop()
     assert idle.unit.state == "PRE-OPERATIONAL"
     with pytest.raises(LinkStateError):
         idle.link.poll()
@@ -371,7 +371,7 @@ def test_a_failed_start_can_be_repeated_after_close(idle) -> None:
     with pytest.raises(NodeMissing):
         idle.link.start()
     idle.unit.faults.dead = False
-    idle.link.close()
+    idle.link.stop()
     assert idle.link.start().serial == 4711
 
 

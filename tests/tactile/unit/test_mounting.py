@@ -8,13 +8,10 @@ from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tactile.errors import LayoutError
-from tactile.frames.force_message import (
-    ForceMessage,
-    ForceStatus,
-    encode_zero,
-)
+from tactile.frames.force_message import encode_zero
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.opening import open_sensor
+from tactile.source import Arrivals, ForceMessage, ForceStatus
 from tactile.unit.mounting import Mounting
 from tactile.unit.settings import LinkSettings
 
@@ -56,9 +53,10 @@ def test_forces_and_zero_of_exchanged_and_turned_pads_go_both_ways() -> None:
         t_s=1.0, counter=3, status=ForceStatus.ZEROED, force_n=(1.0, 2.0), centre_taxels=(1.5, -0.5)
     )
     exchanged, turned = Mounting(PINCH, EXCHANGED), Mounting(PINCH, TURNED)
-    assert exchanged.force(message).force_n == (2.0, 1.0)
-    assert exchanged.force(message).centre_taxels == (1.5, -0.5)
-    assert turned.force(message).centre_taxels == (-1.5, 0.5)
+    arrived = Arrivals(forces=(message,))
+    assert exchanged.arrivals(arrived).forces[0].force_n == (2.0, 1.0)
+    assert exchanged.arrivals(arrived).forces[0].centre_taxels == (1.5, -0.5)
+    assert turned.arrivals(arrived).forces[0].centre_taxels == (-1.5, 0.5)
     zeros = np.arange(156.0)
     bad = zeros == 5
     for mounting in (exchanged, turned):

@@ -73,7 +73,7 @@ def commission(
     from cell.commissioning.record import write_record
     from cell.commissioning.walk import all_steps
     from cell.config.file import load_config
-    from cell.installation import missing_packages, remedy
+    from cell.installation import missing_note
     from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.signals import as_interrupts
     from cell.interfaces.cli.terminal import print_line, print_note
@@ -89,17 +89,21 @@ def commission(
             "tactile.channel": base.tactile.channel,
         } | given
     bench = Bench(folder, given=given, base=base)
-    if missing := missing_packages("report"):
-        print_note(f"no record: {' and '.join(missing)} missing; {remedy('report')}")
-    engine = Engine(all_steps(), bench, finish=(lambda _engine: ()) if missing else write_record)
+    if no_record := missing_note("report", "record"):
+        print_note(no_record)
+    engine = Engine(all_steps(), bench, finish=(lambda _engine: ()) if no_record else write_record)
     dialog = TerminalDialog()
     try:
         with as_interrupts():
             if restore:
-                lines = restore_servos(bench, dialog, servo_port or bench.gripper().port)
+                lines = restore_servos(
+                    bench,
+                    dialog,
+                    servo_port or bench.gripper().port,
+                    begin=lambda: engine.redo("servos"),
+                )
                 for line in lines:
                     print_line(line)
-                engine.redo("servos")
                 return
             for key in redo or ():
                 print_line(f"to be done again: {', '.join(engine.redo(key))}")
@@ -122,17 +126,16 @@ def commission(
 def _on_page(engine: "Engine", http_port: int | None) -> None:
     """Open the page and wait until a signal ends the program; a step that runs is ended first."""
     from cell.config.serve import ServeConfig
-    from cell.errors import ConfigError
+    from cell.installation import extra
     from cell.interfaces.cli.commands.serve import SIGNAL_LOOK_S, free_page_port
     from cell.interfaces.cli.terminal import print_page
-    from cell.interfaces.service.serving import page_address
+    from cell.interfaces.opening import page_address
+
+    with extra("serve", needed_by="--page"):
+        from cell.interfaces.wizard import Phase, Wizard, WizardDoor
 
     serve = ServeConfig()
     port = free_page_port(serve.listen) if http_port is None else http_port
-    if port is None:
-        raise ConfigError("without its extra there is no page; leave --page out")
-    from cell.interfaces.wizard import Phase, Wizard, WizardDoor
-
     serve = ServeConfig(http_port=port)
     with (
         suppress(KeyboardInterrupt),

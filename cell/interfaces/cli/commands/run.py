@@ -47,23 +47,24 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Teach objects and identify each of them: the main job."""
-    from cell.errors import ReportError
-    from cell.installation import missing_packages, remedy
+    from cell.data.recording_reader import read_recording
+    from cell.errors import CellError, MissingExtraError, RecordingError, ReportError
+    from cell.installation import missing_note
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_note, write_json
     from cell.jobs.run import teach_and_identify
-    from cell.jobs.run_report import main_report
     from cell.learning.model import load_model
     from cell.learning.taught_model import TaughtModel
+    from cell.report.page import write_report
+    from cell.report.recorded import recorded_report
 
     checked = cell_config(config, seed=seed, faults=faults)
     taught = None if model is None else TaughtModel(checked, load_model(model, pads_of(checked)))
     labels = _labels(checked, objects, taught)
-    missing = missing_packages("report")
-    no_report = f"no report page: {' and '.join(missing)} missing; {remedy('report')}"
-    if missing:
+    no_report = missing_note("report", "report page")
+    if no_report:
         print_note(no_report)
-    failed: ReportError | None = None
+    failed: CellError | None = None
     with running_cell(
         *(checked, "run", out_folder), config_file=config, json_file=json_file, capture=capture
     ) as (cell, progress):
@@ -79,18 +80,22 @@ def run(
             progress=progress,
             model=taught,
         )
-        result.extra = {"health": cell.health()}
-        if not missing:
-            try:
-                result.report = main_report(result, checked, cell, folder / "report.html")
-            except ReportError as error:
-                failed = error
+    if not no_report:
+        assert result.recording is not None
+        try:
+            page = folder / "report.html"
+            write_report(page, recorded_report(read_recording(result.recording)))
+            result.report = page
+        except (RecordingError, ReportError, MissingExtraError) as error:
+            failed = error
     if config is None and seed is None and not faults:
         _keep_for_serve(result, checked)
     print_result(result)
-    if missing:
+    if no_report:
         print_note(no_report)
+    result.extra = {"health": cell.health()}
     write_json(json_file, result.as_json())
+    cell.check_recording()
     if failed is not None:
         raise failed
 
@@ -163,7 +168,7 @@ def print_result(result: "MainResult") -> None:
     print_line(f"One grasp takes {result.grasp_s:.1f} s of the cell's time.")
     for remark in result.remarks:
         print_line(remark)
-    shapes = shapes_view([(trial.truth, trial.found) for trial in result.trials])
+    shapes = shapes_view([(one.truth, one.found.label, one.found.shape) for one in result.trials])
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""
         print_line(f"{group['label']} feels like: {group['kinds']}{sizes}")

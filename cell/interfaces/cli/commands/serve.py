@@ -3,10 +3,9 @@
 import json
 import socket
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,9 +14,8 @@ from cell.interfaces.cli.options import ConfigOption, FaultOption, ModelOption
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
-    from cell.interfaces.foxglove import FoxgloveDoor
-    from cell.interfaces.plugin.plugin import TactileCellPlugin
-    from cell.interfaces.service.service import Service
+    from cell.plugin.plugin import TactileCellPlugin
+    from cell.service.service import Service
 
 SIGNAL_LOOK_S = 0.25
 """Wait in s after which signals are looked for; Python carries them out between two waits."""
@@ -76,9 +74,6 @@ def serve(
             help="Certificates of OPC UA; without: read-only [default: serve.opcua_folder].",
         ),
     ] = None,
-    foxglove_port: Annotated[
-        int | None, _port("--foxglove", "the live stream for Foxglove", "foxglove_port")
-    ] = None,
     speed: Annotated[
         float,
         typer.Option(
@@ -99,12 +94,12 @@ def serve(
     """
     from cell.config.file import changed_config
     from cell.interfaces.cli.session import cell_config, with_faults
-    from cell.interfaces.cli.signals import END_WITHIN_S, stopping
+    from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
     from cell.interfaces.cli.terminal import print_note
-    from cell.interfaces.service.service import Service
-    from cell.interfaces.service.serving import open_plugin
     from cell.jobs.common import job_folder
     from cell.jobs.taught_cache import cached_model
+    from cell.service.opening import open_plugin
+    from cell.service.service import Service
 
     own = cell_config(config)
     if config is None and http_port is None:
@@ -117,26 +112,30 @@ def serve(
         "serve.http_port": http_port,
         "serve.opcua_port": opcua_port,
         "serve.opcua_folder": opcua_folder,
-        "serve.foxglove_port": foxglove_port,
     }
     checked = changed_config(
         with_faults(own, faults), {key: value for key, value in given.items() if value is not None}
     )
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
-    with stopping(over.set, end_within_s=END_WITHIN_S), _foxglove(checked) as tap:
+    with stopping(over.set, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO):
         untaught = config is None and model is None and training_set is None
         if untaught:
             model = cached_model(own)
         plugin, poses = open_plugin(
-            checked, model=model, training_set=training_set, save=save, folder=folder, tap=tap
+            checked,
+            model=model,
+            training_set=training_set,
+            save=save,
+            folder=folder,
+            note=print_note,
         )
         if zero_note := plugin.health()["zero"]["text"]:
             print_note(zero_note)
         service = Service(
             plugin, checked, poses=poses, photos_beside=save or model, note=print_note
         )
-        with announced_doors(service, {} if tap is None else {"foxglove_port": tap.port}):
+        with _announced_doors(service):
             if untaught and model is None:
                 _teach_first(service, plugin, own, over, keep=not faults)
             plugin.follow_real_time(speed)
@@ -145,37 +144,15 @@ def serve(
 
 
 @contextmanager
-def _foxglove(config: "CellConfig") -> Iterator["FoxgloveDoor | None"]:
-    """Open the live stream for Foxglove where the config has a port for it."""
-    if config.serve.foxglove_port is None:
-        yield None
-        return
-    from cell.errors import ConfigError
-    from cell.installation import remedy
-
-    try:
-        from cell.interfaces.foxglove import FoxgloveDoor
-    except ImportError as error:
-        raise ConfigError(f"serve.foxglove_port: {remedy('foxglove')} ({error})") from error
-    with closing(FoxgloveDoor(config.serve.foxglove_port)) as door:
-        yield door
-
-
-@contextmanager
-def announced_doors(
-    service: "Service", others: Mapping[str, Any] = MappingProxyType({})
-) -> Iterator[None]:
-    """Open the doors of a service, close them and the service at the end.
-
-    Prints their addresses, with those of ``others`` that are open already.
-    """
+def _announced_doors(service: "Service") -> Iterator[None]:
+    """Open the doors of a service and print their addresses; close all at the end."""
     from cell.interfaces.cli.terminal import print_note, print_page
-    from cell.interfaces.service.serving import open_doors, page_address, warnings
+    from cell.interfaces.opening import open_doors, page_address, warnings
 
     with closing(service), open_doors(service) as found:
         for note in warnings(service):
             print_note(note)
-        typer.echo(json.dumps({**found, **others}))
+        typer.echo(json.dumps(found))
         if (page := page_address(found, service.config.serve)) is not None:
             print_page(page)
         elif service.config.serve.http_port is None:
@@ -185,11 +162,11 @@ def announced_doors(
 
 def free_page_port(listen: str) -> int | None:
     """Return the port of the page, or the next free one; None, and a note, without its extra."""
-    from cell.installation import missing_packages, remedy
+    from cell.installation import missing_note
     from cell.interfaces.cli.terminal import print_note
 
-    if missing := missing_packages("serve"):
-        print_note(f"no page: {' and '.join(missing)} missing; {remedy('serve')}")
+    if no_page := missing_note("serve", "page"):
+        print_note(no_page)
         return None
     family = socket.AF_INET6 if ":" in listen else socket.AF_INET
     for port in range(_PAGE_PORT, _PAGE_PORT + _PAGE_PORTS):
@@ -212,8 +189,8 @@ def _teach_first(
     """Teach the objects of the built-in cell before all eyes; keep the model of a sound one."""
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import print_note
-    from cell.interfaces.plugin.worker import JobOutcome
     from cell.jobs.taught_cache import MODEL_FILE, keep_model
+    from cell.plugin.worker import JobOutcome
 
     labels = [entry.label for entry in config.simulator.objects]
     print_note(

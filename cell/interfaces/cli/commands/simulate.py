@@ -1,8 +1,9 @@
 """`simulate`: runs the simulated cell as a process of its own, for other programs."""
 
 import json
+import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -26,12 +27,10 @@ def simulate(
         str | None,
         typer.Option(
             "--ask",
-            metavar="JSON",
-            help="Ask the cell that runs in --out, and end: "
-            """'{"place": "ball"}', '{"hand": {"1": 0.02, "2": 0}}' moves limp fingers to half """
-            """openings in m, '{"press": 0, "x_m": 0.01, "force_n": 2}' presses pad 0 with a """
-            """fingertip, '{"lift": true}' lifts it, 'state', 'remove', 'inject', 'clear' as in """
-            "the docs.",
+            metavar="WORDS",
+            help="Be the hands at the cell that runs in --out, and end: 'open finger 0', 'block "
+            "10', 'press finger0.inner tip left'; 'help' prints all. '-' asks for them line by "
+            """line. Programs send JSON, as '{"state": true}'.""",
         ),
     ] = None,
     with_parent: Annotated[
@@ -48,7 +47,7 @@ def simulate(
     from cell.simulation import fault_table
 
     if ask is not None:
-        typer.echo(json.dumps(_asked(folder or Path(), ask)))
+        _be_hands(folder or Path(), ask)
         return
     if list_faults:
         for name, kind, value, meaning in fault_table():
@@ -63,18 +62,33 @@ def simulate(
     )
 
 
-def _asked(folder: Path, text: str) -> dict[str, Any]:
-    """Send one request to the simulated cell whose devices are in a folder; return the reply."""
+def _be_hands(folder: Path, text: str) -> None:
+    """Do what a text says at the simulated cell whose devices are in a folder; print the reply."""
     from contextlib import closing
 
     from cell.control.positioner import SocketPlacer
-    from cell.errors import ConfigError
+    from cell.errors import CellError, ConfigError
+    from cell.interfaces.cli.terminal import ask, print_error, print_line
+    from simulator.errors import SimulatorError
+    from simulator.realtime.hands import Hands
 
-    try:
-        request = json.loads(text)
-    except ValueError as error:
-        raise ConfigError(f"--ask {text!r:.80} is no JSON: {error}") from error
-    if not isinstance(request, dict):
-        raise ConfigError("--ask takes a JSON object, as '{\"state\": true}'")
-    with closing(SocketPlacer(str(folder / "positioner.sock"))) as client:
-        return client.ask(request)
+    with closing(SocketPlacer(str(folder / "positioner.sock"))) as cell:
+        hands = Hands(cell.ask, time.sleep)
+        if text.startswith("{"):
+            try:
+                request = json.loads(text)
+            except ValueError as error:
+                raise ConfigError(f"--ask {text!r:.80} is no JSON: {error}") from error
+            typer.echo(json.dumps(cell.ask(request)))
+            return
+        try:
+            while text == "-":
+                try:
+                    print_line(hands.do(ask("hands> ")))
+                except (CellError, SimulatorError) as error:
+                    print_error(str(error))
+            print_line(hands.do(text))
+        except EOFError:
+            return
+        except SimulatorError as error:
+            raise ConfigError(str(error)) from error

@@ -26,13 +26,6 @@ def train(
             help="Teach with ramps cut short too, for decide_early; 3 x the time.",
         ),
     ] = True,
-    poses: Annotated[
-        bool,
-        typer.Option(
-            "--poses",
-            help="Keep the answer at each pose, for sequence.kind: active; 5 x the time.",
-        ),
-    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
@@ -48,8 +41,8 @@ def train(
         raise CellError("the data sets were taken on different pads; train a model for each")
     if twice := len(repeated(grasps)):
         print_note(f"{twice} of {len(grasps)} grasps stand twice and count as two: too sure")
-    trained = train_model(grasps, recognizer, use_aperture=aperture, early=early, poses=poses)
-    labels, memory = trained.recognizer.labels, trained.memory
+    trained = train_model(grasps, recognizer, use_aperture=aperture, early=early)
+    labels = trained.recognizer.labels
     save_model(
         model,
         trained.recognizer,
@@ -59,7 +52,6 @@ def train(
     )
     print_line(
         f"{len(labels)} objects taught with {len(grasps)} grasps"
-        + (", with poses" if poses else "")
         + ("" if recognizer == DEFAULT_TRAINER else f", recogniser {recognizer}")
         + f": {model}"
     )
@@ -73,7 +65,6 @@ def train(
             "recognizer": recognizer,
             "n_grasps": len(grasps),
             "early": trained.early is not None,
-            "n_remembered": 0 if memory is None else len(memory.classes),
             "labels": list(labels),
             "teaching": summary.as_json(),
         },

@@ -66,7 +66,7 @@ export function doing(state) {
 
 export function renderBand({ link, info, state }) {
   setText(byId("cell"), info?.name ?? "");
-  show(byId("simulated"), Boolean(info?.simulated) && info?.mode !== "replay");
+  show(byId("simulated"), Boolean(info?.simulated));
   document.body.classList.toggle("stale", link.stale);
   document.body.classList.toggle("starting", !state && Number.isFinite(link.age_s));
   let level = "bad";
@@ -86,7 +86,7 @@ export function renderBand({ link, info, state }) {
     if (thinks) [level, sign] = LOOKS.EXECUTE;
     setText(byId("state"), word);
     const since_s = runs(state.job) ? state.job.since_s ?? status.since_s : status.since_s;
-    setText(byId("since"), since_s && state.replay ? clock(since_s) : since_s
+    setText(byId("since"), since_s
       ? t("band.since", { clock: clock(since_s), ago: duration(state.time_s - since_s) }) : "");
     const [what, more] = doing(state);
     setText(byId("doing"), heldBy.length ? t("band.held_by", { names: heldBy.join(", ") }) : what);

@@ -26,8 +26,7 @@ export function takeValues(state, now_s) {
   const { live } = state;
   if (!framed) frame = null;
   framed = false;
-  // A replay has the time of its recording, which stands still and goes back.
-  const t_s = state.replay?.t_s ?? state.time_s ?? now_s;
+  const t_s = state.time_s ?? now_s;
   if (history.length && t_s < history.at(-1).t_s) history.length = 0;
   if (history.at(-1)?.t_s === t_s) history.pop();
   history.push({ t_s, force_n: live.force_n, setpoint_n: live.setpoint_n, opening_mm: live.opening_mm });

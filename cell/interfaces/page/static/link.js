@@ -25,8 +25,16 @@ export class Link {
   constructor(on) {
     this.on = on;
     this.token = keptToken();
-    this.name = kept("name", () => `page-${Math.floor(0x1000 + Math.random() * 0xefff).toString(16)}`);
-    this.lease = Number(sessionStorage.getItem("lease") ?? 0);
+    // A browser copies the storage to the duplicate of a page: name and lease stand there only while
+    // this page is away, as between two loads.
+    const own = JSON.parse(sessionStorage.getItem("own") ?? "{}");
+    this.name = own.name ?? `page-${Math.floor(0x1000 + Math.random() * 0xefff).toString(16)}`;
+    this.lease = own.lease ?? 0;
+    sessionStorage.removeItem("own");
+    window.addEventListener("pageshow", () => sessionStorage.removeItem("own"));
+    window.addEventListener("pagehide", () => {
+      sessionStorage.setItem("own", JSON.stringify({ name: this.name, lease: this.lease }));
+    });
     this.leaseTimeout_s = 2;
     this.state = null;
     this.pending = false;
@@ -230,19 +238,14 @@ export class Link {
 
   async acquire(take = false) {
     const { lease } = await this.call("POST", "api/lease", { body: { name: this.name, take } });
-    this.setLease(lease);
+    this.lease = lease;
     this.aliveDue_s = now_s() + this.leaseTimeout_s / 4;
   }
 
   async giveUp() {
     const lease = this.lease;
-    this.setLease(0);
+    this.lease = 0;
     await this.call("DELETE", `api/lease/${lease}`);
-  }
-
-  setLease(lease) {
-    this.lease = lease;
-    sessionStorage.setItem("lease", String(lease));
   }
 
   async keepLease() {
@@ -254,17 +257,11 @@ export class Link {
       await this.call("POST", `api/lease/${lease}/alive`);
     } catch (error) {
       if (error instanceof Refused && this.lease === lease) {
-        this.setLease(0);
+        this.lease = 0;
         this.on.lost();
       }
     }
   }
-}
-
-function kept(key, made) {
-  const value = sessionStorage.getItem(key) ?? made();
-  sessionStorage.setItem(key, value);
-  return value;
 }
 
 // The token comes in the fragment of the address, which no server and no log sees.

@@ -13,7 +13,6 @@ import { beginPage, reasonOf, renderCommands, setupCommands, setupLease } from "
 import { renderTeach, setupTeach, teachEnded } from "./teach.js";
 import { renderGauge, setupGauge } from "./gauge.js";
 import { renderSort, setupSort } from "./sort.js";
-import { renderReplay, setupReplay } from "./replay.js";
 
 const TABS = ["held", "teach", "sort"];
 const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", gauge: "teach", zero: "teach", sort: "sort" };
@@ -26,7 +25,7 @@ const view = {
   changed: () => (dirty = true),
   why: (command, any) => reasonOf(view, command, any),
   say(text, bad = false) {
-    const place = byId(view.info?.mode === "replay" ? "replay_said" : "said");
+    const place = byId("said");
     setText(place, text);
     place.classList.toggle("bad", bad);
   },
@@ -120,7 +119,7 @@ function render() {
   dirty = false;
   if (stale) forget();
   for (const part of [renderBand, renderFault, renderHeld, renderFelt, renderShift, renderHealth,
-    renderCommands, renderTeach, renderGauge, renderSort, renderReplay, renderPose]) part(view);
+    renderCommands, renderTeach, renderGauge, renderSort, renderPose]) part(view);
 }
 
 function setup() {
@@ -129,7 +128,6 @@ function setup() {
   setupTeach(view);
   setupGauge(view);
   setupSort(view);
-  setupReplay(view);
   byId("tabs").addEventListener("click", (event) => {
     const name = event.target.id?.replace("tab_", "");
     if (TABS.includes(name)) chooseTab(name);

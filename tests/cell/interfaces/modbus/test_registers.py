@@ -29,6 +29,7 @@ from cell.interfaces.modbus.registers import (
     LIFE,
     NEEDS_RESET,
     NOT_MEASURED,
+    NOT_RECORDED,
     OLDEST_MS,
     ON_HOLD,
     READY,
@@ -37,11 +38,11 @@ from cell.interfaces.modbus.registers import (
     RUNNING,
     SIGNATURE,
 )
-from cell.interfaces.service.service import RELEASE_KEY
+from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
-from tests.cell.interfaces.conftest import LIMIT_S, Served, until
 from tests.cell.interfaces.hosts import Plc
 from tests.cell.interfaces.modbus.structured_text import BLOCK, KEYWORDS, FunctionBlock
+from tests.cell.served import LIMIT_S, Served, until
 
 TEACH, IDENTIFY, GRIP, VERIFY, SORT = 20, 21, 22, 23, 24
 RELEASE, REACHED, REFUSE = 30, 40, 41
@@ -113,6 +114,17 @@ def test_live_values_have_their_registers(connect: Any) -> None:
         served.plugin.show_live(LiveValues(**dict(zip(names, values, strict=True))))
         inputs = plc.inputs()
         assert [*inputs[13:15], *inputs[21:24]] == shown
+
+
+def test_a_recording_that_has_stopped_has_its_bit(connect: Any, block: Any) -> None:
+    served, plc = connect()
+    assert plc.inputs()[2] == READY
+    served.plugin.stop_recording("No space left on device")
+    assert plc.inputs()[2] == READY | NOT_RECORDED
+    served, plc = block()
+    assert plc.cycle()["NotRecorded"] is False
+    served.plugin.stop_recording("No space left on device")
+    assert plc.cycle()["NotRecorded"] is True
 
 
 def test_a_zeroed_stale_or_wrong_key_lets_nothing_go(connect: Any) -> None:
@@ -271,9 +283,7 @@ def test_a_fault_is_a_number_and_a_text(connect: Any) -> None:
     assert inputs[2] & (FAULT | HOLDING | READY) == FAULT | HOLDING
     assert (inputs[3], inputs[9]) == (9, 6)
     assert inputs[7] == served.service.status().fault_number > 0
-    assert text_of(inputs).startswith(
-        "Check the CAN bus; tactile.loss_max_share is the limit of lost"
-    )
+    assert text_of(inputs).startswith("Check the CAN bus; look at tactile.loss_max_share. ")
     assert plc.command(IDENTIFY) == 505
     assert plc.command(CLEAR) == 0
     assert plc.inputs()[2] & (FAULT | NEEDS_RESET) == NEEDS_RESET
@@ -286,27 +296,33 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(
     _, second = connect(served)
     assert plc.refusal() == (0, "")
     assert plc.write(COMMAND, GRIP) == 6
-    assert plc.refusal() == (514, "change register 0, the life counter, to get the lease")
+    acquire = "Acquire the lease; keep the life sign going. "
+    assert plc.refusal() == (514, f"{acquire}change register 0, ")
     plc.adopt()
     assert second.write(LIFE, 5) == 6
-    assert second.refusal() == (514, "Modbus 127.0.0.1 is in command; wait until it ends")
+    assert second.refusal() == (514, f"{acquire}Modbus 127.0.0.1 is")
     text = "name the data set that trained the model when it is loaded, or begin without one"
     with monkeypatch.context() as alone:
         alone.setattr(served.plugin, "start", raising(TrainingSetMissing(text)))
         assert plc.command(TEACH, 1) == 517
-    assert plc.refusal() == (517, text[:64])
+    assert plc.refusal() == (
+        517,
+        "Start serve with --training-set, or teach without --model. name the data set"[:64],
+    )
     assert plc.command(VERIFY) == 505
-    assert plc.refusal()[1].startswith("the cell is IDLE; allowed: grasp, grip")
+    assert (
+        plc.refusal()[1] == "Give another command first, or wait for the job's end. the cell i"[:64]
+    )
     assert plc.command(GRIP, 0, 300) == 0
     served.ended()
     assert plc.refusal()[0] == 505  # until the next one
 
 
 def test_each_start_has_a_number_of_its_own(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cell.interfaces.service.service.time.time", lambda: 0xFFFF * 7.0 + 65535)
+    monkeypatch.setattr("cell.service.service.time.time", lambda: 0xFFFF * 7.0 + 65535)
     _, plc = connect()
     assert plc.inputs()[27] == 1
-    monkeypatch.setattr("cell.interfaces.service.service.time.time", lambda: 0xFFFF * 8.0 + 3.2)
+    monkeypatch.setattr("cell.service.service.time.time", lambda: 0xFFFF * 8.0 + 3.2)
     _, again = connect()
     assert again.inputs()[27] == 4
 

@@ -6,16 +6,16 @@ from typing import Any
 import pytest
 
 from cell.config.model import CellConfig
-from cell.interfaces.plugin.goals import Goal
-from cell.interfaces.plugin.plugin import cell_values
-from cell.interfaces.service.service import Service
-from cell.interfaces.service.state import state_values
 from cell.interfaces.web import WebDoor
+from cell.plugin.goals import Goal
+from cell.plugin.plugin import cell_values
+from cell.service.service import Service
+from cell.service.state import state_values
 from gripper.errors import PartSlipped
 from recognition.recognizer import UNKNOWN
 from tactile.layout import paper_layout
 from tests.cell.conftest import small_config
-from tests.cell.interfaces.stub_plugin import StubPlugin
+from tests.cell.stub_plugin import StubPlugin
 
 PORTS = {"serve__modbus_port": None, "serve__xmlrpc_port": None, "serve__http_port": 0}
 BEFORE = ("nut", "bolt", "nut", UNKNOWN, "bolt", "nut", "pin", "nut", "nut", "bolt", "nut", "nut")

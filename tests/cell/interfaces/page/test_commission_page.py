@@ -12,9 +12,9 @@ from cell.commissioning.record import write_record
 from cell.config.serve import ServeConfig
 from cell.interfaces.wizard import Wizard, WizardDoor
 from tests.cell.commissioning.test_engine import Asking
-from tests.cell.interfaces.conftest import until
 from tests.cell.interfaces.page.test_page import OpenPage, becomes, fits
 from tests.cell.interfaces.test_wizard import Moving, Ports
+from tests.cell.served import until
 
 pytestmark = pytest.mark.long
 

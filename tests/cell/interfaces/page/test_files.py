@@ -13,8 +13,8 @@ from cell.control.states import CellState, GraspState
 from cell.fault_catalogue import CATALOGUE, RecoveryStep
 from cell.interfaces.http_server import REMEDIES
 from cell.interfaces.page import FOLDER
-from cell.interfaces.plugin.goals import TASKS
 from cell.interfaces.wizard import Phase
+from cell.plugin.goals import TASKS
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
 

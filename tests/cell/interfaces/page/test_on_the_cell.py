@@ -1,21 +1,15 @@
 """The page on the real door: on a stub of the cell, and once on the simulated cell."""
 
 from collections.abc import Callable, Iterator
-from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cell.config.model import CellConfig
 from cell.control.states import Command
-from cell.interfaces.service.replay import Replay
-from cell.interfaces.service.service import Service
-from cell.interfaces.service.serving import open_doors, page_address
 from gripper.errors import PartSlipped
-from tests.cell.interfaces.conftest import Served, until
 from tests.cell.interfaces.page.line import Line
 from tests.cell.interfaces.page.test_page import OpenPage, becomes, press
+from tests.cell.served import Served, until
 
 pytestmark = pytest.mark.long
 
@@ -134,8 +128,22 @@ def test_command_is_taken_over_and_given_up(serve: Any, open_page: OpenPage) -> 
     becomes(page, "#commander", "This page")
     page.reload()
     becomes(page, "#commander", "This page")
+    # The browser copies the storage of a page to its duplicate, as to a page that it opens.
+    with page.context.expect_page() as opened:
+        page.evaluate("() => void window.open(location.href)")
+    twin = opened.value
+    becomes(twin, "#commander", "In command: page-")
+    becomes(twin, "#do_identify", "take command first")
+    name = served.service.lease.name
+    for again in (twin, page):
+        again.reload()
+        becomes(again, "#commander", "This page" if again is page else f"In command: {name}")
+    page.goto("about:blank")
+    page.go_back()
+    becomes(page, "#commander", "This page")
     page.click("#command")
     becomes(page, "#commander", "Nobody")
+    becomes(twin, "#commander", "Nobody")
 
 
 def test_a_cut_line_is_red_at_once_and_returns_by_itself(
@@ -216,25 +224,3 @@ def test_a_page_that_slept_shows_now(serve: Any, line: Any, open_page: OpenPage)
     wire.mend()
     becomes(page, "#state", "Working")
     becomes(page, "#commander", "In command: PLC")
-
-
-def test_a_recording_is_replayed(taught: Any, open_page: OpenPage, tmp_path: Path) -> None:
-    replay = Replay(taught.result.recording)
-    doors = {"modbus_port": None, "xmlrpc_port": None, "http_port": 0}
-    service = Service(replay, CellConfig(serve=doors))
-    with closing(service), open_doors(service) as found:
-        page = open_page(page_address(found, service.config.serve))
-        becomes(page, "#replay_at", "grasp [0-9]+ of [0-9]+")
-        page.click("#replay_pause")
-        until(lambda: replay.values()["paused"])
-        page.select_option("#replay_speed", "5")
-        page.evaluate(
-            "() => { const slider = document.querySelector('#replay_grasp');"
-            " slider.value = 7; slider.dispatchEvent(new Event('change')); }"
-        )
-        until(lambda: (replay.values()["speed"], replay.values()["grasp"]) == (5.0, 7))
-        (tmp_path / "again.mcap").write_bytes(taught.result.recording.read_bytes())
-        page.set_input_files("#replay_file", tmp_path / "again.mcap")
-        until(lambda: replay.values()["name"] == "the recording sent")
-        assert not page.is_visible("#hold")
-        assert not page.is_visible("#do_identify")

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from cell.control.live import LiveValues
-from tests.cell.interfaces.conftest import until
 from tests.cell.interfaces.page.fake_cell import TEACHING, FakeCell
+from tests.cell.served import until
 
 EVIL = '<img src=x onerror="window.evil=1">'
 PIXEL = base64.b64decode(

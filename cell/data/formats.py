@@ -1,0 +1,143 @@
+"""Formats of the files that a cell keeps: the version that is written, and how older ones are read.
+
+A file names its format and version. A later version is refused. A file that names none was written
+by tactile-cell 28346af4 or before.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cell.data.files import json_bytes, read_plain, write_text
+from cell.errors import CellError
+
+_CHECKSUM = "sha256"
+"""Key of a JSON file that has the checksum of the others."""
+_KEPT_BYTES = 4 << 20
+"""Largest JSON file that is read: the largest, findings of 400 taxels, have a tenth of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """Format of one kind of file, and its version."""
+
+    what: str
+    """What such a file is, for messages."""
+    text: str
+    """What such a file names: the format and its version."""
+    remedy: str
+    """What a person does with such a file that cannot be read."""
+    unnamed: frozenset[str] | None = None
+    """Keys of a JSON file that names no format, and is read; None: it is refused."""
+
+    def __str__(self) -> str:
+        return self.text
+
+    def check(self, found: object, source: object, error: type[CellError]) -> None:
+        """Raise ``error`` where the format that a file names is not this one."""
+        if found == self.text:
+            return
+        name, version = self.text.split("/")
+        later = re.fullmatch(rf"{name}/(\d{{1,9}})", str(found))
+        if later and int(later[1]) > int(version):
+            raise error(
+                f"{source} has the format {found}; this program reads up to {self}: update "
+                "tactile-cell"
+            )
+        named = "it names no format" if found is None else f"its format is {str(found)!a:.60}"
+        raise error(f"{source} is no {self.what}: {named}, expected {self}; {self.remedy}")
+
+
+GONE_KEYS: Mapping[str, Mapping[Any, Any] | None] = {
+    "sequence.kind": {"active": "random"},
+    "sequence.candidates": None,
+    "serve.foxglove_port": None,
+}
+"""Keys of a config that are gone, None, or values of a key that are, with those in their place."""
+
+
+def present_config(values: dict[str, Any], way: str = "") -> dict[str, Any]:
+    """Return the values of a config, or of the section at a dotted path, without what is gone."""
+    found = {}
+    for name, value in values.items():
+        gone = GONE_KEYS.get(f"{way}{name}", {})
+        if gone is None:
+            continue
+        if isinstance(value, dict):
+            found[name] = present_config(value, f"{way}{name}.")
+        else:
+            found[name] = gone.get(value, value) if isinstance(value, str) else value
+    return found
+
+
+CONFIG = Format(
+    what="config",
+    text="tactile-cell-config/1",
+    remedy="write that, or leave the key out",
+)
+DATASET = Format(what="grasp data set", text="grasp-dataset/1", remedy="check the path")
+RECORDING = Format(what="recording", text="tactile-cell-recording/1", remedy="check the path")
+MODEL = Format(
+    what="model",
+    text="tactile-cell-model/1",
+    remedy="train it again: `tactile-cell train DATASETS -o MODEL`",
+)
+COMMISSIONING = Format(
+    what="commissioning",
+    text="tactile-cell-commissioning/1",
+    remedy="move it away to commission anew",
+    unnamed=frozenset({"version", "steps", "approved"}),
+)
+SERVO_BACKUP = Format(
+    what="backup of a servo",
+    text="tactile-cell-servo-backup/1",
+    remedy="take another copy of it",
+    unnamed=frozenset({"servo_id", "baud_rate", "found"}),
+)
+SELF_ZERO = Format(
+    what="self-zero",
+    text="tactile-cell-self-zero/1",
+    remedy="`tactile-cell zero` measures it anew",
+)
+
+
+def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]) -> None:
+    """Write a mapping or dataclass as JSON with format and checksum; see `write_text`."""
+    values = {"format": str(kind), **json.loads(json_bytes(content))}
+    text = json.dumps(values | {_CHECKSUM: _digest(values)}, indent=2) + "\n"
+    write_text(path, text, error=error, what=kind.what)
+
+
+def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, Any] | None:
+    """Return the content of a file that `write_json` wrote; None where there is no such file.
+
+    Raises ``error`` where it is damaged, too large, no plain file, or of another format.
+    """
+    try:
+        data = read_plain(path, error=error, what=kind.what, limit_bytes=_KEPT_BYTES)
+    except error as refused:
+        if isinstance(refused.__cause__, FileNotFoundError):
+            return None
+        raise
+    try:
+        values = json.loads(data)
+    except (ValueError, RecursionError) as cause:
+        raise error(f"{path} is damaged, it is no JSON; {kind.remedy}") from cause
+    if not isinstance(values, dict):
+        raise error(f"{path} is no {kind.what}: it holds no object; {kind.remedy}")
+    if values.keys() == kind.unnamed:
+        return values
+    kind.check(values.get("format"), path, error)
+    stated = values.pop(_CHECKSUM, None)
+    if stated != _digest(values):
+        raise error(f"{path} is damaged, it does not have its checksum; {kind.remedy}")
+    del values["format"]
+    return values
+
+
+def _digest(values: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,245 @@
+"""What hosts call, in one table: methods of XML-RPC and OPC UA, commands of Modbus are made of it.
+
+No method raises. One that fails returns a negative number, whose magnitude stands in the fault
+catalogue, or an empty text; `Calls.refusal` has the reason.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar
+from inspect import Parameter, Signature
+from typing import Any, NamedTuple
+
+from cell.errors import ConfigError, NotMeasured, RequestRefused
+from cell.fault_catalogue import Refusal, for_display
+from cell.interfaces.access import same_secret
+from cell.interfaces.host_values import PLATE, VALUES, Value, ur_pose
+from cell.service.service import Service
+
+CLIENT: ContextVar[str] = ContextVar("client", default="")
+"""Address of the client whose call is answered; empty where that is not known."""
+_REFUSALS_MAX = 100
+"""Clients whose last refusal is kept; that of the one that was refused first goes first."""
+
+
+class HostCommand(NamedTuple):
+    """A task or command that starts a job, as hosts with plain numbers ask for it."""
+
+    name: str
+    """Task of a goal, or command of the service."""
+    fields: Mapping[str, type]
+    """What it takes, in this order; 0: as the config has it."""
+    numbers: tuple[int, ...]
+    """Commands of Modbus that start it; below 20 those are CntrlCmd of PackTags."""
+    text: str
+    """What it does."""
+
+
+# fmt: off
+COMMANDS = (
+    HostCommand("teach", {"label": str, "grasps": int}, (20,), "Start to teach an object"),
+    HostCommand("identify", {"max_grasps": int, "force_n": float, "keep": bool}, (2, 21),
+                "Start an identification; 0 grasps and 0 N: as the config has it"),
+    HostCommand("grip", {"force_n": float}, (22,),
+                "Start to grip a part and keep it, without a name"),
+    HostCommand("verify", {}, (23,), "Start to look whether the held part is still the same"),
+    HostCommand("zero", {}, (25,),
+                "Start to measure the zero with empty fingers on each other"),
+    HostCommand("sort", {"parts": int, "max_grasps": int, "force_n": float}, (24,),
+                "Start to name parts and let each go at its place of `sort.places`"),
+    HostCommand("release", {"key": int}, (30,),
+                "Start to let the part go, with key 20304 (0x4F50)"),
+    HostCommand("clear", {"reboot": bool}, (9,),
+                "Start to acknowledge the fault; `reboot` restarts servos at fault"),
+    HostCommand("reset", {}, (1,),
+                "Start to verify the devices anew, also after a shutdown"),
+    HostCommand("shutdown", {}, (3,),
+                "Start to end the work with the devices; a held part stays held"),
+)
+# fmt: on
+"""All of them."""
+
+
+class Calls:
+    """The methods; types are int, float, bool, str and pose only.
+
+    Those of `VALUES` and `COMMANDS` are added below. `acquire` asks for the secret, where it is not
+    empty; the door's name stands in those of its clients.
+    """
+
+    def __init__(self, service: Service, secret: str = "", *, door: str = "XML-RPC") -> None:
+        self._service = service
+        self._secret = secret
+        self._door = door
+        self._refusals: dict[str, Refusal] = {}
+
+    @property
+    def refusal(self) -> Refusal:
+        """Why the last refused call of this address was."""
+        return self._refusals.get(CLIENT.get(), Refusal())
+
+    def _refuse(self, error: Exception) -> int:
+        """Take note why a call of this client is refused; return the number."""
+        if isinstance(error, TypeError):  # wrong arguments are the request's fault
+            error = ConfigError(str(error))
+        refusal, client = Refusal.of(error), CLIENT.get()
+        if not isinstance(error, NotMeasured):  # nothing was asked for that could be refused
+            self._refusals.pop(client, None)
+            self._refusals[client] = refusal
+            if len(self._refusals) > _REFUSALS_MAX:
+                self._refusals.pop(next(iter(self._refusals)), None)
+        return refusal.number
+
+    def acquire(self, secret: str, name: str = "") -> int:
+        """Return the lease to command with; keep it with `alive`.
+
+        Without `serve.secret_file` the only argument is the name.
+        """
+        if not self._secret:
+            return self._service.lease.acquire(name or secret)
+        if not same_secret(str(secret), self._secret):
+            raise RequestRefused("acquire: the first argument is not that of serve.secret_file")
+        return self._service.lease.acquire(name or "a client with the secret")
+
+    def alive(self, lease: int) -> int:
+        """Keep the lease; return 0. Every command keeps it too."""
+        self._service.lease.alive(lease)
+        return 0
+
+    def give_up(self, lease: int) -> int:
+        """Give the lease up; return 0. A job that runs is held."""
+        self._service.lease.give_up(lease)
+        return 0
+
+    def hold(self, latch: int = -1, name: str = "") -> int:
+        """Stop what runs and keep the grip; anyone may. Return 0.
+
+        With `latch` 1 nothing that moves starts until the same client, by address and name, calls
+        with 0; -1: once. A pressed button repeats 1 at least each `serve.lease_timeout_s`.
+        """
+        who = " ".join(filter(None, (self._door, CLIENT.get(), str(name)[:60])))
+        self._service.hold_as(who, None if latch < 0 else bool(latch))
+        return 0
+
+    def next_job(self) -> int:
+        """Return the number of the next job: given to a command, it makes repeating it harmless."""
+        return self._service.job().number + 1
+
+    def job_text(self, job: int) -> str:
+        """Return why a job failed, the remedy first; empty else."""
+        found = self._service.job(job)
+        return for_display(found.fault_number, found.error)
+
+    def same(self, job: int) -> int:
+        """Return what a verification found: 1 the same part, 0 another or none; -1 not over."""
+        found = self._service.job(job)
+        return -1 if found.held is None else int(bool(found.held and found.same))
+
+    def next_pose(self) -> dict[str, float]:
+        """Return the pose that the object shall have in the grip frame."""
+        return ur_pose(self._service.snapshot().pose)
+
+    def pose_reached(self, lease: int, seq: int, ok: bool) -> int:
+        """Answer the pose with that number: reached, or refused; return 0."""
+        self._service.pose_reached(lease, seq, ok=ok)
+        return 0
+
+    def last_refusal(self) -> str:
+        """Return why the last refused call of this address was: number, text, remedy; empty: none.
+
+        A value that is not measured is no refusal.
+        """
+        return str(self.refusal)
+
+
+def _reader(value: Value) -> Callable[..., Any]:
+    """Return the method of a value: of the cell, or of a job by its number."""
+
+    def checked(shown: Any) -> Any:
+        found = value.of(shown)
+        if found is None and value.kind is float:
+            raise NotMeasured("the value is not measured at the moment; read the state of the cell")
+        return value.kind() if found is None else found
+
+    def of_cell(self: Calls) -> Any:
+        service = self._service
+        return checked(service if value in PLATE else service.snapshot())
+
+    def of_job(self: Calls, job: int) -> Any:
+        return checked(_OneJob(self._service.job(job)))
+
+    method: Callable[..., Any] = of_job if value.source.startswith("job.") else of_cell
+    unmeasured = "; -516 where it is not measured" if ".live." in value.source else ""
+    method.__doc__ = f"{value.text}{unmeasured}."
+    method.__annotations__["return"] = value.kind
+    return method
+
+
+class _OneJob(NamedTuple):
+    """A job in the place of the newest one of a snapshot."""
+
+    job: Any
+
+
+def _starter(command: HostCommand) -> Callable[..., Any]:
+    """Return the method of a command: its lease, its fields and the number of its job."""
+
+    def parameter(name: str, kind: type, default: Any = Parameter.empty) -> Parameter:
+        return Parameter(name, Parameter.POSITIONAL_ONLY, default=default, annotation=kind)
+
+    fields = [parameter(name, kind) for name, kind in command.fields.items() if name != "reboot"]
+    last = [parameter("reboot", bool, False)] if "reboot" in command.fields else []
+    taken = [parameter("lease", int), *fields, parameter("job", int, 0), *last]
+
+    def start(self: Calls, *given: Any) -> int:
+        bound = Signature(taken).bind(*given)
+        bound.apply_defaults()
+        lease, number = bound.arguments.pop("lease"), bound.arguments.pop("job")
+        return self._service.request(lease, command.name, number=number, **bound.arguments)
+
+    start.__doc__ = f"{command.text}. Return the job."
+    start.__signature__ = Signature(  # type: ignore[attr-defined]
+        [parameter("self", Calls), *taken], return_annotation=int
+    )
+    return start
+
+
+for _value in (*PLATE, *VALUES):
+    if _value.method:
+        setattr(Calls, _value.method, _reader(_value))
+for _command in COMMANDS:
+    setattr(Calls, _command.name, _starter(_command))
+
+_EMPTY: Mapping[type, Any] = {str: "", dict[str, float]: ur_pose(None)}
+"""What methods that return no number return where they fail."""
+METHODS = {
+    name: method
+    for name, method in vars(Calls).items()
+    if inspect.isfunction(method) and name[0] != "_"
+}
+"""Methods of `Calls` by name."""
+
+
+def methods(calls: Calls) -> dict[str, Callable[..., Any]]:
+    """Return all methods by name; none of them raises."""
+    return {
+        name: _harmless(getattr(calls, name), calls._refuse)  # noqa: SLF001  as a method
+        for name in METHODS
+    }
+
+
+def _harmless(call: Callable[..., Any], refuse: Callable[[Exception], int]) -> Callable[..., Any]:
+    taken = inspect.signature(call)
+    returned = taken.return_annotation
+
+    @functools.wraps(call)
+    def called(*arguments: Any) -> Any:
+        try:
+            return call(*arguments)
+        except Exception as error:
+            number = refuse(error)
+            return _EMPTY.get(returned, float(-number) if returned is float else -number)
+
+    called.__signature__ = taken  # type: ignore[attr-defined]
+    return called

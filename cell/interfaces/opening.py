@@ -1,0 +1,90 @@
+"""Opening all configured interfaces of a service, closed in order."""
+
+import socket
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from errno import EACCES, EADDRINUSE
+from importlib import import_module
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any
+
+from cell.config.serve import ServeConfig
+from cell.errors import CellError, ConfigError
+from cell.installation import extra
+from cell.service.service import Service
+
+_DOORS = (
+    ("modbus_port", "--modbus", "serve", "cell.interfaces.modbus.registers", "ModbusDoor"),
+    ("xmlrpc_port", "--xml-rpc", "serve", "cell.interfaces.xml_rpc", "XmlRpcDoor"),
+    ("http_port", "--http", "serve", "cell.interfaces.web", "WebDoor"),
+    ("opcua_port", "--opcua", "opcua", "cell.interfaces.opc_ua.door", "OpcUaDoor"),
+)
+"""Port in the config, option, extra, module and class of each door, which has ``port`` and
+``close``; what it needs is loaded only where it is opened."""
+
+
+def warnings(service: Service) -> tuple[str, ...]:
+    """Return what the operator should have in mind about the configured doors."""
+    config = service.config.serve
+    notes = []
+    if not ip_address(config.listen).is_loopback:
+        if config.modbus_port is not None or config.xmlrpc_port is not None:
+            weakness = (
+                "send their secret in the clear" if config.secret_file else "authenticate nobody"
+            )
+            notes.append(
+                f"Modbus and XML-RPC {weakness}: who reaches {config.listen} from "
+                f"{', '.join(config.allow)} can move the gripper; use a network of the cell alone"
+            )
+        if config.http_port is not None and not config.tls_certificate:
+            notes.append("HTTP without TLS sends its token in the clear; set serve.tls_certificate")
+    return tuple(notes)
+
+
+@contextmanager
+def open_doors(service: Service) -> Iterator[dict[str, Any]]:
+    """Open all configured doors; yield their ports, and the token of HTTP.
+
+    Raises CellError if a door cannot be opened; ConfigError, if none is configured or an extra is
+    missing.
+    """
+    config = service.config.serve
+    found: dict[str, Any] = {"listen": config.listen}
+    for name in (config.tls_certificate, config.tls_key):
+        if name and Path(name).exists() and not Path(name).is_file():
+            raise ConfigError(f"{name}: not a plain file; name the file itself")
+    with ExitStack() as undo:
+        for name, option, brings, module, kind in _DOORS:
+            port = getattr(config, name)
+            if port is None:
+                continue
+            with extra(brings, needed_by=f"serve.{name}"):
+                door_type = getattr(import_module(module), kind)
+            try:
+                door = door_type(service)
+            except OSError as error:
+                taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
+                remedy = f"; {option} PORT takes another one, 0 any free one" if taken else ""
+                raise CellError(
+                    f"a door at {config.listen}:{port} (serve.{name}) cannot be opened: "
+                    f"{error}{remedy}"
+                ) from error
+            undo.callback(door.close)
+            found[name] = door.port
+            if name == "http_port":
+                found["token"] = door.token
+        if len(found) == 1:
+            raise ConfigError("no door is open: set a port in `serve`, or give --modbus 0")
+        yield found
+
+
+def page_address(found: Mapping[str, Any], config: ServeConfig) -> str | None:
+    """Return the address of the page, with its token, for a browser; None without HTTP."""
+    if "http_port" not in found:
+        return None
+    anywhere = ip_address(config.listen).is_unspecified
+    host = socket.gethostname() if anywhere else config.listen
+    host = f"[{host}]" if ":" in host else host
+    scheme = "https" if config.tls_certificate else "http"
+    return f"{scheme}://{host}:{found['http_port']}/#token={found['token']}"

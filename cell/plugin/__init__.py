@@ -1,0 +1,6 @@
+"""The application core: the cell behind jobs that never block.
+
+A host loads it through the entry point `tactile_cell` of `robot_cell.plugins`. The service uses it
+too. `plugin`: the class `TactileCellPlugin`. `goals`: requests and their checks. `answer`: results.
+`tasks`: what each job does. `worker`: the thread of a cell. `lease`: who commands.
+"""

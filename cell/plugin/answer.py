@@ -1,0 +1,163 @@
+"""The answer of an identification as a host program gets it: plain values, lengths in mm."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Self
+
+from cell.control.states import CellStatus
+from recognition.recognizer import UNKNOWN
+
+if TYPE_CHECKING:
+    from cell.control.identification import Identification
+    from cell.control.keeping import HeldCheck
+    from cell.control.live import LiveValues
+    from recognition.drift.grid import DriftGrid
+    from recognition.shape.answer import ShapeAnswer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeltShape:
+    """Shape and size of an object, lengths in mm."""
+
+    kind: str
+    """``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell``, or ``unclear``."""
+    probability: float
+    """Probability of the likeliest kind, given that it is one of them."""
+    probabilities: Mapping[str, float] = field(hash=False)
+    """Probability of each kind."""
+    size_mm: float
+    interval_mm: tuple[float, float]
+    """Thickness along the closing axis (the diameter of what is round), and the interval that holds
+    it with 90 % probability."""
+    thicknesses_mm: tuple[tuple[float, float, float], ...]
+    """All thicknesses that were met: size, and both ends of the interval."""
+    dimensions_mm: Mapping[str, float] = field(hash=False)
+    """Dimensions of the likeliest kind by their names, without interval."""
+    n_grasps: int
+    """Grasps that it rests on."""
+
+    def __str__(self) -> str:
+        sizes = (f"{at:.1f} mm ({low:.1f} to {high:.1f})" for at, low, high in self.thicknesses_mm)
+        return f"{self.kind}, {' and '.join(sizes)}"
+
+    @classmethod
+    def of(cls, shape: "ShapeAnswer") -> Self:
+        """Return an answer of shape and size in mm."""
+        return cls(
+            kind=shape.kind,
+            probability=shape.probability[shape.likeliest],
+            probabilities=dict(shape.probability),
+            size_mm=1e3 * shape.size_m,
+            interval_mm=(1e3 * shape.low_m, 1e3 * shape.high_m),
+            thicknesses_mm=tuple(
+                (1e3 * t.size_m, 1e3 * t.low_m, 1e3 * t.high_m) for t in shape.thicknesses
+            ),
+            dimensions_mm={name: 1e3 * value for name, value in shape.dimensions_m.items()},
+            n_grasps=shape.n_grasps,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """Answer of an identification."""
+
+    label: str
+    """A taught label, or ``UNKNOWN``."""
+    probabilities: Mapping[str, float] = field(hash=False)
+    """Probability of each taught label and of ``UNKNOWN``; they sum to 1."""
+    n_grasps: int
+    """Grasps that it took."""
+    kept: bool = False
+    """Whether the part is still in the grip, for the host to release where it wants it."""
+    shape: FeltShape | None = None
+    """Shape and size, also of an object that was never taught; None where the pads do not show
+    them, or the config has ``recognition.shape`` off."""
+    n_ended_early: int = 0
+    """Grasps whose ramp ended early, because it sufficed."""
+    drift: "DriftGrid | None" = None
+    """The drift of the sensors that it rests on; None where it is not followed."""
+    remark: str = ""
+    """Message for the operator: the sensors have drifted, told once, or the part is too small or
+    too soft for the force of the ramp. Empty otherwise."""
+    job: int = 0
+    """Number of the job that found it."""
+
+    @property
+    def probability(self) -> float:
+        """Probability of the label."""
+        return self.probabilities[self.label]
+
+    @property
+    def unknown(self) -> float:
+        """Probability that the object was never taught."""
+        return self.probabilities[UNKNOWN]
+
+    @classmethod
+    def of(cls, found: "Identification") -> Self:
+        """Return the answer of an identification."""
+        shorts = (record.outcome.short for record in found.records)
+        return cls(
+            label=found.label,
+            probabilities=found.probabilities,
+            n_grasps=len(found.records),
+            shape=None if found.shape is None else FeltShape.of(found.shape),
+            n_ended_early=sum(record.early is not None for record in found.records),
+            drift=found.drift,
+            remark=found.remark or next(filter(None, shorts), ""),
+            kept=found.kept,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostStatus(CellStatus):
+    """States of cell and grip, and what a host that carries a part needs beside them."""
+
+    live: "LiveValues" = field(compare=False)
+    """Force, opening, temperature and taxels as they are measured at the moment."""
+    recording_fault: str = ""
+    """Why the recording has stopped; empty while it is written, or where none is made."""
+    last_answer: Answer | None
+    """Answer of the last identification, whatever jobs came after it; None from the beginning of
+    the next identification or sort on, until the identification has succeeded."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """Result of the look at a part in the grip: whether it is still the one that was kept."""
+
+    held: bool
+    """Whether both pads are loaded."""
+    same: bool | None
+    """Whether opening and footprint on the pads are those with which it was kept; None where
+    nothing is held."""
+    force_n: float
+    """Grip force in N."""
+    opening_mm: float
+    """Opening between the pads in mm."""
+    reasons: tuple[str, ...] = ()
+    """What differs, in words with value and limit; empty where nothing does."""
+
+    @classmethod
+    def of(cls, check: "HeldCheck") -> Self:
+        """Return a comparison of the held part in mm."""
+        return cls(
+            held=check.held,
+            same=check.same,
+            force_n=check.force_n,
+            opening_mm=1e3 * check.opening_m,
+            reasons=check.reasons,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SortAnswer:
+    """Count of a sort."""
+
+    n_parts: int
+    """Parts that were let go at a place."""
+    n_missed: int
+    """Turns in which no part was found."""
+    n_rejected: int
+    """Parts at the place of the rejects: never taught, or not what they were any more."""
+    places: Mapping[str, int] = field(hash=False)
+    """Parts at each place."""

@@ -1,0 +1,88 @@
+"""Health of a cell for a display: a level for each of its parts, and the figures behind it.
+
+The limits are those of the config, at whose passing the cell itself acts; none is made here.
+"""
+
+from typing import Any
+
+from cell.build import Cell
+from cell.config.model import CellConfig
+from gripper.force.timing import LATE_SHARE
+from recognition.drift.grid import DriftGrid
+
+
+def health_values(config: CellConfig, cell: Cell, drift: DriftGrid | None) -> dict[str, Any]:
+    """Return level and figures of servos, CAN, loop, drift, self-zero and recording as plain data.
+
+    Levels are ``ok``, ``watch`` (the cell acts soon, or less is as it should be) and ``bad``.
+    """
+    controller = cell.controller
+    statistics = controller.hand.statistics
+    return {
+        "servos": _servos(config, cell),
+        "can": _can(config, cell),
+        "loop": _loop(statistics.loop.lateness.p99_s, controller.hand.period_s)
+        | {
+            "periods": statistics.loop.cycles,
+            "late": statistics.loop.late,
+            "p99_ms": 1e3 * statistics.loop.lateness.p99_s,
+        },
+        "drift": _drift(drift),
+        "zero": _level(watch=bool(controller.zero_note), bad=False)
+        | {"text": controller.zero_note},
+        "recording": _recording(cell, vital=config.recording.when_lost == "hold"),
+    }
+
+
+def _level(*, watch: bool, bad: bool) -> dict[str, Any]:
+    return {"level": "bad" if bad else "watch" if watch else "ok"}
+
+
+def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
+    """Heat: the cap of the current is lowered from some degrees below the limit on."""
+    gripper = config.gripper
+    cycle = cell.controller.measured.cycle
+    servos = () if cycle is None else cycle.state.servos
+    warmest_c = max((servo.temperature_c for servo in servos), default=0.0)
+    derated_c = gripper.temperature_max_c - gripper.servo_care.derate_c
+    return _level(watch=warmest_c > derated_c, bad=warmest_c > gripper.temperature_max_c) | {
+        "temperature_c": [servo.temperature_c for servo in servos],
+        "load": [abs(servo.current_a) / gripper.current_max_a for servo in servos],
+    }
+
+
+def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
+    """Newest frames that were lost: one is worth a look, the share of the limit is a fault."""
+    source = cell.controller.hand.statistics.source
+    frame = cell.controller.measured.frame
+    age_s = None if frame is None else max(0.0, cell.controller.now_s - frame.t_s)
+    lost = source.recent_loss_rate
+    return _level(watch=lost > 0.0, bad=lost > config.tactile.loss_max_share) | {
+        "frames": source.frames.complete,
+        "lost": source.frames.lost,
+        "age_s": age_s,
+    }
+
+
+def _loop(p99_s: float, period_s: float) -> dict[str, Any]:
+    """Lateness: of 1 % of the periods more than counts as late, or than a whole period."""
+    return _level(watch=p99_s > LATE_SHARE * period_s, bad=p99_s > period_s)
+
+
+def _drift(grid: DriftGrid | None) -> dict[str, Any] | None:
+    if grid is None:
+        return None
+    drift = grid.drift
+    return _level(watch=grid.likely, bad=False) | {
+        "gain": drift.gain,
+        "opening_mm": 1e3 * drift.aperture_offset_m,
+    }
+
+
+def _recording(cell: Cell, *, vital: bool) -> dict[str, Any]:
+    path, loss = cell.recording_path, cell.recording_loss
+    stopped = cell.recording_fault is not None
+    return _level(watch=loss is not None, bad=vital and stopped) | {
+        "path": None if path is None else str(path),
+        "text": loss or "",
+    }

@@ -1,0 +1,135 @@
+"""The lease: the right of one client at a time to command; a silent client loses it."""
+
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import KW_ONLY, dataclass, field
+from threading import Event, RLock, Thread
+from typing import Any
+
+from cell.errors import NotInCommand
+from cell.fault_catalogue import error_text
+from gripper.clock import Clock
+
+_LOOKS = 10
+"""Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
+
+
+@dataclass
+class Lease:
+    """The lease of one cell; every method from any thread.
+
+    `look` notices a silent client; `watch` has a thread do so.
+    """
+
+    timeout_s: float
+    """Longest silence in s of the client that has it."""
+    _: KW_ONLY
+    given: Callable[[str], None]
+    """Called with the name of a client that acquires it."""
+    lost: Callable[[str], None]
+    """Called with the reason when it ends, however it does."""
+    clock: Clock = time
+    """Time of the clients: real time also where that of the cell is virtual."""
+    lock: AbstractContextManager[Any] = field(default_factory=RLock)
+    """A lock that one thread may take twice, held while ``given`` and ``lost`` are called."""
+    number: int = 0
+    name: str = ""
+    """Number and name of the client in command; 0 and empty for nobody."""
+    _heard_s: float = 0.0
+    _inside: int = 0
+    _over: Event = field(default_factory=Event)
+    _thread: Thread | None = None
+
+    def acquire(self, name: str, *, take: bool = False) -> int:
+        """Return the number of a new lease; with ``take`` it is taken from another client.
+
+        Raises NotInCommand if another client has it.
+        """
+        with self.lock:
+            self.look()
+            if self.number:
+                if not take:
+                    raise NotInCommand(
+                        f"{self.name!r} is in command; wait until it gives the lease up or is "
+                        f"silent for {self.timeout_s:g} s"
+                    )
+                self._end(f"because {name!r} took command")
+            self.number, self.name = 1 + secrets.randbelow(2**31 - 1), name[:60]
+            self._heard_s = self.clock.monotonic()
+            self.given(self.name)
+            return self.number
+
+    def has(self, lease: int) -> bool:
+        """Whether a number is that of the lease; looking does not keep it."""
+        with self.lock:
+            self.look()
+            return bool(self.number) and self.number == lease
+
+    def alive(self, lease: int) -> None:
+        """Keep the lease. Raises NotInCommand if it is lost: acquire a new one."""
+        with self.lock:
+            if not self.has(lease):
+                raise NotInCommand(
+                    f"lease {lease} is not valid"
+                    + (f"; {self.name!r} is in command" if self.number else "; acquire one")
+                )
+            self._heard_s = self.clock.monotonic()
+
+    def give_up(self, lease: int) -> None:
+        """Give the lease up. Raises NotInCommand as `alive`."""
+        with self.lock:
+            self.alive(lease)
+            self._end("because its client gave the lease up")
+
+    @contextmanager
+    def calling(self, name: str) -> Iterator[None]:
+        """Have a client within this program be in command; it is not silent while its call lasts.
+
+        The lease is acquired where nobody has it.
+        """
+        with self.lock:
+            self._inside += 1
+            if not self.number:
+                self.acquire(name)
+        try:
+            yield
+        finally:
+            with self.lock:
+                self._inside -= 1
+                self._heard_s = self.clock.monotonic()
+
+    def look(self) -> None:
+        """Notice a client that is silent for too long."""
+        with self.lock:
+            silent_s = self.clock.monotonic() - self._heard_s
+            if self.number and not self._inside and silent_s > self.timeout_s:
+                self._end(f"because {self.name!r} was silent for {silent_s:.2f} s")
+
+    def watch(self, note: Callable[[str], None]) -> None:
+        """Begin to look in a thread of its own; ``note`` gets what goes wrong there."""
+
+        def run() -> None:
+            while not self._over.wait(self.timeout_s / _LOOKS):
+                try:
+                    self.look()
+                except Exception as error:  # the watch must outlive whatever it meets
+                    note(f"watch over the lease: {error_text(error)}")
+
+        self._thread = Thread(target=run, name="lease", daemon=True)
+        self._thread.start()
+
+    def end_watch(self) -> None:
+        """Let the thread of the watch end, without waiting for it."""
+        self._over.set()
+
+    def close(self) -> None:
+        """End the watch."""
+        self.end_watch()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _end(self, reason: str) -> None:
+        self.number, self.name = 0, ""
+        self.lost(reason)

@@ -1,0 +1,109 @@
+"""The report of one part that a job has met, for those who count them: answer, place, time, grasp.
+
+It is made in the thread of the cell between two grasps, from what the force loop has sent already.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.config.model import CellConfig
+from cell.config.tactile import make_calibration
+from cell.control.controller import CellController
+from cell.control.identification import Identification
+from cell.control.records import GraspRecord
+from cell.plugin.answer import Answer
+from tactile.sensor.tare import TareResult
+from tactile.sensor.taxel_forces import TaxelForces
+
+POINTS_MAX = 300
+"""Most points of a curve: as many as a display shows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartReport:
+    """One part that was identified or sorted, or one turn in which none was found."""
+
+    task: str
+    """``identify`` or ``sort``."""
+    answer: Answer | None
+    """None where no part was found."""
+    place: str | None = None
+    """Where it was let go; None outside of a sort."""
+    rejected: bool = False
+    """Whether it has no name, or was let go at the place of the rejects."""
+    seconds: float
+    """Time since the part before, or since the start of the job, in s of the cell's clock."""
+    curves: dict[str, Any] | None = None
+    """The last grasp: ``t_s``, ``force_n``, ``setpoint_n``, ``opening_mm``, each a list with at
+    most `POINTS_MAX` values, and ``frame``, the newtons of each taxel under the highest load."""
+
+
+OnPart = Callable[[PartReport], None]
+"""Called with each part, in the thread of the cell."""
+Seen = Callable[..., None]
+"""Called by a task with the `Identification` of a part, or None where none was found; further
+fields of `PartReport` by name."""
+
+
+class TaxelNewtons:
+    """Turns counts into newtons by the zero that the cell has at the time."""
+
+    def __init__(self, config: CellConfig, controller: CellController) -> None:
+        self._controller = controller
+        self._layout = controller.hand.layout
+        self._calibration = make_calibration(config.tactile, self._layout)
+        self._made: tuple[TareResult, TaxelForces] | None = None
+
+    def of(self, counts: NDArray[np.uint16]) -> NDArray[np.float32] | None:
+        """Return the force in N on each taxel, (n_taxels,) float32; None before the first zero."""
+        zero, made = self._controller.zero, self._made
+        if zero is None:
+            return None
+        if made is None or made[0] is not zero:
+            made = self._made = (zero, TaxelForces(self._layout, self._calibration, zero))
+        return made[1].of(counts)
+
+
+def part_reporter(
+    task: str, controller: CellController, newtons: TaxelNewtons, listeners: Sequence[OnPart]
+) -> Seen:
+    """Return the function with which a task that begins now reports its parts to all listeners."""
+    since_s = controller.now_s
+
+    def seen(found: Identification | None, **fields: Any) -> None:
+        nonlocal since_s
+        before_s, since_s = since_s, controller.now_s
+        report = PartReport(
+            task=task,
+            answer=None if found is None else Answer.of(found),
+            seconds=since_s - before_s,
+            curves=None if found is None else _curves(found.records[-1], newtons),
+            **fields,
+        )
+        for on_part in listeners:
+            on_part(report)
+
+    return seen
+
+
+def _curves(record: GraspRecord, newtons: TaxelNewtons) -> dict[str, Any]:
+    """Return `PartReport.curves`, with the frame of the highest load; NaN becomes None."""
+    grasp, cycles = record.grasp, record.cycles
+    at = np.unique(np.linspace(0, len(cycles) - 1, POINTS_MAX).round().astype(int))
+    highest = int(np.argmax(grasp.counts.sum(axis=1, dtype=np.int64)))
+    frame_n = newtons.of(grasp.counts[highest])
+
+    def column(values: list[float]) -> list[float | None]:
+        return [round(values[n], 3) if np.isfinite(values[n]) else None for n in at]
+
+    return {
+        "t_s": column([one.t_s - cycles[0].t_s for one in cycles]),
+        "force_n": column([np.nan if one.force is None else one.force.grip_n for one in cycles]),
+        "setpoint_n": column([one.setpoint_n for one in cycles]),
+        "opening_mm": column([1e3 * one.state.aperture_m for one in cycles]),
+        "frame": None if frame_n is None else [round(float(one), 3) for one in frame_n],
+    }

@@ -1,0 +1,286 @@
+"""Tasks of a host's jobs: teach, identify, grip, verify and sort, with progress as plain data."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from cell.config.model import CellConfig
+from cell.control.controller import CellController
+from cell.control.identification import Identification
+from cell.control.keeping import Keep
+from cell.control.plan import Pose
+from cell.control.records import GraspRecord
+from cell.control.self_zero import zero_text, zero_values
+from cell.errors import CellError, NoPartFound
+from cell.jobs.collection import Collection
+from cell.jobs.identify import identify
+from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
+from cell.jobs.teach import teach
+from cell.learning.taught_model import TaughtModel
+from cell.plugin.answer import Answer, SortAnswer, Verification
+from cell.plugin.goals import (
+    GaugeGoal,
+    GripGoal,
+    IdentifyGoal,
+    SortGoal,
+    TeachGoal,
+    VerifyGoal,
+    ZeroGoal,
+)
+from cell.plugin.part_report import Seen
+from cell.plugin.worker import Report
+from recognition.drift.drift import Drift
+from recognition.grasp import SelfZero
+from recognition.recognizer import UNKNOWN, Posterior
+from recognition.statistics.fusion import fuse
+
+__all__ = ["ModelFile", "Places", "Tasks"]
+
+_SHOWN_GRASPS = 100
+"""Newest grasps of a teaching that its progress lists."""
+
+
+class ModelFile:
+    """The file that each teaching renews, if there is one; what it did not take is tried again."""
+
+    def __init__(self, model: TaughtModel, path: Path | None) -> None:
+        self.model = model
+        self._path = path
+        self.due = False
+
+    def write(self) -> None:
+        """Write what was taught since the last time, if anything.
+
+        Raises ModelError or DatasetError if a file cannot be written; it is due still.
+        """
+        if self._path is not None and self.due:
+            if self.model.labels:
+                self.model.save(self._path)
+            else:  # all was forgotten: the next start shall not find it
+                self._path.unlink(missing_ok=True)
+        self.due = False
+
+    def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> None:
+        """Forget a taught object, or its newest grasp with ``last``, and write the model.
+
+        Raises CellError as `TaughtModel.forget`, and where the model cannot be written; it is tried
+        again.
+        """
+        self.model.forget(label, last=last)
+        if label not in self.model.objects():
+            forgotten()
+        self.due = True
+        self.write()
+
+
+@dataclass(frozen=True, slots=True)
+class Tasks:
+    """The tasks of a cell, by their names in goals; each is run in its thread."""
+
+    controller: CellController
+    file: ModelFile
+    """The model, and where it is written."""
+    places: Callable[[], Places] = lambda: Places(CellConfig(), ())
+    """Returns the places of a sort for what is taught now."""
+    begin: Callable[[str], Seen] = lambda _task: lambda *_, **__: None
+    """Begins to report the parts of a task, as `part_reporter`; nobody counts them by default."""
+
+    @property
+    def model(self) -> TaughtModel:
+        """What the cell was taught."""
+        return self.file.model
+
+    def teach(self, goal: TeachGoal, report: Report) -> int:
+        """Grasp an object, train the model anew, write it, and return the number of grasps of it.
+
+        Raises
+        ------
+        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+            As `cell.jobs.teach.teach`; the grasps until then count at the next teaching.
+        CellError
+            If all taught grasps together are too few to train with; they are kept too.
+        ModelError, DatasetError
+            If the model cannot be written; what was taught is in use all the same.
+        """
+        each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
+
+        def progress(now: Collection) -> None:
+            if len(now.records) > shown["grasps"]:
+                each.append(_felt(now.records[-1], self.model))
+            shown.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
+            shown["each"] = list(each)
+            report(dict(shown))
+
+        shown: dict[str, Any] = {"task": "teach", "label": goal.label, "grasps": 0, "missed": 0}
+        shown |= {"of": goal.grasps, "each": []}
+        collection = Collection(label=goal.label, n_planned=goal.grasps)
+        self.file.due = True
+        teach(self.controller, self.model, collection, seed=goal.seed, on_grasp=progress)
+        self.model.train()
+        apart = self.model.told_apart(goal.label)
+        n_grasps = self.model.objects()[goal.label][0]
+        taught = {"label": goal.label, "n_grasps": n_grasps} | asdict(apart)
+        report(shown | {"taught": taught})
+        try:
+            self.file.write()
+        except CellError as error:
+            raise type(error)(
+                f"{goal.label} is taught and in use, but not saved: {error}; it is tried again "
+                "with the next job and at the end"
+            ) from error
+        return len(collection.records)
+
+    def gauge(self, goal: GaugeGoal, report: Report) -> Drift:
+        """Grasp a taught object, expect the drift that it shows from now on, and return that drift.
+
+        Raises as `Collection.fill`; nothing changes then. Raises CellError if the grasps show no
+        drift, or the model cannot be written; it is in use all the same.
+        """
+        shown: dict[str, Any] = {"task": "gauge", "label": goal.label, "grasps": 0, "missed": 0}
+
+        def progress(now: Collection) -> None:
+            shown.update(grasps=len(now.records), missed=now.n_missed)
+            report(dict(shown))
+
+        shown["of"] = goal.grasps
+        collection = Collection(label=goal.label, n_planned=goal.grasps)
+        self.model.check_gauge(goal.label)
+        sequence = self.model.config.sequence
+        collection.fill(self.controller, sequence, seed=goal.seed, on_grasp=progress)
+        found = self.model.gauge(goal.label, collection.grasps)
+        drifts = {
+            when: {"gain": drift.gain, "opening_mm": 1e3 * drift.aperture_offset_m}
+            for when, drift in zip(("before", "after"), found, strict=True)
+        }
+        report(shown | {"gauged": {"label": goal.label} | drifts})
+        self.file.due = True
+        self.file.write()
+        return found[1]
+
+    def zero(self, _goal: ZeroGoal, report: Report) -> SelfZero:
+        """Close the empty fingers on each other and return what they show.
+
+        Raises as `CellController.measure_zero`.
+        """
+        report({"task": "zero"})
+        found = self.controller.measure_zero()
+        report({"task": "zero", "zero": zero_values(found.zero), "text": zero_text(found)})
+        return found.zero
+
+    def identify(self, goal: IdentifyGoal, report: Report) -> Answer:
+        """Grasp an object until its name is sure enough, and return the answer.
+
+        What the goal wants to be kept stays in the grip. Raises as `cell.jobs.identify.identify`.
+        """
+        seen, posteriors = self.begin("identify"), list[Posterior]()
+
+        def progress(number: int, record: GraspRecord, posterior: Posterior, shape: Any) -> None:
+            posteriors.append(posterior)
+            answer = fuse(posteriors)
+            report(
+                {
+                    "task": "identify",
+                    "grasps": number,
+                    "of": goal.max_grasps or self.model.config.sequence.max_grasps,
+                    "best": answer.name,
+                    "probability": answer.name_probability,
+                    "force_n": record.step.force_n,
+                    "shape": None if shape is None else str(shape),
+                    "ended_early": record.early is not None,
+                    "short": record.outcome.short,
+                }
+            )
+
+        try:
+            found = identify(
+                self.controller,
+                self.model,
+                held=goal.present,
+                seed=goal.seed,
+                max_grasps=goal.max_grasps,
+                force_n=goal.force_n,
+                keep=Keep(goal.keep),
+                on_grasp=progress,
+            )
+        except NoPartFound:
+            seen(None)
+            raise
+        seen(found, rejected=found.label == UNKNOWN)
+        if found.remark:
+            report({"task": "identify", "remark": found.remark})
+        return Answer.of(found)
+
+    def grip(self, goal: GripGoal, report: Report) -> Verification:
+        """Grip a part and keep it; return what was measured of it.
+
+        Raises as `CellController.grip`.
+        """
+        controller = self.controller
+        gripped = {"task": "grip", "force_n": goal.force_n, "held_with_n": controller.carry_force_n}
+        report(gripped)
+        controller.present(goal.present)
+        record = controller.grip(goal.force_n, None if goal.present is None else Pose())
+        found = self.verify(None, report)
+        report(gripped | {"short": record.outcome.short})
+        return found
+
+    def verify(self, _goal: VerifyGoal | None, report: Report) -> Verification:
+        """Measure whether the part in the grip is still the one that was kept.
+
+        Raises as `CellController.verify`.
+        """
+        report({"task": "verify"})
+        return Verification.of(self.controller.verify())
+
+    def sort(self, goal: SortGoal, report: Report) -> SortAnswer:
+        """Name parts and let each go at its place; return the count.
+
+        Raises as `cell.jobs.sort.sort_parts`; the part is kept, and the count so far is the
+        progress.
+        """
+        seen, places = self.begin("sort"), self.places()
+        tally = Tally(places=places)
+
+        def progress(part: SortedPart | None = None) -> None:
+            now: dict[str, Any] = {"task": "sort", "of": goal.parts} | tally.as_json()
+            now["parts"] = len(tally.parts)
+            if part is not None:
+                now |= {"label": part.label, "place": part.place, "probability": part.probability}
+            report(now)
+
+        def sorted_part(part: SortedPart, found: Identification) -> None:
+            seen(found, place=part.place, rejected=part.place == places.reject.place)
+            progress(part)
+
+        progress()
+        feed = goal.feed
+        sort_parts(
+            self.controller,
+            self.model,
+            tally,
+            n_parts=goal.parts,
+            feed=lambda turn: feed[turn % len(feed)] if feed else None,
+            seed=goal.seed,
+            max_grasps=goal.max_grasps,
+            force_n=goal.force_n,
+            on_part=sorted_part,
+            on_missed=lambda: seen(None),
+        )
+        return SortAnswer(
+            n_parts=len(tally.parts),
+            n_missed=tally.n_missed,
+            n_rejected=tally.n_rejected,
+            places=tally.counts,
+        )
+
+
+def _felt(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:
+    """Return force, opening and size of one taught grasp as plain data."""
+    shape = model.shapes.read(record.grasp)
+    return {
+        "force_n": record.outcome.final_force_n,
+        "opening_mm": 1e3 * record.outcome.final_aperture_m,
+        "size_mm": None if shape is None else 1e3 * shape.size_m,
+    }

@@ -1,0 +1,256 @@
+"""The worker: one thread that owns a cell, runs its jobs, and supervises it in between."""
+
+import functools
+import queue
+import threading
+import uuid
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from cell.errors import CellError, CellStateError, CellStopped
+from cell.fault_catalogue import error_text, fault_number
+
+KEPT_JOBS = 100
+"""Newest jobs whose end can be asked for: a resident program must not grow with each job."""
+
+
+class JobOutcome(StrEnum):
+    """State of a job, in the terms of ROS 2 actions."""
+
+    ACCEPTED = "ACCEPTED"
+    EXECUTING = "EXECUTING"
+    SUCCEEDED = "SUCCEEDED"
+    CANCELED = "CANCELED"
+    ABORTED = "ABORTED"
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the job is over."""
+        return self in (JobOutcome.SUCCEEDED, JobOutcome.CANCELED, JobOutcome.ABORTED)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Handle of a started job."""
+
+    number: int
+    """Its number among the jobs of its worker, from 1."""
+    worker: str
+    """Name of the worker that runs it: jobs of two cells have the same numbers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobStatus:
+    """State and progress of a job."""
+
+    outcome: JobOutcome
+    """Its state."""
+    progress: dict[str, Any]
+    """Its last report; the keys depend on the job."""
+    value: Any = None
+    """Its result, once it succeeded."""
+    error: str = ""
+    """Why it ended otherwise, as text; empty before."""
+    exception: BaseException | None = None
+    """The error that ended it; None where it did not fail."""
+
+    @property
+    def fault_number(self) -> int:
+        """Number of that error in the fault catalogue; 0 where it did not fail."""
+        return fault_number(self.exception)
+
+
+class JobFailed(CellError):
+    """A job was cancelled or aborted; the error that ended it is the cause of this one."""
+
+    def __init__(self, job: Job, status: JobStatus) -> None:
+        super().__init__(f"job {job.number} {status.outcome.value}: {status.error}")
+        self.job = job
+        self.outcome = status.outcome
+        """``CANCELED`` or ``ABORTED``."""
+        self.fault_number = status.fault_number
+        """Number of the error that ended the job, in the fault catalogue."""
+
+
+Report = Callable[[dict[str, Any]], None]
+
+
+class CellWorker:
+    """Runs jobs on a thread of its own, at most one at a time.
+
+    The thread refers to its worker weakly while it waits, so that a cell that nobody uses any more
+    can be collected.
+    """
+
+    def __init__(self, *, idle: Callable[[], None], idle_period_s: float | None) -> None:
+        """Start the thread.
+
+        Parameters
+        ----------
+        idle
+            Called on the thread once a period while no job runs.
+        idle_period_s
+            That period in s; None for a cell whose time stands still while nothing runs. It can be
+            changed on the thread, by what `between_jobs` runs there.
+        """
+        self._idle = idle
+        self.idle_period_s = idle_period_s
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._name = uuid.uuid4().hex
+        self._refusing = False
+        self._changed = threading.Condition()
+        self._status: dict[Job, JobStatus] = {}
+        self._newest = 0
+        self._thread = threading.Thread(
+            target=_serve,
+            args=(weakref.ref(self), self._queue),
+            name="tactile-cell",
+            daemon=True,
+        )
+        self._thread.start()
+
+    def start(
+        self, work: Callable[[Report], Any], *, accepted: Callable[[Job], None] = lambda _job: None
+    ) -> Job:
+        """Accept a job; return at once.
+
+        The job gets a function to report its progress with. ``accepted`` is called with it once no
+        other one runs and before this one does; what it raises refuses the job. Raises
+        CellStateError if another job is not over yet, or the cell is being closed.
+        """
+        with self._changed:
+            self.check_free()
+            job = Job(self._newest + 1, self._name)
+            accepted(job)
+            self._newest = job.number
+            self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
+            if len(self._status) > KEPT_JOBS:
+                del self._status[next(iter(self._status))]
+            # Within the lock: whatever is accepted stands before the end in the queue.
+            self._queue.put(functools.partial(self._execute, job, work))
+        return job
+
+    def check_free(self) -> None:
+        """Raise CellStateError where `start` would refuse every job, as while one runs."""
+        with self._changed:
+            if self._refusing:
+                raise CellStateError("the cell is closed; load the plugin anew")
+            running = [job for job, status in self._status.items() if not status.outcome.terminal]
+            if running:
+                raise CellStateError(
+                    f"job {running[0].number} is not over; wait for its result or cancel it"
+                )
+
+    def status(self, job: Job) -> JobStatus:
+        """Return the state of a job. Raises CellStateError for a job of another worker."""
+        with self._changed:
+            try:
+                return self._status[job]
+            except KeyError:
+                raise CellStateError(f"there is no job {job.number} in this cell") from None
+
+    def wait(self, job: Job, timeout_s: float) -> JobStatus:
+        """Wait until a job is over. Raises TimeoutError if it is not in time; it goes on."""
+        self.status(job)
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._status[job].outcome.terminal, timeout_s):
+                raise TimeoutError(f"job {job.number} is not over after {timeout_s:g} s")
+            return self._status[job]
+
+    @property
+    def running(self) -> bool:
+        """Whether a job is not over yet."""
+        with self._changed:
+            return any(not status.outcome.terminal for status in self._status.values())
+
+    def between_jobs(self, act: Callable[[], None]) -> None:
+        """Have something done on the thread, after the jobs that are accepted; it must not fail."""
+        self._queue.put(act)
+
+    def refuse(self) -> None:
+        """Accept no further job; those that are accepted go on to their end."""
+        with self._changed:
+            self._refusing = True
+
+    def end(self, last: Callable[[], None] = lambda: None) -> None:
+        """Accept no further job; after those accepted the thread does ``last`` and ends."""
+        self.refuse()
+        self._queue.put(last)
+        self._queue.put(None)
+
+    def close(self, timeout_s: float) -> None:
+        """End the thread after the jobs that are accepted; further ones are refused.
+
+        Raises CellStateError if a job calls this itself: it would wait for its own end, and
+        TimeoutError if that takes too long; the jobs go on.
+        """
+        self.check_outside()
+        self.end()
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            raise TimeoutError(f"the cell's thread has not ended after {timeout_s:g} s")
+
+    def check_outside(self) -> None:
+        """Raise CellStateError on the thread of the cell, which cannot wait for its own end."""
+        if threading.current_thread() is self._thread:
+            raise CellStateError(
+                "close was called by a job itself, as by its mover, and would wait for that job's "
+                "end; cancel the job here, and close from another thread"
+            )
+
+    def supervise(self) -> None:
+        """Look after the cell once, while no job runs; the cell latches what goes wrong."""
+        with suppress(Exception):
+            self._idle()
+
+    def _execute(self, job: Job, work: Callable[[Report], Any]) -> None:
+        def report(progress: dict[str, Any]) -> None:
+            self._set(job, JobStatus(outcome=JobOutcome.EXECUTING, progress=progress))
+
+        report({})
+        try:
+            value = work(report)
+        except CellStopped as stop:
+            self._end(job, JobOutcome.CANCELED, error=str(stop), exception=stop)
+        except BaseException as error:
+            self._end(job, JobOutcome.ABORTED, error=error_text(error), exception=error)
+        else:
+            self._end(job, JobOutcome.SUCCEEDED, value=value)
+
+    def _end(self, job: Job, outcome: JobOutcome, **end: Any) -> None:
+        progress = self.status(job).progress
+        self._set(job, JobStatus(outcome=outcome, progress=progress, **end))
+
+    def _set(self, job: Job, status: JobStatus) -> None:
+        with self._changed:
+            self._status[job] = status
+            self._changed.notify_all()
+
+
+def _serve(
+    worker: "weakref.ref[CellWorker]",
+    work: "queue.SimpleQueue[Callable[[], None] | None]",
+) -> None:
+    """Carry out what stands in the queue until its end, or until the worker is gone."""
+    idle_period_s = None
+    while True:
+        if (owner := worker()) is not None:
+            idle_period_s = owner.idle_period_s
+        del owner
+        try:
+            item = work.get(timeout=idle_period_s)
+        except queue.Empty:
+            owner = worker()
+            if owner is None:
+                return
+            owner.supervise()
+            del owner
+            continue
+        if item is None:
+            return
+        item()
+        del item  # it refers to the worker, and to the cell

@@ -1,0 +1,49 @@
+"""Opening a service and the cell behind it."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from cell.config.model import CellConfig
+from cell.plugin.plugin import TactileCellPlugin
+from cell.service.pose_handshake import PoseHandshake
+from cell.service.service import Service
+from gripper.clock import Clock
+
+
+def open_service(
+    config: CellConfig,
+    *,
+    note: Callable[[str], None] = lambda _text: None,
+    clock: Clock = time,
+    **cell: Any,
+) -> Service:
+    """Open a cell and return the service of it.
+
+    Parameters
+    ----------
+    config
+        The cell. A positioner of kind ``callback`` is the pose handshake; ``host_timeout_s`` does
+        not count, because the service watches its clients by the lease.
+    note, clock
+        As `Service`.
+    cell
+        Model, folder of the recording and more, as `TactileCellPlugin` takes them.
+
+    Raises
+    ------
+    As `TactileCellPlugin`.
+    """
+    plugin, poses = open_plugin(config, note=note, **cell)
+    beside = cell.get("save") or cell.get("model")
+    photos_beside = None if beside is None else Path(beside)
+    return Service(plugin, config, poses=poses, photos_beside=photos_beside, note=note, clock=clock)
+
+
+def open_plugin(config: CellConfig, **cell: Any) -> tuple[TactileCellPlugin, PoseHandshake]:
+    """Open a cell for a service, as `open_service`, and return it with its pose handshake."""
+    config = config.model_copy(update={"host_timeout_s": None})
+    poses = PoseHandshake()
+    mover = poses.move if config.positioner.kind == "callback" else None
+    return TactileCellPlugin(config, mover=mover, **cell), poses

@@ -1,0 +1,622 @@
+"""The service: one cell for many clients, of which one at a time may command.
+
+Every call returns at once: what moves is a job with a number, to be asked for. A client commands
+under a lease that it keeps alive; `hold` needs none, and anyone may call it, once or for as long as
+a button is pressed. A lease that is lost while a job runs has the job held: the grip is kept, and
+nothing is resumed by itself.
+"""
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.config.model import CellConfig
+from cell.control.plan import Pose
+from cell.control.states import Command
+from cell.errors import CellError, HeldByClient, RequestRefused
+from cell.fault_catalogue import error_text
+from cell.plugin.answer import Answer, HostStatus, Verification
+from cell.plugin.goals import (
+    TASKS,
+    Goal,
+    GripGoal,
+    IdentifyGoal,
+    SortGoal,
+    checked_goal,
+    goal_of,
+)
+from cell.plugin.lease import Lease
+from cell.plugin.plugin import TactileCellPlugin
+from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
+from cell.service.photos import Photos
+from cell.service.pose_handshake import PoseHandshake
+from cell.service.shift import Shift
+from gripper.clock import Clock
+
+RELEASE_KEY = 0x4F50
+"""Key of a release ("OP"): zeroed or repeated outputs of a controller let nothing go."""
+_HOLDERS_MAX = 100
+"""Clients that keep the cell on hold at once; further ones are refused, the cell is held anyway."""
+_UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
+"""Commands that move nothing and are obeyed while a client keeps the cell on hold."""
+_COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
+"""Commands of clients."""
+_HEALTH_S = 0.5
+"""Time in s for which the health of the cell is not worked out again."""
+OUTCOME_NUMBERS = {
+    JobOutcome.ACCEPTED: 1,
+    JobOutcome.EXECUTING: 2,
+    JobOutcome.SUCCEEDED: 4,
+    JobOutcome.CANCELED: 5,
+    JobOutcome.ABORTED: 6,
+}
+"""Number of each outcome for hosts: GoalStatus of ROS 2 actions; 0 is no job."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobView:
+    """A job as every door shows it."""
+
+    number: int = 0
+    task: str = ""
+    """Its number, 0 for none yet, and what was asked for."""
+    since_s: float = 0.0
+    """Unix time in s of its start."""
+    outcome: str = ""
+    outcome_number: int = 0
+    """Its state."""
+    fault_number: int = 0
+    error: str = ""
+    """Why it did not succeed; 0 and empty else."""
+    label: str = ""
+    label_id: int = 0
+    probability: float = 0.0
+    n_grasps: int = 0
+    """Answer of an identification; before its end the answer so far, with label id 0."""
+    shape: str = ""
+    size_mm: float = 0.0
+    """Shape of the part, empty where it is not known, and its size in mm, 0 then."""
+    kept: bool = False
+    """Whether the answer leaves the part in the grip."""
+    held: bool | None = None
+    same: bool | None = None
+    """Answer of a verification."""
+    taught: Mapping[str, Any] | None = None
+    """Answer of a teaching: label, its grasps at hand, the nearest other object, and the share of
+    grasps that look more like another one."""
+    gauged: Mapping[str, Any] | None = None
+    """Answer of a gauge: label, and the drift ``before`` and ``after`` it: ``gain``,
+    ``opening_mm``."""
+    progress: Mapping[str, Any] = field(default_factory=dict)
+    """Last report of the job."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """Everything that a door shows, at one moment."""
+
+    status: HostStatus
+    """States, live values, last answer."""
+    job: JobView
+    """The newest job."""
+    last_answer: JobView | None
+    """The job of the last answer of an identification, as `HostStatus.last_answer`, for doors."""
+    commander: str
+    """Name of the client with the lease; empty for none."""
+    held_by: tuple[str, ...]
+    """Clients that keep the cell on hold; "(gone)" stands after one that is gone."""
+    pose_seq: int
+    pose: Pose | None
+    """The pose that the host shall reach and its number; 0 and None where none is waited for."""
+
+
+@dataclass(slots=True)
+class _Holder:
+    """A client that keeps the cell on hold; inf for one whose connection stands."""
+
+    name: str
+    heard_s: float
+
+
+class Service:
+    """One cell, its lease, its jobs and its pose handshake; every method from any thread.
+
+    `open_service` of `cell.interfaces.opening` opens a cell behind one.
+
+    Parameters
+    ----------
+    plugin
+        The cell, without ``host_timeout_s``: the lease watches the clients, each by itself. It is
+        closed with the service.
+    poses
+        Mover of a cell with a positioner of kind ``callback``; other cells move by themselves.
+    photos_beside
+        Model file beside which the photos of taught objects stand; None keeps them in memory.
+    note
+        Gets messages for the operator.
+    clock
+        Time of the clients: real time also where that of the cell is virtual.
+    """
+
+    def __init__(
+        self,
+        plugin: TactileCellPlugin,
+        config: CellConfig,
+        *,
+        poses: PoseHandshake | None = None,
+        photos_beside: Path | None = None,
+        note: Callable[[str], None] = lambda _text: None,
+        clock: Clock = time,
+    ) -> None:
+        self.config = config
+        self.version = version("tactile-cell")
+        self.boot = int(time.time()) % 0xFFFF + 1
+        """Number of this start, 1 to 65535: seconds of its time, so that it differs after each
+        start."""
+        self.shift = Shift()
+        """The ledger of the parts."""
+        plugin.watch_parts(self.shift.add)
+        self.photos = Photos(photos_beside)
+        """Photos of taught objects."""
+        self._plugin = plugin
+        self._poses = PoseHandshake() if poses is None else poses
+        self._clock = clock
+        self._lock = threading.RLock()
+        self.lease = Lease(
+            config.serve.lease_timeout_s,
+            given=lambda name: plugin.remark("lease", f"{name!r} is in command"),
+            lost=self._lose,
+            clock=clock,
+            lock=self._lock,
+        )
+        """Without it nobody commands; whoever loses it has the job that runs held."""
+        self._holders: dict[Hashable, _Holder] = {}
+        self._jobs: dict[int, tuple[Job, str, int, float]] = {}
+        self._newest = 0
+        self._health: tuple[float, dict[str, Any]] = (-inf, {})
+        self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
+        self.lease.watch(note)
+
+    # -- questions -----------------------------------------------------------------------------
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names by label id, from 1: ``serve.objects``, then other taught labels."""
+        listed = self.config.serve.objects
+        return (*listed, *(label for label in self._plugin.labels if label not in listed))
+
+    def label_id(self, label: str) -> int:
+        """Return the id of a label; 0 for UNKNOWN and for what has none."""
+        names = self.labels
+        return names.index(label) + 1 if label in names else 0
+
+    def snapshot(self) -> Snapshot:
+        """Return everything that doors show."""
+        with self._lock:
+            # The job before the answer, which stands there before the job has succeeded.
+            job = self.job()
+            status = self.status()
+            seq, pose = self._poses.awaited
+            return Snapshot(
+                status=status,
+                job=job,
+                last_answer=self._answered(status),
+                commander=self.lease.name,
+                held_by=self.held_by,
+                pose_seq=seq,
+                pose=pose,
+            )
+
+    def status(self) -> HostStatus:
+        """Return the states of cell and grip, the live values, and the last answer."""
+        return self._plugin.status()
+
+    def job(self, number: int | None = None) -> JobView:
+        """Return a job, the newest by default. Raises RequestRefused for one that is not known."""
+        with self._lock:
+            wanted = self._newest if number is None else number
+            if wanted == 0 and number is None:
+                return JobView()
+            if wanted not in self._jobs:
+                last = self._answered(self.status())
+                if last is not None and last.number == wanted:
+                    return last
+                raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
+            job, task, _, since_s = self._jobs[wanted]
+            return self._view(wanted, task, self._plugin.feedback(job), since_s)
+
+    def jobs(self) -> tuple[JobView, ...]:
+        """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
+        with self._lock:
+            return tuple(self.job(number) for number in sorted(self._jobs))
+
+    def allowed(self) -> dict[str, CellError | None]:
+        """Return what refuses each task and command at the moment, for a client with the lease.
+
+        None stands for what is allowed.
+        """
+        found: dict[str, CellError | None] = {}
+        with self._lock:
+            for task in (*TASKS, *_COMMANDS):
+                try:
+                    self._check_held(task)
+                    if task != Command.CLEAR or not self._gone:
+                        self._plugin.check(task)
+                    found[task] = None
+                except CellError as error:
+                    found[task] = error
+        return found
+
+    @property
+    def recording_path(self) -> Path | None:
+        """The recording, if one is made."""
+        return self._plugin.recording_path
+
+    def health(self) -> dict[str, Any]:
+        """Return what `TactileCellPlugin.health` does, at most `_HEALTH_S` old."""
+        now_s = time.monotonic()
+        seen_s, found = self._health
+        if now_s - seen_s >= _HEALTH_S:
+            found = self._plugin.health()
+            self._health = (now_s, found)
+        return found
+
+    def frame_n(self) -> NDArray[np.float32] | None:
+        """Return the newest force in N on each taxel, (n_taxels,); None where none is measured."""
+        counts = self.status().live.counts
+        return None if counts is None else self._plugin.newtons(counts)
+
+    def info(self) -> dict[str, Any]:
+        """Return what stays as it is, as plain data; lengths in mm, forces in N."""
+        return self._plugin.info() | {
+            "mode": "cell",
+            "version": self.version,
+            "labels": list(self.labels),
+            "lease_timeout_s": self.config.serve.lease_timeout_s,
+        }
+
+    # -- commands ------------------------------------------------------------------------------
+
+    def _lose(self, reason: str) -> None:
+        self._plugin.remark("lease", f"nobody is in command, {reason}")
+        self.hold(reason)
+
+    def start(self, lease: int, goal: Mapping[str, Any], *, number: int = 0) -> int:
+        """Start a job and return its number at once; see `TactileCellPlugin.start`.
+
+        Raises NotInCommand, RequestRefused, ConfigError or CellStateError if it is refused; nothing
+        has moved.
+
+        Parameters
+        ----------
+        lease
+            Of this client.
+        goal
+            ``task`` and the fields of its goal.
+        number
+            Number that the job shall have, to repeat a request whose answer was lost: where it is
+            that of the newest job, this is the job, and nothing is done twice. 0: not checked.
+        """
+        checked: Goal = checked_goal(goal)
+        placed = self.config.simulated or self.config.positioner.kind == "simulated"
+        if placed and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
+            # Nobody brings parts to a simulated cell: they come in turn.
+            checked = checked.model_copy(update={"present": next(self._parts)})
+        if placed and isinstance(checked, SortGoal) and not checked.feed:
+            fed = tuple(entry.label for entry in self.config.simulator.objects)
+            checked = checked.model_copy(update={"feed": fed})
+        given = checked.model_dump(exclude_defaults=True)
+        return self._begin(lease, checked.task, given, number, lambda: self._plugin.start(checked))
+
+    def command(
+        self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0
+    ) -> int:
+        """Start a release, clear, reset or shutdown and return the number of its job.
+
+        Parameters
+        ----------
+        lease, number
+            As `start`.
+        command, reboot
+            As `TactileCellPlugin.begin`.
+        key
+            `RELEASE_KEY` for a release, the only way to let the part go.
+
+        A clear acknowledges the holds of clients that are gone, too.
+        """
+
+        def begin() -> Job:
+            if command is Command.RELEASE and key != RELEASE_KEY:
+                raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
+            if command is not Command.CLEAR:
+                return self._plugin.begin(command, reboot=reboot)
+            gone = self._gone
+            job = self._plugin.begin(command, reboot=reboot, needless=bool(gone))
+            for client in gone:
+                self.end_hold(client)
+            return job
+
+        given = {"reboot": True} if reboot else {}
+        return self._begin(lease, command.value, given, number, begin)
+
+    def request(self, lease: int, name: str, *, number: int = 0, **fields: Any) -> int:
+        """Start a task or command as hosts with plain numbers ask for it; return its job.
+
+        Parameters
+        ----------
+        lease, number
+            As `start`.
+        name, fields
+            Of `cell.interfaces.host_calls.COMMANDS`. ``keep`` may be a bool; fields of a
+            task that are 0 or empty are as the config has them.
+
+        Raises as `start`.
+        """
+        if name not in TASKS:
+            return self.command(lease, Command(name), number=number, **fields)
+        if isinstance(keep := fields.get("keep"), bool):
+            fields["keep"] = "always" if keep else "never"
+        return self.start(lease, goal_of(name, **fields), number=number)
+
+    def forget_drift(self, lease: int, *, number: int = 0) -> int:
+        """Start to follow the drift of the sensors anew and return the number of the job.
+
+        Raises as `start`.
+        """
+        return self._begin(lease, "forget_drift", {}, number, self._plugin.begin_forget_drift)
+
+    # -- taught objects ------------------------------------------------------------------------
+
+    @property
+    def taught_revision(self) -> int:
+        """A number that changes with the taught objects and their photos."""
+        return self._plugin.taught_revision + self.photos.revision
+
+    def taught(self) -> list[dict[str, Any]]:
+        """Return the taught objects as `TactileCellPlugin.taught`, with id and whether a photo."""
+        return [
+            one
+            | {
+                "label_id": self.label_id(one["label"]),
+                "photo": self.photos.has(one["label"]),
+            }
+            for one in self._plugin.taught()
+        ]
+
+    def forget(self, lease: int, label: str, *, last: bool = False) -> int:
+        """Start to forget a taught object, or its newest grasp; return the number of the job.
+
+        Raises as `start`.
+        """
+        return self._begin(
+            lease,
+            "forget",
+            {"label": label, "last": last},
+            0,
+            lambda: self._plugin.forget(
+                label, last=last, forgotten=lambda: self.photos.remove(label)
+            ),
+        )
+
+    def put_photo(self, lease: int, label: str, photo: bytes) -> None:
+        """Keep a photo of a taught object.
+
+        Raises NotInCommand as `Lease.alive`, and RequestRefused or OSError if it is not taught, or
+        as `Photos.put`.
+        """
+        self.lease.alive(lease)
+        if label not in self._plugin.labels:
+            raise RequestRefused(f"{label!r:.80} is not taught")
+        self.photos.put(label, photo)
+
+    # -- the simulated cell --------------------------------------------------------------------
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the cell is simulated in this program, and can have faults on request."""
+        return self.config.simulated
+
+    def simulated_faults(self) -> dict[str, Any]:
+        """Return the ``kinds`` of faults that fit the simulated cell, and those ``running``."""
+        injected = self._plugin.simulate({"state": True})["faults"]
+        running = [
+            {"fault": text, "begun": began_s is not None} for text, began_s in injected.items()
+        ]
+        return self._plugin.simulate({"kinds": True}) | {"running": running}
+
+    def simulate_fault(self, text: str, *, end: bool = False) -> None:
+        """Begin a fault of the simulated cell, or end those with this text or name.
+
+        Raises RequestRefused and CellStateError as `TactileCellPlugin.simulate`.
+        """
+        self._plugin.simulate({"clear" if end else "inject": text})
+        self._plugin.remark("simulation", f"{text} {'ended' if end else 'injected'}")
+
+    def hold(self, reason: str = "on request") -> None:
+        """Stop what runs and keep the grip; anyone may."""
+        with self._lock:
+            entry = self._jobs.get(self._newest)
+            if entry is not None and not self._plugin.feedback(entry[0]).outcome.terminal:
+                self._plugin.remark("hold", reason)
+                # First the cell, then the pose: the job ends as held, not as refused by the host.
+                self._plugin.cancel(entry[0], reason)
+                self._poses.stop()
+
+    @property
+    def held_by(self) -> tuple[str, ...]:
+        """Names of the clients that keep the cell on hold; those that are gone are marked."""
+        with self._lock:
+            every = self._holders.values()
+            return tuple(f"{one.name} (gone)" if self._is_gone(one) else one.name for one in every)
+
+    def hold_as(self, name: str, latch: bool | None) -> None:
+        """Hold for a client without a connection: True begins, False ends, None holds once."""
+        if latch is None:
+            self.hold(f"by {name}")
+        elif latch:
+            self.begin_hold(name, name)
+        else:
+            self.end_hold(name)
+
+    def begin_hold(self, client: Hashable, name: str, *, connected: bool = False) -> None:
+        """Stop what runs, and start nothing that moves until this client ends its hold.
+
+        A client that comes again takes up the hold that a client of the same name has left behind.
+        One whose connection tells when it is gone, by `leave_hold`, is ``connected``. Any other
+        client counts as gone when it has not repeated this for ``serve.lease_timeout_s``. A client
+        that is gone keeps the cell on hold until a person comes: the client again, or a clear.
+        Raises RequestRefused if too many clients do so; what runs is stopped.
+        """
+        with self._lock:
+            for left in [k for k, one in self._holders.items() if one.name == name and k != client]:
+                if self._is_gone(self._holders[left]):
+                    del self._holders[left]
+            if room := client in self._holders or len(self._holders) < _HOLDERS_MAX:
+                if client not in self._holders:
+                    self._plugin.remark("hold", f"begun by {name}")
+                heard_s = inf if connected else self._clock.monotonic()
+                self._holders[client] = _Holder(name, heard_s)
+            self.hold(f"by {name}")
+        if not room:
+            raise RequestRefused(f"{_HOLDERS_MAX} clients hold the cell already")
+
+    def end_hold(self, client: Hashable) -> None:
+        """End the hold of a client, if it has one; nothing is resumed."""
+        with self._lock:
+            holder = self._holders.pop(client, None)
+            if holder is not None:
+                self._plugin.remark("hold", f"ended for {holder.name}")
+
+    def leave_hold(self, client: Hashable) -> None:
+        """Take note that the connection of a client is gone; its hold stays."""
+        with self._lock:
+            if client in self._holders:
+                self._holders[client].heard_s = -inf
+
+    @property
+    def _gone(self) -> list[Hashable]:
+        """Clients that keep the cell on hold and are gone."""
+        return [client for client, holder in self._holders.items() if self._is_gone(holder)]
+
+    def _is_gone(self, holder: _Holder) -> bool:
+        return self._clock.monotonic() - holder.heard_s > self.config.serve.lease_timeout_s
+
+    def _check_held(self, task: str) -> None:
+        if self._holders and task not in _UNMOVING:
+            raise HeldByClient(
+                f"{task}: {', '.join(self.held_by)} keeps the cell on hold; let its button go, or "
+                "clear the hold of one that is gone"
+            )
+
+    def _begin(
+        self,
+        lease: int,
+        task: str,
+        given: Mapping[str, Any],
+        number: int,
+        begin: Callable[[], Job],
+    ) -> int:
+        self._poses.settle()
+        with self._lock:
+            self.lease.alive(lease)
+            if number and number <= self._newest:
+                _, last_task, last_lease, _ = self._jobs.get(number, (None, "", 0, 0.0))
+                if number == self._newest and (last_task, last_lease) == (task, lease):
+                    return number
+                raise RequestRefused(f"job {number} is another request; the next is {self._next}")
+            if number > self._next:
+                raise RequestRefused(f"job {number} cannot be next; the next is {self._next}")
+            name = self.lease.name
+            values = "".join(f", {field} {value}" for field, value in given.items())
+            self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
+            try:
+                self._check_held(task)
+                with self._poses.beginning():
+                    job = begin()
+            except Exception as error:
+                self._plugin.remark("command", f"job {self._next} refused: {error_text(error)}")
+                raise
+            self._jobs[job.number] = (job, task, lease, time.time())
+            self._jobs.pop(job.number - KEPT_JOBS, None)
+            self._newest = job.number
+            return job.number
+
+    @property
+    def _next(self) -> int:
+        return self._newest + 1
+
+    # -- the pose handshake --------------------------------------------------------------------
+
+    def pose_reached(
+        self, lease: int, seq: int, *, ok: bool = True, pose: Pose | None = None
+    ) -> None:
+        """Answer the pose with that number: reached, refused, or another one reached instead.
+
+        Raises NotInCommand as `Lease.alive`, and RequestRefused if the pose is not the one that is
+        waited for.
+        """
+        with self._lock:
+            self.lease.alive(lease)
+            self._poses.answer(seq, (pose or True) if ok else False)
+
+    # -- the end -------------------------------------------------------------------------------
+
+    def close(self, timeout_s: float = 30.0) -> None:
+        """Hold what runs and disconnect; a held part stays held. A second call does nothing.
+
+        Raises ModelError or DatasetError if what was taught cannot be saved; all has ended then.
+        """
+        self.lease.end_watch()
+        self.hold("because the service ends")
+        self._poses.stop()
+        self.lease.close()
+        self._plugin.close(timeout_s)
+
+    def _answered(self, status: HostStatus) -> JobView | None:
+        """Return the job of the last answer, also where it is no longer among those kept."""
+        answer = status.last_answer
+        if answer is None:
+            return None
+        ended = JobStatus(outcome=JobOutcome.SUCCEEDED, progress={}, value=answer)
+        since_s = self._jobs[answer.job][3] if answer.job in self._jobs else 0.0
+        return self._view(answer.job, "identify", ended, since_s)
+
+    def _view(self, number: int, task: str, status: JobStatus, since_s: float) -> JobView:
+        view = JobView(
+            number=number,
+            task=task,
+            since_s=since_s,
+            outcome=status.outcome.value,
+            outcome_number=OUTCOME_NUMBERS[status.outcome],
+            fault_number=status.fault_number,
+            error=status.error,
+            label=str(status.progress.get("best", "")),
+            n_grasps=int(status.progress.get("grasps", 0)),
+            taught=status.progress.get("taught"),
+            gauged=status.progress.get("gauged"),
+            progress=status.progress,
+        )
+        answer = status.value
+        if isinstance(answer, Answer):
+            return replace(
+                view,
+                label=answer.label,
+                label_id=self.label_id(answer.label),
+                probability=answer.probability,
+                n_grasps=answer.n_grasps,
+                shape="" if answer.shape is None else answer.shape.kind,
+                size_mm=0.0 if answer.shape is None else answer.shape.size_mm,
+                kept=answer.kept,
+            )
+        if isinstance(answer, Verification):
+            return replace(view, held=answer.held, same=answer.same, kept=answer.held)
+        return view

@@ -1,0 +1,418 @@
+"""Closing of both fingers until the pads are touched."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from math import inf
+
+from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
+from gripper.force.approach.contact import LOADED_SHARE, ContactDetector, FirstTouch
+from gripper.force.estimates.history import History
+from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.loop import Action, Moment
+from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
+from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
+from gripper.servos.goals import (
+    ServoGoal,
+    closing_margin_rad,
+    most_closed_rad,
+    running_lead_rad,
+)
+from gripper.settings import GripperSettings
+from gripper.values.state import STANDING_M_S, GripperState
+
+_STALL_CURRENT_SHARE = 0.8
+"""Share of the goal current from which on a servo that stands still pushes against something.
+[tuned]"""
+_STALL_TIME_S = 0.5
+"""Time in s for which both must last before the fingers are stalled. [chosen]"""
+LEAD_M = 0.006
+"""How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again.
+[chosen]"""
+_STARTING_S = 0.1
+"""Longest time in s in which fingers get to their speed; with more friction than their model's the
+goal runs on. [chosen]"""
+_RUNNING_SHARE = 0.8
+"""Share of the nominal speed from which on a finger runs, and the inverse of the fastest one.
+[tuned]"""
+_SLOWED_SHARE = 0.6
+"""Share of the nominal speed below which a running finger has been slowed down by something.
+[tuned]"""
+_SLOWEST_RAD_S = 4.0 * RAD_S_PER_VELOCITY_UNIT
+"""Nominal speed in rad/s below which a slowed finger does not stand out of the grain of 0.024."""
+_PAUSE_S = 0.15
+"""Time in s for which a slowed finger waits for the pads: their delay and three samples. [tuned]"""
+BOOST_PER_S = 2.0
+"""Growth in 1/s of the factor on the current of fingers that stand still untouched; it falls twice
+as fast. At most it is `MOST_FRICTION`. [tuned]"""
+_BRAKED_S = 0.01
+"""Time in s for which a braked finger is stopped before it goes on slowly. [chosen]"""
+_DOUBT_S = 0.05
+"""Time in s after which a braked finger whose pad shows nothing runs on. [chosen]"""
+_CREEP_N_S, _LATE_CREEP_N_S = 20.0, 4.0
+"""Rate in N/s at which the drive of a braked finger grows: up to a little more than the force of a
+contact, and beyond. [tuned]"""
+_CREEP_RESERVE_N = 0.2
+"""That little more in N: friction at rest is larger than in motion. [tuned]"""
+_SOFT_M = 0.0002
+"""Way in m of a braked finger after which it runs on: a part that yields so far without the force
+of a contact is soft, and no impact is to be feared. [tuned]"""
+_LEAD_SHARE = 0.75
+"""Share of its lead with which the goal of a finger runs on, so that the finger does not shoot.
+[tuned]"""
+_CREEP_START_N = 0.2
+"""Drive in N with which a braked finger begins: less than the pad pushes back with. [tuned]"""
+_CREEP_RAD_S = 1.5 * RAD_S_PER_VELOCITY_UNIT
+"""Speed in rad/s above which a braked finger has lost what it touched, and is stopped again."""
+_FREE_TIME_S = 0.05
+"""Time constant in s of the current that moves an empty finger. [tuned]"""
+
+
+class ApproachEvent(Enum):
+    """Result of a step of an approach: closing on, or how the approach has ended."""
+
+    CLOSING = "closing"
+    CONTACT = "contact"
+    LIMIT = "limit"
+    OBSTRUCTED = "obstructed"
+
+
+class Approach:
+    """Step of control that closes both fingers evenly; a finger that touches waits for the other.
+
+    Where no part has begun so far the fingers travel, and slow down in time. The pads decide. A
+    finger whose pad shows a first touch that is not old brakes to rest and then presses ever
+    harder, until the contact is sure; where it has touched nothing, or the part is soft, it runs
+    on. Where the fingers stand still at the current limit, one pad is enough (the other may be
+    touched beside its taxels); without any pad the way is obstructed. The current grows by up to
+    60 % while the fingers stand still untouched: friction at rest differs from servo to servo.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    state
+        Feedback at the start.
+    widest_m
+        Opening in m above which no part begins; None where that is not known.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        linkage: Linkage,
+        state: GripperState,
+        *,
+        widest_m: float | None = None,
+    ) -> None:
+        self.event = ApproachEvent.CLOSING
+        """Result of the last step."""
+        self.braked_s = state.t_s
+        """Monotonic time in s of the newest first touch that braked a finger; that of the start
+        before one."""
+        self._settings = settings
+        self._linkage = linkage
+        paths = transmissions(settings, linkage, state.angles_rad)
+        self._current_max_a = closing_current_max_a(settings, paths)
+        self._least_rad = most_closed_rad(settings, linkage)
+        self._slow_at_m = inf
+        if widest_m is not None:
+            self._slow_at_m = widest_m + slowing_way_m(
+                settings,
+                linkage,
+                linkage.angles_rad(widest_m),
+                from_m_s=approach_speed_m_s(settings, linkage, state.angles_rad, travelling=True),
+                to_m_s=approach_speed_m_s(settings, linkage, state.angles_rad),
+            )
+        self._travels = state.aperture_m > self._slow_at_m
+        self._speed_m_s = self._new_speed_m_s(state)
+        self._closing_a = min(
+            motion_current_a(settings, paths, settings.approach_force_n), self._current_max_a
+        )
+        self._boost = 1.0
+        self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
+        self._aperture_m = state.aperture_m
+        self._begins, self._slows = True, False
+        self._started_s: float | None = None
+        self._apertures = History()
+        self._was_touched = False
+        self._touch = FirstTouch()
+        self._free_a = [path.friction_nm / path.kt_nm_a for path in paths]
+        self._brakes: list[_Brake | None] = [None] * len(state.servos)
+        self._soft = [False] * len(state.servos)
+        self._waiting_rad: list[float | None] = [None] * len(state.servos)
+        self._was_running = [False] * len(state.servos)
+        self._pauses: list[tuple[float, float] | None] = [None] * len(state.servos)
+        self._deadline_s = state.t_s + settings.contact_timeout_s
+        self._moving_s = state.t_s
+
+    @property
+    def current_a(self) -> float:
+        """Goal current of the servos now in A."""
+        return min(self._closing_a * self._boost, self._current_max_a)
+
+    @property
+    def touch_m(self) -> float:
+        """Opening in m at which both pads were first loaded, by the samples of the contact.
+
+        The opening of now where a contact was found without them.
+        """
+        if not all(self._detector.touched):
+            return self._apertures.newest
+        return self._apertures.at(self._detector.first_s)
+
+    def runs_freely(self, state: GripperState) -> bool:
+        """Return whether all fingers close steadily and no pad has been touched so far."""
+        nominal_rad_s = self._nominal_rad_s(state)
+        return not self._was_touched and all(
+            _RUNNING_SHARE <= -servo.velocity_rad_s / nominal_rad_s <= 1.0 / _RUNNING_SHARE
+            for servo in state.servos
+        )
+
+    def step(self, moment: Moment) -> Action:
+        """Return the goals of one period; an end leaves the fingers where they are or touch."""
+        state, sample = moment.state, moment.sample
+        travelled = self._travels
+        self._travels = travelled and state.aperture_m > self._slow_at_m and not self._was_touched
+        self._speed_m_s = self._new_speed_m_s(state)
+        self._slows |= travelled and not self._travels
+        if self._starts(moment) or self._slows_down(state):
+            self._aperture_m = state.aperture_m - self._lead_m(state)
+        self._apertures.add(moment.now_s, state.aperture_m)
+        if sample is not None and sample.valid:
+            self._detector.push(sample)
+            self._touch.push(sample, empty=not any(self._brakes))
+            self._was_touched |= max(sample.force_n) >= self._settings.contact_force_n
+        self._brake(moment)
+        touched = self._touched()
+        self._aperture_m = max(
+            self._aperture_m - self._speed_m_s * moment.dt_s,
+            state.aperture_m - self._most_lead_m(state),
+        )
+        paused_rad = self._paused_rad(moment.now_s, state)
+        angles_rad = self._angles_rad(state, touched, paused_rad)
+        still = abs(state.aperture_velocity_m_s) <= STANDING_M_S
+        if still and not any(touched) and all(rad is None for rad in paused_rad):
+            self._boost = min(MOST_FRICTION, self._boost + BOOST_PER_S * moment.dt_s)
+        else:
+            self._boost = max(1.0, self._boost - 2.0 * BOOST_PER_S * moment.dt_s)
+        self.event = self._found(moment.now_s, state, touched)
+        if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
+            angles_rad = state.angles_rad
+        current_a = self._current_max_a if self._begins and self._travels else self.current_a
+        goals = [ServoGoal(angle_rad=angle, current_a=current_a) for angle in angles_rad]
+        if self.event is ApproachEvent.CLOSING:
+            for finger, brake in enumerate(self._brakes):
+                if brake is not None and not (touched[finger] and len(goals) > 1):
+                    goals[finger] = self._slow_goal(moment, finger, brake)
+        # A lead in mm is a large angle of a small pinion.
+        goals = [
+            replace(goal, angle_rad=max(goal.angle_rad, min(least_rad, servo.angle_rad)))
+            for goal, least_rad, servo in zip(goals, self._least_rad, state.servos, strict=True)
+        ]
+        return Action(goals=goals, done=self.event is not ApproachEvent.CLOSING)
+
+    def _new_speed_m_s(self, state: GripperState) -> float:
+        return approach_speed_m_s(
+            self._settings, self._linkage, state.angles_rad, travelling=self._travels
+        )
+
+    def _starts(self, moment: Moment) -> bool:
+        """Return whether the fingers are still to get to their speed: the goal keeps its lead."""
+        if self._started_s is None:
+            self._started_s = moment.now_s
+        nominal_rad_s = self._nominal_rad_s(moment.state)
+        self._begins &= moment.now_s - self._started_s < _STARTING_S and any(
+            -servo.velocity_rad_s < _RUNNING_SHARE * nominal_rad_s for servo in moment.state.servos
+        )
+        return self._begins
+
+    def _slows_down(self, state: GripperState) -> bool:
+        """Return whether the fingers that travelled are still to get to their new speed."""
+        most_rad_s = self._nominal_rad_s(state) / _RUNNING_SHARE
+        self._slows &= any(-servo.velocity_rad_s > most_rad_s for servo in state.servos)
+        return self._slows
+
+    def _lead_m(self, state: GripperState) -> float:
+        """Return how far in m the goal is ahead of fingers that run at the nominal speed."""
+        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        nominal_rad_s = self._nominal_rad_s(state)
+        return sum(
+            self._linkage.opening_per_rad_m(angle_rad)
+            * running_lead_rad(servo.servo_model, path.friction_nm / path.kt_nm_a, nominal_rad_s)
+            for servo, path, angle_rad in zip(
+                self._settings.servos, paths, state.angles_rad, strict=True
+            )
+        )
+
+    def _most_lead_m(self, state: GripperState) -> float:
+        """Return how far in m the goal may run ahead of the fingers.
+
+        A little only: that is how far they would go on if nobody wrote a new one. Fingers that
+        stand untouched get as far ahead a goal as their current takes: a position controller
+        with a small gain would never reach it otherwise.
+        """
+        if self._boost <= 1.0:
+            return LEAD_M
+        pressing_m = sum(
+            self._linkage.opening_per_rad_m(now.angle_rad)
+            * closing_margin_rad(servo.servo_model, self._closing_a)
+            for servo, now in zip(self._settings.servos, state.servos, strict=True)
+        )
+        return max(LEAD_M, pressing_m)
+
+    def _touched(self) -> tuple[bool, bool]:
+        """Return which fingers are in contact: what stopped a braked one need press half as hard.
+
+        A contact makes the rest of the way, as slow as a finger creeps, needless.
+        """
+        first, second = self._detector.touched
+        brakes = self._brakes if len(self._brakes) > 1 else self._brakes * 2
+        sure = self._touch.means_n(self._settings.contact_samples)
+        least_n = LOADED_SHARE * self._settings.contact_force_n
+        return (
+            first or (brakes[0] is not None and sure[0] >= least_n),
+            second or (brakes[1] is not None and sure[1] >= least_n),
+        )
+
+    def _brake(self, moment: Moment) -> None:
+        """Brake each finger whose pad shows a first touch; let those go on that touch nothing."""
+        sample, state = moment.sample, moment.state
+        if sample is None or not sample.valid:
+            return
+        shows, lasts = self._touch.shows, self._touch.lasts
+        if len(state.servos) == 1:
+            shows, lasts = (any(shows),) * 2, (any(lasts),) * 2
+        for finger, servo in enumerate(state.servos):
+            brake = self._brakes[finger]
+            path = transmissions(self._settings, self._linkage, state.angles_rad)[finger]
+            if brake is None:
+                if -servo.velocity_rad_s >= _RUNNING_SHARE * self._nominal_rad_s(state):
+                    share = min(1.0, moment.dt_s / _FREE_TIME_S)
+                    self._free_a[finger] -= share * (servo.current_a + self._free_a[finger])
+                if shows[finger] and moment.young and not self._soft[finger]:
+                    lead_m = state.aperture_m - self._aperture_m
+                    self._brakes[finger] = _Brake(moment.now_s, servo.angle_rad, lead_m)
+                    self.braked_s = moment.now_s
+                continue
+            soft = (brake.angle_rad - servo.angle_rad) * path.radius_m > _SOFT_M
+            empty = moment.now_s - brake.since_s > _DOUBT_S and not lasts[finger]
+            if soft or empty:
+                self._brakes[finger] = None
+                self._soft[finger] = soft
+                if not soft:
+                    self._touch.was_wrong()
+                self._aperture_m = state.aperture_m - _LEAD_SHARE * brake.lead_m
+            self._was_running[finger] &= self._brakes[finger] is None
+
+    def _slow_goal(self, moment: Moment, finger: int, brake: "_Brake") -> ServoGoal:
+        """Return the goal of a braked finger: at rest first, then pressing ever harder."""
+        servo, settings = moment.state.servos[finger], self._settings
+        if moment.now_s - brake.since_s < _BRAKED_S or -servo.velocity_rad_s > _CREEP_RAD_S:
+            return ServoGoal(angle_rad=servo.angle_rad, current_a=self.current_a)
+        path = transmissions(settings, self._linkage, moment.state.angles_rad)[finger]
+        most_n = settings.contact_force_n + _CREEP_RESERVE_N
+        rate_n_s = _CREEP_N_S if brake.drive_n < most_n else _LATE_CREEP_N_S
+        brake.drive_n += rate_n_s * moment.dt_s
+        current_a = min(
+            self._free_a[finger] + brake.drive_n * path.radius_m / path.kt_nm_a,
+            MOST_FRICTION * self._closing_a,
+            self._current_max_a,
+        )
+        margin_rad = closing_margin_rad(settings.servos[finger].servo_model, current_a)
+        return ServoGoal(angle_rad=servo.angle_rad - margin_rad, current_a=current_a)
+
+    def _nominal_rad_s(self, state: GripperState) -> float:
+        reach_m = sum(self._linkage.opening_per_rad_m(servo.angle_rad) for servo in state.servos)
+        return self._speed_m_s / reach_m
+
+    def _angles_rad(
+        self,
+        state: GripperState,
+        touched: tuple[bool, bool],
+        paused_rad: Sequence[float | None],
+    ) -> Sequence[float]:
+        """Return the goal angles: where a finger touched, where it pauses, or farther closed."""
+        angles_rad = list(self._linkage.angles_rad(self._aperture_m))
+        for finger, servo in enumerate(state.servos):
+            if len(angles_rad) == 1 or not touched[finger]:
+                self._waiting_rad[finger] = None
+            elif self._waiting_rad[finger] is None:
+                self._waiting_rad[finger] = servo.angle_rad
+            still_rad = self._waiting_rad[finger]
+            if still_rad is None:
+                still_rad = paused_rad[finger]
+            if still_rad is not None:
+                angles_rad[finger] = still_rad
+        return angles_rad
+
+    def _paused_rad(self, now_s: float, state: GripperState) -> list[float | None]:
+        """Return where a finger waits that has just been slowed down, None while it closes.
+
+        A part slows a finger down tens of milliseconds before the pads report it. Where they
+        report none, the finger goes on, from rest.
+        """
+        nominal_rad_s = self._nominal_rad_s(state)
+        for finger, servo in enumerate(state.servos):
+            closing_rad_s = -servo.velocity_rad_s
+            pause = self._pauses[finger]
+            if pause is not None and now_s >= pause[1]:
+                self._pauses[finger] = None
+                self._aperture_m = state.aperture_m
+            elif pause is None and closing_rad_s >= _RUNNING_SHARE * nominal_rad_s:
+                self._was_running[finger] = True
+            elif (
+                pause is None
+                and self._was_running[finger]
+                and nominal_rad_s >= _SLOWEST_RAD_S
+                and closing_rad_s < _SLOWED_SHARE * nominal_rad_s
+            ):
+                self._was_running[finger] = False
+                self._pauses[finger] = (servo.angle_rad, now_s + _PAUSE_S)
+        return [None if pause is None else pause[0] for pause in self._pauses]
+
+    def _found(
+        self, now_s: float, state: GripperState, touched: tuple[bool, bool]
+    ) -> ApproachEvent:
+        if state.aperture_m <= self._settings.aperture_min_m:
+            return ApproachEvent.LIMIT
+        if all(touched):
+            return ApproachEvent.CONTACT
+        loaded = max(abs(s.current_a) for s in state.servos) >= (
+            _STALL_CURRENT_SHARE * self.current_a
+        )
+        if not loaded or abs(state.aperture_velocity_m_s) > STANDING_M_S:
+            self._moving_s = now_s
+        if now_s - self._moving_s >= _STALL_TIME_S:
+            return ApproachEvent.CONTACT if any(touched) else ApproachEvent.OBSTRUCTED
+        if now_s >= self._deadline_s:
+            return ApproachEvent.LIMIT
+        return ApproachEvent.CLOSING
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reached:
+    """End of an approach, and what it has shown of the part."""
+
+    settings: GripperSettings
+    """Those of the gripper, or those with which empty fingers meet."""
+    event: ApproachEvent
+    state: GripperState
+    """What has ended it, and the feedback then."""
+    braked_s: float
+    """Monotonic time in s at which a finger was braked at its first touch."""
+    touch_m: float
+    """Opening in m at which both pads were first loaded."""
+    stiffness: StiffnessEstimate
+    friction_share: float
+    """Stiffness of the part so far, and friction as a share of the model's."""
+
+
+@dataclass(slots=True)
+class _Brake:
+    """Braked finger: since when, where, how far its goal was ahead, and its drive in N."""
+
+    since_s: float
+    angle_rad: float
+    lead_m: float
+    drive_n: float = _CREEP_START_N

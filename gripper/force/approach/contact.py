@@ -1,0 +1,172 @@
+"""What the pads tell of a contact: its first touch, that it is sure, and its force at rest."""
+
+from collections import deque
+from math import sqrt
+
+from gripper.force.loop import Moment
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import ONE_FRAME_S, QUIET_N, RecentForce
+
+LOADED_SHARE = 0.5
+"""Share of ``contact_force_n`` from which on the mean of some samples shows a pad as loaded:
+several times its noise. [tuned]"""
+_TOUCH_N = 0.12
+"""Least force in N on a pad that shows a first touch, however quiet the empty pad is. [tuned]"""
+_TOUCH_SIGMAS = 3.5
+"""A first touch stands out of the noise of the empty pad by so many standard deviations.
+[statistics]"""
+_EMPTY_SAMPLES = 20
+"""Samples over which the noise of an empty pad is taken. [tuned]"""
+_TOUCH_SAMPLES = 8
+"""Newest samples, at most, whose mean is compared with it; older ones are of the empty pad.
+[tuned]"""
+_WRONG_FACTOR = 1.5
+"""Factor on the force of a first touch after each one that was none. [chosen]"""
+_CONTACT_QUIET_N = 0.1
+"""Noise in N of the mean that shows a contact: a sixth of the force of one. [tuned]"""
+_REST_QUIET_YOUNG_N = 0.12
+"""Noise in N of the mean that is the force at the contact and ends the rest, where the samples are
+young: the force is soon known better. Else it is `QUIET_N`. [tuned]"""
+_REST_SAMPLES = 4
+"""Samples of that mean where the sensor is too slow for it. [tuned]"""
+_REST_SETTLING_S = 0.01
+"""Time in s after the contact from which on its samples count. [tuned]"""
+
+
+class FirstTouch:
+    """Detector of the first force on a pad, as soon as it stands out of what the empty pad shows.
+
+    It may be wrong now and then: what it starts goes on without it.
+    """
+
+    def __init__(self) -> None:
+        self._factor = 1.0
+        self._empty_n2: list[float] = []
+        self._recent: deque[ForceSample] = deque(maxlen=_TOUCH_SAMPLES)
+
+    @property
+    def shows(self) -> tuple[bool, bool]:
+        """Whether the newest samples show a touch of finger 0 and of finger 1."""
+        return self._stands_out(0), self._stands_out(1)
+
+    @property
+    def lasts(self) -> tuple[bool, bool]:
+        """Whether the mean of the last samples still shows a touch of finger 0 and of finger 1."""
+        sums_n = [sum(sample.force_n[finger] for sample in self._recent) for finger in (0, 1)]
+        least_n = _TOUCH_N * len(self._recent)
+        return sums_n[0] > least_n, sums_n[1] > least_n
+
+    def means_n(self, samples: int) -> tuple[float, float]:
+        """Return the mean force in N on finger 0 and finger 1 in so many of the newest samples.
+
+        0 where there are fewer.
+        """
+        newest = list(self._recent)[-min(samples, _TOUCH_SAMPLES) :]
+        if len(newest) < min(samples, _TOUCH_SAMPLES):
+            return 0.0, 0.0
+        n = len(newest)
+        return sum(s.force_n[0] for s in newest) / n, sum(s.force_n[1] for s in newest) / n
+
+    def was_wrong(self) -> None:
+        """Show a touch only at a larger force from now on: the last one was none."""
+        self._factor *= _WRONG_FACTOR
+
+    def push(self, sample: ForceSample, *, empty: bool) -> None:
+        """Add a sample, which may be the same as before; ``empty`` where no finger is braked."""
+        if self._recent and sample.t_s <= self._recent[-1].t_s:
+            return
+        if not self._empty_n2:
+            self._empty_n2 = [2.0 * sample.noise_n**2] * 2
+        elif empty and len(self._recent) == _TOUCH_SAMPLES:
+            for finger, force_n in enumerate(self._recent[0].force_n):
+                self._empty_n2[finger] += (force_n**2 - self._empty_n2[finger]) / _EMPTY_SAMPLES
+        self._recent.append(sample)
+
+    def _stands_out(self, finger: int) -> bool:
+        sum_n = 0.0
+        for n, sample in enumerate(reversed(self._recent), 1):
+            sum_n += sample.force_n[finger]
+            noise_n = sqrt(self._empty_n2[finger] / n)
+            if sum_n > n * self._factor * max(_TOUCH_N, _TOUCH_SIGMAS * noise_n):
+                return True
+        return False
+
+
+class ContactDetector:
+    """Detector of a contact: enough new samples in a row above a threshold, for each finger.
+
+    Of a fast sensor each counts with those shortly before it, whose mean has less noise.
+
+    Parameters
+    ----------
+    threshold_n
+        Force on a pad in N that counts.
+    samples
+        New samples in a row that confirm.
+    """
+
+    def __init__(self, threshold_n: float, samples: int) -> None:
+        self._threshold_n = threshold_n
+        self._samples = samples
+        self._counts = [0, 0]
+        self._first_s = [0.0, 0.0]
+        self._recent = RecentForce(_CONTACT_QUIET_N, least=1, longest_s=ONE_FRAME_S)
+
+    @property
+    def touched(self) -> tuple[bool, bool]:
+        """Contact of finger 0 and finger 1."""
+        return self._counts[0] >= self._samples, self._counts[1] >= self._samples
+
+    @property
+    def first_s(self) -> float:
+        """Time in s at which the finger that touched last was loaded."""
+        return max(self._first_s)
+
+    def push(self, sample: ForceSample) -> None:
+        """Add a sample, which may be the same as before."""
+        if self._recent.push(sample) is None:
+            return
+        for finger, force_n in enumerate(self._recent.finger_means_n):
+            above = force_n >= self._threshold_n
+            if self._counts[finger] == 0:
+                self._first_s[finger] = self._recent.oldest.measured_s
+            self._counts[finger] = self._counts[finger] + 1 if above else 0
+
+
+class ContactRest:
+    """Rest of the fingers on the part, and the force that the pads measure in it.
+
+    Parameters
+    ----------
+    until_s
+        Monotonic time in s at which the rest ends, or before where the force is known.
+    hard_n, hard_until_s
+        Force in N from which on a part was met hard, and when the rest ends then at the earliest.
+    """
+
+    def __init__(self, until_s: float, *, hard_n: float, hard_until_s: float) -> None:
+        self._until_s = until_s
+        self._hard_n, self._hard_until_s = hard_n, hard_until_s
+        self._begun_s: float | None = None
+        self._settled = False
+        self._samples = RecentForce(least=_REST_SAMPLES)
+
+    @property
+    def force_n(self) -> float:
+        """Mean grip force in N of the last samples, at least 0; 0 without any."""
+        return max(0.0, self._samples.grip_n) if self._samples else 0.0
+
+    def goes_on(self, moment: Moment) -> bool:
+        """Add the newest sample and return whether the fingers still rest."""
+        if self._begun_s is None:
+            self._begun_s = moment.now_s
+        sample = moment.sample
+        if sample is not None and sample.valid:
+            if not self._settled:
+                self._samples.clear()
+                self._settled = sample.measured_s >= self._begun_s + _REST_SETTLING_S
+            self._samples.push(sample)
+        quiet_n = _REST_QUIET_YOUNG_N if moment.young else QUIET_N
+        known = self._settled and self._samples.noise_n <= quiet_n
+        hard = self.force_n >= self._hard_n and moment.now_s < self._hard_until_s
+        return moment.now_s < self._until_s and (hard or not known)

@@ -1,0 +1,178 @@
+"""Motions of fingers that hold nothing: they stand still, and they move to an opening."""
+
+from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
+from gripper.force.approach.mechanics_proof import (
+    OVERRUN_RAD,
+    PATIENCE_S,
+    REACHED_RAD,
+    ForceRise,
+    mechanics_text,
+)
+from gripper.force.loop import Action, Moment
+from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a
+from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
+from gripper.servos.goals import ServoGoal
+from gripper.settings import GripperSettings
+from gripper.values.state import GripperState
+
+_STANDING_S = 0.2
+"""Time in s for which empty fingers must stand after their torque has come on: friction at rest
+makes a motor slow to start. [chosen]"""
+_STANDING_RAD = 0.03
+"""Way in rad in that time that is no standing any more: 2 mm of a finger of 60 mm. [resolution]"""
+_SHORTEST_TRAVEL_M = 1e-3
+"""Way in m that a motion is planned for at least. [chosen]"""
+_OPENING_FORCE_N = 3.0
+"""Force in N beside friction that the current of an opening allows: pads may stick to a part.
+[chosen]"""
+_RISING_S = 0.25
+"""Time in s in which it rises to that from what moves the fingers: where they close instead, the
+pads show it before. [chosen]"""
+_AGAINST_REST = 1.4
+"""Current of a motion over that which moves the fingers freely: friction at rest is larger.
+[assumed]"""
+
+
+class StandStill:
+    """Step of control that watches empty fingers whose torque has just come on: none may move.
+
+    A servo that goes by another position than it reports runs to a goal made of the reported one.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    state
+        Feedback at the start; the goals are these positions.
+    """
+
+    def __init__(self, settings: GripperSettings, state: GripperState) -> None:
+        self._start_rad = state.angles_rad
+        self._periods = round(_STANDING_S / settings.period_s)
+
+    def step(self, moment: Moment) -> Action:
+        """Return no goals; FeedbackImplausible when a finger leaves its place."""
+        self._periods -= 1
+        for servo, start_rad in zip(moment.state.servos, self._start_rad, strict=True):
+            moved_rad = servo.angle_rad - start_rad
+            if abs(moved_rad) > _STANDING_RAD:
+                raise FeedbackImplausible(
+                    f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although the "
+                    f"position that it reported is its goal: it goes by another position than it "
+                    f"reports, or something drives it, so the torque is switched off. Restart the "
+                    f"servo, check its encoder and who else writes to it"
+                )
+        return Action(done=self._periods <= 0)
+
+
+class MoveTo:
+    """Step of control that moves all servos evenly to an opening.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    state
+        Feedback at the start.
+    aperture_m
+        Opening to reach in m.
+    only_open
+        True where no finger may close, as a release: one that is more open stays there, and none
+        is driven back where something pushes it open.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        linkage: Linkage,
+        state: GripperState,
+        *,
+        aperture_m: float,
+        only_open: bool = False,
+    ) -> None:
+        self._settings = settings
+        self._linkage = linkage
+        self._only_open = only_open
+        self._rise = ForceRise()
+        self._start_rad = state.angles_rad
+        self._target_rad = linkage.angles_rad(aperture_m)
+        if only_open:
+            self._target_rad = tuple(map(max, self._target_rad, self._start_rad))
+            aperture_m = linkage.aperture_m(self._target_rad)
+        travel_m = max(abs(aperture_m - state.aperture_m), _SHORTEST_TRAVEL_M)
+        opening = aperture_m >= state.aperture_m
+        speed_m_s = (
+            settings.open_speed_m_s
+            if opening
+            else approach_speed_m_s(settings, linkage, state.angles_rad)
+        )
+        force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
+        paths = transmissions(settings, linkage, state.angles_rad)
+        self._current_a = min(
+            _AGAINST_REST * motion_current_a(settings, paths, force_n),
+            # The wider the fingers stand, the more force a current makes.
+            settings.current_max_a if opening else closing_current_max_a(settings, paths),
+        )
+        self._rising_s = _RISING_S if opening else 0.0
+        self._least_a = motion_current_a(settings, paths, 0.0)
+        self._passed_s = 0.0
+        self._share_per_s = speed_m_s / travel_m
+        self._share = 0.0
+        self._aperture_m = aperture_m
+        self._deadline_s = state.t_s + travel_m / speed_m_s + PATIENCE_S
+
+    def step(self, moment: Moment) -> Action:
+        """Return the goals of one period.
+
+        Raises
+        ------
+        PositionContradicted
+            When the pads are pressed more and more though the fingers only open.
+        ServoFault
+            When a finger does not arrive in time.
+        """
+        pressed = self._rise.found(moment) if self._only_open else ""
+        if pressed:
+            raise PositionContradicted(
+                f"{pressed} while the fingers let go: they close, or something pushes them "
+                f"together. They stand still; take the part out by hand, then check "
+                f"{mechanics_text(self._settings, self._linkage)}"
+            )
+        self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
+        self._passed_s += moment.dt_s
+        current_a = self._current_a
+        if self._passed_s < self._rising_s:
+            more = self._passed_s / self._rising_s
+            current_a = min(current_a, self._least_a + more * (current_a - self._least_a))
+        goals = []
+        arrived = True
+        for servo, start_rad, target_rad in zip(
+            moment.state.servos, self._start_rad, self._target_rad, strict=True
+        ):
+            sign = 1.0 if target_rad >= start_rad else -1.0
+            there = sign * (target_rad - servo.angle_rad) <= REACHED_RAD
+            there = there or (self._only_open and start_rad >= target_rad)
+            arrived = arrived and there
+            end_rad = target_rad + sign * OVERRUN_RAD
+            angle_rad = (
+                servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
+            )
+            if self._only_open:
+                angle_rad = max(angle_rad, servo.angle_rad)
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
+        if not arrived and moment.now_s > self._deadline_s:
+            raise self._stuck(moment.state)
+        return Action(goals=goals, done=arrived)
+
+    def _stuck(self, state: GripperState) -> ServoFault:
+        slowest = max(
+            zip(state.servos, self._target_rad, strict=True),
+            key=lambda pair: abs(pair[1] - pair[0].angle_rad),
+        )[0]
+        return ServoFault(
+            slowest.servo_id,
+            0,
+            f"its finger is stuck: the gripper stands at {state.aperture_m * 1e3:.1f} mm on its "
+            f"way to {self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "
+            f"{mechanics_text(self._settings, self._linkage)}",
+        )

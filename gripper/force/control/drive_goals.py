@@ -1,0 +1,86 @@
+"""Goals of the servos that make a driving force, and how far they may close and open."""
+
+from collections.abc import Sequence
+from math import inf
+
+from gripper.force.estimates.grip import Grip
+from gripper.mechanics.kinematics import Transmission
+from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
+from gripper.values.state import GripperState
+
+GIVE_RAD = 0.03
+"""How far in rad a goal may open beyond the contact: pads and part are deeper there by no more.
+[assumed]"""
+
+
+class DriveGoals:
+    """Goals of the servos of one grip.
+
+    Parameters
+    ----------
+    grip
+        What is known and asked of the grip.
+    contact
+        Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
+        thickness.
+    touch_m
+        Opening in m at which both pads were first loaded: the fingers are not driven open beyond
+        it, however much force the pads report.
+    """
+
+    def __init__(self, grip: Grip, contact: GripperState, touch_m: float) -> None:
+        self._grip = grip
+        self._contact_rad = self._deepest_rad = contact.angles_rad
+        self._least_rad = most_closed_rad(grip.settings, grip.linkage)
+        self._touch_m = touch_m
+        self._stop_rad: tuple[float, ...] | None = None
+
+    @property
+    def may_open(self) -> bool:
+        """Whether the fingers may open farther."""
+        return self._stop_rad is None
+
+    def goals(self, state: GripperState, paths: Sequence[Transmission]) -> tuple[ServoGoal, ...]:
+        """Return the goals that make the driving force of the grip.
+
+        Parameters
+        ----------
+        state, paths
+            Feedback, and the transmission of each servo there.
+        """
+        grip, drive_n = self._grip, self._grip.drive_n
+        goals = []
+        self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
+        if state.aperture_m < self._touch_m:
+            self._stop_rad = None
+        elif self._stop_rad is None:
+            self._stop_rad = state.angles_rad
+        stop_rad = self._stop_rad or (inf,) * len(paths)
+        for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
+            state.servos,
+            paths,
+            grip.settings.servos,
+            self._contact_rad,
+            self._deepest_rad,
+            stop_rad,
+            self._least_rad,
+            strict=True,
+        ):
+            wanted_a = abs(drive_n) * path.radius_m / path.kt_nm_a
+            current_a = min(wanted_a, grip.settings.current_max_a)
+            margin_rad = closing_margin_rad(settings.servo_model, current_a)
+            # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
+            # A position that drifts open must not take a closing goal to the open side with it.
+            if drive_n >= 0.0:
+                angle_rad = max(deepest_rad - margin_rad, min(least_rad, servo.angle_rad))
+            else:
+                angle_rad = min(servo.angle_rad + margin_rad, contact_rad + GIVE_RAD, widest_rad)
+            goals.append(
+                ServoGoal(
+                    angle_rad=angle_rad,
+                    current_a=current_a,
+                    setpoint_n=grip.setpoint_n,
+                    friction_share=grip.friction_share,
+                )
+            )
+        return tuple(goals)

@@ -1,0 +1,159 @@
+"""Control of the grip force of one grasp: one period, from the set-point to the servos' goals."""
+
+from collections.abc import Sequence
+
+from gripper.force.approach.approach import Reached
+from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
+from gripper.force.control.modes import GripModes
+from gripper.force.control.period import Period
+from gripper.force.estimates.force_estimate import ForceEstimate
+from gripper.force.estimates.grip import Grip
+from gripper.force.estimates.history import History
+from gripper.force.estimates.stiffness import KNOWN_N
+from gripper.force.loop import Moment
+from gripper.force.supervision.pad_checks import PadChecks
+from gripper.force.supervision.part_watch import PartWatch
+from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
+from gripper.servos.goals import ServoGoal
+from gripper.values.state import GRAIN_M, GripperState
+
+_TORQUE_DOUBT = 0.03
+"""Share of the cap of the force that the drive leaves free: torque of the servos, their inertia.
+[assumed]"""
+_INERTIA_N_S_M = 100.0
+"""Drive in N left free below the cap of the force for each m/s of closing, with a lever of 60 mm:
+on a part of 10 N/mm the inertia of the fingers adds so much to the force that their drive makes.
+[tuned]"""
+_HARDENS = 1.5
+"""Stiffness at the contact over the mean one up to it, as foam has it. [assumed]"""
+
+
+class GripControl:
+    """Step of control from the set-point of the grip force to the goals of the servos.
+
+    Parameters
+    ----------
+    linkage
+        Of the gripper.
+    reached
+        End of the approach, at the contact.
+    force_n, drive_n
+        Grip force and driving force at the contact in N.
+    now_s
+        Monotonic time in s.
+    """
+
+    def __init__(
+        self,
+        linkage: Linkage,
+        reached: Reached,
+        *,
+        force_n: float,
+        drive_n: float,
+        now_s: float,
+    ) -> None:
+        settings, state = reached.settings, reached.state
+        self._settings = settings
+        self._linkage = linkage
+        self.grip = grip = Grip(
+            settings=settings,
+            linkage=linkage,
+            estimate=ForceEstimate(settings.force_loop, force_n=force_n, now_s=now_s),
+            stiffness=reached.stiffness,
+            friction_share=reached.friction_share,
+            apertures=History(),
+            setpoint_n=force_n,
+            asked_n=force_n,
+            drive_n=drive_n,
+            quiet_n=drive_n,
+        )
+        grip.apertures.add(now_s, state.aperture_m)
+        yielded_m = max(reached.touch_m - state.aperture_m, 0.0)
+        # Loaded so much at the first touch: stiff, or no part at all.
+        contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
+        self.watch = PartWatch(grip, contact_n_m)
+        """Decides whether the part is gone; asked before `goals` in each period."""
+        given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
+        self._checks = PadChecks(settings, state, now_s, widest_m=state.aperture_m + given_m)
+        # Both pads yield by what the opening shrinks.
+        pad_n_m = 2.0 * _HARDENS * max(force_n, self.watch.pads.empty_n) / (yielded_m + GRAIN_M)
+        self._modes = GripModes(grip, now_s, pad_n_m)
+        self._goals = DriveGoals(grip, state, reached.touch_m)
+
+    @property
+    def force_n(self) -> float:
+        """Mean of the last samples of the grip force in N."""
+        samples = self.watch.pads.recent
+        return samples.grip_n if samples else self.grip.estimate.model_n
+
+    def resume(self) -> None:
+        """Begin again after a pause: samples from before it are discarded."""
+        self.watch.resume()
+        self._checks.resume()
+
+    def goals(
+        self,
+        moment: Moment,
+        setpoint_n: float,
+        *,
+        arrival_n: float | None = None,
+        taper: bool = False,
+    ) -> tuple[ServoGoal, ...]:
+        """Return the goals of one period.
+
+        Parameters
+        ----------
+        moment
+            Feedback and a valid force sample.
+        setpoint_n
+            Grip force that is asked for in N.
+        arrival_n
+            Where the present change of force ends in N; None where it is not changing.
+        taper
+            True during a long hold.
+
+        Raises
+        ------
+        ForceImbalance, PositionContradicted
+            As `PadChecks.check`.
+        LimitExceeded
+            When sensor and model disagree, see `ForceEstimate`.
+        """
+        grip, state, sample = self.grip, moment.state, moment.sample
+        rises_n = setpoint_n - grip.setpoint_n
+        grip.setpoint_n = setpoint_n
+        grip.apertures.add(moment.now_s, state.aperture_m)
+        usable = sample is not None and sample.valid and not self.watch.doubts
+        if sample is not None and usable:
+            self.watch.pads.take(sample)
+            self._checks.check(moment, self.watch.pads, rises=rises_n > 0.0)
+        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        grip.drive_n = self._modes.step(
+            Period(
+                moment=moment,
+                usable=usable,
+                setpoint_n=setpoint_n,
+                rises_n=rises_n,
+                arrival_n=arrival_n,
+                taper=taper,
+                paths=paths,
+                friction_n=grip.friction_share * mean_friction_n(paths),
+                drive_max_n=self._drive_max_n(state, paths),
+                inertia_n=grip.swing_n_s_m(_INERTIA_N_S_M) * max(0.0, -state.aperture_velocity_m_s),
+                may_open=self._goals.may_open,
+            )
+        )
+        return self._goals.goals(state, paths)
+
+    def _drive_max_n(self, state: GripperState, paths: Sequence[Transmission]) -> float:
+        """Return the largest driving force in N that the caps of current and force allow.
+
+        Where something pushes the fingers open, the cap of the force limits the drive too.
+        """
+        cap_a = self._settings.current_cap_a(state.temperature_c)
+        cap_n = self._settings.force_max_n * (1.0 - _TORQUE_DOUBT)
+        friction_share = min(1.0, self.grip.friction_share)
+        return min(
+            min(cap_a * path.kt_nm_a / path.radius_m, cap_n + friction_share * path.friction_n)
+            for path in paths
+        )

@@ -1,0 +1,123 @@
+"""Modes of the control of a grip, and the table of their transitions."""
+
+from collections.abc import Callable
+
+from gripper.force.control.band_mode import BandMode
+from gripper.force.control.motion_mode import SPEED_S, MotionMode
+from gripper.force.control.period import Mode, Period
+from gripper.force.estimates.grip import Grip
+
+_FAST_N_S = 6.0
+"""Rate in N/s from which on a rise is a planned motion: below, friction at rest decides. [tuned]"""
+_FAST_PERIOD_S = 0.0065
+"""Longest time in s between two goals of a planned motion, about half of the time constant of its
+speed: in a slower loop the fingers would run too far. [chosen]"""
+_LATE_PERIOD_S = SPEED_S
+"""Time in s since the last period from which on a motion is given up for slower control."""
+_CORRECTED_N = {False: 0.05, True: 0.1}
+"""Error in N, beside the doubt of the force, of a hold that is made up for by a motion, up and down
+(True): foam creeps, and the way down costs twice the friction. [tuned]"""
+_CORRECTED_DOUBT_N = 0.06
+"""Doubt of the force in N up to which such an error is known well enough. [tuned]"""
+_PAUSE_S = 0.05
+"""Least time in s between two such motions. [tuned]"""
+
+
+class WaitMode(Mode):
+    """Mode of control that waits: nothing new is there to go by.
+
+    A sample that is young enough was there before, or the samples show a part as gone and no other
+    witness does yet. The crest of the square wave must not stay meanwhile.
+    """
+
+    def __init__(self, grip: Grip) -> None:
+        self._grip = grip
+
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period."""
+        return min(self._grip.drive_n, self._grip.quiet_n)
+
+
+class GripModes:
+    """The modes of one grip; in each period the table decides which one makes the drive.
+
+    Parameters
+    ----------
+    grip
+        What is known and asked of the grip.
+    now_s
+        Monotonic time in s.
+    pad_n_m
+        Stiffness of pad and part at one pad in N/m, as the contact has shown it.
+    """
+
+    def __init__(self, grip: Grip, now_s: float, pad_n_m: float) -> None:
+        self.grip = grip
+        self.band = BandMode(grip, now_s)
+        self.motion = MotionMode(grip, now_s, pad_n_m)
+        self._modes: dict[type[Mode], Mode] = {
+            BandMode: self.band,
+            MotionMode: self.motion,
+            WaitMode: WaitMode(grip),
+        }
+        self.active: Mode = self.band
+        """The mode that made the last drive."""
+
+    def step(self, period: Period) -> float:
+        """Change the mode as the table has it, and return the driving force in N."""
+        while (target := self._due(period)) is not None:
+            before, self.active = self.active, target
+            before.exit(period)
+            target.enter(period, before)
+        return self.active.step(period)
+
+    def _due(self, period: Period) -> Mode | None:
+        """Return the mode that is to follow now, None where the active one goes on."""
+        for source, condition, target in TRANSITIONS:
+            if isinstance(self.active, source) and condition(self, period):
+                return self._modes[target]
+        return None
+
+
+def _quick(modes: GripModes, period: Period) -> bool:
+    """Whether the loop is fast enough for a planned motion."""
+    return modes.grip.settings.period_s <= _FAST_PERIOD_S and period.moment.dt_s <= _LATE_PERIOD_S
+
+
+def _ended(modes: GripModes, period: Period) -> bool:
+    """Whether a motion has arrived, or can no longer go on."""
+    falls = period.rises_n < 0.0
+    return modes.motion.over or falls or not (_quick(modes, period) and period.usable)
+
+
+def _rises_fast(modes: GripModes, period: Period) -> bool:
+    """Whether the set-point rises so fast that the fingers must be moved."""
+    return _may_move(modes, period) and period.rises_n > _FAST_N_S * period.moment.dt_s
+
+
+def _strays(modes: GripModes, period: Period) -> bool:
+    """Whether the force of a hold is wrong, and known well enough to be made up for."""
+    estimate = modes.grip.estimate
+    setpoint_n, force_n, now_s = period.setpoint_n, estimate.force_n, period.moment.now_s
+    if not (_may_move(modes, period) and period.rises_n == 0.0 and setpoint_n == period.end_n):
+        return False
+    if estimate.doubt_n > _CORRECTED_DOUBT_N or now_s - modes.motion.ended_s < _PAUSE_S:
+        return False
+    falls = setpoint_n < force_n
+    error_n = abs(setpoint_n - force_n)
+    return (period.may_open or not falls) and error_n > _CORRECTED_N[falls] + estimate.doubt_n
+
+
+def _may_move(modes: GripModes, period: Period) -> bool:
+    return _quick(modes, period) and period.moment.young and period.moment.dt_s > 0.0
+
+
+TRANSITIONS: tuple[tuple[type[Mode], Callable[[GripModes, Period], bool], type[Mode]], ...] = (
+    (MotionMode, _ended, BandMode),
+    (BandMode, lambda _, period: not period.usable, WaitMode),
+    (WaitMode, lambda _, period: period.usable, BandMode),
+    (BandMode, _rises_fast, MotionMode),
+    (BandMode, _strays, MotionMode),
+)
+"""Mode, what ends it, and the mode that follows. Rows are tried in this order, in each period until
+none applies; no mode knows another one's state."""

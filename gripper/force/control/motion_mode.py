@@ -1,0 +1,238 @@
+"""Mode of control that changes the grip force by a planned motion of the fingers.
+
+Motor and finger, seen at the pad, are a mass that friction brakes and a spring, pad and part,
+pushes back. A fast ramp is a motion of that mass: force and speed follow a plan whose rate has no
+corner, what the mass needs for it is fed forward, and so are friction and the stiffness of the
+part, which is learnt in each contact. At the end the mass is at rest, and friction locks it.
+A small error of a hold is made up for by a motion too.
+"""
+
+from collections import deque
+from math import sqrt
+
+from gripper.force.control.period import Mode, Period
+from gripper.force.estimates.contact_observer import ContactObserver
+from gripper.force.estimates.grip import Grip
+from gripper.mechanics.impact import CURRENT_S, impact_limit
+from gripper.mechanics.kinematics import driving_n
+from gripper.servos.goals import STICTION, pressing_speed_m_s
+
+_WRITE_S = 0.001
+"""Time in s from the feedback of a period to the write of its goals. [assumed]"""
+_RATE_S = 0.025
+"""Time in s in which the rate of a plan gets to that of its ramp, and back to 0. [tuned]"""
+_INERTIA_N = 2.0
+"""Force in N that the mass may need for a plan: a soft part makes it slower. [tuned]"""
+_FORCE_S, SPEED_S = 0.04, 0.012
+"""Time constants in s with which an error of force and of speed are made up for. [tuned]"""
+_LATE_S = 0.3
+"""Time in s after the end of its ramp at which a motion is given up: something else is wrong.
+[chosen]"""
+_LEAST_RATE_N_S = 5.0
+"""Rate in N/s that the plan of a small correction has in mind. [tuned]"""
+_LOCKED_SHARE = 0.5
+"""Share of the friction beyond the force at which the drive stays: friction locks the fingers.
+[tuned]"""
+_BREAKAWAY_N = 0.1
+"""Drive in N beyond friction at rest with which locked fingers are set in motion. [tuned]"""
+_LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
+"""Share of the friction from which the push of a fall grows, and its rate in N/s: that edge of the
+friction is known to a newton, and where locked fingers come loose by too much the force jumps.
+[tuned]"""
+_NEAR_N = 0.03
+"""Distance in N from its end at which a rise is over. [tuned]"""
+_BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
+"""How far in N below the force that is asked for a rise ends, by the doubt of the force: what is
+missing is added slowly, and the way back costs twice the friction. [tuned]"""
+
+
+class MotionMode(Mode):
+    """Mode of control that moves the fingers so that the force follows a plan to its end.
+
+    Parameters
+    ----------
+    grip
+        What is known and asked of the grip.
+    now_s
+        Monotonic time in s.
+    pad_n_m
+        Stiffness of pad and part at one pad in N/m, as the contact has shown it.
+    """
+
+    observer: ContactObserver
+    """Of the motion that runs, or of the last one; what it has learnt is kept for the next."""
+
+    def __init__(self, grip: Grip, now_s: float, pad_n_m: float) -> None:
+        self.over = False
+        """Whether the force has arrived and the fingers stand."""
+        self.ended_s = self.moved_s = now_s
+        """Monotonic time in s at which the last motion was found to have ended, and that of its
+        last period."""
+        self.setpoint_n = grip.setpoint_n
+        """Set-point in N of that period."""
+        self._grip = grip
+        self._pad_n_m = pad_n_m
+        self._lacking_n: dict[bool, float] = {}
+
+    def enter(self, period: Period, before: Mode) -> None:
+        """Begin a motion from the force that is there now: of the set-point, or of a correction."""
+        grip, estimate = self._grip, self._grip.estimate
+        force_n = estimate.force_n
+        corrects = period.rises_n == 0.0
+        falls = corrects and period.setpoint_n < force_n
+        self._corrects, self._falls, self._sign = corrects, falls, -1.0 if falls else 1.0
+        self.setpoint_n = force_n if corrects else period.setpoint_n - period.rises_n
+        self.over, self._late_s = False, 0.0
+        self._locked, self._loosening_s = False, 0.0
+        self._rates: deque[float] = deque(maxlen=3)
+        self._measured_n = driving_n(period.state, period.paths)
+        other_n = self._lacking_n.get(not falls, -estimate.bias_n)
+        self.observer = ContactObserver(
+            grip,
+            period.moment.now_s - period.moment.dt_s,
+            stiffness_n_m=self._pad_n_m,
+            lacking_n=self._lacking_n.get(falls, other_n),
+        )
+        self.plan = ForcePlan(self.observer.force_n, self._sign)
+
+    def exit(self, period: Period) -> None:
+        """End the motion, and keep what it has shown of part and friction."""
+        self._pad_n_m = self.observer.stiffness_n_m
+        self._lacking_n[self._falls] = self.observer.lacking_n
+        if period.usable and (self.over or period.rises_n < 0.0):
+            self.ended_s = period.moment.now_s
+            if self.over:
+                self._grip.asked_n = period.setpoint_n
+
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period.
+
+        Raises
+        ------
+        LimitExceeded
+            When sensor and model disagree, see `ForceEstimate.jumps` and `check`.
+        """
+        grip, observer, sample = self._grip, self.observer, period.sample
+        estimate, friction_n = grip.estimate, period.friction_n
+        moment, setpoint_n = period.moment, period.setpoint_n
+        measured_n = driving_n(period.state, period.paths)
+        jumped = estimate.jumps(sample, observer.unexplained_n(sample), setpoint_n, friction_n)
+        mean_n, seen = 0.5 * (self._measured_n + measured_n), None if jumped else sample
+        observer.step(moment, drive_n=mean_n, friction_n=friction_n, sample=seen)
+        self._measured_n = measured_n
+        grip.quiet_n = self._planned_drive_n(period)
+        grip.asked_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
+        self.moved_s = moment.now_s
+        estimate.follow(moment.now_s, sample, observer)
+        estimate.check(moment.now_s, sample, setpoint_n, friction_n)
+        return grip.quiet_n
+
+    def _planned_drive_n(self, period: Period) -> float:
+        """Advance the plan by one period and return the driving force in N that follows it."""
+        grip, observer, sign, dt_s = self._grip, self.observer, self._sign, period.moment.dt_s
+        setpoint_n, end_n, friction_n = period.setpoint_n, period.end_n, period.friction_n
+        stiffness = observer.stiffness_n_m
+        impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
+        speed_max_m_s = pressing_speed_m_s(grip.settings, impact, setpoint_n)
+        at_end = sign * (setpoint_n - end_n) >= 0.0
+        if not self._corrects:
+            end_n -= sign * min(max(_BELOW_SDS * observer.doubt_n, _LEAST_BELOW_N), _MOST_BELOW_N)
+        if dt_s > 0.0:
+            self._rates.append(sign * (setpoint_n - self.setpoint_n) / dt_s)
+        self.setpoint_n = setpoint_n
+        ramp_n_s = max(0.0, *self._rates) if len(self._rates) > 1 else max(0.0, sum(self._rates))
+        change_n_s2 = min(
+            max(ramp_n_s, _LEAST_RATE_N_S) / _RATE_S, _INERTIA_N * stiffness / observer.mass_kg
+        )
+        plan = self.plan
+        most_n_s = speed_max_m_s * stiffness
+        plan.step(dt_s, setpoint_n, end_n, rates_n_s=(ramp_n_s, most_n_s), change_n_s2=change_n_s2)
+        # The new drive acts a little later; until then the last one does.
+        ahead_s = _WRITE_S + CURRENT_S
+        speed = observer.speed_after_m_s(ahead_s, grip.drive_n, friction_n)
+        force_n = observer.force_n + 0.5 * (speed + observer.speed_m_s) * stiffness * ahead_s
+        planned_n = plan.force_n + sign * plan.rate_n_s * ahead_s
+        error_n = sign * (planned_n - force_n)
+        wanted_m_s = max(0.0, plan.rate_n_s + error_n / _FORCE_S) / stiffness
+        wanted = sign * min(wanted_m_s, speed_max_m_s)
+        accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / SPEED_S
+        # What the force still grows by while friction alone brakes the fingers.
+        stopping_n = 0.5 * observer.mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
+        arrived = sign * (end_n - force_n) <= _NEAR_N + stopping_n
+        if at_end and wanted_m_s < speed_max_m_s:
+            self._late_s += dt_s
+        stands = abs(speed) * stiffness * _FORCE_S <= _NEAR_N
+        self.over = at_end and ((arrived and stands) or self._late_s > _LATE_S)
+        band_n = _LOCKED_SHARE * friction_n
+        push_n = sign * (friction_n + sign * observer.mass_kg * accelerates)
+        if observer.speed_m_s == 0.0:
+            push_n = sign * max(sign * push_n, STICTION * friction_n + _BREAKAWAY_N)
+            if self._falls:
+                self._locked = True
+                self._loosening_s += dt_s
+                grown_n = _LOOSENED_SHARE * friction_n + _LOOSENING_N_S * self._loosening_s
+                push_n = max(push_n, -grown_n)
+        elif self._locked:
+            self._locked = False
+            observer.open_from(grip.drive_n, friction_n)
+        if arrived:
+            push_n = sign * band_n if stands else 0.0
+        push_n = sign * max(sign * push_n, -band_n)
+        drive_max_n = period.drive_max_n - period.inertia_n
+        return min(force_n + observer.lacking_n + push_n, drive_max_n)
+
+
+class ForcePlan:
+    """Plan of a rise: force, rate and change of the rate, never beyond the set-point of its ramp.
+
+    Parameters
+    ----------
+    force_n
+        Force at the beginning in N.
+    sign
+        1 where the force rises, -1 where it falls: then rates count downwards.
+    """
+
+    def __init__(self, force_n: float, sign: float) -> None:
+        self.force_n = force_n
+        self._sign = sign
+        self.rate_n_s = 0.0
+        self.rate_change_n_s2 = 0.0
+
+    def step(
+        self,
+        dt_s: float,
+        setpoint_n: float,
+        end_n: float,
+        *,
+        rates_n_s: tuple[float, float],
+        change_n_s2: float,
+    ) -> None:
+        """Advance by ``dt_s`` s.
+
+        Parameters
+        ----------
+        dt_s
+            Time since the last step in s.
+        setpoint_n
+            Set-point of the ramp now in N.
+        end_n
+            Force in N at which the present change ends.
+        rates_n_s
+            Rate of the ramp, and largest rate, in N/s.
+        change_n_s2
+            Largest change of the rate in N/s².
+        """
+        if dt_s <= 0.0:
+            return
+        (ramp_n_s, most_n_s), sign = rates_n_s, self._sign
+        left_n = max(0.0, sign * (end_n - self.force_n))
+        behind_n = sign * (setpoint_n - self.force_n)
+        # The rate from which the rest is just enough to come to rest.
+        most_n_s = min(most_n_s, sqrt(2.0 * change_n_s2 * left_n))
+        wanted_n_s = min(max(0.0, ramp_n_s + behind_n / (2.0 * _FORCE_S)), most_n_s, left_n / dt_s)
+        step_n_s = change_n_s2 * dt_s
+        before_n_s = self.rate_n_s
+        self.rate_n_s = min(wanted_n_s, before_n_s + step_n_s)
+        self.rate_change_n_s2 = (self.rate_n_s - before_n_s) / dt_s
+        self.force_n += sign * min(left_n, 0.5 * (before_n_s + self.rate_n_s) * dt_s)

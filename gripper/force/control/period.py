@@ -1,0 +1,64 @@
+"""One period of the control of a grip, and what a mode of control does with it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gripper.force.loop import Moment
+from gripper.mechanics.kinematics import Transmission
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import GripperState
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Period:
+    """One period of control: what was measured, what is asked for, what the limits allow."""
+
+    moment: Moment
+    """Feedback and newest sample."""
+    usable: bool
+    """Whether there is a sample to go by: a valid one that leaves no doubt about the part."""
+    setpoint_n: float
+    rises_n: float
+    """Grip force that is asked for in N, and by how much more that is than in the last period."""
+    arrival_n: float | None
+    """Where the present change of force ends in N; None where it is not changing."""
+    taper: bool
+    """True during a long hold."""
+    paths: Sequence[Transmission]
+    friction_n: float
+    """Transmission of each servo, and half the width of the friction band in N."""
+    drive_max_n: float
+    inertia_n: float
+    """Largest driving force in N, and how far below it the closing fingers keep, by their speed."""
+    may_open: bool
+    """Whether the fingers may open farther."""
+
+    @property
+    def state(self) -> GripperState:
+        """Feedback of the servos."""
+        return self.moment.state
+
+    @property
+    def sample(self) -> ForceSample:
+        """Newest sample, where it is usable."""
+        assert self.moment.sample is not None
+        return self.moment.sample
+
+    @property
+    def end_n(self) -> float:
+        """Force in N at which the present change of force ends."""
+        return self.setpoint_n if self.arrival_n is None else self.arrival_n
+
+
+class Mode:
+    """One law of control; it alone changes its own state."""
+
+    def enter(self, period: Period, before: "Mode") -> None:
+        """Begin where another mode has left the grip."""
+
+    def exit(self, period: Period) -> None:
+        """End, before another mode begins."""
+
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period."""
+        raise NotImplementedError

@@ -1,0 +1,181 @@
+"""Observer of fingers that press on a part: force, speed, what the drive lacks, stiffness.
+
+Motor and finger, seen at the pad, are a mass that friction brakes and a spring, pad and part,
+pushes back.
+"""
+
+from math import copysign, exp, log, sqrt
+
+from gripper.force.estimates.grip import Grip
+from gripper.force.estimates.history import History
+from gripper.force.estimates.stiffness import STIFFEST_N_M
+from gripper.force.loop import Moment
+from gripper.servos.goals import STICTION
+from gripper.values.force_sensor import ForceSample
+
+_SOFTEST_N_M = 100.0
+"""Least stiffness in N/m of pad and part at one pad. [chosen]"""
+_LOG_STIFFNESS_SD, _LOG_STIFFNESS_RS = 0.5, 2.0
+"""How uncertain the logarithm of the stiffness is at first, and how fast it wanders, per root of a
+second: foam hardens. [tuned]"""
+_DISTURBANCE_SHARE, _DISTURBANCE_N_RS = 0.12, 1.5
+"""How uncertain drive and friction are at first, as a share of the drive, and how fast the
+difference wanders, in N per root of a second. [tuned]"""
+_SPEED_NOISE_M_S = 0.0007
+"""Noise in m/s of the speed that the servos report: half of its grain of 1.4 mm/s. [resolution]"""
+_SPEED_WANDER_M_S, _FORCE_WANDER_N = 0.0004, 0.02
+"""What a period adds by itself to speed in m/s and force in N: ripple and creep. [tuned]"""
+_BELIEVED_SDS, _BELIEVED_N = 3.0, 0.2
+"""Deviations of a sample that are made up for at once, and at least so many N: pads that jump by
+more lie, or a part slips, and what watches over them ends the ramp. [tuned]"""
+_EDGE_DOUBT_N = 0.2
+"""How uncertain in N the edge of the friction is at which slowly pushed fingers have come loose.
+[tuned]"""
+
+
+class ContactObserver:
+    """Kalman filter of force, speed, drive and stiffness of fingers that press on a part.
+
+    The state is: force in N, closing speed of a pad in m/s, what the drive lacks in N, and the
+    logarithm of the stiffness at one pad in N/m.
+
+    Parameters
+    ----------
+    grip
+        What is known of the grip at the start.
+    start_s
+        Monotonic time in s.
+    stiffness_n_m, lacking_n
+        Stiffness at one pad in N/m and what the drive lacks in N, as far as they are known.
+    """
+
+    def __init__(
+        self, grip: Grip, start_s: float, *, stiffness_n_m: float, lacking_n: float
+    ) -> None:
+        self.mass_kg = grip.mass_kg
+        self.force_n = max(0.0, grip.estimate.force_n)
+        self.speed_m_s = 0.0
+        self.lacking_n = lacking_n
+        self._log_stiffness = log(min(max(stiffness_n_m, _SOFTEST_N_M), STIFFEST_N_M))
+        self._p = [
+            [grip.estimate.doubt_n**2, 0.0, 0.0, 0.0],
+            [0.0, _SPEED_NOISE_M_S**2, 0.0, 0.0],
+            [0.0, 0.0, (_DISTURBANCE_SHARE * max(grip.drive_n, 1.0)) ** 2, 0.0],
+            [0.0, 0.0, 0.0, _LOG_STIFFNESS_SD**2],
+        ]
+        self._history = History()
+        self._history.add(start_s, self.force_n)
+        self._sample_s = start_s
+
+    @property
+    def stiffness_n_m(self) -> float:
+        """Stiffness at one pad in N/m."""
+        return exp(self._log_stiffness)
+
+    @property
+    def doubt_n(self) -> float:
+        """Standard deviation of the force in N."""
+        return sqrt(max(self._p[0][0], 0.0))
+
+    def speed_after_m_s(self, dt_s: float, drive_n: float, friction_n: float) -> float:
+        """Return the speed in m/s after ``dt_s`` s under a drive; 0 where friction locks."""
+        push_n = drive_n - self.lacking_n - self.force_n
+        speed = self.speed_m_s
+        after = speed + (push_n - copysign(friction_n, speed)) * dt_s / self.mass_kg
+        if speed * after > 0.0:
+            return after
+        if abs(push_n) <= STICTION * friction_n:
+            return 0.0
+        return (push_n - copysign(friction_n, push_n)) * dt_s / self.mass_kg
+
+    def step(
+        self, moment: Moment, *, drive_n: float, friction_n: float, sample: ForceSample | None
+    ) -> None:
+        """Advance to the feedback of now and take it in.
+
+        Parameters
+        ----------
+        moment
+            Feedback.
+        drive_n
+            Driving force in N since the last step, by the measured currents.
+        friction_n
+            Friction of a finger in N.
+        sample
+            Newest valid force sample, which may be the same as before; None leaves it out.
+        """
+        if moment.dt_s > 0.0:
+            self._predict(moment.dt_s, drive_n, friction_n)
+        speed_m_s = -0.5 * moment.state.aperture_velocity_m_s
+        self._history.add(moment.now_s, self.force_n)
+        self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2)
+        if sample is not None and sample.t_s > self._sample_s:
+            self._sample_s = sample.t_s
+            most_n = max(_BELIEVED_N, _BELIEVED_SDS * sqrt(self._p[0][0] + sample.noise_n**2))
+            error_n = min(max(self.unexplained_n(sample), -most_n), most_n)
+            before_n = self.force_n
+            self._correct(0, error_n, sample.noise_n**2)
+            self._history.shift(self.force_n - before_n)
+
+    def open_from(self, drive_n: float, friction_n: float) -> None:
+        """Take the drive in N at which fingers came loose and open for the edge of the friction.
+
+        Fingers that came loose later than expected show no new edge.
+        """
+        edge_n = drive_n - self.force_n + STICTION * friction_n
+        if edge_n <= self.lacking_n:
+            return
+        self.lacking_n = edge_n
+        for other in range(4):
+            self._p[2][other] = self._p[other][2] = 0.0
+        self._p[2][2] = _EDGE_DOUBT_N**2
+
+    def unexplained_n(self, sample: ForceSample) -> float:
+        """Return by how much in N a sample is more than the force was when it was measured."""
+        return sample.grip_n - self._history.at(sample.measured_s)
+
+    def _predict(self, dt_s: float, drive_n: float, friction_n: float) -> None:
+        stiffness, mass = self.stiffness_n_m, self.mass_kg
+        speed = self.speed_m_s
+        after = self.speed_after_m_s(dt_s, drive_n, friction_n)
+        self.force_n = max(0.0, self.force_n + 0.5 * (speed + after) * stiffness * dt_s)
+        self.speed_m_s = after
+        p = self._p
+        if after == 0.0:
+            # A locked mass tells nothing about drive and stiffness.
+            for one in range(4):
+                for other in range(4):
+                    if one != other:
+                        p[one][other] = 0.0
+            p[1][1] = _SPEED_WANDER_M_S**2
+        else:
+            way = stiffness * dt_s
+            f = (
+                (1.0, way, 0.0, 0.5 * (speed + after) * way),
+                (-dt_s / mass, 1.0, -dt_s / mass, 0.0),
+                (0.0, 0.0, 1.0, 0.0),
+                (0.0, 0.0, 0.0, 1.0),
+            )
+            fp = [[sum(f[i][k] * p[k][j] for k in range(4)) for j in range(4)] for i in range(4)]
+            self._p = p = [
+                [sum(fp[i][k] * f[j][k] for k in range(4)) for j in range(4)] for i in range(4)
+            ]
+            p[1][1] += _SPEED_WANDER_M_S**2
+            p[2][2] += _DISTURBANCE_N_RS**2 * dt_s
+            p[3][3] += _LOG_STIFFNESS_RS**2 * dt_s
+        p[0][0] += _FORCE_WANDER_N**2
+
+    def _correct(self, of: int, error: float, noise2: float) -> None:
+        """Take one measured entry of the state in."""
+        p = self._p
+        gains = [p[row][of] / (p[of][of] + noise2) for row in range(4)]
+        self.force_n += gains[0] * error
+        self.speed_m_s += gains[1] * error
+        self.lacking_n += gains[2] * error
+        self._log_stiffness = min(
+            max(self._log_stiffness + gains[3] * error, log(_SOFTEST_N_M)), log(STIFFEST_N_M)
+        )
+        row = list(p[of])
+        for i in range(4):
+            for j in range(4):
+                p[i][j] -= gains[i] * row[j]

@@ -1,0 +1,201 @@
+"""Estimate of the grip force: a model of the drive, and its difference from the sensor.
+
+The difference, the bias, is learnt by a Kalman filter with one state. What the sensor shows is
+compared with the model at the time of the measurement, so that its delay does not enter.
+"""
+
+from math import sqrt
+from typing import Protocol
+
+from gripper.errors import LimitExceeded
+from gripper.force.estimates.history import History
+from gripper.settings import ForceLoopSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import FRAME_S
+
+_IMPLAUSIBLE_S = 15 * FRAME_S
+"""Time in s for which sensor and model may disagree: 15 frames."""
+_JUMP_N, _JUMP_SHARE, _JUMP_FRICTION_SHARE, _JUMP_SIGMAS = 0.8, 0.15, 0.17, 4.0
+"""Sudden growth of the measured force that no drive makes: in N, as a share of the set-point and of
+the friction, and beside the noise of a sample in its standard deviations. Friction that breaks
+makes an eighth of it at most where the fingers do not give back force. [tuned]"""
+_JUMP_S = 0.75 * FRAME_S
+"""Time in s that it must last: two frames."""
+_STICKS_SHARE = 0.6
+"""Share of the friction that may hold more force than the model has, just after it has fallen:
+friction differs from the model's by a third at most, and that at both edges. [assumed]"""
+_MOTION_S = FRAME_S
+"""Time in s for which the motion of the fingers makes the model equally wrong: faster samples do
+not tell more."""
+
+
+class Observer(Protocol):
+    """Observer of a motion, see `gripper.force.estimates.contact_observer.ContactObserver`."""
+
+    force_n: float
+    lacking_n: float
+    """Grip force in N, and by how much the drive makes less of it than the model has."""
+
+    @property
+    def doubt_n(self) -> float:
+        """Standard deviation of the force in N."""
+
+
+class ForceEstimate:
+    """Grip force by the drive, and what the sensor shows beside it; the modes of control move it.
+
+    Parameters
+    ----------
+    tuning
+        Of the force loop.
+    force_n
+        Grip force at the start in N.
+    now_s
+        Monotonic time in s.
+    """
+
+    def __init__(self, tuning: ForceLoopSettings, *, force_n: float, now_s: float) -> None:
+        self.model_n = force_n
+        """Modelled grip force in N."""
+        self.bias_n = 0.0
+        """Difference between sensor and model in N, as learnt."""
+        self.sample_s = now_s
+        """Time in s of the newest sample that was taken in."""
+        self._tuning = tuning
+        self._doubt_n2 = tuning.start_doubt_n**2
+        self._history = History()
+        self._history.add(now_s, force_n)
+        self._implausible_since_s: float | None = None
+        self._jumped_s: float | None = None
+
+    @property
+    def force_n(self) -> float:
+        """Grip force in N."""
+        return self.model_n + self.bias_n
+
+    @property
+    def doubt_n(self) -> float:
+        """Standard deviation of the bias in N."""
+        return sqrt(self._doubt_n2)
+
+    def move(self, now_s: float, model_n: float, *, doubt_n: float = 0.0) -> None:
+        """Set the modelled force of now in N; ``doubt_n`` is what the motion adds to the doubt."""
+        self._doubt_n2 += doubt_n**2
+        self.model_n = model_n
+        self._history.add(now_s, model_n)
+
+    def correct(self, shift_n: float, bias_n: float) -> None:
+        """Shift the modelled force in N, now and before, and set the bias that belongs to it."""
+        self._history.shift(shift_n)
+        self.model_n += shift_n
+        self.bias_n = bias_n
+
+    def follow(self, now_s: float, sample: ForceSample, observer: Observer) -> None:
+        """Take over what an observer of the motion has found.
+
+        Parameters
+        ----------
+        now_s, sample
+            Monotonic time in s, and the newest sample, which the observer has taken in.
+        """
+        self._history.shift(self.bias_n + observer.lacking_n)
+        self.bias_n, self._doubt_n2 = -observer.lacking_n, observer.doubt_n**2
+        self.move(now_s, observer.force_n + observer.lacking_n)
+        self.sample_s = sample.t_s
+
+    def unexplained_n(self, sample: ForceSample) -> float:
+        """Return by how much in N a sample is more than the model was when it was measured."""
+        return sample.grip_n - self._history.at(sample.measured_s)
+
+    def learn(self, sample: ForceSample, *, drift_n_rs: float, motion_n: float) -> None:
+        """Correct the bias by a new sample: the doubt has grown with time, the sample lowers it.
+
+        Parameters
+        ----------
+        sample
+            Valid and newer than all before.
+        drift_n_rs
+            How fast the bias wanders, in N per root of a second.
+        motion_n
+            How wrong the model is by the motion of the fingers now, in N.
+        """
+        step_s = sample.t_s - self.sample_s
+        self._doubt_n2 += drift_n_rs**2 * step_s
+        noise_n2 = sample.noise_n**2 + motion_n**2 * _MOTION_S / step_s
+        gain = self._doubt_n2 / (self._doubt_n2 + noise_n2)
+        self._doubt_n2 *= 1.0 - gain
+        self.sample_s = sample.t_s
+        self.bias_n += gain * (self.unexplained_n(sample) - self.bias_n)
+
+    def jumps(
+        self,
+        sample: ForceSample,
+        jump_n: float,
+        setpoint_n: float,
+        friction_n: float,
+        *,
+        fell: bool = False,
+    ) -> bool:
+        """Return whether a sample shows far more force than before though no drive made it.
+
+        Following it would let a part go whose force has not changed.
+
+        Parameters
+        ----------
+        sample
+            Newest valid force sample; the same one may come again.
+        jump_n
+            What it shows beyond the force that the drive explains, in N.
+        setpoint_n
+            Grip force that is asked for in N.
+        friction_n
+            Half the width of the friction band as grip force.
+        fell
+            Whether the modelled force has just fallen: friction may still hold more.
+
+        Raises
+        ------
+        LimitExceeded
+            When it lasts.
+        """
+        least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n, _JUMP_FRICTION_SHARE * friction_n)
+        least_n += _JUMP_SIGMAS * sample.noise_n
+        if fell:
+            least_n += _STICKS_SHARE * friction_n
+        if jump_n <= least_n:
+            self._jumped_s = None
+            return False
+        if self._jumped_s is None:
+            self._jumped_s = sample.t_s
+        if sample.t_s - self._jumped_s >= _JUMP_S:
+            raise LimitExceeded(
+                f"the pads report {jump_n:.2f} N more than before on a part that is pressed as "
+                f"before, {least_n:.2f} N are allowed: their zero has jumped, or something pushes "
+                f"the fingers together. The goals are frozen and the grip kept: check the pads, "
+                f"then clear the fault and release"
+            )
+        return True
+
+    def check(
+        self, now_s: float, sample: ForceSample, setpoint_n: float, friction_n: float
+    ) -> None:
+        """Raise LimitExceeded when the bias has been larger than plausible for some time.
+
+        Then the sensor does not see the force that the current makes. Arguments as for `jumps`.
+        """
+        tuning = self._tuning
+        limit_n = (
+            tuning.bias_max_n
+            + tuning.bias_max_share * setpoint_n
+            + tuning.bias_max_friction_share * friction_n
+        )
+        if abs(self.bias_n) <= limit_n:
+            self._implausible_since_s = None
+        elif self._implausible_since_s is None:
+            self._implausible_since_s = now_s
+        elif now_s - self._implausible_since_s > _IMPLAUSIBLE_S:
+            raise LimitExceeded(
+                f"force sensor and servo current disagree by {self.bias_n:.2f} N, more than "
+                f"{limit_n:.2f} N: the sensor reads {sample.grip_n:.2f} N where the current makes "
+                f"{self.model_n:.2f} N. Check the pads, the tare and the torque figures"
+            )

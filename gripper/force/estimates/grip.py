@@ -1,0 +1,55 @@
+"""State of one grip that control and supervision share."""
+
+from dataclasses import dataclass, field
+
+from gripper.force.estimates.force_estimate import ForceEstimate
+from gripper.force.estimates.history import History
+from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.mechanics.impact import impact_limit
+from gripper.mechanics.kinematics import Linkage, transmissions
+from gripper.settings import GripperSettings
+
+_LEVER_M = 0.06
+"""Lever in m between servo and fingertip for which damping, inertia and doubt by motion are given:
+what a motor weighs at the fingertip goes with the inverse of its square. [chosen]"""
+_DAMPED_SHARE = 0.25
+"""Share of its momentum that damping may take from a finger in one period, at the most: more would
+swing a light finger that is looked at rarely. [tuned]"""
+
+
+@dataclass(slots=True, kw_only=True)
+class Grip:
+    """What is known of one grip, and what its control asks for."""
+
+    settings: GripperSettings
+    linkage: Linkage
+    """Of the gripper."""
+    estimate: ForceEstimate
+    stiffness: StiffnessEstimate
+    friction_share: float
+    """Grip force, stiffness of the part, and friction of the gearing as a share of the model's."""
+    apertures: History
+    """Opening of the last periods in m."""
+    setpoint_n: float
+    """Set-point of the grip force in N in the last period."""
+    asked_n: float
+    rate_n_s: float = 0.0
+    """Force in N that control asks for now, on the way to the set-point, and its rate in N/s."""
+    drive_n: float
+    quiet_n: float
+    """Driving force of the last period in N, and without the square wave on it; below 0 it pushes
+    open."""
+    mass_kg: float = field(init=False)
+    """Moving mass of a finger, as it is at the pad."""
+    motor_share: float = field(init=False)
+    """What a motor weighs at the fingertip over that with a lever of 60 mm."""
+
+    def __post_init__(self) -> None:
+        closed = transmissions(self.settings, self.linkage, self.linkage.angles_rad(0.0))
+        self.motor_share = sum((_LEVER_M / path.radius_m) ** 2 for path in closed) / len(closed)
+        self.mass_kg = impact_limit(self.settings, self.linkage).mass_kg
+
+    def swing_n_s_m(self, share_n_s_m: float) -> float:
+        """Return a drive in N for each m/s, given for a lever of 60 mm, for this gripper."""
+        stable_n_s_m = _DAMPED_SHARE * self.mass_kg / self.settings.period_s
+        return min(self.motor_share * share_n_s_m, stable_n_s_m)

@@ -1,0 +1,77 @@
+"""Stiffness of the gripped part, from the touch on."""
+
+from collections import deque
+from math import inf
+
+from gripper.force.estimates.history import History
+from gripper.force.loop import Moment
+from gripper.settings import GripperSettings
+from gripper.values.recent import ONE_FRAME_S
+from gripper.values.state import GRAIN_M
+
+_MEAN_SAMPLES = 3
+"""Samples whose mean a stiffness is taken with: 60 ms at 50 Hz. [tuned]"""
+_TOUCH_SHARE = 0.3
+"""Share of ``contact_force_n`` below which a sample shows no touch. [tuned]"""
+KNOWN_N = 3.0
+"""Force in N from which on a stiffness is known well: it is taken anew with each 0.7 N. [tuned]"""
+_SLOPE_N = 0.7
+"""Growth of the force in N over which one stiffness is taken: several times the noise. [tuned]"""
+STIFFEST_N_M = 1e5
+"""Largest stiffness in N/m, of part and pads or of one pad: steel between foam is far below it.
+[chosen]"""
+
+
+class StiffnessEstimate:
+    """Stiffness of the gripped part: growth of the grip force over travel, from the touch on.
+
+    It need not be exact: it distinguishes foam from steel.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._touch_n = _TOUCH_SHARE * settings.contact_force_n
+        self._apertures = History()
+        self._block: list[tuple[float, float]] = []
+        self._block_s = -inf
+        self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
+        self._anchor: tuple[float, float] | None = None
+        self._sample_s: float | None = None
+        self._stiffness_n_m: float | None = None
+
+    @property
+    def stiffness_n_m(self) -> float | None:
+        """Grip force gained for each m that the opening shrinks; None before it was measured."""
+        return self._stiffness_n_m
+
+    def push(self, moment: Moment) -> None:
+        """Add the opening of now and the newest sample, which may be the same as before."""
+        self._apertures.add(moment.now_s, moment.state.aperture_m)
+        sample = moment.sample
+        if sample is None or not sample.valid or sample.t_s == self._sample_s:
+            return
+        self._sample_s = sample.t_s
+        self._block.append((sample.grip_n, self._apertures.at(sample.measured_s)))
+        if sample.t_s - self._block_s < ONE_FRAME_S:
+            return
+        n = len(self._block)
+        pair = (sum(one[0] for one in self._block) / n, sum(one[1] for one in self._block) / n)
+        self._block_s = sample.t_s
+        self._block.clear()
+        if pair[0] < self._touch_n:
+            self._anchor = pair
+            self._pairs.clear()
+            return
+        self._pairs.append(pair)
+        if self._anchor is None or len(self._pairs) < _MEAN_SAMPLES:
+            return
+        mean_n = sum(pair[0] for pair in self._pairs) / _MEAN_SAMPLES
+        mean_m = sum(pair[1] for pair in self._pairs) / _MEAN_SAMPLES
+        if mean_n - self._anchor[0] >= _SLOPE_N:
+            travel_m = max(self._anchor[1] - mean_m, GRAIN_M)
+            self._stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, STIFFEST_N_M)
+            self._anchor = (mean_n, mean_m)

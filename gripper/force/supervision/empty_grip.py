@@ -1,0 +1,142 @@
+"""Confirmation that nothing is held, before an opening that nobody asked for."""
+
+from gripper.errors import GripContradicted
+from gripper.force.approach.approach import BOOST_PER_S, LEAD_M
+from gripper.force.approach.contact import LOADED_SHARE
+from gripper.force.loop import Action, Moment
+from gripper.force.supervision.doubt import ADVICE, BREAKAWAY_SHARE, RUN_M, SOFTEST_N_M
+from gripper.force.supervision.pad_samples import FrameMean
+from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
+from gripper.servos.goals import ServoGoal
+from gripper.settings import GripperSettings
+from gripper.values.recent import LEAST_SAMPLES, RecentForce
+from gripper.values.state import GripperState
+
+_TRY_S = 0.5
+"""Time in s, beyond that of the way, within which free fingers have closed. [chosen]"""
+_CONFIRMING_FRAMES = 3
+"""Frames from after the fingers have stopped that confirm that nothing is held: in their mean no
+taxel counts as touched any more that was touched before. [tuned]"""
+
+
+class EmptyGrip:
+    """Step of control that confirms that nothing is held: before an opening that nobody asked for.
+
+    Where the fingers have not run yet they close, as in an approach, by more than any part yields
+    to that; then they stand until the pads have shown once more that they are empty.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    state
+        Feedback at the end of the grasp.
+    stiffness_n_m
+        Stiffness of the part in N/m; None where it is not known.
+    approached
+        Whether an approach has just ended, to whose current nothing yields any more; as in it the
+        current grows then while the fingers stand.
+    ran
+        Whether the fingers have closed already as they do on no part.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        linkage: Linkage,
+        state: GripperState,
+        *,
+        stiffness_n_m: float | None,
+        approached: bool,
+        ran: bool,
+    ) -> None:
+        paths = transmissions(settings, linkage, state.angles_rad)
+        friction_n = max(path.friction_n for path in paths)
+        pressed_n = settings.approach_force_n + BREAKAWAY_SHARE * friction_n
+        self._settings = settings
+        self._linkage = linkage
+        self._current_a = motion_current_a(settings, paths, settings.approach_force_n)
+        self._most_a = min(
+            (MOST_FRICTION if approached else 1.0) * self._current_a,
+            settings.current_max_a,
+            *(path.loading_current_a(settings.force_max_n) for path in paths),
+        )
+        self._run_m = RUN_M
+        if not approached:
+            self._run_m += pressed_n / (stiffness_n_m or SOFTEST_N_M)
+        self._loaded_n = LOADED_SHARE * settings.contact_force_n
+        self._begun = state
+        self._goal_m = state.aperture_m
+        self._late_s = state.t_s + self._run_m / settings.approach_speed_m_s + _TRY_S
+        self._ran = ran
+        self._watch_from(state.t_s)
+
+    def _watch_from(self, now_s: float) -> None:
+        self._since_s = now_s
+        self._frames = FrameMean(now_s)
+        self._samples = RecentForce()
+
+    def step(self, moment: Moment) -> Action:
+        """Return the goals of a period; GripContradicted when anything shows a part."""
+        state = moment.state
+        if self._ran:
+            return self._pads(moment)
+        travel_m = self._begun.aperture_m - state.aperture_m
+        if travel_m >= self._run_m or state.aperture_m <= self._settings.aperture_min_m:
+            self._ran = True
+            self._watch_from(moment.now_s)
+            return Action(goals=self._goals(state, state.aperture_m))
+        if moment.now_s >= self._late_s:
+            raise GripContradicted(
+                f"the force samples show empty pads, but the fingers stand at an opening of "
+                f"{1e3 * state.aperture_m:.1f} mm: with {self._current_a:.2f} A, which moves free "
+                f"ones, they have closed by {1e3 * travel_m:.1f} of {1e3 * self._run_m:.1f} mm. "
+                f"{ADVICE}"
+            )
+        self._pads(moment)
+        boost = 1.0 + BOOST_PER_S * moment.dt_s
+        self._current_a = min(boost * self._current_a, self._most_a)
+        self._goal_m = max(
+            self._goal_m - self._settings.approach_speed_m_s * moment.dt_s,
+            state.aperture_m - LEAD_M,
+        )
+        return Action(goals=self._goals(state, self._goal_m))
+
+    def _goals(self, state: GripperState, aperture_m: float) -> tuple[ServoGoal, ...]:
+        """Return goals that close both fingers evenly to an opening, from where they stand."""
+        now_rad = self._linkage.angles_rad(state.aperture_m)
+        goal_rad = self._linkage.angles_rad(aperture_m)
+        return tuple(
+            ServoGoal(angle_rad=servo.angle_rad + goal - now, current_a=self._current_a)
+            for servo, now, goal in zip(state.servos, now_rad, goal_rad, strict=True)
+        )
+
+    def _pads(self, moment: Moment) -> Action:
+        """Return no goals; the last step where frames and samples show empty pads."""
+        sample = moment.sample
+        if sample is None or not sample.valid:
+            return Action()
+        self._frames.push(sample)
+        after = sample.t_s - 2.0 * sample.lag_s > self._since_s
+        if after:
+            self._samples.push(sample)
+        if not after and max(sample.force_n) > self._loaded_n:
+            return Action()
+        if sample.frame_s is not None and len(self._frames) < _CONFIRMING_FRAMES:
+            return Action()
+        shown_n = self._samples.finger_means_n if self._samples else sample.force_n
+        frames_n = self._frames.finger_means_n
+        if min(shown_n) > self._loaded_n >= min(frames_n) and len(self._samples) < LEAST_SAMPLES:
+            # The noise of one sample loads both pads now and then.
+            return Action()
+        if min(shown_n) > self._loaded_n or min(frames_n) > self._loaded_n:
+            frames = "the frames {:.2f} and {:.2f} N, ".format(*frames_n)
+            if sample.frame_s is None:
+                frames = ""
+            raise GripContradicted(
+                f"the grasp has ended without a part at an opening of "
+                f"{1e3 * moment.state.aperture_m:.1f} mm, but the force samples show "
+                f"{shown_n[0]:.2f} and {shown_n[1]:.2f} N, {frames}from {self._loaded_n:.2f} N on "
+                f"both pads something may be held. {ADVICE}"
+            )
+        return Action(done=True)

@@ -1,0 +1,225 @@
+"""Detection of a held part that slips: by its force, the way of the fingers, or its place."""
+
+from collections import deque
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import exp, hypot, sqrt
+
+from gripper.errors import PartSlipped
+from gripper.force.loop import Moment
+from gripper.force.supervision.runaway import STEADY_S
+from gripper.settings import GripperSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.recent import FRAME_S, RecentForce
+
+_USUAL_TIME_S = 0.6
+"""Time constant in s of the usual force, that a drop is measured from. [tuned]"""
+_USUAL_LEAST_S = 0.75 * FRAME_S
+"""Time in s of samples that make a first usual force: one at 50 Hz."""
+_QUIET_SHARE, _LEAST_SAMPLES = 0.125, 4
+"""Noise of the mean that is the force now, as a share of the least drop that is a slip, and samples
+of that mean where the sensor is too slow for it. [tuned]"""
+_FALLING_SHARE = 0.5
+"""Share of the mean below which the newest sample shows a force that falls on: to nothing where the
+part is lost, which the control of the force notices by itself. [tuned]"""
+_SLIDE_SETTLING_S = 0.1
+"""Time in s after the start of a hold from which on the centre of the force is compared. [tuned]"""
+_SLIDE_RECENT_S = 1.5 * FRAME_S
+"""Time in s over which the centre of the force now is taken: 2 samples at 50 Hz."""
+_SLIDE_BEFORE_S = 0.2
+"""Time in s before that over which the centre is taken that a sudden way is measured from.
+[tuned]"""
+_SLIDE_FIRST_S = 3.5 * FRAME_S
+"""Time in s of samples, at least, before a centre is compared with theirs: 4 samples at 50 Hz."""
+_SLIDE_SIGMAS = 5.5
+"""A way is no noise where it is so many standard deviations of one axis: less than one false alarm
+in an hour of a hold, two axes and 200 samples a second taken together. [statistics]"""
+_SLIDE_LEAST_M = 0.0005
+"""Sudden way in m that is no slide whatever the noise: a part that tilts a little. [tuned]"""
+
+
+class SlipWatch:
+    """Slip detector of one hold at a steady set-point.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._settings = settings
+        self._recent = RecentForce(_QUIET_SHARE * settings.slip_drop_n, least=_LEAST_SAMPLES)
+        self._usual_n = 0.0
+        self._usual_s = 0.0
+        self._was_low = False
+        self._aperture_m: float | None = None
+        self._since_s: float | None = None
+        self._slide = SlideWatch(settings)
+
+    def check(
+        self, now_s: float, aperture_m: float, sample: ForceSample | None, *, setpoint_n: float
+    ) -> str | None:
+        """Add one period and return what shows a slip, None without one.
+
+        Parameters
+        ----------
+        now_s
+            Monotonic time in s.
+        aperture_m
+            Opening in m.
+        sample
+            Newest sample, which may be the same as before.
+        setpoint_n
+            Force that is asked for in N: what is more than that, as after a stall in the ramp, is
+            given back by the force loop and slips nowhere.
+        """
+        if self._since_s is None:
+            self._since_s = now_s
+        slide = self._slide.check(now_s - self._since_s, sample)
+        if slide is not None or now_s - self._since_s < STEADY_S:
+            return slide
+        if self._aperture_m is None:
+            self._aperture_m = aperture_m
+        settings = self._settings
+        closed_m = self._aperture_m - aperture_m
+        if closed_m > settings.slip_travel_m:
+            return (
+                f"the fingers have closed by {closed_m * 1e3:.2f} mm at a steady force, unless a "
+                f"reported position drifts"
+            )
+        return self._drop(sample, setpoint_n)
+
+    def _drop(self, sample: ForceSample | None, setpoint_n: float) -> str | None:
+        """Add the newest sample and return what shows a drop of the force, None without one."""
+        settings = self._settings
+        replaced = self._recent.push(sample) if sample is not None and sample.valid else None
+        if replaced is None:
+            return None
+        self._learn([*replaced, self._recent.oldest])
+        if self._usual_s < _USUAL_LEAST_S:
+            return None
+        held_n = min(self._usual_n, setpoint_n + settings.settle_tolerance_at_n(setpoint_n))
+        drop_n = held_n - self._recent.grip_n
+        falls_on = self._recent.newest.grip_n < _FALLING_SHARE * self._recent.grip_n
+        low = drop_n > max(settings.slip_drop_n, settings.slip_drop_share * held_n)
+        # One sample may be the mean of messages from before and after a part was taken away.
+        was_low, self._was_low = self._was_low or len(self._recent) > 1, low
+        if falls_on or not (low and was_low):
+            return None
+        return f"the grip force fell by {drop_n:.2f} N from {held_n:.2f} N"
+
+    def _learn(self, samples: Sequence[ForceSample]) -> None:
+        """Add all samples but the last one, which are not of now any more, to the usual force.
+
+        Until the time constant has passed the usual force is the mean of all.
+        """
+        for sample, following in pairwise(samples):
+            time_s = following.t_s - sample.t_s
+            self._usual_s += time_s
+            share = max(1.0 - exp(-time_s / _USUAL_TIME_S), time_s / self._usual_s)
+            self._usual_n += share * (sample.grip_n - self._usual_n)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Centre:
+    """Mean of centres of force in m, and the variance of each coordinate in m²."""
+
+    x_m: float
+    y_m: float
+    variance_m2: float
+
+    @classmethod
+    def of(cls, samples: Collection[ForceSample]) -> "_Centre":
+        n = len(samples)
+        places = [sample.centre_m for sample in samples if sample.centre_m is not None]
+        return cls(
+            x_m=sum(x_m for x_m, _ in places) / n,
+            y_m=sum(y_m for _, y_m in places) / n,
+            variance_m2=sum(sample.centre_noise_m**2 for sample in samples) / n**2,
+        )
+
+    def beyond_m(self, other: "_Centre", allowed_m: float) -> float:
+        """Return the distance in m; 0 where it is allowed, or no more than noise."""
+        way_m = hypot(self.x_m - other.x_m, self.y_m - other.y_m)
+        noise_m = _SLIDE_SIGMAS * sqrt(self.variance_m2 + other.variance_m2)
+        return way_m if way_m > max(allowed_m, noise_m) else 0.0
+
+
+class SlideWatch:
+    """Detector of a part that slides along the pads: the centre of its force moves with it.
+
+    A sudden way need only be more than noise. A slow one, which may be foam that creeps, is
+    compared with the first centre.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._settings = settings
+        self._first: _Centre | None = None
+        self._before: deque[ForceSample] = deque()
+        self._recent: deque[ForceSample] = deque()
+
+    def check(self, held_s: float, sample: ForceSample | None) -> str | None:
+        """Add the newest sample and return what shows a slide, None without one.
+
+        Parameters
+        ----------
+        held_s
+            For how long the force has been steady, in s.
+        sample
+            Newest sample, which may be the same as before.
+        """
+        if sample is None or not sample.valid or sample.centre_m is None:
+            return None
+        recent, before = self._recent, self._before
+        if held_s < _SLIDE_SETTLING_S or (recent and sample.t_s == recent[-1].t_s):
+            return None
+        recent.append(sample)
+        while sample.t_s - recent[0].t_s > _SLIDE_RECENT_S:
+            before.append(recent.popleft())
+        while before and recent[0].t_s - before[0].t_s > _SLIDE_BEFORE_S:
+            before.popleft()
+        if self._first is None:
+            if not before or recent[0].t_s - before[0].t_s < _SLIDE_FIRST_S:
+                return None
+            self._first = _Centre.of(before)
+        now, slide_m = _Centre.of(recent), self._settings.slide_m
+        sudden_m = now.beyond_m(_Centre.of(before), min(_SLIDE_LEAST_M, slide_m))
+        along_m = max(sudden_m, now.beyond_m(self._first, slide_m))
+        return f"it has slid along the pads by {1e3 * along_m:.2f} mm" if along_m > 0.0 else None
+
+
+class LevelSlip:
+    """Slip detector of all levels at which the force is held: a `SlipWatch` for each.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._settings = settings
+        self._level: int | None = None
+        self._watch = SlipWatch(settings)
+
+    def check(self, moment: Moment, level: int | None, *, setpoint_n: float) -> None:
+        """Add one period at a level, or on the way to the next; PartSlipped when the part slips."""
+        if level != self._level:
+            self._level, self._watch = level, SlipWatch(self._settings)
+        if level is None:
+            return
+        sign = self._watch.check(
+            moment.now_s, moment.state.aperture_m, moment.sample, setpoint_n=setpoint_n
+        )
+        if sign is not None:
+            raise PartSlipped(
+                f"the held part slips: {sign}; the goals are frozen, nothing grips again by "
+                f"itself: release it, or clear the fault and go on"
+            )

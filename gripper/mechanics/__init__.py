@@ -1,0 +1,1 @@
+"""Mechanics between servos and fingers: `kinematics` (angle, opening, force), `impact` (speed)."""

@@ -1,0 +1,194 @@
+"""Impact of closing fingers on a part, and the closing speed up to which the force cap holds.
+
+Motor and finger, seen at the pad, are a mass that meets a spring, the foam of the pad:
+
+    peak force = drive + speed * sqrt(stiffness * mass)
+
+The drive is what the goal current presses with once friction is overcome. No sample of the pads
+enters: on a hard part the impact is over in pi / 2 * sqrt(mass / stiffness), 12 ms as the defaults
+are, before a sample of the touch, the period that it waits for and the rise of a current have
+passed. What stops the finger in time is that it is slow enough when it touches.
+"""
+
+from collections.abc import Sequence
+from math import ceil, sqrt
+from typing import NamedTuple
+
+from gripper.errors import LimitExceeded
+from gripper.mechanics.kinematics import Linkage, Transmission, motion_current_a, transmissions
+from gripper.settings import GripperSettings
+from gripper.values.state import STANDING_M_S
+
+FRICTION_DOUBT = 0.2
+"""Share by which the friction of a gearing may be less than its model's: the force loop is tuned
+with so much. [assumed]"""
+_KEPT_FREE_SHARE = 0.1
+"""Share of the cap that is left free: inertia, torque and foam differ from their figures.
+[chosen]"""
+_FINGER_KG_M2 = 2e-4
+"""Inertia of a finger and its link about the servo's axis in kg m²: 55 g at 60 mm, assumed. That of
+the motor behind its gears is 6 to 60 times as large. [assumed]"""
+_SMALL_PART_M = 4e-4
+"""Twice the energy over the force that a pad takes in under the smallest parts, in m: foam of 3 mm
+under spheres and edges of 1 to 10 mm, at 15 to 50 N (simulated foam). A small part is soft at first
+and then meets the bottom; up to 22 N a flat one on the whole of the default pads is the harder.
+[simulated]"""
+_SLOWEST_M_S = 2.0 * STANDING_M_S
+"""Least rate of the opening in m/s of an approach: twice that below which the fingers count as
+standing."""
+
+_GOAL_PERIODS = 1.5
+"""Periods from a position to the goal that is made of the one after, on average at the worst.
+[chosen]"""
+CURRENT_S = 0.003
+"""Time constant in s of a servo's current. [assumed]"""
+_SLOWED_TIMES = 2.0
+"""Time constants after which fingers count as slowed down: 14 % of the difference is left.
+[chosen]"""
+
+
+class ImpactLimit(NamedTuple):
+    """Speed of closing fingers whose momentum the cap of the force allows."""
+
+    most_n: float
+    """Force in N that a peak may reach: the cap less what is left free."""
+    drive_n: float
+    """Force in N that the current of an approach may press with."""
+    mass_kg: float
+    """Moving mass of a finger, with the motor's behind its gears, as it is at the pad."""
+    momentum_n_s_m: float
+    """Force in N that the moving mass adds for each m/s of a pad."""
+
+    def pad_speed_m_s(self, force_n: float | None = None) -> float:
+        """Return the largest speed of a pad in m/s, with a force in N on it or before the touch."""
+        left_n = self.most_n - (self.drive_n if force_n is None else force_n)
+        return max(0.0, left_n / self.momentum_n_s_m)
+
+
+def impact_limit(
+    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float] | None = None
+) -> ImpactLimit:
+    """Return how fast fingers may close under the cap of the force.
+
+    Parameters
+    ----------
+    angles_rad
+        Angle of each servo in rad; None for the worse end of the way between ``aperture_open_m``
+        and ``aperture_min_m``.
+    """
+    ends_m = (settings.aperture_open_m, settings.aperture_min_m)
+    ways = [linkage.angles_rad(end_m) for end_m in ends_m] if angles_rad is None else [angles_rad]
+    drive_n = mass_kg = 0.0
+    for way_rad in ways:
+        paths = transmissions(settings, linkage, way_rad)
+        try:
+            current_a = motion_current_a(settings, paths, settings.approach_force_n)
+        except LimitExceeded:
+            # Less than moves the fingers: whoever moves them refuses it.
+            current_a = settings.current_max_a
+        fingers = 2 / len(paths)
+        for servo, path in zip(settings.servos, paths, strict=True):
+            drive_n = max(drive_n, pressing_n(path, current_a))
+            inertia_kg_m2 = servo.servo_model.rotor_inertia_kg_m2 + fingers * _FINGER_KG_M2
+            # By virtual work a servo that drives both fingers has half its mass at each pad.
+            mass_kg = max(mass_kg, fingers * inertia_kg_m2 / path.radius_m**2)
+    stiffness_n_m = max(settings.pad_stiffness_n_m, settings.force_max_n / _SMALL_PART_M)
+    return ImpactLimit(
+        most_n=_most_n(settings),
+        drive_n=drive_n,
+        mass_kg=mass_kg,
+        momentum_n_s_m=sqrt(stiffness_n_m * mass_kg),
+    )
+
+
+def _most_n(settings: GripperSettings) -> float:
+    """Return the force in N that a peak may reach."""
+    return (1.0 - _KEPT_FREE_SHARE) * settings.force_max_n
+
+
+def pressing_n(path: Transmission, current_a: float) -> float:
+    """Return the force in N that a current may press with, friction less than the model's."""
+    friction_nm = (1.0 - FRICTION_DOUBT) * path.friction_nm
+    return (path.kt_nm_a * current_a - friction_nm) / path.radius_m
+
+
+def pressing_current_a(path: Transmission, force_n: float) -> float:
+    """Return the current in A that presses with a force in N at most: the inverse of the above."""
+    friction_nm = (1.0 - FRICTION_DOUBT) * path.friction_nm
+    return (force_n * path.radius_m + friction_nm) / path.kt_nm_a
+
+
+def closing_current_max_a(settings: GripperSettings, paths: Sequence[Transmission]) -> float:
+    """Return the current in A with which closing fingers press with less than the cap."""
+    most_n = _most_n(settings)
+    return min(settings.current_max_a, *(pressing_current_a(path, most_n) for path in paths))
+
+
+def approach_speed_m_s(
+    settings: GripperSettings,
+    linkage: Linkage,
+    angles_rad: Sequence[float],
+    *,
+    travelling: bool = False,
+) -> float:
+    """Return the rate of the opening in m/s of an approach at an angle of each servo in rad.
+
+    ``travelling`` is True where no part has begun so far; one that does is met below the cap too.
+    """
+    # Each of the fingers closes at half the rate of the opening.
+    allowed_m_s = 2.0 * impact_limit(settings, linkage, angles_rad).pad_speed_m_s()
+    wanted_m_s = settings.approach_speed_m_s
+    if travelling:
+        wanted_m_s = max(wanted_m_s, settings.travel_speed_m_s)
+    return min(wanted_m_s, max(allowed_m_s, _SLOWEST_M_S))
+
+
+def slowing_way_m(
+    settings: GripperSettings,
+    linkage: Linkage,
+    angles_rad: Sequence[float],
+    *,
+    from_m_s: float,
+    to_m_s: float,
+) -> float:
+    """Return the change of the opening in m in which closing fingers slow down.
+
+    The goal of a servo is drawn back to the lead of the lower speed. Until that acts the fingers
+    go on; then the position controller, whose force falls with the speed as the voltage that the
+    motor makes, brings the moving mass to it with a time constant.
+    """
+    if to_m_s >= from_m_s:
+        return 0.0
+    mass_kg = impact_limit(settings, linkage, angles_rad).mass_kg
+    slowing_s = max(
+        mass_kg * path.radius_m**2 * model.no_load_rad_s / (path.kt_nm_a * model.stall_current_a)
+        for path, model in zip(
+            transmissions(settings, linkage, angles_rad),
+            (servo.servo_model for servo in settings.servos),
+            strict=True,
+        )
+    )
+    acts_s = _GOAL_PERIODS * settings.period_s + CURRENT_S
+    lasts_s = _SLOWED_TIMES * slowing_s
+    return acts_s * from_m_s + slowing_s * (from_m_s - to_m_s) + lasts_s * to_m_s
+
+
+def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
+    """Return the least rate of the opening in m/s on the way of an approach.
+
+    Raises LimitExceeded when no approach can be stopped below the cap of the force.
+    """
+    limit = impact_limit(settings, linkage)
+    allowed_m_s = 2.0 * limit.pad_speed_m_s()
+    if allowed_m_s < _SLOWEST_M_S:
+        least_n = (limit.drive_n + 0.5 * _SLOWEST_M_S * limit.momentum_n_s_m) / (
+            1.0 - _KEPT_FREE_SHARE
+        )
+        raise LimitExceeded(
+            f"force_max_n is {settings.force_max_n:g} N: fingers that have just overcome their "
+            f"friction press with up to {limit.drive_n:.2f} N, and with their momentum reach "
+            f"{least_n:.2f} N even where they close at {1e3 * _SLOWEST_M_S:g} mm/s. Raise "
+            f"force_max_n to {ceil(10.0 * least_n) / 10.0:g} N, lower approach_force_n, or take "
+            f"servos with less friction or longer links"
+        )
+    return min(settings.approach_speed_m_s, allowed_m_s)

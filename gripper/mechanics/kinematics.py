@@ -1,0 +1,275 @@
+"""Linkage between servos and fingers: angle <-> aperture, current <-> grip force.
+
+Angles are counted from the zero of each servo and grow while the gripper opens. Grip force is
+the normal force on one finger; both fingers carry the same one in equilibrium.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import asin, cos, isfinite, pi, sin
+from typing import NamedTuple, Protocol
+
+from gripper.dynamixel.models import ServoModel
+from gripper.errors import LimitExceeded
+from gripper.settings import GripperSettings, check_number
+from gripper.values.state import GripperState
+
+
+class Linkage(Protocol):
+    """Mechanics between the servos and the fingers."""
+
+    @property
+    def n_servos(self) -> int:
+        """Return 1 where one servo drives both fingers, 2 where each finger has its own."""
+
+    def aperture_m(self, angles_rad: Sequence[float]) -> float:
+        """Return the opening between both pads in m for one angle of each servo."""
+
+    def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
+        """Return the angle of each servo for a centred opening; LimitExceeded out of reach."""
+
+    def effective_radius_m(self, angle_rad: float) -> float:
+        """Return the torque of a servo for a grip force of 1 N, in N m / N."""
+
+    def opening_per_rad_m(self, angle_rad: float) -> float:
+        """Return the part of the aperture in m that one servo opens for one rad."""
+
+
+_FRICTION_RESERVE = 1.2
+"""Friction at rest over friction in motion: what a finger needs to break away. [assumed]"""
+MOST_FRICTION = 1.6
+"""Friction of a gearing over its model's, at most: what is more is something else that brakes.
+[assumed]"""
+
+
+def _check_count(n_servos: int, angles_rad: Sequence[float]) -> None:
+    if len(angles_rad) != n_servos:
+        raise LimitExceeded(f"got {len(angles_rad)} angles for a linkage with {n_servos} servos")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParallelLinkage:
+    """Rotary fingers on a parallelogram, so that the pads stay parallel.
+
+    Half opening = link_m * sin(angle) + offset_m; by virtual work a grip force F on a finger is a
+    torque of F * link_m * cos(angle), twice that where one servo drives both.
+    """
+
+    link_m: float
+    """Length of the parallelogram's links in m."""
+    offset_m: float = 0.0
+    """Half opening at angle 0 in m."""
+    n_servos: int = 2
+    """1 or 2."""
+
+    def __post_init__(self) -> None:
+        check_number("link_m", self.link_m, above=0.0)
+        _check_n_servos(self.n_servos)
+        check_number("offset_m", self.offset_m)
+
+    def __str__(self) -> str:
+        return f"link_mm {self.link_m * 1e3:g}, offset_mm {self.offset_m * 1e3:g}"
+
+    def aperture_m(self, angles_rad: Sequence[float]) -> float:
+        """Return the opening between both pads in m."""
+        _check_count(self.n_servos, angles_rad)
+        halves_m = [self.link_m * sin(angle) + self.offset_m for angle in angles_rad]
+        return sum(halves_m) * (2.0 / self.n_servos)
+
+    def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
+        """Return the angle of each servo for a centred opening in m."""
+        ratio = (0.5 * aperture_m - self.offset_m) / self.link_m
+        if not -1.0 < ratio < 1.0:
+            raise LimitExceeded(
+                f"aperture {aperture_m} m is out of reach of links of {self.link_m} m "
+                f"with an offset of {self.offset_m} m"
+            )
+        return (asin(ratio),) * self.n_servos
+
+    def effective_radius_m(self, angle_rad: float) -> float:
+        """Return the torque of a servo for a grip force of 1 N, in N m / N."""
+        return self.opening_per_rad_m(angle_rad)
+
+    def opening_per_rad_m(self, angle_rad: float) -> float:
+        """Return the part of the aperture in m that one servo opens for one rad."""
+        if not -pi / 2.0 < angle_rad < pi / 2.0:
+            raise LimitExceeded(
+                f"the link stands at {angle_rad} rad, beyond its dead centre at 1.571 rad: "
+                f"check gripper.servos[].zero_pulse and direction"
+            )
+        return self.link_m * cos(angle_rad) * (2.0 / self.n_servos)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RackPinion:
+    """Straight fingers on racks: half opening = pinion_radius_m * angle + offset_m."""
+
+    pinion_radius_m: float
+    """Pitch radius of the pinion in m."""
+    offset_m: float = 0.0
+    """Half opening at angle 0 in m."""
+    n_servos: int = 1
+    """1 (one pinion between two racks) or 2."""
+
+    def __post_init__(self) -> None:
+        check_number("pinion_radius_m", self.pinion_radius_m, above=0.0)
+        _check_n_servos(self.n_servos)
+        check_number("offset_m", self.offset_m)
+
+    def __str__(self) -> str:
+        radius_mm = self.pinion_radius_m * 1e3
+        return f"pinion_radius_mm {radius_mm:g}, offset_mm {self.offset_m * 1e3:g}"
+
+    def aperture_m(self, angles_rad: Sequence[float]) -> float:
+        """Return the opening between both pads in m."""
+        _check_count(self.n_servos, angles_rad)
+        halves_m = [self.pinion_radius_m * angle + self.offset_m for angle in angles_rad]
+        return sum(halves_m) * (2.0 / self.n_servos)
+
+    def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
+        """Return the angle of each servo for a centred opening in m."""
+        angle = (0.5 * aperture_m - self.offset_m) / self.pinion_radius_m
+        if not isfinite(angle) or abs(angle) > pi:
+            raise LimitExceeded(
+                f"aperture {aperture_m} m is out of reach of one turn of a pinion of "
+                f"{self.pinion_radius_m} m with an offset of {self.offset_m} m"
+            )
+        return (angle,) * self.n_servos
+
+    def effective_radius_m(self, angle_rad: float) -> float:
+        """Return the torque of a servo for a grip force of 1 N, in N m / N."""
+        return self.opening_per_rad_m(angle_rad)
+
+    def opening_per_rad_m(self, angle_rad: float) -> float:
+        """Return the part of the aperture in m that one servo opens for one rad."""
+        return self.pinion_radius_m * (2.0 / self.n_servos)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OneFinger:
+    """One finger of a linkage with a servo for each, as if the other were its mirror image."""
+
+    linkage: Linkage
+    """The whole linkage."""
+    index: int
+    """Servo of the finger."""
+
+    def __str__(self) -> str:
+        return str(self.linkage)
+
+    @property
+    def n_servos(self) -> int:
+        """Return 1: the servo of the finger."""
+        return 1
+
+    def aperture_m(self, angles_rad: Sequence[float]) -> float:
+        """Return the opening in m with both fingers at the angle."""
+        _check_count(1, angles_rad)
+        return self.linkage.aperture_m(tuple(angles_rad) * self.linkage.n_servos)
+
+    def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
+        """Return the angle of the finger for a centred opening in m."""
+        return (self.linkage.angles_rad(aperture_m)[self.index],)
+
+    def effective_radius_m(self, angle_rad: float) -> float:
+        """Return the torque of the servo for a grip force of 1 N, in N m / N."""
+        return self.linkage.effective_radius_m(angle_rad)
+
+    def opening_per_rad_m(self, angle_rad: float) -> float:
+        """Return the part of the opening in m that one rad opens, with the mirror image's."""
+        return self.linkage.n_servos * self.linkage.opening_per_rad_m(angle_rad)
+
+
+def _check_n_servos(n_servos: int) -> None:
+    if n_servos not in (1, 2):
+        raise LimitExceeded(f"n_servos is {n_servos}, must be 1 or 2")
+
+
+class Transmission(NamedTuple):
+    """Relation of servo current and grip force at one position, with the friction of the gearing.
+
+    The torque at rest may lie anywhere in a band: while the force rises the motor works against
+    friction, T = kt I - Tc; while it falls friction helps, T = kt I + Tc.
+    """
+
+    kt_nm_a: float
+    """Torque constant at the servo's output in N m / A."""
+    friction_nm: float
+    """Tc in N m."""
+    radius_m: float
+    """Torque of the servo for a grip force of 1 N, in N m / N."""
+
+    @classmethod
+    def at(cls, model: ServoModel, linkage: Linkage, angle_rad: float) -> "Transmission":
+        """Return the transmission of one servo at an angle."""
+        return cls(
+            kt_nm_a=model.kt_nm_a,
+            friction_nm=model.friction_nm,
+            radius_m=linkage.effective_radius_m(angle_rad),
+        )
+
+    @property
+    def friction_n(self) -> float:
+        """Half the width of the friction band, as grip force in N."""
+        return self.friction_nm / self.radius_m
+
+    def loading_current_a(self, force_n: float) -> float:
+        """Return the current in A that drives the force up to ``force_n``."""
+        return (force_n * self.radius_m + self.friction_nm) / self.kt_nm_a
+
+    def force_band_n(self, current_a: float) -> tuple[float, float]:
+        """Return the least and the largest grip force in N that a current can hold."""
+        centre_n = current_a * self.kt_nm_a / self.radius_m
+        return max(0.0, centre_n - self.friction_n), max(0.0, centre_n + self.friction_n)
+
+
+def transmissions(
+    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
+) -> tuple[Transmission, ...]:
+    """Return the transmission of each servo at its angle."""
+    return tuple(
+        Transmission.at(servo.servo_model, linkage, angle_rad)
+        for servo, angle_rad in zip(settings.servos, angles_rad, strict=True)
+    )
+
+
+def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Transmission]:
+    """Return the transmissions of all servos at both ends of the way, one of which is the worst."""
+    return [
+        path
+        for aperture_m in (settings.aperture_min_m, settings.aperture_open_m)
+        for path in transmissions(settings, linkage, linkage.angles_rad(aperture_m))
+    ]
+
+
+def mean_friction_n(paths: Sequence[Transmission]) -> float:
+    """Return half the width of the friction band in N, the mean of the servos."""
+    return sum(path.friction_n for path in paths) / len(paths)
+
+
+def driving_n(state: GripperState, paths: Sequence[Transmission]) -> float:
+    """Return the driving force in N that the measured currents make, friction left aside."""
+    return sum(
+        -servo.current_a * path.kt_nm_a / path.radius_m
+        for servo, path in zip(state.servos, paths, strict=True)
+    ) / len(paths)
+
+
+def motion_current_a(
+    settings: GripperSettings, paths: Sequence[Transmission], force_n: float
+) -> float:
+    """Return the current in A that moves the fingers freely and presses with ``force_n`` at most.
+
+    Friction enters with a reserve for breaking away; LimitExceeded when the cap of the current
+    does not allow it.
+    """
+    current_a = max(
+        (force_n * p.radius_m + _FRICTION_RESERVE * p.friction_nm) / p.kt_nm_a for p in paths
+    )
+    if current_a > settings.current_max_a:
+        raise LimitExceeded(
+            f"moving the fingers takes {current_a:.3f} A, current_max_a is "
+            f"{settings.current_max_a} A: write at least that where servo and part bear it, or "
+            "take friction out of the linkage"
+        )
+    return current_a

@@ -1,0 +1,83 @@
+"""Ends of commands: of a grasp and of a release."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from gripper.values.servo_checks import ServoCondition
+from gripper.values.state import GripperState
+
+
+class GraspResult(Enum):
+    """Kind of end of a grasp."""
+
+    FORCE_REACHED = "force_reached"
+    FORCE_NOT_REACHED = "force_not_reached"
+    NO_CONTACT = "no_contact"
+    PART_LOST = "part_lost"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspOutcome:
+    """End of a grasp; the part is held unless the result is that there is none."""
+
+    result: GraspResult
+    """The end."""
+    contact_t_s: float | None = None
+    contact_aperture_m: float | None = None
+    """When and where both pads touched; None without contact."""
+    final_aperture_m: float
+    """Opening at the end in m."""
+    final_force_n: float = 0.0
+    """Grip force at the end in N, mean of the last samples: as many as their noise asks for, three
+    frames; 0 without contact."""
+    overshoot_n: float = 0.0
+    """Largest mean of the last samples, as in ``final_force_n``, minus the end of the ramp in N, at
+    least 0."""
+    ended_early: bool = False
+    """Whether the ramp was ended on request, before its usual end: the force that was reached or
+    not is then the set-point at that time."""
+    short: str = ""
+    """Why the ramp ended below its force, in words, where the fingers came to their smallest
+    opening before it: the part is too small or too soft, and held with less. Else empty."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReleaseReport:
+    """End of a release: what was opened, and what could not be."""
+
+    state: GripperState
+    """Last feedback; of the servos that were opened alone."""
+    opened: tuple[int, ...]
+    """IDs of the servos whose fingers are open."""
+    left: tuple[ServoCondition, ...] = ()
+    """The servos that could not be moved."""
+    wider: tuple[int, ...] = ()
+    """IDs of the servos that report a finger as wider open than the gripper opens; they stay."""
+
+    def __str__(self) -> str:
+        if not self.left and not self.wider:
+            return "the fingers are open"
+        if not self.left:
+            wider = ", ".join(map(str, self.wider))
+            return (
+                f"the fingers are open, by what their servos report; the finger of servo {wider} "
+                f"was not moved, as it is said to stand wider open than the gripper opens. If it "
+                f"does not, check encoder, horn and zero_pulse of the servo"
+            )
+        opened = ", ".join(map(str, self.opened))
+        remedies = []
+        if any(condition.shut_down for condition in self.left):
+            remedies.append("after its cause is remedied, clear the error with a reboot")
+        if any(condition.strayed for condition in self.left):
+            remedies.append(
+                "push that finger open by hand and check encoder and horn; after the reset, clear "
+                "with a reboot, which restarts the servo"
+            )
+        if any(not condition.answers for condition in self.left):
+            remedies.append(
+                "a servo that does not answer may still have its torque: check its supply and cable"
+            )
+        return (
+            f"the finger of servo {opened} is open, the other one was not moved: "
+            f"{'; '.join(map(str, self.left))}. {'; '.join(remedies).capitalize()}"
+        )

@@ -1,0 +1,108 @@
+"""The newest force samples: as many as a decision needs, whatever the rate of the sensor."""
+
+from collections import deque
+from collections.abc import Iterator
+from math import sqrt
+
+from gripper.values.force_sensor import ForceSample
+
+FRAME_S = 0.02
+"""Period in s of whole frames, the slowest samples that figures are given for: 50 Hz. [chosen]"""
+ONE_FRAME_S = 0.018
+"""Time in s in which faster samples count as one frame: just below its period. [chosen]"""
+LOOK_BACK_S = 4.5 * FRAME_S
+"""Time in s of a look back: five frames."""
+QUIET_N = 0.08
+"""Noise in N of a mean grip force that control and caps go by: a fraction of what a ramp must
+settle within. [tuned]"""
+LEAST_SAMPLES = 3
+"""Samples of such a mean where the sensor is too slow for it. [chosen]"""
+
+
+class RecentForce:
+    """Newest force samples, as many as bring the noise of their mean below a limit.
+
+    A fast sensor needs many in a short time. One that is too slow for that gives its last few.
+
+    Parameters
+    ----------
+    noise_n
+        Standard deviation in N of the mean grip force that is low enough.
+    least
+        Samples that are kept although they are older than ``longest_s``.
+    longest_s
+        Largest age in s of other samples, counted from the newest one; None: that of the oldest of
+        ``least`` frames, with half a frame to spare.
+    """
+
+    def __init__(
+        self,
+        noise_n: float = QUIET_N,
+        *,
+        least: int = LEAST_SAMPLES,
+        longest_s: float | None = None,
+    ) -> None:
+        self._noise_n = noise_n
+        self._least = least
+        self._longest_s = (least - 0.5) * FRAME_S if longest_s is None else longest_s
+        self._samples: deque[ForceSample] = deque()
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def __bool__(self) -> bool:
+        return bool(self._samples)
+
+    def __iter__(self) -> Iterator[ForceSample]:
+        """Iterate over the samples, the newest one first."""
+        return reversed(self._samples)
+
+    @property
+    def newest(self) -> ForceSample:
+        """The newest sample."""
+        return self._samples[-1]
+
+    @property
+    def oldest(self) -> ForceSample:
+        """The oldest sample."""
+        return self._samples[0]
+
+    @property
+    def finger_means_n(self) -> tuple[float, float]:
+        """Mean force in N on finger 0 and finger 1."""
+        n = len(self._samples)
+        return (
+            sum([sample.force_n[0] for sample in self._samples]) / n,
+            sum([sample.force_n[1] for sample in self._samples]) / n,
+        )
+
+    @property
+    def grip_n(self) -> float:
+        """Mean grip force in N."""
+        return sum([sample.grip_n for sample in self._samples]) / len(self._samples)
+
+    @property
+    def noise_n(self) -> float:
+        """Standard deviation of the mean grip force in N."""
+        return sqrt(sum([sample.noise_n**2 for sample in self._samples])) / len(self._samples)
+
+    def clear(self) -> None:
+        """Discard all samples."""
+        self._samples.clear()
+
+    def push(self, sample: ForceSample) -> list[ForceSample] | None:
+        """Add a sample and return those that it replaces; None for one that is not newer."""
+        samples = self._samples
+        if samples and sample.t_s <= samples[-1].t_s:
+            return None
+        samples.append(sample)
+        variance_n2 = sum([one.noise_n**2 for one in samples])
+        replaced: list[ForceSample] = []
+        while len(samples) > 1:
+            variance_n2 -= samples[0].noise_n ** 2
+            enough = variance_n2 <= (self._noise_n * (len(samples) - 1)) ** 2
+            old = sample.t_s - samples[0].t_s > self._longest_s and len(samples) > self._least
+            if not enough and not old:
+                break
+            replaced.append(samples.popleft())
+        return replaced

@@ -1,0 +1,136 @@
+"""States of servos and gripper, and one period of the force loop as an observer sees it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from gripper.values.force_sensor import ForceSample
+
+STANDING_M_S = 0.002
+"""Rate of the opening in m/s below which the fingers stand: one servo is one count of its velocity
+off, on links of 60 mm. [resolution]"""
+GRAIN_M = 1e-4
+"""Resolution of the opening in m: a count of an encoder, on links of 60 mm. [resolution]"""
+_EMPTY_STANDING_M_S = 2.5 * STANDING_M_S
+"""The same where the current of empty fingers is judged: nearly two counts of each servo."""
+
+
+class GripperPhase(Enum):
+    """Phase of the gripper.
+
+    OFF: torque is off or unknown. IDLE: torque on, nothing held. HELD_AFTER_FAULT: goals are
+    frozen after a fault, or torque was found on at the start; a part may be held.
+    """
+
+    OFF = "off"
+    IDLE = "idle"
+    OPENING = "opening"
+    APPROACHING = "approaching"
+    RAMPING = "ramping"
+    HOLDING = "holding"
+    BACKING_OFF = "backing_off"
+    RELEASING = "releasing"
+    HELD_AFTER_FAULT = "held_after_fault"
+
+    @property
+    def moving(self) -> bool:
+        """True while the fingers are on their way, with nothing in their grip yet or any more."""
+        return self in (
+            GripperPhase.OPENING,
+            GripperPhase.APPROACHING,
+            GripperPhase.RELEASING,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoState:
+    """Feedback of one servo, from registers 120 to 146."""
+
+    servo_id: int
+    """The servo."""
+    angle_rad: float
+    """Angle in the direction of the linkage: 0 at zero_raw, grows while the gripper opens."""
+    velocity_rad_s: float
+    """Velocity in the same direction."""
+    current_a: float
+    """Present Current; positive drives the gripper open."""
+    position_raw: int
+    """Present Position as read."""
+    temperature_c: float
+    voltage_v: float
+    """Present Temperature and Present Input Voltage."""
+    tick_ms: int
+    """Realtime Tick: the servo's own time, modulo 32768 ms; recordings keep it."""
+    alert: bool
+    """True while Hardware Error Status (register 70) is not zero."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GripperState:
+    """Feedback of the gripper, read in one transaction."""
+
+    t_s: float
+    """Monotonic time at which the answers were there, in s."""
+    aperture_m: float
+    """Opening between the pads in m."""
+    aperture_velocity_m_s: float
+    """Its rate in m/s; below 0 while closing."""
+    current_a: float
+    """Mean magnitude of the servo currents in A."""
+    force_from_current_n: float
+    """Grip force that the current can hold up while the force rises, in N. Not a measurement:
+    friction makes it too low by up to twice the friction band once the force falls."""
+    temperature_c: float
+    """Temperature of the warmest servo in degrees Celsius."""
+    voltage_v: float
+    """Lowest supply voltage in V."""
+    servos: tuple[ServoState, ...]
+
+    @property
+    def angles_rad(self) -> tuple[float, ...]:
+        """Angle of each servo in rad."""
+        return tuple(servo.angle_rad for servo in self.servos)
+
+
+def shows_nothing(
+    state: GripperState | None, force: ForceSample | None, contact_force_n: float
+) -> bool:
+    """Return whether pads and current both show that nothing is held.
+
+    Parameters
+    ----------
+    state, force
+        Newest feedback and force sample, None where there is none.
+    contact_force_n
+        Force in N from which on something is touched. The current counts while the fingers stand:
+        in motion it is what moves them.
+    """
+    if state is None or force is None or not force.valid:
+        return False
+    stands = abs(state.aperture_velocity_m_s) < _EMPTY_STANDING_M_S
+    pressed_n = state.force_from_current_n if stands else 0.0
+    return max(*force.force_n, pressed_n) < contact_force_n
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cycle:
+    """One period of the loop, as its observer receives it after the goals were written."""
+
+    t_s: float
+    """Monotonic time in s."""
+    phase: GripperPhase
+    """Phase of the gripper."""
+    state: GripperState
+    """Feedback of this period."""
+    goal_current_a: float
+    """Mean magnitude of the goal currents in A."""
+    force: ForceSample | None = None
+    """Newest force sample, None where there is none."""
+    setpoint_n: float = 0.0
+    """Force that is asked for in N; 0 while no force is controlled."""
+    level: int | None = None
+    """Level of the ramp that is held, None while the force changes."""
+
+
+Observer = Callable[[Cycle], None]
+"""Function called once a period, after the goals were written; what it raises ends the command."""

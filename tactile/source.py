@@ -1,0 +1,230 @@
+"""Frame sources: the protocol that each tactile sensor implements, and the values it hands out.
+
+The CANopen control unit (`tactile.unit`) is one source. What stands above works with any source.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntFlag
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.layout import TaxelLayout
+
+COUNTER_MASK = 0xFFFF
+"""The counter of a frame has 16 bits."""
+
+
+class FrameStatus(IntFlag):
+    """Status bits of a frame."""
+
+    TARED = 0x01
+    """The source has subtracted a zero of its own from the samples."""
+    SATURATED = 0x02
+    """At least one sample is at full scale."""
+    CONVERTER_FAULT = 0x04
+    """The converter or multiplexer failed its self-test: the samples are void."""
+    OVERRUN = 0x08
+    """The frame before this one was not sent in time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TactileFrame:
+    """One whole scan of all taxels."""
+
+    t_s: float
+    """Monotonic time in s at which its last byte was received."""
+    counter: int
+    """Number of the scan, modulo 65536. A source without a counter numbers its frames itself."""
+    status: int
+    """`FrameStatus` bits; 0 from a source without a status."""
+    counts: NDArray[np.uint16]
+    """(n_taxels,) uint16: samples in the order of the layout."""
+    begun_s: float | None = None
+    """Monotonic time in s at which its first byte was received, just after the scan; None where
+    that is not known."""
+
+    @property
+    def scanned_s(self) -> float:
+        """Monotonic time of the scan in s, as near as it is known."""
+        return self.t_s if self.begun_s is None else self.begun_s
+
+
+class ForceStatus(IntFlag):
+    """Status bits of a force message."""
+
+    ZEROED = 0x1
+    """Table and zero are set: the values are forces."""
+    SATURATED = 0x2
+    """A taxel of a gripping pad is at full scale: the force may be larger."""
+    CONVERTER_FAULT = 0x4
+    """The converter or multiplexer failed its self-test: the forces are void."""
+    OVERRUN = 0x8
+    """The scan before this one was not finished in time and was left out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceMessage:
+    """Force on both gripping pads in one scan, summed by the source."""
+
+    t_s: float
+    """Monotonic time of reception in s."""
+    counter: int
+    """Number of the message modulo 16."""
+    status: ForceStatus
+    """Status bits."""
+    force_n: tuple[float, float]
+    """Force on the pad of finger 0 and of finger 1 in N."""
+    centre_taxels: tuple[float, float] | None = None
+    """Centre of force of both pads together, along and across the fingers from the pads' middle, in
+    pitches of the taxels; None where nothing touches."""
+
+
+def mean_centre_taxels(messages: Sequence[ForceMessage]) -> tuple[float, float] | None:
+    """Return the centre of what messages show together, the stronger ones for more, in pitches.
+
+    Those of next to no force, as of a part that is let go, have a centre that is noise. None where
+    none with a centre has any force.
+    """
+    loaded = [
+        (max(0.0, sum(message.force_n)), message.centre_taxels)
+        for message in messages
+        if message.centre_taxels is not None
+    ]
+    total_n = sum(force_n for force_n, _ in loaded)
+    if not total_n > 0.0:
+        return None
+    along = sum(force_n * centre[0] for force_n, centre in loaded) / total_n
+    across = sum(force_n * centre[1] for force_n, centre in loaded) / total_n
+    return along, across
+
+
+@dataclass(frozen=True, slots=True)
+class Arrivals:
+    """What a source received since the last poll, oldest first."""
+
+    frames: tuple[TactileFrame, ...] = ()
+    forces: tuple[ForceMessage, ...] = ()
+    """Force messages; none from a source that sends frames alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PadZero:
+    """Zero of the gripping pads, the taxels of finger 0 first, for a source that sums forces."""
+
+    offset_counts: NDArray[np.float64]
+    """(n,) float64: counts of each taxel without load."""
+    noise_counts: NDArray[np.float64]
+    """(n,) float64: standard deviation of one sample of each taxel."""
+    bad: NDArray[np.bool_]
+    """(n,) bool: taxels that do not measure."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceIdentity:
+    """Identity of the device that answers. A device without a number has 0 there."""
+
+    name: str = ""
+    serial: int = 0
+    revision: int = 0
+    boards: tuple[int, int] = (0, 0)
+    """Serial numbers of the pads' boards on finger 0 and finger 1."""
+    sends_forces: bool = False
+    """Whether it sends force messages."""
+
+
+@dataclass(slots=True, kw_only=True)
+class FrameStatistics:
+    """Counts of frames and of their messages. A source counts what it can detect."""
+
+    complete: int = 0
+    """Frames handed out."""
+    lost: int = 0
+    """Frames missing between two handed out, by their counters."""
+    torn: int = 0
+    """Frames begun and given up because messages were missing."""
+    duplicate: int = 0
+    """Messages received twice, dropped."""
+    reordered: int = 0
+    """Messages received after one with a higher index, or after a newer frame had begun; used."""
+    stale: int = 0
+    """Whole frames that were not newer than the last one handed out, dropped."""
+    short: int = 0
+    """Messages of a wrong length, dropped."""
+    corrupt: int = 0
+    """Frames or messages refused: wrong checksum, phase or index."""
+
+
+@dataclass(slots=True, kw_only=True)
+class ForceStatistics:
+    """Counts of force messages since the start."""
+
+    received: int = 0
+    """Messages handed out."""
+    lost: int = 0
+    """Messages missing between two handed out, by counter; after a silence so many at least."""
+    repeated: int = 0
+    """Messages received twice, dropped."""
+    late: int = 0
+    """Messages received after a newer one, dropped."""
+    damaged: int = 0
+    """Messages with a wrong CRC or length, dropped."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceStatistics:
+    """Counts of a source since its start."""
+
+    frames: FrameStatistics
+    recent_loss_rate: float = 0.0
+    """Share of the newest frames that were lost, 0 to 1."""
+    forces: ForceStatistics = field(default_factory=ForceStatistics)
+    malformed: int = 0
+    """Other messages that cannot be used."""
+    error_frames: int = 0
+    """Errors that the controller of the line reported."""
+    foreign: int = 0
+    """Messages of other devices on the same line."""
+    requests: int = 0
+    """Requests for a frame, as SYNC; 0 where the device sends unasked."""
+    late_requests: int = 0
+    """Requests that were sent more than one period late; they are not made up for."""
+
+
+class FrameSource(Protocol):
+    """A source of tactile frames: one sensor with all its pads. One thread uses it.
+
+    A source raises `tactile.errors.LinkFault` for what is wrong with the device or its line. Every
+    later call raises the same fault again, until `stop` and `start`.
+    """
+
+    @property
+    def layout(self) -> TaxelLayout:
+        """The taxels, in the order of the counts."""
+
+    @property
+    def sends_forces(self) -> bool:
+        """Whether the device was set up to send force messages."""
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """Counts since the last start."""
+
+    def start(self) -> SourceIdentity:
+        """Check the device, start its frames and return its identity; reopen a lost line."""
+        ...
+
+    def poll(self) -> Arrivals:
+        """Return what arrived since the last call; does not wait. Checks all deadlines."""
+        ...
+
+    def set_zero(self, zero: PadZero) -> None:
+        """Set the zero of the force messages. A source without force messages ignores it.
+
+        Force messages that arrived before are dropped.
+        """
+
+    def stop(self) -> None:
+        """Stop the frames. Does not raise on a dead line, and leaves the line open."""

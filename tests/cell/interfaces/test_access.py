@@ -1,0 +1,136 @@
+"""Connections of all doors: no address keeps another one out, and dead peers leave."""
+
+import socket
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import pytest
+
+from cell.interfaces.access import BUSY_MAX, ConnectionPlaces
+from cell.interfaces.host_calls import COMMANDS
+from cell.interfaces.host_values import PLATE, REFUSAL, VALUES
+from tests.cell.served import until
+
+HOLD = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 7, 1)
+CALL = b"<methodCall><methodName>hold</methodName></methodCall>"
+HEAD = b"POST /RPC2 HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/xml\r\n"
+HEAD += b"Content-Length: %d\r\n\r\n" % len(CALL)
+HELLO = b"HELF" + struct.pack("<6I", 57, 0, 65535, 65535, 0, 0) + struct.pack("<I", 25)
+DOORS = {
+    "modbus": (HOLD, HOLD[:5]),
+    "xmlrpc": (HEAD + CALL, HEAD[:40]),
+    "opcua": (HELLO + b"opc.tcp://127.0.0.1:4840/", HELLO[:10]),
+}
+"""A whole request of each door, and one that never ends."""
+EVERY = ["modbus", "xmlrpc", pytest.param("opcua", marks=pytest.mark.long)]
+
+
+@pytest.fixture
+def link(serve: Any) -> Iterator[Callable[..., socket.socket]]:
+    """Return what connects to a door from an address of this machine."""
+    with ExitStack() as undo:
+
+        def connect(port: int, host: str) -> socket.socket:
+            place = ("127.0.0.1", port)
+            return undo.enter_context(socket.create_connection(place, 20.0, (host, 0)))
+
+        yield connect
+
+
+def answered(link: socket.socket, request: bytes) -> bytes:
+    """Send a request and return its answer; empty for none."""
+    with suppress(ConnectionError):
+        link.sendall(request)
+        return link.recv(4096)
+    return b""
+
+
+LETS_IN = {"modbus": "modbus.registers", "xmlrpc": "http_server", "opcua": "opc_ua.server"}
+"""Module of each door that asks who may connect."""
+
+
+@pytest.mark.parametrize("door", EVERY)
+def test_other_hosts_are_refused(
+    serve: Any, link: Any, monkeypatch: pytest.MonkeyPatch, door: str
+) -> None:
+    port = serve(door).doors[f"{door}_port"]
+    monkeypatch.setattr(f"cell.interfaces.{LETS_IN[door]}.may_connect", lambda *_: False)
+    found = answered(link(port, "127.0.0.1"), DOORS[door][0])
+    assert found.startswith(b"HTTP/1.1 403 ") if door == "xmlrpc" else not found
+
+
+@pytest.mark.parametrize("door", EVERY)
+def test_one_address_with_all_places_keeps_no_other_out(serve: Any, link: Any, door: str) -> None:
+    request, half = DOORS[door]
+    port = serve(door, serve__request_timeout_s=60.0).doors[f"{door}_port"]
+    quiet, heard = link(port, "127.0.0.2"), link(port, "127.0.0.1")
+    assert answered(heard, request)
+    for _ in range(BUSY_MAX + 10):
+        with suppress(ConnectionError):
+            link(port, "127.0.0.1").sendall(half)
+    for _ in range(BUSY_MAX):  # says nothing at all
+        link(port, "127.0.0.4")
+    assert answered(link(port, "127.0.0.3"), request)
+    assert answered(quiet, request)  # has kept its place, though it never said a word
+    assert answered(link(port, "127.0.0.1"), request)
+    # Of a crowd those that were heard stay. OPC UA takes one hello alone.
+    assert door == "opcua" or answered(heard, request)
+
+
+@pytest.mark.parametrize("door", EVERY)
+def test_half_sent_requests_leave_within_their_time(serve: Any, link: Any, door: str) -> None:
+    _, half = DOORS[door]
+    port = serve(door, serve__request_timeout_s=0.2).doors[f"{door}_port"]
+    links = [link(port, "127.0.0.1") for _ in range(8)]
+    for one in links:
+        one.sendall(half)
+        with suppress(ConnectionError):
+            assert one.recv(1) == b""
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the timers of Linux are looked at")
+@pytest.mark.parametrize("door", [*EVERY, "http"])
+def test_the_system_asks_whether_a_peer_is_still_there(serve: Any, link: Any, door: str) -> None:
+    port = serve(door).doors[f"{door}_port"]
+    link(port, "127.0.0.1")
+
+    def timer() -> list[str]:
+        rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+        return [row[5] for row in rows if row[1].endswith(f":{port:04X}") and row[3] == "01"]
+
+    kind, ticks = until(lambda: [one for one in timer() if one[:2] == "02"])[0].split(":")
+    assert kind == "02"  # keep-alive
+    assert int(ticks, 16) <= 10 * 100
+
+
+def test_places_go_to_those_who_have_fewest() -> None:
+    places, gone = ConnectionPlaces(), list[int]()
+    links = [Mock(**{"is_closing.return_value": False}) for _ in range(BUSY_MAX + 3)]
+    for number, link in enumerate(links):
+        link.abort.side_effect = partial(gone.append, number)
+    for number, link in enumerate(links[:BUSY_MAX]):
+        places.enter(link, "crowd" if number % 4 else f"host {number}")
+    places.heard(links[1])
+    places.enter(links[-3], "late")
+    places.enter(links[-2], "later")
+    assert gone == [2, 3]  # of the crowd, those that were never heard, from the oldest on
+    places.enter(links[-1], "crowd")
+    assert gone == [2, 3, 5]
+
+
+def test_no_two_values_or_commands_share_a_place_at_a_door() -> None:
+    values, numbers = (*PLATE, *VALUES, *REFUSAL), [n for one in COMMANDS for n in one.numbers]
+    nodes, methods, registers = (
+        [getattr(one, column) for one in values if getattr(one, column)]
+        for column in ("node", "method", "register")
+    )
+    for places in (nodes, [*methods, *(one.name for one in COMMANDS)], registers, numbers):
+        assert len(places) == len(set(places))
+    # Registers and commands of their own making.
+    assert not set(registers) & {0, 1, 2, 5, 6, 7, 17, 18, 19, 20, 25, 26, *range(32, 96)}
+    assert not set(numbers) & {4, 40, 41}

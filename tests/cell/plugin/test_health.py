@@ -1,0 +1,36 @@
+"""Health of a cell: its levels follow the limits of the config."""
+
+from typing import Any
+
+import pytest
+
+from cell.plugin.health import health_values
+from tests.cell.conftest import small_config
+
+
+@pytest.mark.parametrize(
+    ("limit_c", "level"), [(80.0, "ok"), (None, "watch"), (-1.0, "bad")], ids=str
+)
+def test_heat_is_judged_by_the_limit_and_where_the_current_is_lowered(
+    make_bench: Any, limit_c: float | None, level: str
+) -> None:
+    bench = make_bench().ready()
+    warm_c = bench.controller.measured.cycle.state.temperature_c
+    limits = {None: warm_c + 1.0, -1.0: warm_c - 1.0}
+    limit = {"temperature_max_c": limits.get(limit_c, limit_c)}
+    config = bench.config.model_copy(
+        update={"gripper": bench.config.gripper.model_copy(update=limit)}
+    )
+    assert config.gripper.servo_care.derate_c > 1.0
+    assert health_values(config, bench.cell, None)["servos"]["level"] == level
+
+
+def test_lost_frames_are_judged_by_their_limit(make_bench: Any) -> None:
+    bench = make_bench(small_config(tactile__loss_max_share=0.5)).ready()
+    assert health_values(bench.config, bench.cell, None)["can"]["level"] == "ok"
+    bench.simulated.inject("can.lose_next=12")
+    bench.idle(0.25)
+    can = health_values(bench.config, bench.cell, None)["can"]
+    assert can["level"] == "watch"
+    strict = small_config(tactile__loss_max_share=0.001)
+    assert health_values(strict, bench.cell, None)["can"]["level"] == "bad"

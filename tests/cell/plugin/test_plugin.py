@@ -1,0 +1,493 @@
+"""The plugin as a host program sees it."""
+
+import gc
+import importlib.metadata
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.control.plan import Pose
+from cell.data.dataset import read_dataset, write_dataset
+from cell.errors import (
+    CellError,
+    CellStateError,
+    CellStopped,
+    ConfigError,
+    DatasetError,
+    ModelError,
+    NoPartFound,
+)
+from cell.learning.taught_model import TaughtModel
+from cell.plugin.goals import checked_goal
+from cell.plugin.plugin import (
+    Answer,
+    GripGoal,
+    IdentifyGoal,
+    JobFailed,
+    TeachGoal,
+    VerifyGoal,
+)
+from cell.plugin.worker import Job, JobOutcome
+from gripper.errors import ServoFault, VerificationFailed
+from gripper.values.state import GripperPhase
+from recognition.recognizer import UNKNOWN
+from tactile.errors import NodeMissing
+from tests.cell.conftest import once, small_config
+from tests.cell.served import LIMIT_S, done, grip_n, until
+
+
+@pytest.fixture(scope="module")
+def plugin_class() -> Any:
+    """The class that a host finds by the entry point."""
+    (entry,) = importlib.metadata.entry_points(group="robot_cell.plugins", name="tactile_cell")
+    return entry.load()
+
+
+def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n: float = 0.0):
+    """Do something once, in a phase of the gripper, with at least so much grip."""
+    hand = plugin._cell.controller.hand
+    once(
+        plugin._cell.simulated.clock,
+        lambda: hand.phase is phase and grip_n(plugin) >= above_n,
+        act,
+    )
+
+
+def test_a_gauge_says_under_which_foam_shapes_are_read(
+    make_plugin: Any, taught: Any, tmp_path: Path
+) -> None:
+    gauge = tmp_path / "gauge.npz"
+    balls = [replace(grasp, label="master") for grasp in taught.grasps if grasp.label == "ball"]
+    write_dataset(gauge, balls)
+    with pytest.raises(ConfigError, match="describes the gauge"):
+        make_plugin(gauge_shape="sphere:diameter=9.5mm")
+    with pytest.raises(CellError, match="shape of the gauge 'master' is not known"):
+        make_plugin(gauge=gauge)
+
+    def read(**options: Any) -> Any:
+        shape = make_plugin(model=taught.result.model, **options)._model.shapes.reader(box)
+        return shape
+
+    box = taught.grasps[-1]
+    assert 1e3 * read().size_m == pytest.approx(10.0, abs=0.3)
+    right = read(gauge=gauge, gauge_shape="sphere:diameter=9.5mm")
+    # The gauge is said to be 0.4 mm smaller than it is: so is what is measured then.
+    small = read(gauge=gauge, gauge_shape="sphere:diameter=9.1mm")
+    assert 1e3 * (right.size_m - small.size_m) == pytest.approx(0.4, abs=0.15)
+
+
+# -- jobs --------------------------------------------------------------------------------------
+
+
+def test_teach_then_identify(make_plugin: Any) -> None:
+    plugin = make_plugin()
+    for label in ("ball", "box"):
+        job = plugin.start(TeachGoal(label=label, grasps=3, seed=len(label)))
+        assert plugin.result(job, LIMIT_S) == 3
+        status = plugin.feedback(job)
+        assert status.outcome is JobOutcome.SUCCEEDED
+        progress = dict(status.progress)
+        each = progress.pop("each")
+        assert [one["force_n"] > 1.0 and 5.0 < one["size_mm"] < 18.0 for one in each] == [True] * 3
+        assert progress.pop("taught") == {
+            "label": label,
+            "n_grasps": 3,
+            "nearest": None,  # three grasps are too few to leave some out
+            "mistaken_share": None,
+        }
+        assert progress == {"task": "teach", "label": label, "grasps": 3, "missed": 0, "of": 3}
+    assert plugin.labels == ("ball", "box")
+    job = plugin.start({"task": "identify", "max_grasps": 3, "present": "box", "seed": 9})
+    answer = plugin.result(job, LIMIT_S)
+    assert isinstance(answer, Answer)
+    assert answer.label in ("box", UNKNOWN)
+    assert list(answer.probabilities) == ["ball", "box", UNKNOWN]
+    assert sum(answer.probabilities.values()) == pytest.approx(1.0)
+    assert answer.probability == answer.probabilities[answer.label]
+    assert answer.probabilities["box"] > answer.probabilities["ball"]
+    assert 1 <= answer.n_grasps <= 3
+    shape = answer.shape
+    assert shape.kind == "flat"
+    assert shape.interval_mm[0] < 10.0 < shape.interval_mm[1]
+    assert shape.n_grasps == answer.n_grasps
+    assert plugin.feedback(job).progress["shape"].startswith("flat, ")
+    progress = plugin.feedback(job).progress
+    assert (progress["task"], progress["grasps"], progress["of"]) == (
+        "identify",
+        answer.n_grasps,
+        3,
+    )
+    assert progress["best"] == answer.label
+    # Of UNKNOWN it is the probability that it is not the likeliest object.
+    named = max(answer.probabilities[label] for label in plugin.labels)
+    wanted = 1.0 - named if answer.label == UNKNOWN else named
+    assert progress["probability"] == pytest.approx(wanted)
+    assert plugin.state() == "IDLE"
+
+
+# -- cancelling --------------------------------------------------------------------------------
+
+
+def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
+    pressing, go_on = threading.Event(), threading.Event()
+
+    def cancel() -> None:
+        pressing.set()
+        assert go_on.wait(LIMIT_S)
+        plugin.cancel(job)
+
+    when(plugin, GripperPhase.RAMPING, cancel, above_n=1.0)
+    job = plugin.start(IdentifyGoal(present="ball"))
+    assert pressing.wait(LIMIT_S)
+    assert plugin.feedback(job).outcome is JobOutcome.EXECUTING
+    assert plugin.state() == "EXECUTE"
+    for refused in (lambda: plugin.start(IdentifyGoal()), plugin.release):
+        with pytest.raises(CellStateError, match="is not over"):
+            refused()
+    with pytest.raises(TimeoutError, match="not over after 0 s"):
+        plugin.result(job, 0.0)
+    go_on.set()
+    complaint = "CANCELED: stopped on request; the grip is kept"
+    with pytest.raises(JobFailed, match=complaint) as failed:
+        plugin.result(job, LIMIT_S)
+    assert failed.value.outcome is plugin.feedback(job).outcome is JobOutcome.CANCELED
+    assert isinstance(failed.value.__cause__, CellStopped)
+    assert (plugin.state(), plugin.fault()) == ("HELD", None)
+    assert grip_n(plugin) > 0.8
+    for refused in (plugin.clear, plugin.reset, lambda: plugin.start(TeachGoal(label="ball"))):
+        with pytest.raises(CellStateError, match="cell is HELD; allowed: release, shutdown"):
+            refused()
+    with pytest.raises(CellStateError, match="no job 3"):
+        plugin.feedback(Job(3, "another"))
+    plugin.release(LIMIT_S)
+    assert plugin.state() == "IDLE"
+    assert grip_n(plugin) == 0.0
+    # A cancel that comes too late stops nothing of the next job.
+    plugin.cancel(job)
+    plugin._cell.controller.cancel()
+    assert done(plugin, IdentifyGoal()).label == "ball"
+
+
+def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: Any) -> None:
+    hold = threading.Event()
+    blocker = plugin._worker.start(lambda _report: hold.wait(LIMIT_S))
+    hold.set()
+    plugin.result(blocker, LIMIT_S)
+    for _ in range(3):
+        job = plugin.start(IdentifyGoal(present="ball"))
+        plugin.cancel(job)
+        with pytest.raises(JobFailed, match="CANCELED"):
+            plugin.result(job, LIMIT_S)
+        if plugin.state() == "HELD":
+            plugin.release(LIMIT_S)
+        assert plugin.state() == "IDLE"
+
+
+@pytest.mark.parametrize("host_timeout_s", [None, 1000.0])
+def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
+    plugin_class: Any, taught: Any, host_timeout_s: float | None
+) -> None:
+    class Host:
+        """A host whose mover refers to it, so that only the collector finds that nobody does."""
+
+        def __init__(self) -> None:
+            config = small_config().model_copy(update={"host_timeout_s": host_timeout_s})
+            self.plugin = plugin_class(config, mover=self.move, model=taught.result.model)
+
+        def move(self, pose: Pose) -> None:
+            return None
+
+    host = Host()
+    job = host.plugin.start(IdentifyGoal(present="ball", max_grasps=1))
+    assert host.plugin.result(job, LIMIT_S).label == "ball"
+    threads = [host.plugin._worker._thread]
+    if host_timeout_s is not None:
+        threads.append(host.plugin._lease._thread)
+    disconnected: list[bool] = []
+    host.plugin._cell._closing.callback(disconnected.append, True)
+    del host
+    with pytest.warns(ResourceWarning, match="dropped without close"):
+        gc.collect()
+    for thread in threads:
+        thread.join(LIMIT_S)
+        assert not thread.is_alive()
+    assert disconnected
+
+
+# -- faults ------------------------------------------------------------------------------------
+
+
+def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(make_plugin: Any) -> None:
+    plugin = make_plugin(small_config(simulator__faults=["servo1.overload"]))
+    assert plugin.state() == "ABORTED"
+    assert "0x20: overload" in plugin.fault()
+    with pytest.raises(CellStateError, match="0x20: overload"):
+        plugin.start(TeachGoal(label="ball", grasps=1))
+    with pytest.raises(ServoFault, match="clear it with a reboot"):
+        plugin.clear()
+    assert plugin.state() == "ABORTED"
+    plugin.clear(reboot=True)
+    assert (plugin.fault(), plugin.status().fault_number) == (None, 0)
+    assert str(plugin.release(LIMIT_S)) == "the fingers are open"
+    plugin.reset(LIMIT_S)
+    assert plugin.state() == "IDLE"
+    assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [("unit.off", NodeMissing), ("servo1.off", VerificationFailed)],
+)
+def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
+    plugin_class: Any, meddle: Any, fault: str, error: type[Exception]
+) -> None:
+    built = meddle(lambda made: made.simulated.inject(fault))
+    threads = threading.active_count()
+    with pytest.raises(error):
+        plugin_class(small_config())
+    assert built[-1].simulated.clock.on_advance == []
+    assert threading.active_count() == threads
+
+
+# -- who moves ---------------------------------------------------------------------------------
+
+
+def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
+    asked: list[Pose] = []
+    answers: list[Any] = [Pose(x_m=5e-4), False]
+
+    def mover(pose: Pose) -> Any:
+        asked.append(pose)
+        with pytest.raises(CellStateError, match="close from another thread"):
+            plugin.close()
+        return answers[len(asked) - 1]
+
+    plugin = make_plugin(mover=mover, model=taught.result.model)
+    assert done(plugin, {"task": "teach", "label": "ball", "grasps": 1}) == 1
+    label, placed = plugin._cell.simulated.world.placed
+    assert label == "ball"
+    assert placed.x_m == pytest.approx(5e-4)
+    with pytest.raises(JobFailed, match="ABORTED: the host refused to move"):
+        done(plugin, IdentifyGoal())
+    assert plugin.state() == "IDLE"
+    assert plugin.fault() is None
+    assert not plugin._cell.controller.holding
+    answers.append(None)
+    assert done(plugin, IdentifyGoal(max_grasps=1)).n_grasps == 1
+
+
+def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
+    make_plugin: Any, taught: Any, tmp_path: Path
+) -> None:
+    alone = tmp_path / "model.npz"
+    alone.write_bytes(taught.result.model.read_bytes())
+    plugin = make_plugin(model=alone)
+    with pytest.raises(CellStateError, match="teaching alone would lose ball, box"):
+        plugin.start({"task": "teach", "label": "cone"})
+    balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
+    write_dataset(tmp_path / "balls.npz", balls)
+    with pytest.raises(ModelError, match="is not the one that trained"):
+        make_plugin(model=alone, training_set=tmp_path / "balls.npz")
+    plugin = make_plugin(model=alone, training_set=taught.result.dataset)
+    done(plugin, {"task": "teach", "label": "oval", "grasps": 3})
+    plugin.save(tmp_path / "parts.model.npz")
+    assert len(read_dataset(tmp_path / "parts.model.grasps.npz")) == 13
+    again = make_plugin(model=str(tmp_path / "parts.model.npz"))
+    assert again.labels == plugin.labels == ("ball", "box", "oval")
+
+
+# -- the file that each teaching renews --------------------------------------------------------
+
+
+def test_each_teaching_is_saved_before_its_job_succeeds(
+    make_plugin: Any, taught: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, running, save = tmp_path / "new.npz", [], TaughtModel.save
+    plugin = make_plugin(model=taught.result.model, save=path)
+
+    def look(model: TaughtModel, *arguments: Any, **options: Any) -> None:
+        save(model, *arguments, **options)
+        running.append(plugin._worker.running)
+
+    monkeypatch.setattr(TaughtModel, "save", look)
+    done(plugin, TeachGoal(label="ball", grasps=1))
+    done(plugin, GripGoal(force_n=3.0))
+    plugin.release()
+    assert running == [True]  # and once for each teaching
+    assert make_plugin(model=path).labels == ("ball", "box")
+
+
+def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
+    make_plugin: Any, taught: Any, tmp_path: Path
+) -> None:
+    where = tmp_path / "folder"
+    where.write_text("a file where a folder should be")
+    path = where / "model.npz"
+    plugin = make_plugin(model=taught.result.model, save=path)
+    with pytest.raises(JobFailed, match="ball is taught and in use, but not saved: cannot ") as bad:
+        done(plugin, TeachGoal(label="ball", grasps=1))
+    assert (bad.value.fault_number, plugin.state()) == (502, "IDLE")
+    done(plugin, GripGoal(force_n=3.0))
+    where.unlink()
+    where.mkdir()
+    done(plugin, VerifyGoal())
+    assert not path.exists()  # a part is held: nothing but its watch counts
+    plugin.release()
+    assert make_plugin(model=path).labels == ("ball", "box")
+
+
+@pytest.mark.parametrize("mended", [True, False])
+def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
+    make_plugin: Any, taught: Any, tmp_path: Path, mended: bool
+) -> None:
+    path = tmp_path / "folder" / "model.npz"
+    plugin = make_plugin(model=taught.result.model, save=path)
+    with pytest.raises(JobFailed, match="the folder"):
+        done(plugin, TeachGoal(label="ball", grasps=1))
+    if mended:
+        path.parent.mkdir()
+        plugin.close()
+        assert path.exists()
+    else:
+        with pytest.raises(DatasetError, match=r"the folder .* does not exist"):
+            plugin.close()
+    plugin.close()
+
+
+def test_a_teaching_that_was_stopped_adds_its_grasps(
+    make_plugin: Any, taught: Any, tmp_path: Path
+) -> None:
+    path, file = tmp_path / "new.npz", tmp_path / "new.grasps.npz"
+    plugin = make_plugin(model=taught.result.model, save=path)
+    done(plugin, TeachGoal(label="ball", grasps=1))
+    before = path.read_bytes()
+    job = plugin.start(TeachGoal(label="box", grasps=50))
+    until(lambda: plugin.feedback(job).progress.get("grasps", 0))
+    plugin.cancel(job)
+    with pytest.raises(JobFailed, match="CANCELED"):
+        plugin.result(job, LIMIT_S)
+    plugin.close()
+    assert path.read_bytes() != before
+    # Killed between the two files: the grasps are there, the model is that of before.
+    grasps = read_dataset(file)
+    assert len(grasps) >= 12
+    write_dataset(file, [*grasps, grasps[0]])
+    again = make_plugin(model=path)
+    assert done(again, TeachGoal(label="box", grasps=1)) == 1
+    write_dataset(file, [grasps[-1], *grasps])
+    with pytest.raises(ModelError, match="is not the one that trained"):
+        make_plugin(model=path)
+
+
+# -- grasps that find no part --------------------------------------------------------------------
+
+
+def absent_in(plugin: Any, *numbers: int) -> None:
+    """Take the object away before the grasps with these numbers, from 1, close the fingers."""
+    world, place = plugin._cell.simulated, plugin._cell.controller._positioner.move_to
+    done: list[Pose] = []
+
+    def move_to(pose: Pose, *_supervise: Any) -> Pose:
+        reached = place(pose)
+        done.append(pose)
+        if len(done) in numbers:
+            world.remove()
+        return reached
+
+    plugin._cell.controller._positioner.move_to = move_to
+
+
+def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(make_plugin: Any) -> None:
+    plugin = make_plugin()
+    absent_in(plugin, 3, 4, 5)
+    job = plugin.start({"task": "teach", "label": "ball", "grasps": 20})
+    with pytest.raises(JobFailed) as failed:
+        plugin.result(job, LIMIT_S)
+    assert isinstance(failed.value.__cause__, NoPartFound)
+    assert plugin.feedback(job).progress["missed"] == 2
+    assert (plugin.state(), plugin.labels) == ("IDLE", ())
+    assert done(plugin, TeachGoal(label="ball", grasps=1, seed=5)) == 1
+    assert plugin.labels == ("ball",)
+
+
+# -- goals and models --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("goal", "complaint"),
+    [
+        (None, "goal is None; write a goal, as IdentifyGoal, or a mapping"),
+        ("teach", "goal is 'teach'; write"),
+        (["teach"], "goal is ['teach']; write"),
+        ({"task": ["teach"]}, "goal has task ['teach']; write one of"),
+        ({"task": "identify", 3: 1}, "goal identify: 3"),
+        ({}, "goal has task None; write one of teach, gauge"),
+        ({"task": "juggle"}, "goal has task 'juggle'"),
+        ({"task": "teach"}, "goal teach: label"),
+        ({"task": "teach", "label": ""}, "goal teach: label"),
+        ({"task": "teach", "label": "a", "grasps": 0}, "goal teach: grasps"),
+        ({"task": "teach", "label": "a", "grasps": "3"}, "goal teach: grasps"),
+        ({"task": "identify", "max_grasps": 101}, "goal identify: max_grasps"),
+        ({"task": "identify", "speed": 2}, "goal identify: speed"),
+        ({"task": "identify", "present": "\x1b[2J"}, "goal identify: present"),
+        ({"task": "identify", "seed": 10**5000}, "goal identify: seed"),
+        ({"task": "grip"}, "goal grip: force_n"),
+    ],
+)
+def test_goals_are_checked(goal: Any, complaint: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        checked_goal(goal)
+    assert complaint in str(caught.value)
+
+
+def test_nothing_taught_is_nothing_to_identify_or_save(make_plugin: Any, tmp_path: Path) -> None:
+    plugin = make_plugin()
+    with pytest.raises(CellStateError, match="nothing was taught"):
+        plugin.start(IdentifyGoal())
+    with pytest.raises(CellStateError, match="nothing was taught"):
+        plugin.save(tmp_path / "m.npz")
+
+
+def test_too_few_grasps_to_learn_from_abort_the_job_not_the_cell(make_plugin: Any) -> None:
+    plugin = make_plugin()
+    with pytest.raises(JobFailed, match=r"ABORTED: .*at least 3.*kept for the next teaching"):
+        done(plugin, TeachGoal(label="ball", grasps=1))
+    assert plugin.state() == "IDLE"
+    assert done(plugin, TeachGoal(label="ball", grasps=2)) == 2
+    assert plugin.labels == ("ball",)
+
+
+def test_a_model_of_other_pads_is_refused_before_the_cell_is_touched(
+    plugin_class: Any, taught: Any, tmp_path: Path, meddle: Any
+) -> None:
+    touched = meddle(lambda _made: None)
+    with pytest.raises(ModelError, match="teach again on these pads"):
+        plugin_class(small_config(tactile__layout="pinch"), model=taught.result.model)
+    with pytest.raises(ConfigError, match=r"none\.yaml"):
+        plugin_class(str(tmp_path / "none.yaml"))
+    assert touched == []
+
+
+def test_config_files_and_the_context_manager(plugin_class: Any, tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("name: from a file\ntactile: {tare_frames: 10}\n")
+    with plugin_class(path) as plugin:
+        assert plugin.info()["name"] == "from a file"
+    assert plugin.state() == "STOPPED"
+
+
+def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) -> None:
+    def live(made: Any) -> None:
+        made.realtime = True
+        tick = made.controller.tick
+        made.controller.tick = lambda: (made.simulated.clock.sleep(0.005), tick())
+
+    meddle(live)
+    plugin = make_plugin()
+    plugin._cell.simulated.inject("unit.off")
+    until(plugin.fault)
+    assert plugin.state() == "ABORTED"

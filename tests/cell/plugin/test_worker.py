@@ -1,0 +1,87 @@
+import gc
+import threading
+import weakref
+from collections.abc import Iterator
+
+import pytest
+
+from cell.errors import CellStateError
+from cell.plugin.worker import CellWorker, Job, JobOutcome
+
+
+@pytest.fixture
+def worker() -> Iterator[CellWorker]:
+    made = CellWorker(idle=lambda: None, idle_period_s=None)
+    yield made
+    made.close(5.0)
+
+
+def test_jobs_of_others_and_closed_worker_are_refused(worker: CellWorker) -> None:
+    with pytest.raises(CellStateError, match="no job 77"):
+        worker.status(Job(77, "another"))
+    other = CellWorker(idle=lambda: None, idle_period_s=None)
+    ours, theirs = (each.start(lambda _report: None) for each in (worker, other))
+    assert ours.number == theirs.number
+    for ask in (worker.status, lambda job: worker.wait(job, 0.0)):
+        with pytest.raises(CellStateError, match="no job 1 in this cell"):
+            ask(theirs)
+    other.close(5.0)
+    with pytest.raises(CellStateError, match="closed"):
+        other.start(lambda _report: None)
+
+
+def test_what_is_started_while_the_end_is_awaited_is_refused() -> None:
+    looking, go_on = threading.Event(), threading.Event()
+
+    def idle() -> None:
+        looking.set()
+        go_on.wait(10.0)
+
+    worker = CellWorker(idle=idle, idle_period_s=0.001)
+    assert looking.wait(10.0)
+    with pytest.raises(TimeoutError, match="has not ended after 0 s"):
+        worker.close(0.0)
+    with pytest.raises(CellStateError, match="closed"):
+        worker.start(lambda _report: None)
+    go_on.set()
+    worker.close(10.0)
+
+
+def test_every_job_that_is_accepted_beside_a_close_ends() -> None:
+    for _ in range(50):
+        worker = CellWorker(idle=lambda: None, idle_period_s=None)
+        accepted, first = [], threading.Event()
+
+        def start(worker=worker, accepted=accepted, first=first) -> None:
+            while True:
+                try:
+                    accepted.append(worker.start(lambda _report: None))
+                except CellStateError as error:
+                    if "closed" in str(error):
+                        return
+                first.set()
+
+        starter = threading.Thread(target=start)
+        starter.start()
+        assert first.wait(10.0)
+        worker.close(10.0)
+        starter.join(10.0)
+        assert all(worker.status(job).outcome is JobOutcome.SUCCEEDED for job in accepted)
+
+
+def test_a_job_cannot_wait_for_its_own_end(worker: CellWorker) -> None:
+    status = worker.wait(worker.start(lambda _report: worker.close(5.0)), 10.0)
+    assert isinstance(status.exception, CellStateError)
+    assert "close from another thread" in status.error
+    assert worker.wait(worker.start(lambda _report: "goes on"), 10.0).value == "goes on"
+
+
+def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
+    worker = CellWorker(idle=lambda: None, idle_period_s=0.001)
+    worker.wait(worker.start(lambda _report: None), 10.0)
+    thread, gone = worker._thread, weakref.ref(worker)
+    del worker
+    gc.collect()
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert gone() is None

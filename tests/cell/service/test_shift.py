@@ -1,0 +1,111 @@
+"""The ledger of a shift: what it counts, and that it stays small."""
+
+from typing import Any
+
+import pytest
+
+from cell.config.model import CellConfig
+from cell.errors import NoPartFound
+from cell.plugin import tasks
+from cell.plugin.answer import Answer
+from cell.plugin.goals import IdentifyGoal, SortGoal
+from cell.plugin.part_report import PartReport
+from cell.service.shift import KEPT_ANSWERS, Shift
+
+
+class Wall:
+    """A wall clock that the test sets."""
+
+    def __init__(self) -> None:
+        self.now_s = 1.0e9
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def part(label: str = "ball", **fields: Any) -> PartReport:
+    others = {"ball": 0.1, "box": 0.05, "UNKNOWN": 0.02, label: 0.83}
+    answer = Answer(label=label, probabilities=others, n_grasps=2)
+    return PartReport(**({"task": "sort", "answer": answer, "seconds": 4.0} | fields))
+
+
+def test_a_fresh_shift_has_no_figures() -> None:
+    found = Shift(Wall()).values(n_faults=0)
+    assert (found["parts"], found["cycle_s"], found["parts_per_hour"]) == (0, None, None)
+    assert (found["counts"], found["answers"]) == ({}, [])
+
+
+def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
+    clock = Wall()
+    shift = Shift(clock)
+    for report in (
+        part("ball", seconds=3.0, place="left"),
+        part("box", seconds=5.0, place="right"),
+        part("UNKNOWN", seconds=9.0, place="reject", rejected=True),
+        part(answer=None, seconds=7.0),
+    ):
+        clock.now_s += 60.0
+        shift.add(report)
+    found = shift.values(n_faults=2)
+    assert (found["parts"], found["rejected"], found["missed"], found["faults"]) == (3, 1, 1, 2)
+    assert found["counts"] == {"ball": 1, "box": 1, "UNKNOWN": 1}
+    assert found["cycle_s"] == 5.0
+    assert found["parts_per_hour"] == pytest.approx(45.0)
+    first = found["answers"][0]
+    assert (first["id"], first["label"], first["place"]) == (1, "ball", "left")
+    assert first["runner_up"] == {"label": "box", "probability": 0.05}
+    assert first["time_s"] == found["since_s"] + 60.0
+
+
+def test_the_rate_is_that_of_the_last_hour() -> None:
+    clock = Wall()
+    shift = Shift(clock)
+    for _ in range(30):
+        shift.add(part())
+        clock.now_s += 1.0
+    clock.now_s += 2 * 3600.0
+    assert shift.values(n_faults=0)["parts_per_hour"] is None
+    shift.add(part())
+    clock.now_s += 1.0
+    assert shift.values(n_faults=0)["parts_per_hour"] == pytest.approx(1.0)
+
+
+def test_the_ledger_stays_small() -> None:
+    clock = Wall()
+    shift = Shift(clock)
+    for number in range(5000):
+        clock.now_s += 0.1
+        shift.add(part(curves={"t_s": [float(number)]}))
+    found = shift.values(n_faults=0)
+    assert found["parts"] == 5000
+    assert found["parts_per_hour"] == pytest.approx(36000.0, rel=0.01)
+    assert [one["id"] for one in found["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
+    assert shift.grasp(5000) == {"t_s": [4999.0]}
+    assert shift.grasp(5000 - KEPT_ANSWERS) is None
+    assert (len(shift._times_s), len(shift._cycles_s), len(shift._answers)) == (1000, 1000, 20)
+
+
+class NothingThere:
+    """A taught model whose cell finds no part."""
+
+    max_grasps = 1
+
+    def identify(self, *_cell: Any, **_how: Any) -> None:
+        raise NoPartFound("no contact")
+
+
+def test_turns_without_a_part_are_reported_as_such() -> None:
+    seen: list[Any] = []
+    model: Any = NothingThere()
+    nothing: Any = None
+
+    def places() -> tasks.Places:
+        return tasks.Places(CellConfig(), ("ball",))
+
+    file = tasks.ModelFile(model, None)
+    cell = tasks.Tasks(nothing, file, places, lambda _task: seen.append)
+    with pytest.raises(NoPartFound):
+        cell.identify(IdentifyGoal(), lambda _now: None)
+    answer = cell.sort(SortGoal(parts=2), lambda _now: None)
+    assert (answer.n_missed, answer.n_parts) == (2, 0)
+    assert seen == [None, None, None]

@@ -1,0 +1,198 @@
+"""Files of earlier versions through the commands of this one, and files of later ones."""
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.config.file import load_config
+from cell.config.tactile import layout_from_config
+from cell.data import formats
+from cell.data.formats import Format
+from cell.data.recording_reader import read_recording
+from cell.errors import CellError, ConfigError
+from cell.interfaces.cli.app import app
+from simulator.cell import SimulatedCell
+from simulator.settings import SimulatorSettings
+from simulator.world.taxels import NoiseModel
+from tests.cell.commissioning.script import SimulatedLines
+from tests.cell.conftest import call
+from tests.cell.data.test_recording import GOOD, foreign
+
+HERE = Path(__file__).parent
+EARLIER = sorted(path.name for path in HERE.iterdir() if (path / "small.yaml").exists())
+
+
+@pytest.fixture(params=EARLIER)
+def files(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Copy the files of an earlier version, and go there."""
+    shutil.copytree(HERE / request.param, tmp_path / "files")
+    monkeypatch.chdir(tmp_path / "files")
+    return tmp_path / "files"
+
+
+@pytest.mark.parametrize("name", ["small.yaml", "cell/tactile-cell.yaml"])
+def test_configs_are_read_once_the_command_that_they_name_has_converted_them(
+    files: Path, name: str
+) -> None:
+    path, before = files / name, (files / name).read_text()
+    with pytest.raises(ConfigError, match=rf"is gone: `tactile-cell config convert {path}`"):
+        call("config", "check", path)
+    said = call("config", "convert", path)
+    assert "sequence.candidates: taken out" in said
+    assert call("config", "check", path).startswith(f"{path}: valid")
+    copy = path.with_suffix(".1.yaml")
+    assert (copy.read_text(), f"as it was: {copy}" in said) == (before, True)
+    left = path.read_text().splitlines()
+    gone = [line.strip() for line in before.splitlines() if line not in left]
+    assert "candidates: 8" in gone or gone == ["candidates: 24"]
+    assert call("config", "convert", path) == f"{path}: nothing is gone of it, it stays as it is\n"
+
+
+def test_grasps_models_and_recordings_are_read(files: Path) -> None:
+    call("config", "convert", "small.yaml")
+    for model in ("force_ramp.npz", "again.npz"):
+        said = call("identify", "-m", model, "grasps.npz", "-c", "small.yaml")
+        named = [line.split()[2] for line in said.splitlines()]
+        assert named == ["ball"] * 4 + ["box"] * 4
+        said = call("identify", "-m", model, "recording.mcap", "-c", "small.yaml")
+        assert said.split()[2] == "ball"
+        call("train", "grasps.npz", "--no-early", "-o", "again.npz")
+    said = call("identify", "-m", "force_ramp.npz", "-c", "small.yaml", "--object", "ball")
+    assert "(it was ball)" in said
+    with pytest.raises(CellError, match="the model was taught on 18 taxels in 2 pads"):
+        call("identify", "-m", "level_check.npz", "grasps.npz", "-c", "small.yaml")
+    assert "bit for bit the same" in call("replay", "recording.mcap", "-c", "small.yaml")
+    assert call("report", "recording.mcap") == "report: report.html\n"
+    assert "ball" in (files / "report.html").read_text()
+    call("teach", "egg", "--from", "recording.mcap", "-o", "grasps.npz")
+    assert "complete, nothing is lost" in call("recover", "recording.mcap", "-o", "whole.mcap")
+    assert len(read_recording("whole.mcap").grasps) == 1
+
+
+@pytest.fixture
+def commissioned(files: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SimulatedCell]:
+    """The cell that was commissioned in ``cell``, on the ports of this machine."""
+    call("config", "convert", "cell/tactile-cell.yaml")
+    config = load_config(files / "cell" / "tactile-cell.yaml")
+    layout = layout_from_config(config.tactile)
+    settings = SimulatorSettings(layout=layout, noise=NoiseModel(level=0.4), aperture_m=0.03)
+    with SimulatedCell(settings) as cell:
+        lines = SimulatedLines(cell)
+        monkeypatch.setattr("cell.commissioning.bench.LineOpener", lambda: lines)
+        yield cell
+
+
+def test_a_commissioned_cell_is_done_and_its_servos_come_back(
+    files: Path, commissioned: SimulatedCell
+) -> None:
+    done = call("commission", "cell")
+    assert done.startswith("commissioned: cell/tactile-cell.yaml")
+    restored = CliRunner().invoke(app, ["commission", "cell", "--restore"], input="y\n")
+    assert restored.exit_code == 0, restored.output
+    servos = [servo.core.registers for servo in commissioned.devices.servo_bus.servos]
+    for number, registers in enumerate(servos, start=1):
+        found = json.loads((files / "cell" / f"backup-servo{number}.json").read_text())["found"]
+        for name in ("id", "baud_rate", "operating_mode", "return_delay_time"):
+            assert registers.get(name) == found[name], name
+    kept = json.loads((files / "cell" / "commissioning.json").read_text())
+    assert kept["format"] == str(formats.COMMISSIONING)
+    # What was found by the restored servos does not hold any more.
+    assert "servos" not in kept["steps"]
+    assert {"ports", "unit", "pads_law"} < set(kept["steps"])
+
+
+def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
+    call("config", "convert", "small.yaml")
+    said = " ".join(call("doctor", "-c", "small.yaml").split())
+    assert "it names no format, expected tactile-cell-self-zero/1; `tactile-cell zero`" in said
+    call("zero", "-c", "small.yaml")
+    said = call("doctor", "-c", "small.yaml")
+    assert "pads meet at" in said
+    assert "does not count" not in said
+
+
+def later(kind: Format) -> str:
+    """Return what a file of the next version names."""
+    name, version = kind.text.split("/")
+    return f"{name}/{int(version) + 1}"
+
+
+def later_arrays(path: Path, name: str, change: Callable[[str], str]) -> None:
+    """Change a text among the arrays of an archive."""
+    with np.load(path) as archive:
+        arrays = {key: archive[key] for key in archive.files}
+    np.savez(path, **arrays | {name: np.array(change(str(arrays[name])))})
+
+
+def later_text(path: Path, kind: Format) -> None:
+    """Write a text of the next version, with a key that is not known here."""
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps({"format": later(kind), "colour": "blue"}) + "\n")
+
+
+LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
+    "config": (
+        formats.CONFIG,
+        lambda kind: later_text(Path("small.yaml"), kind),
+        ("config", "check", "small.yaml"),
+    ),
+    "data set": (
+        formats.DATASET,
+        lambda kind: later_arrays(Path("grasps.npz"), "format", lambda _: later(kind)),
+        ("train", "grasps.npz", "-o", "new.npz"),
+    ),
+    "model": (
+        formats.MODEL,
+        lambda kind: later_arrays(
+            Path("force_ramp.npz"), "model", lambda old: old.replace(kind.text, later(kind))
+        ),
+        ("identify", "-m", "force_ramp.npz", "grasps.npz"),
+    ),
+    "recording": (
+        formats.RECORDING,
+        lambda kind: foreign(
+            Path("recording.mcap"), metadata=GOOD | {"format": later(kind)}, content=b"{}"
+        ),
+        ("recover", "recording.mcap"),
+    ),
+    "commissioning": (
+        formats.COMMISSIONING,
+        lambda kind: later_text(Path("cell/commissioning.json"), kind),
+        ("commission", "cell"),
+    ),
+    "backup": (
+        formats.SERVO_BACKUP,
+        lambda kind: later_text(Path("cell/backup-servo1.json"), kind),
+        ("commission", "cell", "--restore"),
+    ),
+}
+
+
+@pytest.mark.parametrize("what", LATER)
+def test_a_file_of_a_later_version_is_refused_with_the_way_to_read_it(
+    commissioned: SimulatedCell, what: str
+) -> None:
+    kind, write, command = LATER[what]
+    write(kind)
+    with pytest.raises(CellError, match=rf"{later(kind)}; this program reads up to {kind}: update"):
+        call(*command)
+
+
+def test_a_self_zero_of_a_later_version_does_not_count(files: Path) -> None:
+    call("config", "convert", "small.yaml")
+    later_text(Path("out/self-zero-small-pads.json"), formats.SELF_ZERO)
+    said = " ".join(call("doctor", "-c", "small.yaml").split())
+    assert "self-zero/2; this program reads up to tactile-cell-self-zero/1: update" in said
+
+
+def test_every_format_has_a_file_of_a_later_version() -> None:
+    kinds = [kind for kind in vars(formats).values() if isinstance(kind, Format)]
+    assert {id(kind) for kind in kinds} == {id(kind) for kind, _, _ in LATER.values()} | {
+        id(formats.SELF_ZERO)
+    }

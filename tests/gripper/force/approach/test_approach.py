@@ -1,0 +1,250 @@
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from gripper.force.approach.approach import Approach, ApproachEvent
+from gripper.force.approach.contact import ContactDetector, ContactRest
+from gripper.force.loop import Moment
+from gripper.force.ramp import ForceRamp
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import Cycle, GripperPhase, GripperState
+from tests.values import make_servo, make_state
+
+LINKAGE = ParallelLinkage(link_m=0.06)
+SETTINGS = GripperSettings(
+    servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)), contact_timeout_s=3.0
+)
+DT_S = 0.005
+
+
+def sample(t_s: float, first_n: float, second_n: float, valid: bool = True) -> ForceSample:
+    return ForceSample(t_s=t_s, force_n=(first_n, second_n), valid=valid)
+
+
+def state(t_s: float, aperture_m: float, speed_m_s: float, current_a: float = 0.1) -> GripperState:
+    angle_rad = LINKAGE.angles_rad(aperture_m)[0]
+    servo = make_servo(
+        angle_rad=angle_rad, velocity_rad_s=0.5 * speed_m_s / 0.06, current_a=-current_a
+    )
+    return make_state(
+        t_s,
+        aperture_m=aperture_m,
+        aperture_velocity_m_s=speed_m_s,
+        current_a=current_a,
+        servos=(servo, replace(servo, servo_id=2)),
+    )
+
+
+def new_approach(aperture_m: float = 0.02) -> Approach:
+    return Approach(SETTINGS, LINKAGE, state(0.0, aperture_m, 0.0))
+
+
+def step(
+    approach: Approach, t_s: float, dt_s: float, at: GripperState, seen: ForceSample | None
+) -> tuple[ApproachEvent, tuple[float, ...]]:
+    action = approach.step(Moment(now_s=t_s, dt_s=dt_s, state=at, sample=seen))
+    assert action.goals is not None
+    assert action.done == (approach.event is not ApproachEvent.CLOSING)
+    return approach.event, tuple(goal.angle_rad for goal in action.goals)
+
+
+def test_contact_takes_several_new_samples_on_each_pad() -> None:
+    detector = ContactDetector(0.5, 3)
+    for _ in range(5):
+        detector.push(sample(0.0, 1.0, 1.0))
+    assert detector.touched == (False, False)
+    detector.push(sample(0.02, 1.0, 0.4))
+    detector.push(sample(0.04, 1.0, 1.0))
+    assert detector.touched == (True, False)
+    detector.push(sample(0.06, 0.1, 1.0))
+    assert detector.touched == (False, False)
+
+
+def test_both_pads_end_the_approach() -> None:
+    approach = new_approach()
+    events = []
+    for i in range(3):
+        at = state(0.02 * i, 0.02, -0.02)
+        events.append(step(approach, 0.02 * i, DT_S, at, sample(0.02 * i, 1.0, 1.0))[0])
+    assert events == [ApproachEvent.CLOSING, ApproachEvent.CLOSING, ApproachEvent.CONTACT]
+
+
+def test_a_finger_that_touches_waits_while_the_other_closes_on() -> None:
+    approach = new_approach()
+    goals = [LINKAGE.angles_rad(0.02)]
+    for i in range(40):
+        t_s = 0.02 * i
+        at = state(t_s, 0.02 - 0.0004 * i, -0.02)
+        event, angles = step(approach, t_s, 0.01, at, sample(t_s, 1.0, 0.0))
+        assert event is ApproachEvent.CLOSING
+        goals.append(tuple(angles))
+    assert goals[-1][0] == goals[10][0]
+    assert goals[-1][1] < goals[10][1]
+    _, angles = step(approach, 1.0, 0.01, state(1.0, 0.004, -0.02), sample(1.0, 0.0, 0.0))
+    assert angles[0] == angles[1]
+
+
+def test_a_finger_slowed_down_waits_for_the_pads_and_goes_on_without_them() -> None:
+    approach = new_approach()
+    step(approach, 0.0, DT_S, state(0.0, 0.02, -0.02), None)
+    at = state(0.005, 0.0199, -0.005)
+    _, angles = step(approach, 0.005, DT_S, at, None)
+    assert tuple(angles) == tuple(servo.angle_rad for servo in at.servos)
+    _, later = step(approach, 0.1, DT_S, state(0.1, 0.0198, 0.0), None)
+    assert tuple(later) == tuple(angles)
+    _, after = step(approach, 0.2, DT_S, state(0.2, 0.0198, 0.0), None)
+    assert all(a < b for a, b in zip(after, angles, strict=True))
+
+
+def test_the_goal_runs_ahead_by_a_little_only() -> None:
+    approach = new_approach()
+    for i in range(200):
+        _, angles = step(approach, 0.005 * i, DT_S, state(0.005 * i, 0.02, 0.0), None)
+    assert LINKAGE.aperture_m(angles) >= 0.02 - 0.0061
+
+
+def test_closed_without_contact_is_the_limit_even_when_the_pads_touch_each_other() -> None:
+    approach = new_approach(0.0004)
+    event, _ = step(approach, 0.0, DT_S, state(0.0, 0.0004, -0.02), sample(0.0, 5.0, 5.0))
+    assert event is ApproachEvent.LIMIT
+
+
+def test_time_out_is_the_limit() -> None:
+    event, _ = step(new_approach(), 3.0, DT_S, state(3.0, 0.02, -0.02), None)
+    assert event is ApproachEvent.LIMIT
+
+
+@pytest.mark.parametrize(
+    ("one_pad_n", "ends"), [(0.0, ApproachEvent.OBSTRUCTED), (1.0, ApproachEvent.CONTACT)]
+)
+def test_a_standstill_at_the_current_limit_is_a_contact_with_one_pad_alone(one_pad_n, ends) -> None:
+    approach = new_approach()
+    closing_a = approach.current_a
+    event, i = ApproachEvent.CLOSING, 0
+    while event is ApproachEvent.CLOSING:
+        t_s = DT_S * i
+        at = state(t_s, 0.01, 0.0, approach.current_a)
+        event, _ = step(approach, t_s, DT_S, at, sample(t_s, 0.0, one_pad_n))
+        i += 1
+    assert event is ends
+    assert 0.4 < DT_S * i < 0.7
+    assert (approach.current_a > closing_a) is (one_pad_n == 0.0)
+    assert approach.current_a <= closing_a * 1.6 + 1e-9
+
+
+def test_an_invalid_sample_shows_no_contact() -> None:
+    approach = new_approach()
+    for i in range(5):
+        at = state(0.02 * i, 0.02, -0.02)
+        event, _ = step(approach, 0.02 * i, DT_S, at, sample(0.02 * i, 9.0, 9.0, valid=False))
+    assert event is ApproachEvent.CLOSING
+
+
+def scan(t_s: float, force_n: float, noise_n: float = 0.1) -> ForceSample:
+    return ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=0.0015, noise_n=noise_n)
+
+
+def closing(approach: Approach, force_n: Sequence[float]) -> list[tuple[float, ...]]:
+    """Return how far ahead of the fingers their goals are in rad, one entry for each force."""
+    ahead_rad = []
+    for i, seen_n in enumerate(force_n):
+        at = state(DT_S * i, 0.02, -0.012)
+        _, angles = step(approach, DT_S * i, DT_S, at, scan(DT_S * i, seen_n))
+        ahead_rad.append(tuple(a - b for a, b in zip(at.angles_rad, angles, strict=True)))
+    return ahead_rad
+
+
+def test_the_first_young_touch_brakes_and_a_wrong_one_goes_on() -> None:
+    ahead_rad = closing(new_approach(), [0.0] * 40 + [0.3] + [0.0] * 30)
+    assert min(ahead_rad[39]) > 0.005
+    assert ahead_rad[40] == (0.0, 0.0)
+    assert min(ahead_rad[-1]) > 0.005
+
+
+def test_pads_that_are_noisy_while_empty_brake_by_what_stands_out() -> None:
+    draw = random.Random(3)
+    forces_n = [draw.gauss(0.0, 0.3) for _ in range(200)] + [0.9] * 4
+    ahead_rad = closing(new_approach(), forces_n)
+    assert sum(max(ahead) == 0.0 for ahead in ahead_rad[:200]) <= 25
+    assert (0.0, 0.0) in ahead_rad[200:]
+
+
+@pytest.mark.parametrize("rate_hz", [None, 333.0])
+def test_fast_force_meets_a_part_more_gently(make_cell, rate_hz) -> None:
+    cell = make_cell(rate_hz=rate_hz, noise_n=0.1, friction_error=-0.15)
+    cell.part.stiffness_n_m = 6000.0
+    cell.gripper.start()
+    peaks_n: list[float] = []
+
+    def watch(cycle: Cycle) -> None:
+        if cycle.setpoint_n == 0.0:
+            peaks_n.append(cell.peak_n)
+
+    assert cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=3.0), watch).contact_t_s is not None
+    assert (peaks_n[-1] < 1.0) is (rate_hz is not None)
+
+
+def test_fingers_that_touch_before_they_have_run_press_on_all_the_same(make_cell) -> None:
+    cell = make_cell(rate_hz=333.0, noise_n=0.1, friction_error=0.2, aperture_m=0.0123)
+    cell.part.stiffness_n_m = 3000.0
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=3.0))
+    assert outcome.contact_t_s is not None
+    assert outcome.contact_t_s < 1.5
+
+
+def rests_s(rest: ContactRest, period_s: float, force_n: float, noise_n: float) -> float:
+    """Return for how long fingers rest with a sensor of this period and noise."""
+    i = 0
+    while rest.goes_on(
+        Moment(
+            now_s=DT_S * i,
+            dt_s=DT_S,
+            state=state(DT_S * i, 0.01, 0.0),
+            sample=scan(period_s * int(DT_S * i / period_s + 1e-9), force_n, noise_n),
+        )
+    ):
+        i += 1
+    return DT_S * i
+
+
+@pytest.mark.parametrize(
+    ("period_s", "noise_n", "lasts_s"), [(0.02, 0.3, 0.08), (0.005, 0.15, 0.03)]
+)
+def test_the_rest_at_the_contact_ends_where_its_force_is_known(period_s, noise_n, lasts_s) -> None:
+    rest = ContactRest(0.08, hard_n=1.0, hard_until_s=0.07)
+    assert rests_s(rest, period_s, 0.7, noise_n) == pytest.approx(lasts_s, abs=0.011)
+    assert rest.force_n == pytest.approx(0.7)
+
+
+def test_no_ramp_begins_while_the_force_of_a_hard_touch_is_fresh() -> None:
+    soft_s, hard_s = (
+        rests_s(ContactRest(0.08, hard_n=0.6, hard_until_s=0.06), DT_S, met_n, 0.05)
+        for met_n in (0.5, 1.1)
+    )
+    assert soft_s < 0.03
+    assert hard_s == pytest.approx(0.06)
+
+
+@pytest.mark.parametrize("near_m_s", [0.012, 0.015])
+def test_fingers_that_travel_start_hard_and_slow_down_to_their_speed(make_cell, near_m_s) -> None:
+    """No finger gets so slow that it waits for the pads as one that a part slows down."""
+    cell = make_cell(rate_hz=200.0, noise_n=0.01, approach_speed_m_s=near_m_s, force_max_n=15.0)
+    cell.gripper.start()
+    cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=20.0))
+    cell.gripper.release()
+    seen: list[tuple[float, float]] = []
+
+    def watch(cycle: Cycle) -> None:
+        if cycle.phase is GripperPhase.APPROACHING and not cell.force_n:
+            seen.append((cycle.t_s, -cycle.state.aperture_velocity_m_s))
+
+    cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=20.0), watch)
+    fast_s = next(t_s for t_s, speed in seen if speed > 0.04)
+    assert fast_s - seen[0][0] < 0.035
+    assert seen[-1][1] == pytest.approx(near_m_s, rel=0.25)
+    assert min(speed for t_s, speed in seen if t_s > fast_s) > 0.6 * near_m_s

@@ -1,0 +1,246 @@
+"""Wrong direction, zero and linkage: told at rest, by the first motion, or where fingers meet."""
+
+from functools import partial
+
+import pytest
+
+from gripper.errors import (
+    GripContradicted,
+    LimitExceeded,
+    MechanicsContradicted,
+    PositionContradicted,
+    ServoFault,
+    VerificationFailed,
+    fingers_left,
+)
+from gripper.force.approach.mechanics_proof import POSITION_ITEM
+from gripper.force.ramp import ForceRamp
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
+
+LONG = partial(pytest.param, marks=pytest.mark.long)
+RAMP = ForceRamp.linear(4.0, rate_n_s=10.0)
+KEYS = r"gripper.servos\[\].direction \(.*zero_pulse \(.*gripper.linkage \(link_mm"
+LARGEST_N = 2.0
+"""Force in N, by the current at a stop, that a first motion with wrong settings may make."""
+
+
+class Stop:
+    """Watch of the force by current of fingers that stand, while a cell runs."""
+
+    def __init__(self, cell) -> None:
+        self.most_n = 0.0
+        self._cell = cell
+        self._since_s = 0.0
+        cell.clock.on_advance.append(self._look)
+
+    def _look(self, now_s: float) -> None:
+        if any(abs(motor.velocity_rad_s) > 0.0 for motor in self._cell.motors):
+            self._since_s = now_s
+        elif now_s - self._since_s > 0.02:
+            self.most_n = max(self.most_n, self._cell.pressed_n)
+
+
+def stands_right(cell) -> bool:
+    rows = [row for row in cell.gripper.inspect().rows if row.item == POSITION_ITEM]
+    assert len(rows) == len(cell.servos)
+    return all(row.ok for row in rows)
+
+
+def refused_at_rest(cell) -> str:
+    assert not stands_right(cell)
+    keys = r"gripper.servos\[[01]\].direction -?1, zero_pulse \d+, gripper.linkage link_mm 60"
+    with pytest.raises(VerificationFailed, match=keys) as refused:
+        cell.gripper.start()
+    assert cell.torques == [0, 0]
+    return str(refused.value)
+
+
+def told_by_motion(cell) -> str:
+    assert stands_right(cell)
+    cell.gripper.start()
+    stop = Stop(cell)
+    began_s = cell.clock.monotonic()
+    with pytest.raises(MechanicsContradicted, match=KEYS) as told:
+        cell.gripper.open()
+    assert cell.clock.monotonic() - began_s < 1.5
+    assert cell.torques == [0, 0]
+    assert stop.most_n < LARGEST_N
+    assert "nothing is held" not in fingers_left(told.value)
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    return str(told.value)
+
+
+@pytest.mark.parametrize("aperture_m", [0.0, 0.0005, 0.0035])
+@pytest.mark.parametrize("friction_error", [LONG(-0.2), 0.0, LONG(0.2)])
+def test_a_wrong_direction_of_both_near_closed_is_told_by_the_first_motion(
+    make_cell, make_part, aperture_m, friction_error
+) -> None:
+    cell = make_cell(
+        turned=(0, 1),
+        aperture_m=aperture_m,
+        friction_error=friction_error,
+        part=make_part(present=False),
+    )
+    told_by_motion(cell)
+
+
+@pytest.mark.parametrize("aperture_m", [0.0, 0.0035])
+def test_a_low_cap_of_the_current_leaves_room_for_the_way_back(
+    make_cell, make_part, aperture_m
+) -> None:
+    cell = make_cell(
+        turned=(0, 1), aperture_m=aperture_m, current_max_a=0.3, part=make_part(present=False)
+    )
+    told_by_motion(cell)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+@pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.009])
+def test_a_wrong_direction_of_one_is_told_by_the_first_motion(
+    make_cell, make_part, index, aperture_m
+) -> None:
+    cell = make_cell(turned=(index,), aperture_m=aperture_m, part=make_part(present=False))
+    assert f"servo {index + 1}: it is blocked" in told_by_motion(cell)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+@pytest.mark.parametrize("aperture_m", [0.012, 0.018, 0.03])
+def test_a_wrong_direction_of_one_is_refused_where_its_finger_is_beyond_the_middle(
+    make_cell, make_part, index, aperture_m
+) -> None:
+    cell = make_cell(turned=(index,), aperture_m=aperture_m, part=make_part(present=False))
+    text = refused_at_rest(cell)
+    assert f"servo {index + 1} present_position" in text
+    assert f"servo {2 - index} present_position" not in text
+
+
+@pytest.mark.parametrize("linkage", ["parallel", "rack"])
+@pytest.mark.parametrize("aperture_m", [0.0, 0.003, 0.018])
+def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
+    make_cell, make_part, linkage, aperture_m
+) -> None:
+    cell = make_cell(
+        n_servos=1,
+        linkage=linkage,
+        turned=(0,),
+        aperture_m=aperture_m,
+        part=make_part(present=False),
+    )
+    if aperture_m > 0.004:
+        with pytest.raises(VerificationFailed, match=r"gripper.servos\[0\].direction -1"):
+            cell.gripper.start()
+        return
+    cell.gripper.start()
+    with pytest.raises(MechanicsContradicted, match="free on its way back"):
+        cell.gripper.open()
+    assert cell.torques == [0]
+
+
+@pytest.mark.parametrize("aperture_m", [0.0, 0.018, 0.03])
+def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
+    make_cell, make_part, aperture_m
+) -> None:
+    cell = make_cell(
+        zero_off=(100, 100), aperture_m=aperture_m, part=make_part(present=False), force_max_n=8.0
+    )
+    cell.gripper.start()
+    stop = Stop(cell)
+    cell.gripper.open(0.03)
+    with pytest.raises(GripContradicted, match=r"at an opening of 1[789]\.\d mm, .*zero_pulse"):
+        cell.gripper.grasp(RAMP)
+    assert stop.most_n < 8.0
+
+
+@pytest.mark.parametrize("link_m", [0.03, 0.08])
+def test_a_wrong_length_without_an_offset_is_not_told_by_motion(
+    make_cell, make_part, link_m
+) -> None:
+    cell = make_cell(link_m=link_m, part=make_part(present=False))
+    cell.gripper.start()
+    cell.gripper.open()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.NO_CONTACT
+    assert cell.mechanics.aperture_m == pytest.approx(0.0, abs=5e-4)
+
+
+@pytest.mark.parametrize("offset_m", [0.004, -0.004])
+def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_cell, make_part, offset_m) -> None:
+    cell = make_cell(offset_m=offset_m, part=make_part(present=False))
+    cell.gripper.start()
+    cell.gripper.open()
+    error, told = (GripContradicted, "zero_pulse")
+    if offset_m < 0.0:
+        error, told = (MechanicsContradicted, "found nothing")
+    with pytest.raises(error, match=told):
+        cell.gripper.grasp(RAMP)
+
+
+@pytest.mark.parametrize("friction_error", [LONG(-0.3), 0.0, 0.3, LONG(0.6)])
+@pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.018])
+def test_the_proof_costs_a_right_gripper_little_time(
+    make_cell, make_part, friction_error, aperture_m
+) -> None:
+    """MoveTo alone takes 0.33 s for 18 mm and 0.63 s from closed, at 60 mm/s."""
+    cell = make_cell(
+        aperture_m=aperture_m, friction_error=friction_error, part=make_part(present=False)
+    )
+    cell.gripper.start()
+    began_s = cell.clock.monotonic()
+    state = cell.gripper.open()
+    assert state.aperture_m == pytest.approx(0.03, abs=0.001)
+    way_s = (0.03 - aperture_m) / 0.06
+    assert cell.clock.monotonic() - began_s < way_s + 0.3
+    assert cell.gripper.grasp(RAMP).result is GraspResult.NO_CONTACT
+    before_s = cell.clock.monotonic()
+    cell.gripper.open()
+    assert cell.clock.monotonic() - before_s < 0.03 / 0.06 + 0.15
+
+
+def test_a_finger_that_is_blocked_on_its_way_is_no_stiff_gearing(make_cell, make_part) -> None:
+    """A part on the outside: here an open stop that comes before the opening."""
+    cell = make_cell(aperture_m=0.02, part=make_part(present=False))
+    cell.mechanics._upper_rad = cell.linkage.angles_rad(0.025)[0]
+    cell.gripper.start()
+    with pytest.raises(MechanicsContradicted, match=r"25\.\d mm on its way to 30\.0 mm"):
+        cell.gripper.open()
+
+
+@pytest.mark.parametrize(("aperture_m", "most_n"), [(0.002, 2.0), (0.0, 5.0)])
+def test_a_release_after_it_goes_limp_again(make_cell, make_part, aperture_m, most_n) -> None:
+    cell = make_cell(turned=(0, 1), aperture_m=aperture_m, part=make_part(present=False))
+    told_by_motion(cell)
+    cell.gripper.clear_fault()
+    cell.mechanics.drive_to(aperture_m)
+    cell.mechanics._driven = False
+    stop = Stop(cell)
+    for gripper in (cell.gripper, cell.new_gripper()):
+        with pytest.raises(MechanicsContradicted, match=KEYS):
+            gripper.release()
+        assert cell.torques == [0, 0]
+    assert stop.most_n < most_n
+
+
+def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(
+    make_cell, make_part
+) -> None:
+    slow = {"approach_speed_m_s": 0.004, "contact_timeout_s": 1.0}
+    cell = make_cell(part=make_part(present=False), **slow)
+    cell.gripper.start()
+    with pytest.raises(LimitExceeded, match=r"after 3 s they have closed .*contact_timeout_s"):
+        cell.gripper.meet(ForceRamp.linear(3.0, 5.0))
+    assert cell.torques == [1, 1]
+
+
+def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
+    """Settings that were changed while a part was held by an earlier run."""
+    cell = make_cell(aperture_m=0.02)
+    cell.gripper.start()
+    assert cell.gripper.grasp(ForceRamp.linear(1.5, rate_n_s=5.0)).result
+    cell.gripper.close()
+    cell.settings = make_cell(turned=(0, 1)).settings
+    gripper = cell.new_gripper()
+    with pytest.raises((PositionContradicted, ServoFault), match=KEYS):
+        gripper.release()
+    assert cell.torques == [1, 1]
+    assert cell.peak_n < 8.0
+    assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT

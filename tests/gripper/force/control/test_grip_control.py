@@ -1,0 +1,201 @@
+"""Goals of a grip: drifting positions, wrong stiffness, fingers that run ahead."""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.performance._force_plant import Rig, Truth
+from benchmarks.performance.force_ramps import PARTS
+from gripper.errors import (
+    ForceSensorStale,
+    GripperError,
+    LimitExceeded,
+)
+from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.ramp import ForceRamp
+from gripper.settings import ForceLoopSettings, GripperSettings, ServoSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
+from tests.gripper.force.pads import WrongPads
+
+
+def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
+    cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pad that showed a force before it touched makes a stiff part look like foam."""
+    monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", 136.0)
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.peak_n < 7.0
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0])
+def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
+    make_cell, make_part, factor
+) -> None:
+    """A light grip: the loop backs off from a force that is not there."""
+    cell = make_cell(part=make_part(stiffness_n_m=2000.0), approach_speed_m_s=0.02)
+    pads = WrongPads(
+        cell, lambda it: replace(it, force_n=tuple(factor * n + 1.0 for n in it.force_n))
+    )
+    cell.gripper.start()
+    least_n: list[float] = []
+
+    def observe(cycle) -> None:
+        if cycle.phase is GripperPhase.RAMPING:
+            pads.began_s = pads.began_s or cycle.t_s
+            least_n.append(cell.force_n)
+
+    with suppress(LimitExceeded):
+        cell.gripper.grasp(ForceRamp.linear(0.7, rate_n_s=20.0, hold_s=1.5), observe)
+    assert min(least_n) > 0.05
+
+
+@pytest.mark.parametrize("loop_rate_hz", [100.0, 200.0])
+@pytest.mark.parametrize("stiffness_n_m", [3e3, 1e4, 5e4])
+@pytest.mark.parametrize("wrong", [(5.3, False), (13.5, True), (13.9, True)])
+def test_pads_that_report_too_little_let_no_force_above_the_cap(
+    make_cell, make_part, loop_rate_hz, stiffness_n_m, wrong
+) -> None:
+    """Only the current bounds the force then, and inertia adds to what it makes."""
+    at_n, invalid = wrong
+    cell = make_cell(
+        part=make_part(width_m=0.03, stiffness_n_m=stiffness_n_m),
+        aperture_m=0.034,
+        aperture_open_m=0.036,
+        force_max_n=15.0,
+        loop_rate_hz=loop_rate_hz,
+    )
+
+    def too_little(sample):
+        valid = not invalid or sample.t_s < pads.began_s + 0.03
+        return replace(sample, force_n=tuple(0.4 * n for n in sample.force_n), valid=valid)
+
+    pads = WrongPads(cell, too_little)
+    cell.gripper.start()
+
+    def observe(cycle) -> None:
+        if pads.began_s is None and cycle.setpoint_n > at_n:
+            pads.began_s = cycle.t_s
+
+    with suppress(ForceSensorStale):
+        cell.gripper.grasp(ForceRamp.linear(14.2, rate_n_s=20.0, hold_s=0.5), observe)
+    assert pads.began_s is not None
+    assert 12.0 < cell.peak_n < 15.1
+
+
+LIES = {
+    "stand still": lambda it, first: replace(it, force_n=first.force_n),
+    "half": lambda it, _: replace(it, force_n=tuple(0.5 * n for n in it.force_n)),
+}
+"""Samples that show too little force, made of the newest one and of the first wrong one."""
+
+
+@pytest.mark.parametrize("rate_n_s", [10.0, 40.0])
+@pytest.mark.parametrize("lie", LIES)
+def test_no_wrong_sample_makes_far_more_force_than_is_asked_for(
+    make_cell, make_part, lie, rate_n_s
+) -> None:
+    """Torque constant and friction are off as far as they may be: the current alone decides."""
+    cell = make_cell(
+        part=make_part(stiffness_n_m=5e3),
+        kt_error=0.1,
+        friction_error=-0.15,
+        force_max_n=15.0,
+        rate_hz=200.0,
+    )
+    first: list[ForceSample] = []
+
+    def wrong(sample: ForceSample) -> ForceSample:
+        first[:] = first or [sample]
+        return LIES[lie](sample, first[0])
+
+    pads = WrongPads(cell, wrong)
+    cell.gripper.start()
+
+    def observe(cycle) -> None:
+        if pads.began_s is None and cycle.setpoint_n > 2.0:
+            pads.began_s = cycle.t_s
+
+    with suppress(GripperError):
+        cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=rate_n_s, hold_s=0.3), observe)
+    cell.clock.sleep(0.5)
+    assert pads.began_s is not None
+    # A fifth more, and the band of friction of these servos at 60 mm.
+    assert cell.peak_n < 1.2 * 6.0 + 3.7
+
+
+RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
+
+
+SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_quiet_hold_with_a_noisy_sensor_shows_no_slip(make_cell, seed) -> None:
+    cell = make_cell(noise_n=0.3, seed=seed)
+    cell.hold_part(RAMP)
+    cell.gripper.hold(6.0)
+    assert cell.force_n == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> None:
+    """Friction keeps small errors; after 1 s of a hold its drive is given back beside."""
+    truth = Truth(kt_error=0.1, friction_error=-0.15, seed=103)
+    part = PARTS["cork, 5 N/mm"]
+    rig = Rig(part, truth, 0.2, ForceLoopSettings(), rate_hz=500.0, further_truths=True)
+    quality = rig.grasp(4.0, 3.0)
+    assert not quality.lost
+    assert max(quality.holding_n, quality.overshoot_n) <= 0.15
+
+
+@pytest.mark.parametrize("seed", [0, 2, 5])
+def test_a_correction_downwards_does_not_shoot_beyond_where_friction_is_less_than_known(
+    make_cell, seed
+) -> None:
+    cell = make_cell(rate_hz=200.0, kt_error=0.09, friction_error=-0.15, seed=seed)
+    cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0))
+    cell.gripper.hold(0.5)
+    cell.sensor.gain = 1.06
+    corrected_n = 6.0 / cell.sensor.gain
+    cell.least_n = 6.0
+    cell.gripper.hold(1.5)
+    assert cell.force_n == pytest.approx(corrected_n, abs=0.15)
+    assert cell.least_n > corrected_n - 0.2
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_part_met_with_more_than_the_ramp_asks_for_is_pressed_no_harder(make_cell, seed) -> None:
+    cell = make_cell(
+        rate_hz=200.0,
+        kt_error=0.09,
+        friction_error=-0.15,
+        seed=seed,
+        noise_n=0.1,
+        approach_speed_m_s=0.06,
+        approach_force_n=2.0,
+    )
+    forces_n: list[float] = []
+    cell.gripper.start()
+    ramp = ForceRamp.linear(2.0, rate_n_s=10.0)
+    cell.gripper.grasp(ramp, lambda c: forces_n.append(cell.force_n) if c.setpoint_n else None)
+    assert 2.2 < forces_n[0] == max(forces_n)
+
+
+def test_a_warm_servo_gets_less_current_before_it_is_too_hot(make_cell) -> None:
+    assert SETTINGS.current_cap_a(60.0) == SETTINGS.current_max_a
+    assert SETTINGS.current_cap_a(65.0) == pytest.approx(0.75 * SETTINGS.current_max_a)
+    assert SETTINGS.current_cap_a(90.0) == pytest.approx(0.5 * SETTINGS.current_max_a)
+    cell = make_cell(current_max_a=0.5, temperature_max_c=70.0)
+    cell.gripper.start()
+    for knob in cell.knobs:
+        knob.overheat(69.0)
+    currents_a: list[float] = []
+    ramp = ForceRamp.linear(9.0, rate_n_s=10.0)
+    outcome = cell.gripper.grasp(ramp, lambda c: currents_a.append(c.goal_current_a))
+    assert outcome.result is GraspResult.FORCE_NOT_REACHED
+    assert max(currents_a) < 0.3
+    assert cell.gripper.state is GripperPhase.HOLDING

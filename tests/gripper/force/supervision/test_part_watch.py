@@ -1,0 +1,311 @@
+"""The watch over a part alone: stages of its doubt, and the witnesses that end it."""
+
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.performance.force_ramps import PARTS
+from benchmarks.performance.touch import TouchRig
+from gripper.errors import (
+    GripContradicted,
+    PartLost,
+)
+from gripper.force.estimates.grip import Grip
+from gripper.force.estimates.stiffness import StiffnessEstimate
+from gripper.force.loop import Moment
+from gripper.force.ramp import ForceRamp
+from gripper.force.supervision.doubt import Doubted, Sure, Suspected
+from gripper.force.supervision.part_watch import TRANSITIONS, PartWatch
+from gripper.mechanics.kinematics import transmissions
+from gripper.values.force_sensor import ForceSample
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
+from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip
+from tests.gripper.force.pads import WrongPads
+
+
+class Watched:
+    """A watch whose pads, frames, fingers and motors a test sets from period to period."""
+
+    def __init__(self, force_n: float = 3.0) -> None:
+        self.grip: Grip = make_grip(force_n)
+        self.watch = PartWatch(self.grip, contact_n_m=1e4)
+        self.now_s, self.force_n, self.frame_n = 0.0, force_n, force_n
+        self.closing_m_s, self.pressing_n = 0.0, 6.0
+        self.aperture_m = STATE.aperture_m
+
+    def period(self, n: int = 1) -> bool:
+        """Run periods; return whether one of them shows the part as lost."""
+        return any(self._one() for _ in range(n))
+
+    def _one(self) -> bool:
+        self.now_s += PERIOD_S
+        self.aperture_m -= PERIOD_S * self.closing_m_s
+        sample = ForceSample(
+            t_s=self.now_s,
+            force_n=(self.force_n, self.force_n),
+            lag_s=0.0015,
+            noise_n=0.05,
+            frame_s=0.02 * (self.now_s // 0.02),
+            frame_n=(self.frame_n, self.frame_n),
+        )
+        paths = transmissions(self.grip.settings, LINKAGE, STATE.angles_rad)
+        current_a = -self.pressing_n * paths[0].radius_m / paths[0].kt_nm_a
+        servos = tuple(
+            replace(
+                one, current_a=current_a, velocity_rad_s=-0.5 * self.closing_m_s / paths[0].radius_m
+            )
+            for one in STATE.servos
+        )
+        state = replace(
+            STATE,
+            t_s=self.now_s,
+            aperture_m=self.aperture_m,
+            aperture_velocity_m_s=-self.closing_m_s,
+            servos=servos,
+        )
+        self.grip.apertures.add(self.now_s, self.aperture_m)
+        moment = Moment(now_s=self.now_s, dt_s=PERIOD_S, state=state, sample=sample)
+        return self.watch.lost(moment)
+
+
+@pytest.fixture
+def watched() -> Watched:
+    made = Watched()
+    assert not made.period(30)
+    assert type(made.watch._stage) is Sure
+    return made
+
+
+def test_pads_that_are_empty_for_a_moment_are_no_doubt(watched: Watched) -> None:
+    watched.grip.asked_n = 0.7  # so little that nothing is sudden
+    watched.force_n = watched.frame_n = 0.0
+    watched.period(15)
+    assert type(watched.watch._stage) is Suspected
+    assert not watched.watch.doubts
+    watched.force_n = watched.frame_n = 3.0
+    assert not watched.period(15)
+    assert type(watched.watch._stage) is Sure
+
+
+def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(
+    watched: Watched,
+) -> None:
+    watched.force_n = watched.frame_n = 0.0
+    watched.pressing_n = 4.0  # less than friction at rest: free fingers would stand as well
+    periods = 0
+    while not watched.period():
+        periods += 1
+        assert periods < 10
+    assert watched.watch.doubts
+    assert not watched.watch.ran
+
+
+def test_fingers_that_run_together_confirm_it(watched: Watched) -> None:
+    watched.force_n, watched.frame_n, watched.closing_m_s = 0.0, 0.0, 0.015
+    assert watched.period(20)
+    assert watched.watch.ran
+
+
+@pytest.mark.parametrize(
+    ("changes", "shows"),
+    [
+        ({"frame_n": 3.0}, "a frame scanned since then shows 3.00 and 3.00 N"),
+        ({"frame_n": 0.0}, "the fingers stand at an opening of 23.4 mm"),
+        ({"frame_n": 0.0, "closing_m_s": 0.004}, "neither frames nor fingers confirm that"),
+    ],
+)
+def test_another_witness_that_shows_the_part_is_a_contradiction(
+    watched: Watched, changes, shows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gripper.force.supervision.doubt._run", lambda *_: False)
+    watched.force_n = 0.0
+    for name, value in changes.items():
+        setattr(watched, name, value)
+    with pytest.raises(GripContradicted, match=shows) as error:
+        watched.period(100)
+    assert "fell from 3.00 N to 0.00 and 0.00 N" in str(error.value)
+
+
+def test_force_that_comes_back_is_a_contradiction(watched: Watched) -> None:
+    watched.force_n = watched.frame_n = 0.0
+    assert not watched.period(3)
+    assert watched.watch.doubts
+    watched.force_n = 3.0
+    with pytest.raises(GripContradicted, match=r"now it is 3\.00 and 3\.00 N again"):
+        watched.period(5)
+
+
+def test_a_pause_ends_the_doubt(watched: Watched) -> None:
+    watched.force_n = watched.frame_n = 0.0
+    watched.period(3)
+    assert watched.watch.doubts
+    watched.watch.resume()
+    assert not watched.watch.doubts
+
+
+def test_nothing_is_lost_that_was_never_held() -> None:
+    never = Watched(force_n=0.0)
+    assert not never.period(100)
+    assert type(never.watch._stage) is Sure
+
+
+def test_each_stage_can_be_reached() -> None:
+    assert {target for _, _, target in TRANSITIONS} == {Sure, Suspected, Doubted}
+
+
+@pytest.mark.parametrize("rate_hz", [None, 500.0])
+@pytest.mark.parametrize("final_n", [1.0, 4.0, 8.0])
+@pytest.mark.parametrize("moment", ["ramp", "hold"])
+def test_pads_that_show_nothing_any_more_do_not_let_a_part_go(
+    make_cell, rate_hz, final_n, moment
+) -> None:
+    """Nothing but the fingers, which do not close, shows the part then."""
+    cell = make_cell(rate_hz=rate_hz, slip_drop_n=20.0)
+    pads = WrongPads(cell, lambda it: replace(it, force_n=tuple(0.0 * n for n in it.force_n)))
+    cell.gripper.start()
+    least_n: list[float] = []
+
+    def observe(cycle) -> None:
+        late = cycle.setpoint_n > 0.6 * final_n if moment == "ramp" else cycle.level is not None
+        if late or pads.began_s is not None:
+            pads.began_s = pads.began_s or cycle.t_s
+            least_n.append(cell.force_n)
+
+    with pytest.raises(GripContradicted, match="the fingers stand at an opening of"):
+        cell.gripper.grasp(ForceRamp.linear(final_n, rate_n_s=10.0, hold_s=1.5), observe)
+    cell.clock.sleep(1.0)
+    least_n.append(cell.force_n)
+    assert min(least_n) > 0.7 * least_n[0] > 0.3
+    assert max(least_n) < final_n + 2.0
+
+
+@pytest.mark.parametrize("rate_hz", [None, 500.0])
+@pytest.mark.parametrize("level_n", [0.8, 1.5])
+def test_a_light_part_that_is_taken_is_lost_though_no_finger_runs(
+    make_cell, rate_hz, level_n
+) -> None:
+    """Friction holds the fingers where the part was: they close only when they try to."""
+    cell = make_cell(rate_hz=rate_hz, slip_drop_n=20.0)
+    cell.gripper.start()
+
+    def take(cycle) -> None:
+        if cycle.level is not None:
+            cell.part.present = False
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(level_n, rate_n_s=4.0, hold_s=1.5), take)
+    assert outcome.result is GraspResult.PART_LOST
+
+
+@pytest.mark.parametrize("believed_n_m", [700.0, 4600.0])
+def test_a_soft_part_that_yields_fast_is_not_lost(
+    make_cell, make_part, monkeypatch, believed_n_m
+) -> None:
+    """The first samples make foam look stiff; the pads show that it is there."""
+
+    def first_wrong(estimate: StiffnessEstimate) -> float | None:
+        small = estimate._anchor is None or estimate._anchor[0] < 2.0
+        return believed_n_m if small else estimate._stiffness_n_m
+
+    monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", property(first_wrong))
+    cell = make_cell(
+        part=make_part(width_m=0.05, stiffness_n_m=400.0),
+        aperture_m=0.055,
+        aperture_open_m=0.055,
+        slip_travel_m=0.05,
+    )
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_soft_part_that_noise_shows_early_is_not_lost_before_it_is_held() -> None:
+    """The approach ends at 0.07 N; the pads are empty for the first tenth of a second."""
+    rig = TouchRig(PARTS["foam ball, 0.2 N/mm"], 200.0, 5033, approach_speed_m_s=0.012)
+    rig.gripper.start()
+    outcome = rig.gripper.grasp(ForceRamp.linear(3.0, rate_n_s=3.0))
+    assert outcome.result is GraspResult.FORCE_REACHED
+
+
+def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> None:
+    cell = make_cell(
+        part=make_part(width_m=0.05, stiffness_n_m=400.0), aperture_m=0.055, aperture_open_m=0.055
+    )
+    cell.gripper.start()
+    taken_s: list[float] = []
+    ramping_s: list[float] = []
+
+    def take(cycle) -> None:
+        if cycle.phase is GripperPhase.RAMPING:
+            ramping_s.append(cycle.t_s)
+        if not taken_s and cycle.setpoint_n > 2.5:
+            cell.part.present = False
+            taken_s.append(cycle.t_s)
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3), take)
+    assert outcome.result is GraspResult.PART_LOST
+    assert ramping_s[-1] - taken_s[0] < 0.1
+
+
+RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
+
+
+def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> None:
+    cell.gripper.start()
+    take = cell.once(lambda: setattr(cell.part, "present", False), at_n=3.0)
+    outcome = cell.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
+    assert outcome.result is GraspResult.PART_LOST
+    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.09
+    stopped_m = cell.mechanics.aperture_m
+    cell.clock.sleep(1.0)
+    assert stopped_m - cell.mechanics.aperture_m < 0.003
+
+
+@pytest.mark.parametrize("final_n", [3.0, 8.0])
+def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
+    cell = make_cell(rate_hz=333.0, noise_n=0.3)
+    cell.hold_part(ForceRamp.linear(final_n, rate_n_s=10.0))
+    with pytest.raises(PartLost):
+        cell.gripper.hold(1.0, cell.once(lambda: setattr(cell.part, "present", False), in_s=0.4))
+    assert cell.clock.monotonic() - cell.acted_s[0] < 0.017
+
+
+@pytest.mark.parametrize("force_n", [0.7, 1.5])
+def test_a_light_part_is_not_lost_in_the_noise_of_single_scans(make_cell, force_n) -> None:
+    cell = make_cell(rate_hz=333.0, noise_n=0.35, slip_drop_n=20.0)
+    cell.gripper.start()
+    assert cell.gripper.grasp(ForceRamp.linear(force_n, rate_n_s=2.0)).contact_t_s is not None
+    cell.gripper.hold(5.0)
+
+
+@pytest.mark.parametrize("stalls_s", [0.05, 0.15, 0.2])
+def test_a_part_is_not_lost_because_the_loop_stalls(make_cell, stalls_s) -> None:
+    # A force that overshoots in a stall comes back at once: that is no slip.
+    cell = make_cell(
+        force_stale_s=0.3, stall_max_s=0.25, watchdog_s=0.5, bus_loss_s=0.3, slip_drop_n=2.0
+    )
+    cell.gripper.start()
+    periods = 0
+
+    def stall(cycle) -> None:
+        nonlocal periods
+        periods += 1
+        if periods % 40 == 0:
+            cell.clock.sleep(stalls_s)
+
+    assert cell.gripper.grasp(RAMP, stall).result is GraspResult.FORCE_REACHED
+    cell.gripper.hold(1.5, stall)
+    assert cell.force_n == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_part_is_not_lost_because_the_pads_say_nothing(make_cell) -> None:
+    cell = make_cell(force_stale_s=0.3, watchdog_s=0.5)
+    cell.gripper.start()
+
+    def silence(cycle) -> None:
+        cell.sensor.valid = not 2.0 < cycle.setpoint_n < 3.0
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0), silence)
+    assert outcome.result is GraspResult.FORCE_REACHED

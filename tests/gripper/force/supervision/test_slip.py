@@ -1,0 +1,95 @@
+"""A held part that slips: by its force, the way of the fingers, or its place."""
+
+import random
+
+import pytest
+
+from gripper.errors import PartSlipped
+from gripper.force.ramp import ForceRamp
+from gripper.force.supervision.slip import SlipWatch
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import GripperPhase
+
+SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
+
+
+def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
+    watch = SlipWatch(SETTINGS)
+    found_s = None
+    for i in range(400):
+        t_s = 0.005 * i
+        force_n = 4.0 if t_s < 1.0 else 3.0
+        sample = ForceSample(t_s=0.02 * (i // 4), force_n=(force_n, force_n))
+        if found_s is None and watch.check(t_s, 0.01, sample, setpoint_n=4.0) is not None:
+            found_s = t_s
+    assert found_s is not None
+    assert 1.0 < found_s < 1.1
+
+
+def test_fingers_that_close_after_the_part_show_a_slip() -> None:
+    watch = SlipWatch(SETTINGS)
+    told = [
+        watch.check(
+            0.005 * i,
+            0.01 - 4e-6 * i,
+            ForceSample(t_s=0.005 * i, force_n=(4.0, 4.0)),
+            setpoint_n=4.0,
+        )
+        for i in range(600)
+    ]
+    first = next(i for i, text in enumerate(told) if text)
+    assert 1.5 < 4e-3 * (first - 60) < 1.6
+    assert "closed by 1.5" in str(told[first])
+
+
+def pressed(t_s: float, x_m: float, *, noise_m: float, force_n: float = 5.0) -> ForceSample:
+    return ForceSample(
+        t_s=t_s, force_n=(force_n, force_n), centre_m=(x_m, 0.0), centre_noise_m=noise_m
+    )
+
+
+def slid_m(period_s: float, noise_m: float, *, speed_m_s: float, force_n: float = 5.0) -> float:
+    """Return how far a part has slid when that is reported; 1 m where it never is."""
+    watch, draw = SlipWatch(SETTINGS), random.Random(5)
+    for i in range(round(4.0 / period_s)):
+        t_s = period_s * i
+        x_m = speed_m_s * max(0.0, t_s - 1.0)
+        sample = pressed(t_s, x_m + draw.gauss(0.0, noise_m), noise_m=noise_m, force_n=force_n)
+        if watch.check(t_s, 0.01, sample, setpoint_n=force_n):
+            return x_m
+    return 1.0
+
+
+@pytest.mark.parametrize(("period_s", "noise_m"), [(0.02, 0.0001), (0.005, 0.00025)])
+def test_a_part_that_slides_along_the_pads_is_a_slip(period_s, noise_m) -> None:
+    assert 0.0005 < slid_m(period_s, noise_m, speed_m_s=0.02) < 0.0012
+
+
+def test_the_noisier_the_centre_the_farther_is_a_slide() -> None:
+    assert 0.002 < slid_m(0.02, 0.0005, speed_m_s=0.02) < 0.004
+    assert slid_m(0.02, 0.0005, speed_m_s=0.0) == 1.0
+
+
+def test_a_slow_slide_is_reported_at_the_largest_way_that_is_allowed() -> None:
+    assert 0.0014 < slid_m(0.02, 0.0001, speed_m_s=0.001) < 0.0017
+
+
+def test_a_long_hold_at_a_level_of_the_ramp_is_watched_too(cell) -> None:
+    cell.gripper.start()
+
+    def slip(cycle) -> None:
+        if cycle.level is not None:
+            cell.part.width_m -= 1e-5
+
+    with pytest.raises(PartSlipped):
+        cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=5.0), slip)
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+
+
+def test_force_beyond_the_set_point_that_is_given_back_is_no_slip() -> None:
+    watch = SlipWatch(SETTINGS)
+    for i in range(400):
+        t_s = 0.005 * i
+        sample = ForceSample(t_s=0.02 * (i // 4), force_n=(4.4, 4.4) if t_s < 1.0 else (3.1, 3.1))
+        assert watch.check(t_s, 0.01, sample, setpoint_n=3.0) is None

@@ -1,0 +1,122 @@
+"""The impact of closing fingers, and the closing speed that the cap of the force allows."""
+
+import re
+from dataclasses import replace
+from unittest import mock
+
+import pytest
+
+from benchmarks.performance import force_cap
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.errors import ConfigError
+from gripper.errors import LimitExceeded
+from gripper.force.approach import approach
+from gripper.mechanics.impact import approach_speed_m_s, check_approach, impact_limit
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.servos.goals import GoalGuard
+from gripper.settings import GripperSettings, ServoSettings
+
+LINKAGE = ParallelLinkage(link_m=0.06)
+SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)))
+HARMED = {
+    "gripper.force_max_n": 12.0,
+    "gripper.approach_speed_mm_s": 100.0,
+    "gripper.contact.approach_force_n": 1.0,
+    "gripper.current_max_a": 0.8,
+    "gripper.linkage": {"kind": "parallel_linkage", "link_mm": 45.0},
+    "gripper.servos": [{"id": 1}, {"id": 2}],
+    "gripper.loop_rate_hz": 200.0,
+    "gripper.contact_force_n": 0.6,
+    "gripper.aperture_open_mm": 18.0,
+    "tactile.force_period_ms": 0,
+    "tactile.sync_period_ms": 20.0,
+    "sequence.force_n": [4.0, 4.0],
+    "sequence.carry_force_n": 4.0,
+}
+"""Config that passes its cap by far where nothing slows the fingers down."""
+
+
+def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
+    assert check_approach(SETTINGS, LINKAGE) == SETTINGS.approach_speed_m_s
+    assert approach_speed_m_s(SETTINGS, LINKAGE, (0.1, 0.1)) == SETTINGS.approach_speed_m_s
+    limit = impact_limit(SETTINGS, LINKAGE)
+    # 0.0122 kg m² at 60 mm are 3.4 kg, on 55 N/mm 432 N for each m/s; a tenth of 15 N stays free.
+    assert limit.momentum_n_s_m == pytest.approx(437.0, abs=6.0)
+    assert limit.most_n == pytest.approx(13.5)
+    assert limit.pad_speed_m_s() == pytest.approx(0.0255, abs=0.001)
+    assert limit.pad_speed_m_s(10.0) == pytest.approx(0.008, abs=0.0002)
+    assert limit.pad_speed_m_s(14.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "linkage", "faster"),
+    [
+        ({"force_max_n": 8.0}, LINKAGE, False),
+        ({"pad_stiffness_n_m": 20e3}, LINKAGE, True),
+        ({"approach_force_n": 4.0}, LINKAGE, False),
+        ({}, ParallelLinkage(link_m=0.03), False),
+        ({}, ParallelLinkage(link_m=0.09), True),
+        ({"servos": (ServoSettings(servo_id=1, model="XM430-W210"),) * 1}, None, None),
+    ],
+)
+def test_mass_stiffness_lever_and_current_set_the_speed(
+    change: dict[str, object], linkage: ParallelLinkage | None, faster: bool | None
+) -> None:
+    plain = impact_limit(SETTINGS, LINKAGE).pad_speed_m_s()
+    if linkage is None:
+        # One servo for both fingers: half its mass at each pad, and twice the lever.
+        linkage = ParallelLinkage(link_m=0.06, n_servos=1)
+        light = impact_limit(replace(SETTINGS, **change), linkage)
+        heavy = impact_limit(
+            replace(SETTINGS, servos=(ServoSettings(servo_id=1, model="XM430-W350"),)), linkage
+        )
+        assert light.momentum_n_s_m < heavy.momentum_n_s_m
+        return
+    found = impact_limit(replace(SETTINGS, **change), linkage).pad_speed_m_s()
+    assert (found > plain) is faster
+
+
+def test_a_cap_below_which_nothing_stops_is_refused_and_the_remedy_works() -> None:
+    low = replace(SETTINGS, force_max_n=2.0)
+    with pytest.raises(LimitExceeded, match=r"force_max_n is 2 N: .* Raise") as error:
+        check_approach(low, LINKAGE)
+    found = re.search(r"Raise force_max_n to ([0-9.]+) N", str(error.value))
+    assert found is not None
+    assert check_approach(replace(low, force_max_n=float(found[1])), LINKAGE) >= 0.004
+
+
+def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
+    assert CellConfig().notes == ()
+    slowed = changed_config(CellConfig(), {"gripper.approach_speed_mm_s": 150.0})
+    (note,) = slowed.notes
+    assert re.match(
+        r"the fingers approach with as little as 5\d\.\d mm/s, not with gripper.approach_sp", note
+    )
+    rack = {"kind": "rack_pinion", "pinion_radius_mm": 14.0}
+    friction, _ = changed_config(CellConfig(), {"gripper.linkage": rack}).notes
+    assert "the servos' friction is 16 N at the pads" in friction
+    with pytest.raises(ConfigError, match=r"gripper: force_max_n is 2 N: .* Raise force_max_n"):
+        changed_config(
+            CellConfig(),
+            {
+                "gripper.force_max_n": 2.0,
+                "sequence.force_n": [1.0, 1.5],
+                "sequence.carry_force_n": 1.0,
+            },
+        )
+
+
+def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None:
+    as_asked = mock.patch.object(
+        approach,
+        "approach_speed_m_s",
+        lambda settings, *_where, **_how: settings.approach_speed_m_s,
+    )
+    unguarded = mock.patch.object(GoalGuard, "bounded", lambda _self, goals, _state: tuple(goals))
+    with as_asked:
+        kept = force_cap.trial(9008, HARMED)
+        with unguarded:
+            passed = force_cap.trial(9008, HARMED)
+    assert passed.broken, "the caller alone does not pass the cap: nothing is shown"
+    assert not kept.broken, str(kept)

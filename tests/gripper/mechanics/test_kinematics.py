@@ -1,0 +1,89 @@
+from math import asin, pi
+
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from gripper.dynamixel.models import XM430_W350
+from gripper.errors import LimitExceeded
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion, Transmission
+
+LINKAGES = st.one_of(
+    st.builds(
+        ParallelLinkage,
+        link_m=st.floats(0.04, 0.1),
+        offset_m=st.floats(-0.01, 0.01),
+        n_servos=st.sampled_from([1, 2]),
+    ),
+    st.builds(
+        RackPinion,
+        pinion_radius_m=st.floats(0.008, 0.03),
+        offset_m=st.floats(-0.005, 0.005),
+        n_servos=st.sampled_from([1, 2]),
+    ),
+)
+
+
+@settings(derandomize=True, max_examples=80)
+@given(LINKAGES, st.floats(0.0, 0.03))
+def test_angle_and_aperture_come_back(linkage: Linkage, aperture_m: float) -> None:
+    angles = linkage.angles_rad(aperture_m)
+    assert len(angles) == linkage.n_servos
+    assert linkage.aperture_m(angles) == pytest.approx(aperture_m, abs=1e-12)
+
+
+@settings(derandomize=True, max_examples=80)
+@given(LINKAGES, st.floats(0.0, 0.03))
+def test_torque_follows_from_virtual_work(linkage: Linkage, aperture_m: float) -> None:
+    angle = linkage.angles_rad(aperture_m)[0]
+    h = 1e-6
+    higher = linkage.aperture_m([angle + h] * linkage.n_servos)
+    lower = linkage.aperture_m([angle - h] * linkage.n_servos)
+    opening_per_servo = (higher - lower) / (2 * h) / linkage.n_servos
+    assert linkage.opening_per_rad_m(angle) == pytest.approx(opening_per_servo, rel=1e-5)
+    # Both fingers carry F, and the aperture opens by what both move: T dtheta = F d(aperture).
+    assert linkage.effective_radius_m(angle) == pytest.approx(opening_per_servo, rel=1e-5)
+
+
+def test_the_papers_figures_of_current_and_force() -> None:
+    path = Transmission.at(XM430_W350, ParallelLinkage(link_m=0.06), 0.0)
+    assert path.force_band_n(0.3)[0] == pytest.approx(5.2, abs=0.06)
+    assert path.force_band_n(0.46)[0] == pytest.approx(9.9, abs=0.06)
+    assert path.force_band_n(1.0)[0] == pytest.approx(25.8, abs=0.06)
+    assert path.friction_n == pytest.approx(0.2214 / 0.06)
+    assert path.loading_current_a(10.0) == pytest.approx((10 * 0.06 + 0.2214) / 1.769)
+
+
+@settings(derandomize=True, max_examples=50)
+@given(st.floats(0.0, 30.0))
+def test_currents_bound_the_band(force_n: float) -> None:
+    path = Transmission(kt_nm_a=1.769, friction_nm=0.2214, radius_m=0.05)
+    assert path.force_band_n(path.loading_current_a(force_n))[0] == pytest.approx(force_n, abs=1e-9)
+    unloading_a = (force_n * path.radius_m - path.friction_nm) / path.kt_nm_a
+    assert path.force_band_n(unloading_a)[1] == pytest.approx(force_n, abs=1e-9)
+
+
+def test_one_servo_for_both_fingers_needs_twice_the_torque() -> None:
+    assert RackPinion(pinion_radius_m=0.01, n_servos=1).effective_radius_m(0.3) == 0.02
+    assert RackPinion(pinion_radius_m=0.01, n_servos=2).effective_radius_m(0.3) == 0.01
+    one = ParallelLinkage(link_m=0.06, n_servos=1)
+    assert one.angles_rad(0.06) == (pytest.approx(asin(0.5)),)
+
+
+def test_impossible_geometry_is_refused() -> None:
+    linkage = ParallelLinkage(link_m=0.06)
+    with pytest.raises(LimitExceeded, match="out of reach"):
+        linkage.angles_rad(0.2)
+    with pytest.raises(LimitExceeded, match="dead centre"):
+        linkage.opening_per_rad_m(pi / 2)
+    with pytest.raises(LimitExceeded, match="got 1 angles"):
+        linkage.aperture_m([0.1])
+    with pytest.raises(LimitExceeded, match="out of reach"):
+        RackPinion(pinion_radius_m=0.01).angles_rad(0.2)
+    with pytest.raises(LimitExceeded, match="link_m"):
+        ParallelLinkage(link_m=0.0)
+    with pytest.raises(LimitExceeded, match="n_servos"):
+        RackPinion(pinion_radius_m=0.01, n_servos=3)
+    with pytest.raises(LimitExceeded, match="offset_m"):
+        RackPinion(pinion_radius_m=0.01, offset_m=float("nan"))
+    with pytest.raises(LimitExceeded, match="offset_m"):
+        ParallelLinkage(link_m=0.01, offset_m=float("nan"))

@@ -1,0 +1,147 @@
+"""Limits of the goals: force, current, age of the feedback."""
+
+import random
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from gripper.dynamixel.control_table import GOAL_CURRENT
+from gripper.errors import (
+    ForceAboveCap,
+    LimitExceeded,
+)
+from gripper.force.ramp import ForceRamp
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.values.force_sensor import ForceSample
+from gripper.values.state import GripperState
+from tests.values import make_servo, make_state
+
+LINKAGE = ParallelLinkage(link_m=0.06)
+
+RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
+
+
+SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
+
+
+def test_the_step_down_from_too_much_force_is_as_configured(make_cell) -> None:
+    cell = make_cell(force_max_n=6.0, over_force_share=0.8)
+    cell.hold_part(RAMP)
+    written: list[int] = []
+    cell.sensor.gain = 2.5
+    with pytest.raises(ValueError, match="force_max_n is 6"):
+        cell.gripper.hold(1.0, lambda _: written.append(cell.register(0, "goal_current")))
+    assert abs(cell.register(0, "goal_current")) == pytest.approx(0.8 * abs(written[-1]), abs=2)
+
+
+@pytest.mark.parametrize(("over_n", "at_most_s"), [(0.8, 0.03), (3.0, 0.006)])
+def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) -> None:
+    draw = random.Random(4)
+    guard = GoalGuard(SETTINGS, ParallelLinkage(link_m=0.06, n_servos=1))
+    found_s = None
+    for i in range(2200):
+        t_s = 0.005 * i
+        force_n = SETTINGS.force_max_n + (over_n if t_s > 10.0 else -0.5) + draw.gauss(0.0, 0.3)
+        guard.note_force(
+            ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=0.0015, noise_n=0.21)
+        )
+        if found_s is None and guard.force_is_too_high():
+            found_s = t_s
+    assert found_s is not None
+    assert 10.0 < found_s <= 10.0 + at_most_s
+
+
+def test_the_guard_stands_beside_the_write(cell) -> None:
+    cell.gripper.start()
+    state = cell.gripper.open()
+    guard = GoalGuard(cell.settings, cell.linkage)
+    angles = [servo.angle_rad for servo in state.servos]
+    good = [ServoGoal(angle_rad=angle - 0.01, current_a=0.2) for angle in angles]
+    guard.check(good, state, state.t_s)
+    with pytest.raises(LimitExceeded, match=r"goal current 0\.900"):
+        guard.check([good[0], ServoGoal(angle_rad=angles[1], current_a=0.9)], state, state.t_s)
+    with pytest.raises(LimitExceeded, match="goal angle"):
+        guard.check([good[0], ServoGoal(angle_rad=1.4, current_a=0.2)], state, state.t_s)
+    with pytest.raises(LimitExceeded, match=r"feedback is 0\.500 s old"):
+        guard.check(good, state, state.t_s + 0.5)
+    with pytest.raises(LimitExceeded, match="from 0 to"):
+        guard.check([good[0], ServoGoal(angle_rad=angles[1], current_a=-0.1)], state, state.t_s)
+    assert cell.bus.read(1, GOAL_CURRENT) >= 0
+
+
+def test_a_force_above_the_cap_counts_while_it_is_young(cell) -> None:
+    cell.gripper.start()
+    state = cell.gripper.open()
+    guard = GoalGuard(cell.settings, cell.linkage)
+    goals = [ServoGoal(angle_rad=s.angle_rad - 0.01, current_a=0.2) for s in state.servos]
+    most_n = cell.settings.force_max_n + 5.0
+    guard.note_force(ForceSample(t_s=state.t_s, force_n=(most_n, most_n)))
+    with pytest.raises(ForceAboveCap):
+        guard.check(goals, state, state.t_s)
+    late = replace(state, t_s=state.t_s + 2.0 * cell.settings.force_stale_s)
+    guard.check(goals, late, late.t_s)
+
+
+def test_a_current_that_makes_more_than_the_cap_is_refused(make_cell) -> None:
+    cell = make_cell(force_max_n=6.0, current_max_a=0.8)
+    cell.gripper.start()
+    state = cell.gripper.open()
+    goals = [ServoGoal(angle_rad=s.angle_rad - 0.05, current_a=0.5) for s in state.servos]
+    with pytest.raises(LimitExceeded, match="force_max_n is 6"):
+        GoalGuard(cell.settings, cell.linkage).check(goals, state, state.t_s)
+
+
+PAIR = GripperSettings()
+FRICTION_N, ONE_N_A = 3.69, 0.06 / 1.769
+"""Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
+
+
+def standing(velocity_rad_s: float) -> GripperState:
+    servos = (make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s),) * 2
+    return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate(servos, 1)))
+
+
+@pytest.mark.parametrize(
+    ("goal", "drive_n"),
+    [
+        # 1.15 times what is asked for, 1.5 N for the mass, 1.05 times the friction.
+        ({"setpoint_n": 4.0}, 4.6 + 1.5 + 1.05 * FRICTION_N),
+        ({"setpoint_n": 8.0}, 9.2 + 1.5 + 1.05 * FRICTION_N),
+        ({"setpoint_n": 4.0, "friction_share": 0.6}, 4.6 + 1.5 + 0.63 * FRICTION_N),
+        ({"setpoint_n": 14.2}, 15.0 + FRICTION_N),
+        # Fingers that press on nothing: below the cap, with the least friction.
+        ({}, 13.5 + 0.8 * FRICTION_N),
+    ],
+)
+def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(
+    goal: dict[str, float], drive_n: float
+) -> None:
+    """Whatever the pads show: no sample of them is there."""
+    state = standing(velocity_rad_s=0.0)
+    written: list[dict[int, list[int]]] = []
+    writer = GoalWriter(
+        SimpleNamespace(sync_write=lambda values, _block: written.append(values)),
+        replace(PAIR, current_max_a=1.0),
+        SimpleNamespace(monotonic=lambda: state.t_s),
+        GoalGuard(PAIR, LINKAGE),
+    )
+    for angle_rad in (0.05, 0.1):
+        writer.write([ServoGoal(angle_rad=angle_rad, current_a=0.66, **goal)] * 2, state)
+    closing_a, still_a = ([0.00269 * raws[0] for raws in values.values()] for values in written)
+    assert closing_a == [pytest.approx(drive_n * ONE_N_A, abs=0.004)] * 2
+    assert still_a == [pytest.approx(0.66, abs=0.003)] * 2
+
+
+def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad() -> None:
+    """Pads that stand at 0.6 N would allow 30 mm/s."""
+    guard = GoalGuard(PAIR, LINKAGE)
+    guard.note_force(ForceSample(t_s=0.0, force_n=(0.6, 0.6)))
+    state = standing(velocity_rad_s=-0.025 / 0.06)
+    asked = [ServoGoal(angle_rad=0.05, current_a=0.2, setpoint_n=6.0)] * 2
+    braked = guard.bounded(asked, state)
+    assert all(goal.angle_rad >= 0.1 for goal in braked)
+    slow = standing(velocity_rad_s=-0.012 / 0.06)
+    assert guard.bounded(asked, slow) == tuple(asked)
