@@ -263,8 +263,8 @@ class VirtualPads:
         if touch_m >= course.aperture_open_m:
             raise ValueError(
                 f"the object is {1e3 * touch_m:.6g} mm thick at {step.pose}, and the gripper opens "
-                f"to {1e3 * course.aperture_open_m:g} mm (gripper.aperture_open_mm). Check the unit "
-                f"of the drawing, open wider, or turn the object"
+                f"to {1e3 * course.aperture_open_m:g} mm (gripper.aperture_open_mm). Check the "
+                f"unit of the drawing, open wider, or turn the object"
             )
         force_n, setpoint_n, closing_m = self._motion(ramp, touch_m, presses, rng)
         counts, depth_m = self._counts(force_n, beds, presses, foam, rng)
