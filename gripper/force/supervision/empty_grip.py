@@ -18,6 +18,15 @@ _CONFIRMING_FRAMES = 3
 """Frames from after the fingers have stopped that confirm that nothing is held: in their mean no
 taxel counts as touched any more that was touched before. [tuned]"""
 
+_CLOSED_M = 0.0002
+"""How much farther open in m than their smallest opening closed fingers may stand: two counts.
+[chosen]"""
+_CLOSED_ADVICE = (
+    "The fingers are closed (gripper.aperture_min_mm): a part is too small to be held, or the pads "
+    "press on each other because gripper.approach_speed_mm_s is high. The grip is kept: look, then "
+    "clear the fault and release"
+)
+
 
 class EmptyGrip:
     """Step of control that confirms that nothing is held: before an opening that nobody asked for.
@@ -133,10 +142,12 @@ class EmptyGrip:
             frames = "the frames {:.2f} and {:.2f} N, ".format(*frames_n)
             if sample.frame_s is None:
                 frames = ""
+            opening_m, least_m = moment.state.aperture_m, self._settings.aperture_min_m
+            advice = ADVICE if opening_m > least_m + _CLOSED_M else _CLOSED_ADVICE
             raise GripContradicted(
                 f"the grasp has ended without a part at an opening of "
-                f"{1e3 * moment.state.aperture_m:.1f} mm, but the force samples show "
+                f"{1e3 * opening_m:.1f} mm, but the force samples show "
                 f"{shown_n[0]:.2f} and {shown_n[1]:.2f} N, {frames}from {self._loaded_n:.2f} N on "
-                f"both pads something may be held. {ADVICE}"
+                f"both pads something may be held. {advice}"
             )
         return Action(done=True)

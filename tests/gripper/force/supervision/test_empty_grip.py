@@ -34,3 +34,14 @@ def test_fingers_that_pads_send_through_the_air_stop_before_they_hit_the_part(
     cell.clock.sleep(1.0)
     assert cell.peak_n == 0.0
     assert cell.mechanics.aperture_m > 0.015
+
+
+def test_closed_fingers_that_feel_a_little_name_a_small_part(make_cell, make_part) -> None:
+    part = make_part(width_m=0.0014, stiffness_n_m=900.0)
+    cell = make_cell(part=part, noise_n=0.02, aperture_m=0.01)
+    cell.gripper.start()
+    with pytest.raises(
+        GripContradicted, match=r"a part is too small to be held, or the pads press"
+    ):
+        cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=20.0))
+    assert cell.torques == [1, 1]
