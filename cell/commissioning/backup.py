@@ -133,6 +133,21 @@ def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, object, object]]:
+    """Return the items of a servo's EEPROM that differ from its backup: name, value then and now.
+
+    None without a backup. Raises CellError as `restore`.
+    """
+    path = backup_file(folder, servo_id)
+    if not path.exists():
+        return []
+    shown = {BAUD_RATE.name: {code: f"{rate} bit/s" for rate, code in BAUD_CODES.items()}}
+    return [
+        (name, *(shown.get(name, {}).get(raw, raw) for raw in (was, now)))
+        for name, (now, was) in _differing(bus, _read(path)).items()
+    ]
+
+
 def _read(path: Path) -> Backup:
     try:
         return _BACKUP.validate_json(path.read_bytes())

@@ -15,6 +15,27 @@ _LINE_START = "\r\x1b[2K"
 """Back to the start of an emptied line (ECMA-48: CR, EL)."""
 _LINE_UP, _SAVE, _RESTORE = "\x1b[1A", "\x1b7", "\x1b8"
 """One line up (ECMA-48: CUU); the place of the cursor kept and taken up again (DECSC, DECRC)."""
+SKETCHES = {
+    "linkage-parallel": r"""
+         ## ##          ##      ##
+         ## ##          ##      ##     the pads stay parallel,
+        | | | |        / /      \ \    each on two links that are
+        o o o o       o o        o o   upright when closed
+         closed           open""",
+    "linkage-pinion": r"""
+         ## ##        ##        ##
+         ## ##        ##        ##     the fingers slide straight,
+        =======     =====      =====   on racks with a pinion
+          (O)             (O)
+         closed           open""",
+    "linkage-swinging": r"""
+         ## ##       ##          ##
+         ## ##        ##        ##     the pads tilt, or their links
+          | |           \      /       stand askew when closed
+          o o            o    o
+         closed           open""",
+}
+"""Pictures of the wizard for a terminal, by their names; tips of the fingers upwards."""
 _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
 
 
@@ -56,6 +77,8 @@ class TerminalDialog(Dialog):
         for number, choice in enumerate(question.choices or (), start=1):
             mark = " (Enter)" if choice.key == question.default else ""
             print_line(f"  {number}  {choice.text}{mark}")
+            if choice.picture:
+                print_line(SKETCHES[choice.picture].strip("\n"))
         while True:
             answer = self._answer(question, self._line(question, watch))
             if answer is not None:

@@ -61,11 +61,9 @@ def practised(text: str, *, said: bool, otherwise: Practice) -> tuple[list[str],
     return [], ""
 
 
-def hands_at(cell: SimulatedCell | CellProcess) -> Hands:
-    """Return hands at a cell of this or another process."""
-    if isinstance(cell, CellProcess):
-        return Hands(lambda request: cell.ask(**request), time.sleep)
-    return Hands(CellRequests(cell.devices, cell.injector), cell.clock.sleep)
+def hands_at(cell: CellProcess) -> Hands:
+    """Return hands at a cell of another process."""
+    return Hands(lambda request: cell.ask(**request), time.sleep)
 
 
 class Person:
@@ -85,7 +83,8 @@ class Person:
         self, cell: SimulatedCell, practice: Practice | None = None, **replies: Any
     ) -> None:
         self._cell = cell
-        self.hands = hands_at(cell)
+        self.ask = CellRequests(cell.devices, cell.injector)
+        self._hands = Hands(self.ask, cell.clock.sleep)
         self.pressed_n = 0.0
         """Largest force on the soft part in N."""
         self.practice = dict(practice or {})
@@ -100,7 +99,7 @@ class Person:
 
         def act() -> None:
             for one in words:
-                self.hands.do(one)
+                self._hands.do(one)
 
         return act
 

@@ -27,6 +27,7 @@ class Script(Dialog):
     replies: Mapping[str, Reply | list[Reply]] = field(default_factory=dict)
     leave_at: list[str] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
+    questions: list[Question] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     writes: list[Write] = field(default_factory=list)
     findings: dict[str, Finding] = field(default_factory=dict)
@@ -52,6 +53,7 @@ class Script(Dialog):
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
         self.asked.append(question.key)
+        self.questions.append(question)
         self.said.append(question.text)
         if question.key in self.leave_at:
             self.leave_at.remove(question.key)
