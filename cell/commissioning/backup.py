@@ -25,6 +25,8 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.errors import GripperError, ServoRejected
 
+_RATES = {code: rate for rate, code in BAUD_CODES.items()}
+"""Baud rates in bit/s by the value of their register."""
 _LAST = (SERVO_ID.name, BAUD_RATE.name)
 """Items that are written last: with each of them the servo is reached in another way."""
 
@@ -133,7 +135,7 @@ def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, object, object]]:
+def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, str, str]]:
     """Return the items of a servo's EEPROM that differ from its backup: name, value then and now.
 
     None without a backup. Raises CellError as `restore`.
@@ -141,11 +143,12 @@ def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, 
     path = backup_file(folder, servo_id)
     if not path.exists():
         return []
-    shown = {BAUD_RATE.name: {code: f"{rate} bit/s" for rate, code in BAUD_CODES.items()}}
-    return [
-        (name, *(shown.get(name, {}).get(raw, raw) for raw in (was, now)))
-        for name, (now, was) in _differing(bus, _read(path)).items()
-    ]
+
+    def text(name: str, raw: int) -> str:
+        return f"{_RATES.get(raw, raw)} bit/s" if name == BAUD_RATE.name else str(raw)
+
+    differing = _differing(bus, _read(path))
+    return [(name, text(name, was), text(name, now)) for name, (now, was) in differing.items()]
 
 
 def _read(path: Path) -> Backup:
@@ -156,7 +159,7 @@ def _read(path: Path) -> Backup:
 
 
 def _rate(found: Mapping[str, int]) -> int:
-    return {code: rate for rate, code in BAUD_CODES.items()}[found[BAUD_RATE.name]]
+    return _RATES[found[BAUD_RATE.name]]
 
 
 def _is_back(bench: Bench, port: str, backup: Backup) -> bool:

@@ -112,18 +112,15 @@ class Finding:
     ended: str = ""
     """Wall-clock times of the step (ISO 8601, UTC), which the engine sets."""
 
-    def fact(self, line: str) -> None:
-        """Add a line that is as it should be."""
+    def fact(self, line: str, *, corrected: bool = False) -> None:
+        """Add a line that is as it should be; ``corrected``: by what was set now."""
         self.lines.append(line)
+        if corrected:
+            self.corrected.append(line)
 
-    def correct(self, line: str) -> None:
-        """Add a line that says what was wrong, and what it is set to now."""
-        self.lines.append(line)
-        self.corrected.append(line)
-
-    def warn(self, line: str) -> None:
-        """Add a line that is worth a word to the operator."""
-        self.lines.append(line)
+    def warn(self, line: str, *, corrected: bool = False) -> None:
+        """Add a line that is worth a word to the operator; ``corrected`` as for `fact`."""
+        self.fact(line, corrected=corrected)
         if self.status is Verdict.PASS:
             self.status = Verdict.WARN
 
@@ -220,9 +217,7 @@ class Step:
         raise NotImplementedError
 
 
-def carry_out(
-    step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = None
-) -> Finding:
+def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = None) -> Finding:
     """Run a step and return what it found; an error of cell or lines is a failure of the step.
 
     Raises Left when the person leaves or refuses; ``notes`` has what was found by then.

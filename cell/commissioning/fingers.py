@@ -27,7 +27,7 @@ from cell.commissioning.engine import (
     Write,
 )
 from cell.commissioning.servos import torque_off
-from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
+from cell.config.gripper import GripperConfig, ServoConfig, gripper_settings, linkage_of
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, RAD_PER_PULSE, TORQUE_ENABLE
 from gripper.dynamixel.models import PULSES_PER_TURN
@@ -80,7 +80,7 @@ _BLOCKS = (
 _SIMPLE_BLOCKS = 2
 """Blocks that tell a simple linkage."""
 _MID_PULSE, _OFF_PULSES = PULSES_PER_TURN // 2, 60
-"""Middle of the encoder, and distance of the zero from it that is named to the person."""
+"""Middle of the encoder, and distance of a zero from that of the config which is named."""
 _LEAST_ROOM_M = 6e-3
 """Opening in m, and distance from the widest one, that the first motion needs."""
 _FIRST_WAY_RAD = 0.05
@@ -304,7 +304,7 @@ class _Hands:
         widest_m = fit.linkage.aperture_m(
             [fit.closed_rad + way for way in _turned(opened, closed, signs)]
         )
-        self._judge(fit, widest_m, proven=len(measured) > (2 if fit.kind == "swinging" else 1))
+        self._judge(fit, widest_m, measured)
         self._notes.values |= {
             "widest_mm": round(widest_m * 1e3, 2),
             "residual_mm": round(fit.residual_m * 1e3, 3),
@@ -394,7 +394,7 @@ class _Hands:
             )
         return closed, (first, both[1])
 
-    def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[BlockMeasurement]:
+    def _blocks(self, closed: Pulses, signs: Signs) -> list[BlockMeasurement]:
         """Return the fingers on blocks of known size: two, a third where no simple law fits."""
         self._shown = lambda: ", ".join(
             f"finger {number}: {degrees(angle):.1f} deg open"
@@ -469,9 +469,12 @@ class _Hands:
 
     # The result
 
-    def _judge(self, fit: LinkageFit, widest_m: float, *, proven: bool) -> None:
+    def _judge(
+        self, fit: LinkageFit, widest_m: float, measured: Sequence[BlockMeasurement]
+    ) -> None:
         """Note what was measured by hand, and set it."""
         notes, drive = self._notes, fit.linkage
+        proven = len(measured) > (2 if fit.kind == "swinging" else 1)
         if isinstance(drive, ParallelLinkage):
             linkage = {
                 "kind": "parallel_linkage",
@@ -488,23 +491,19 @@ class _Hands:
             "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],
             "gripper.linkage": linkage,
         }
-        reach_mm = round((widest_m - _END_MARGIN_M) * 1e3, 2)
-        if reach_mm < self._gripper.aperture_open_mm:
-            notes.settings["gripper.aperture_open_mm"] = reach_mm
+        reach_mm, wanted_mm = (widest_m - _END_MARGIN_M) * 1e3, self._gripper.aperture_open_mm
         for number, servo in enumerate(self._servos):
             notes.fact(
                 f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
                 f"{servo.zero_pulse} pulses"
             )
-        for servo in self._servos:
-            off = servo.zero_pulse - _MID_PULSE
-            if abs(off) > _OFF_PULSES:
-                notes.fact(
-                    f"servo {servo.id}: its zero is {off:+d} pulses "
-                    f"({degrees(off * RAD_PER_PULSE):+.1f} deg) from the middle of its encoder: "
-                    "the horn sits some splines off. The config makes up for it"
-                )
-        found = f"linkage: {linkage['kind']}, {drive}; residual {fit.residual_m * 1e3:.2f} mm"
+        self._compare(drive, measured)
+        if reach_mm < wanted_mm:
+            notes.settings["gripper.aperture_open_mm"] = round(reach_mm, 2)
+            notes.fact(
+                f"gripper.aperture_open_mm was {wanted_mm:g}, is now {reach_mm:.2f}", corrected=True
+            )
+        found = f"linkage: {_linkage_text(drive)}; residual {fit.residual_m * 1e3:.2f} mm"
         if proven:
             notes.fact(found)
         else:
@@ -514,6 +513,30 @@ class _Hands:
             notes.warn(
                 f"the residual is above {_BAD_FIT_M * 1e3:g} mm: measure the blocks again, look "
                 "for play, and run `tactile-cell commission --redo fingers`"
+            )
+
+    def _compare(self, linkage: Linkage, measured: Sequence[BlockMeasurement]) -> None:
+        """Note what the config had otherwise."""
+        was_by_id = {servo.id: servo for servo in self._bench.base.gripper.servos}
+        for servo in self._servos:
+            was = was_by_id.get(servo.id, ServoConfig(id=servo.id))
+            if servo.direction != was.direction:
+                self._notes.fact(
+                    f"servo {servo.id} turns the other way: its direction was {was.direction:+d}, "
+                    f"is now {servo.direction:+d}",
+                    corrected=True,
+                )
+            if abs(off := servo.zero_pulse - was.zero_pulse) > _OFF_PULSES:
+                self._notes.fact(
+                    f"servo {servo.id}: its horn sits {degrees(off * RAD_PER_PULSE):+.1f} deg off: "
+                    f"its zero was {was.zero_pulse} pulses, is now {servo.zero_pulse}",
+                    corrected=True,
+                )
+        before = linkage_of(self._gripper)
+        if type(before) is not type(linkage) or _missed_m(before, measured) > _BAD_FIT_M:
+            self._notes.fact(
+                f"the linkage was {_linkage_text(before)}; it is now {_linkage_text(linkage)}",
+                corrected=True,
             )
 
     def _first_motion(self, widest_m: float) -> None:
@@ -547,8 +570,8 @@ class _Hands:
         self._dialog.confirm("fingers.free", text, watch=self._shown)
         while not least_m <= (stand_m := opening_m()) <= most_m:
             text = (
-                f"The opening is {stand_m * 1e3:.1f} mm; {least_m * 1e3:g} to {most_m * 1e3:.1f} mm "
-                "leave room for the motion. Open both fingers by hand to about half way."
+                f"The opening is {stand_m * 1e3:.1f} mm; {least_m * 1e3:g} to {most_m * 1e3:.1f} "
+                "mm leave room for the motion. Open both fingers by hand to about half way."
             )
             self._dialog.confirm("fingers.free", text, watch=self._shown)
         self._dialog.approve(
@@ -635,6 +658,24 @@ def _goals(start: Sequence[float], index: int, current_a: float, hold_a: float) 
         else ServoGoal(angle_rad=angle, current_a=hold_a)
         for number, angle in enumerate(start)
     ]
+
+
+def _linkage_text(linkage: Linkage) -> str:
+    """Return a linkage as the config names it."""
+    kind = "parallel_linkage" if isinstance(linkage, ParallelLinkage) else "rack_pinion"
+    return f"{kind}, {linkage}"
+
+
+def _missed_m(linkage: Linkage, measured: Sequence[BlockMeasurement]) -> float:
+    """Return by how many m a linkage misses the blocks at most, from the closed fingers on."""
+    closed = linkage.angles_rad(0.0)
+    return max(
+        abs(
+            linkage.aperture_m([c + a for c, a in zip(closed, one.angles_rad, strict=True)])
+            - one.aperture_m
+        )
+        for one in measured
+    )
 
 
 def _turned(raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]) -> tuple[float, ...]:

@@ -319,12 +319,6 @@ def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
         elif mount.rows_mirrored or mount.columns_mirrored:
             what = "rows" if mount.rows_mirrored else "columns"
             lines.append(f"The {what} of {name} run the other way: set in tactile.mounting.")
-    if not Mounting(layout, mounts).unit_can_sum:
-        lines.append(
-            "The inner pads are not mounted alike, so the unit's force messages cannot be used and "
-            "the force comes from whole frames, which is slower: turn the pad on its finger, run "
-            "this step again, or set gripper.approach_speed_mm_s to 12."
-        )
     return lines
 
 
@@ -357,7 +351,13 @@ class PadsPressedStep(Step):
         mounts = mounts_of(layout, patches)
         notes.fact(f"{len(patches)} pads were pressed, one after another.")
         for line in mount_lines(layout, mounts):
-            notes.warn(line)
+            notes.warn(line, corrected=True)
+        if not Mounting(layout, mounts).unit_can_sum:
+            notes.warn(
+                "The inner pads are not mounted alike, so the unit's force messages cannot be used "
+                "and the force comes from whole frames, which is slower: turn the pad on its "
+                "finger, run this step again, or set gripper.approach_speed_mm_s to 12."
+            )
         for pad in missing:
             (notes.fail if pad in grip else notes.warn)(
                 f"{layout.pads[pad].name} was not seen: no pad of its size that was not found "

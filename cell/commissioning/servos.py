@@ -165,7 +165,9 @@ class ServosStep(Step):
             _set_up(bench, bus, dialog, fingers, notes)
             for one in fingers:
                 for name, was, now in since_backup(bench.folder, bus, one.servo_id):
-                    notes.correct(f"servo {one.servo_id}: {name} was {was}, is now {now}")
+                    notes.fact(
+                        f"servo {one.servo_id}: {name} was {was}, is now {now}", corrected=True
+                    )
             try:
                 period_s = 1.0 / bench.gripper().loop_rate_hz
                 median_s = check_link(bus, [one.servo_id for one in fingers], period_s)

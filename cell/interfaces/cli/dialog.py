@@ -3,8 +3,9 @@
 import select
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
-from cell.commissioning.engine import Dialog, Finding, Question, Step, Verdict, Write, leave
+from cell.commissioning.engine import Dialog, Engine, Finding, Question, Step, Verdict, Write, leave
 from cell.interfaces.cli.terminal import ask, out, plain_text, print_line
 
 _LEAVE = "q"
@@ -97,6 +98,13 @@ class TerminalDialog(Dialog):
                 return
             if typed in {"n", "no"}:
                 leave("refused, nothing of it was done")
+
+    def finished(self, engine: Engine, files: Sequence[Path]) -> None:
+        """Print what was wrong with the cell, and what was written."""
+        print_line("Was wrong, and is set right now:" if engine.corrected else "Nothing was wrong.")
+        for line in engine.corrected:
+            print_line(f"  {line}")
+        print_line(f"commissioned: {', '.join(map(str, files))}")
 
     def _line(self, question: Question, watch: Callable[[], str] | None) -> str:
         unit = f" in {question.number.unit}" if question.number is not None else ""

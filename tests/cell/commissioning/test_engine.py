@@ -54,7 +54,7 @@ class Asking(Step):
         notes.settings |= self.settings
         notes.figures |= self.figures
         if self.settings:
-            notes.correct(f"{self.key} was wrong")
+            notes.fact(f"{self.key} was wrong", corrected=True)
 
 
 def steps() -> list[Asking]:

@@ -18,6 +18,7 @@ from cell.commissioning.fingers import (
     zero_pulse,
 )
 from cell.commissioning.servos import ServosStep
+from cell.config.file import changed_config
 from cell.interfaces.cli.dialog import SKETCHES
 from cell.interfaces.page import FOLDER
 from gripper.kinematics import ParallelLinkage, RackPinion
@@ -139,10 +140,26 @@ def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: MakeStand) ->
     assert linkage["kind"] == "parallel_linkage"
     assert linkage["link_mm"] == pytest.approx(60.0, rel=0.02)
     assert found.values["residual_mm"] < 0.3
-    assert "servo 1: its zero is +16" in "\n".join(found.lines)
+    inverted, mounted = found.corrected
+    assert inverted == "servo 2 turns the other way: its direction was +1, is now -1"
+    assert "servo 1: its horn sits +14.5 deg off: its zero was 2048 pulses, is now 221" in mounted
     assert "opened by" in "\n".join(found.lines)
     assert one.torques == [0, 0]
     assert one.person.script.watched
+
+
+def test_a_wrong_linkage_and_opening_of_the_config_are_named(limp: MakeStand) -> None:
+    one = limp()
+    wrong = {
+        "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
+        "gripper.aperture_open_mm": 150.0,
+    }
+    one.bench.base = changed_config(one.bench.base, wrong)
+    one.bench.settings = {k: v for k, v in one.bench.settings.items() if "aperture" not in k}
+    linkage, opening = one.passes(STEP).corrected
+    assert "the linkage was rack_pinion, pinion_radius_mm 40" in linkage
+    assert "is now parallel_linkage, link_mm 60.7" in linkage
+    assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
 
 
 def test_a_person_stops_the_first_motion_while_it_runs(limp: MakeStand) -> None:
@@ -212,8 +229,9 @@ def test_closed_that_was_confirmed_too_early_is_measured_again(limp: MakeStand) 
         fingers__open_first=[one.does("close", "open 0"), "closed", one.does("open 0")],
     )
     script = one.person.script
-    assert script.asked[:6] == ["fingers.close", *["fingers.open_first"] * 2] + [
-        "fingers.close", "fingers.open_first", "fingers.open_second",
+    assert script.asked[:6] == [
+        f"fingers.{key}" for key in
+        ("close", "open_first", "open_first", "close", "open_first", "open_second")
     ]  # fmt: skip
     assert "From closed: servo 1 by 50.4 deg, servo 2 by 29.5 deg" in script.text
     assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.02)
