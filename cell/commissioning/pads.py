@@ -304,15 +304,19 @@ def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
     """Return in words how pads sit otherwise than the layout has them."""
     lines = []
     by_pad = {mount.pad: mount.sent_as for mount in mounts}
-    first, second = layout.gripping_pads
-    if (by_pad.get(first), by_pad.get(second)) == (second, first):
+    exchanged = {
+        pad
+        for pad, other in by_pad.items()
+        if by_pad.get(other) == pad != other and layout.pads[pad].face == layout.pads[other].face
+    }
+    if exchanged.issuperset(layout.gripping_pads):
         lines.append(
             "The pads of the two fingers are exchanged: set in tactile.mounting. Or exchange their "
             "cables at the control unit and run this step again."
         )
     for mount in mounts:
         name, sent = layout.pads[mount.pad].name, layout.pads[mount.sent_as].name
-        if sent != name and not (lines and mount.pad in (first, second)):
+        if sent != name and not (lines and mount.pad in exchanged):
             lines.append(f"{name} is plugged in the place of {sent}: set in tactile.mounting.")
         if mount.rows_mirrored and mount.columns_mirrored:
             lines.append(f"{name} is turned by 180 degrees: set in tactile.mounting.")

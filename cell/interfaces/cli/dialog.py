@@ -19,24 +19,21 @@ _LINE_UP, _SAVE, _RESTORE = "\x1b[1A", "\x1b7", "\x1b8"
 SKETCHES = {
     "linkage-parallel": r"""
          ## ##          ##      ##
-         ## ##          ##      ##     the pads stay parallel,
-        | | | |        / /      \ \    each on two links that are
-        o o o o       o o        o o   upright when closed
-         closed           open""",
+         ## ##          ##      ##
+        | | | |        / /      \ \
+        o o o o       o o        o o""",
     "linkage-pinion": r"""
-         ## ##        ##        ##
-         ## ##        ##        ##     the fingers slide straight,
-        =======     =====      =====   on racks with a pinion
-          (O)             (O)
-         closed           open""",
+         ## ##          ##      ##
+         ## ##          ##      ##
+        =======       =====    =====
+          (O)              (O)""",
     "linkage-swinging": r"""
-         ## ##       ##          ##
-         ## ##        ##        ##     the pads tilt, or their links
-          | |           \      /       stand askew when closed
-          o o            o    o
-         closed           open""",
+         ## ##         ##        ##
+         ## ##          ##      ##
+          | |             \    /
+          o o              o  o""",
 }
-"""Pictures of the wizard for a terminal, by their names; tips of the fingers upwards."""
+"""Pictures of the wizard for a terminal, by their names: closed on the left, open on the right."""
 _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
 
 

@@ -34,6 +34,8 @@ class Script(Dialog):
     watched: list[str] = field(default_factory=list)
     began: list[str] = field(default_factory=list)
     otherwise: Callable[[Question], str | float | None] = lambda _question: None
+    heard: Callable[[str], None] = lambda _text: None
+    """Called with each text that is said, and is no question."""
     moment: Callable[[], None] = lambda: None
     """Called at each `live`: time that passes, hands that move."""
 
@@ -46,6 +48,7 @@ class Script(Dialog):
 
     def say(self, text: str) -> None:
         self.said.append(text)
+        self.heard(text)
 
     def live(self, name: str, value_text: str) -> None:
         self.watched.append(f"{name} {value_text}")

@@ -158,7 +158,7 @@ function renderQuestion() {
   renew(byId("question_choices"), [state.asked_id, choices, reason], () => choices.map((choice) => {
     const button = make("button", { type: "button", ...(choice.key === question.default ? { class: "first" } : {}) });
     allow(button, told(choice.text).text, "", reason);
-    if (choice.picture) button.prepend(make("img", { src: `${choice.picture}.svg`, alt: "" }));
+    if (choice.picture) button.prepend(make("img", { src: `page/${choice.picture}.svg`, alt: "" }));
     button.addEventListener("click", () => isAllowed(button) && answer(choice.key));
     return button;
   }));
