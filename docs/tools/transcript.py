@@ -12,16 +12,16 @@ import re
 import shlex
 import tempfile
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Engine, Finding, Question, Step, Write
+from cell.commissioning.engine import Engine, Question
 from cell.commissioning.record import write_record
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.interfaces.cli.dialog import SKETCHES, TerminalDialog
+from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.terminal import print_line
 from cell.jobs.simulate import client_config
 from cell.simulation import simulation_of
@@ -47,53 +47,30 @@ _BOOT_S = 1.0
 
 
 class _Typing(TerminalDialog):
-    """The terminal, with a person of the tests who answers."""
+    """The terminal, with a person of the tests who types."""
 
     def __init__(self, person: Person) -> None:
         super().__init__()
-        self._script = person.script
+        self._person = person
+        self._asked = ""
         person.show = lambda words: print_line(f"hands> {words}")
 
-    def begin(self, step: Step, number: int, count: int) -> None:
-        self._script.begin(step, number, count)
-        super().begin(step, number, count)
-
-    def found(self, step: Step, finding: Finding) -> None:
-        self._script.found(step, finding)
-        super().found(step, finding)
-
     def say(self, text: str) -> None:
+        """Print a text; the hands do what it says."""
         super().say(text)
-        self._script.say(text)
-
-    def live(self, name: str, value_text: str) -> None:
-        self._script.live(name, value_text)
+        self._person.heard(text)
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
-        """Print what a terminal prints, and what the person types behind the prompt."""
-        self.say(question.text)
-        for number, choice in enumerate(question.choices or (), start=1):
-            mark = " (Enter)" if choice.key == question.default else ""
-            print_line(f"  {number}  {choice.text}{mark}")
-            if choice.picture:
-                print_line(SKETCHES[choice.picture].strip("\n"))
-        answer = self._script.ask(question, watch=watch)
-        typed = "" if answer == question.default else f"{answer:.0f}" if question.number else answer
-        keys = [choice.key for choice in question.choices or ()]
-        if typed in keys:
-            typed = keys.index(str(typed)) + 1
-        unit = f" in {question.number.unit}" if question.number is not None else ""
-        print_line(f"q leaves{unit}> {typed}".rstrip())
-        return answer
+        """Ask, and keep what is asked."""
+        self._asked = question.text
+        return super().ask(question, watch=watch)
 
-    def approve(self, writes: Sequence[Write]) -> None:
-        """Approve."""
-        self._script.approve(writes)
-        super().approve(writes)
-
-    def _typed(self, prompt: str, _watch: Callable[[], str] | None = None) -> str:
-        print_line(f"{prompt}y")
-        return "y"
+    def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
+        typed = "y" if prompt.startswith("Do this") else self._person.typed(self._asked)
+        print_line(f"{prompt}{typed}".rstrip())
+        if watch is not None:
+            watch()
+        return typed
 
 
 def practice_commands() -> list[list[str]]:

@@ -89,7 +89,7 @@ class Person:
         """Largest force on the soft part in N."""
         self.practice = dict(practice or {})
         named = {key.replace("__", "."): reply for key, reply in replies.items()}
-        self.script = Script(named, heard=self._heard, moment=self.moment, otherwise=self._answer)
+        self.script = Script(named, heard=self.heard, moment=self.moment, otherwise=self._answer)
         self.show: Callable[[str], object] = lambda _words: None
         """Called with the words of the hands before they act."""
 
@@ -103,16 +103,22 @@ class Person:
 
         return act
 
-    def _answer(self, question: Question) -> str | float | None:
-        words, typed = practised(question.text, said=False, otherwise=self.practice)
+    def typed(self, text: str) -> str:
+        """Do what the wizard asks for; return what is typed."""
+        words, typed = practised(text, said=False, otherwise=self.practice)
         self.does(*words)()
+        return typed
+
+    def _answer(self, question: Question) -> str | float | None:
+        typed = self.typed(question.text)
         if question.number is not None and typed:
             return float(typed)
         if question.choices is not None and typed:
             return question.choices[int(typed) - 1].key
         return typed or None
 
-    def _heard(self, text: str) -> None:
+    def heard(self, text: str) -> None:
+        """Do what the wizard says."""
         words, _ = practised(text, said=True, otherwise=self.practice)
         self.does(*words)()
 
