@@ -28,8 +28,8 @@ from cell.commissioning.engine import (
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import PRESENT_BLOCK, RAD_PER_PULSE, TORQUE_ENABLE
-from gripper.dynamixel.models import PULSES_PER_TURN
+from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
+from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.errors import GripperError
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.servos.goals import ServoGoal
@@ -71,8 +71,8 @@ _BLOCKS = (
 """Texts that ask for the blocks, each with the least thickness in mm."""
 _SIMPLE_BLOCKS = 2
 """Blocks that tell a simple linkage."""
-_MID_PULSE, _OFF_PULSES = PULSES_PER_TURN // 2, 60
-"""Middle of the encoder, and distance of the zero from it that is named to the person."""
+_OFF_PULSES = 60
+"""Distance of the zero from the middle of the encoder that is named to the person."""
 _LEAST_ROOM_M = 6e-3
 """Opening in m, and distance from the widest one, that the first motion needs."""
 _FIRST_WAY_RAD = 0.05
@@ -207,9 +207,9 @@ def _fit(
     return LinkageFit(kind=kind, linkage=linkage, closed_rad=closed_rad, residual_m=max(off_m))
 
 
-def zero_pulse(closed_raw: int, direction: int, closed_rad: float) -> int:
+def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: float) -> int:
     """Return Present Position at angle 0 of the linkage, from that of the closed fingers."""
-    return closed_raw - direction * round(closed_rad / RAD_PER_PULSE)
+    return closed_raw - direction * round(closed_rad / model.rad_per_pulse)
 
 
 def first_current_max_a(settings: GripperSettings) -> float:
@@ -255,14 +255,15 @@ class _Hands:
         self._gripper = gripper
         self._notes = notes
         self._servos = list(gripper.servos)
+        self._models = [MODELS[servo.model] for servo in gripper.servos]
         self._shown: Callable[[], str] = self._pulses
 
     def run(self) -> None:
         closed, opened = self._ends()
         if crossing := [
             f"servo {s.id}: {a} to {b} pulses"
-            for s, a, b in zip(self._servos, closed, opened, strict=True)
-            if not (min(a, b) >= 0 and max(a, b) < PULSES_PER_TURN)
+            for s, m, a, b in zip(self._servos, self._models, closed, opened, strict=True)
+            if not (min(a, b) >= 0 and max(a, b) < m.pulses_per_turn)
         ]:
             raise StepFailed(
                 f"a finger crosses the end of its encoder's turn ({'; '.join(crossing)}): take "
@@ -279,20 +280,22 @@ class _Hands:
                 "thickness typed wrong, or a block not held flat? Nothing has moved by itself"
             )
         zeros = [
-            zero_pulse(raw, sign, fit.closed_rad) for raw, sign in zip(closed, signs, strict=True)
+            zero_pulse(model, raw, sign, fit.closed_rad)
+            for model, raw, sign in zip(self._models, closed, signs, strict=True)
         ]
-        if any(not 0 <= zero < PULSES_PER_TURN for zero in zeros):
+        turn = min(model.pulses_per_turn for model in self._models)
+        if any(not 0 <= zero < turn for zero in zeros):
             raise StepFailed(
                 f"the zero of the linkage lies at {zeros} pulses, beyond the encoder's turn (0 to "
-                f"{PULSES_PER_TURN - 1}): turn the horn so that the closed finger stands near "
-                f"{_MID_PULSE}"
+                f"{turn - 1}): turn the horn so that the closed finger stands near "
+                f"{turn // 2}"
             )
         self._servos = [
             servo.model_copy(update={"direction": sign, "zero_pulse": zero})
             for servo, sign, zero in zip(self._servos, signs, zeros, strict=True)
         ]
         widest_m = fit.linkage.aperture_m(
-            [fit.closed_rad + way for way in _turned(opened, closed, signs)]
+            [fit.closed_rad + way for way in self._turned(opened, closed, signs)]
         )
         self._judge(fit, widest_m, proven=len(measured) > (2 if fit.kind == "swinging" else 1))
         self._notes.values |= {
@@ -309,10 +312,25 @@ class _Hands:
         found = self._bus.sync_read([servo.id for servo in self._servos], PRESENT_BLOCK)
         return tuple(found[servo.id]["present_position"] for servo in self._servos)
 
+    def _turned(
+        self, raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]
+    ) -> tuple[float, ...]:
+        """Return the angles in rad from the closed fingers, growing while they open."""
+        return tuple(
+            sign * (raw - zero) * model.rad_per_pulse
+            for model, raw, zero, sign in zip(self._models, raws, closed, signs, strict=True)
+        )
+
+    def _ways(self, before: Sequence[int], after: Sequence[int]) -> str:
+        return ", ".join(
+            f"servo {servo.id} by {degrees(abs(b - a) * model.rad_per_pulse):.1f} deg"
+            for servo, model, a, b in zip(self._servos, self._models, before, after, strict=True)
+        )
+
     def _pulses(self) -> str:
         return ", ".join(
-            f"servo {servo.id}: {degrees(raw * RAD_PER_PULSE):.1f} deg"
-            for servo, raw in zip(self._servos, self._read(), strict=True)
+            f"servo {servo.id}: {degrees(raw * model.rad_per_pulse):.1f} deg"
+            for servo, model, raw in zip(self._servos, self._models, self._read(), strict=True)
         )
 
     def _by_hand(self, key: str, text: str) -> tuple[int, ...]:
@@ -344,7 +362,7 @@ class _Hands:
             if index is None:
                 self._dialog.say(
                     f"One finger should have moved by 5 degrees or more. From closed: "
-                    f"{_ways(self._servos, closed, opened)}. Close both, then open one."
+                    f"{self._ways(closed, opened)}. Close both, then open one."
                 )
         if len(self._servos) == 1:
             return closed, opened
@@ -355,13 +373,13 @@ class _Hands:
             both_open = self._by_hand("open_second", "Now open the other one as far as it goes.")
             if abs(both_open[1] - closed[1]) >= _MOVED_PULSES:
                 return closed, (first, both_open[1])
-            self._dialog.say(f"It has not moved: {_ways(self._servos, closed, both_open)}.")
+            self._dialog.say(f"It has not moved: {self._ways(closed, both_open)}.")
 
     def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[BlockMeasurement]:
         """Return the fingers on blocks of known size: two, a third where no simple law fits."""
         self._shown = lambda: ", ".join(
             f"finger {number}: {degrees(angle):.1f} deg open"
-            for number, angle in enumerate(_turned(self._read(), closed, signs))
+            for number, angle in enumerate(self._turned(self._read(), closed, signs))
         )
         measured: list[BlockMeasurement] = []
         for number, (text, least) in enumerate(_BLOCKS, start=1):
@@ -382,7 +400,7 @@ class _Hands:
                 f"Hold the block of {float(size_mm):g} mm between the pads and close both fingers "
                 "by hand until they just touch it, flat.",
             )
-            angles_rad = _turned(raws, closed, signs)
+            angles_rad = self._turned(raws, closed, signs)
             measured.append(
                 BlockMeasurement(angles_rad=angles_rad, aperture_m=float(size_mm) * 1e-3)
             )
@@ -437,13 +455,13 @@ class _Hands:
                 f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
                 f"{servo.zero_pulse} pulses"
             )
-        for servo in self._servos:
-            off = servo.zero_pulse - _MID_PULSE
+        for servo, model in zip(self._servos, self._models, strict=True):
+            off = servo.zero_pulse - model.pulses_per_turn // 2
             if abs(off) > _OFF_PULSES:
                 notes.fact(
                     f"servo {servo.id}: its zero is {off:+d} pulses "
-                    f"({degrees(off * RAD_PER_PULSE):+.1f} deg) from the middle of its encoder: "
-                    "the horn sits some splines off. The config makes up for it"
+                    f"({degrees(off * model.rad_per_pulse):+.1f} deg) from the middle of its "
+                    "encoder: the horn sits some splines off. The config makes up for it"
                 )
         found = f"linkage: {linkage['kind']}, {drive}; residual {fit.residual_m * 1e3:.2f} mm"
         if proven:
@@ -576,18 +594,3 @@ def _goals(start: Sequence[float], index: int, current_a: float, hold_a: float) 
         else ServoGoal(angle_rad=angle, current_a=hold_a)
         for number, angle in enumerate(start)
     ]
-
-
-def _turned(raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]) -> tuple[float, ...]:
-    """Return the angles in rad from the closed fingers, growing while they open."""
-    return tuple(
-        sign * (raw - zero) * RAD_PER_PULSE
-        for raw, zero, sign in zip(raws, closed, signs, strict=True)
-    )
-
-
-def _ways(servos: Sequence[object], before: Sequence[int], after: Sequence[int]) -> str:
-    return ", ".join(
-        f"servo {getattr(servo, 'id', '?')} by {degrees(abs(b - a) * RAD_PER_PULSE):.1f} deg"
-        for servo, a, b in zip(servos, before, after, strict=True)
-    )

@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
 from cell.control.journal import Journal
@@ -36,7 +37,7 @@ from cell.data.dataset import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, OnPeriod
 from gripper.clock import Clock
-from gripper.dynamixel.control_table import RAD_PER_PULSE
+from gripper.dynamixel.models import MODELS
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import Linkage
@@ -90,7 +91,7 @@ class Grasper:
         self._gripper, self._sequence = self.config.gripper, self.config.sequence
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._last_start_ms = 0
-        self._opening_step_m = _opening_step_m(self.config.linkage)
+        self._opening_step_m = _opening_step_m(self.config.linkage, self._gripper)
         self._patient = PatientCaller(self.clock, self.hand.period_s)
         self.pads: PadArray = pad_array(self.hand.layout)
 
@@ -360,7 +361,9 @@ class Grasper:
         return reached
 
 
-def _opening_step_m(linkage: Linkage) -> float:
+def _opening_step_m(linkage: Linkage, gripper: GripperConfig) -> float:
     """Return the step in m in which the servos read the opening of closed fingers."""
-    closed_rad = linkage.angles_rad(0.0)
-    return sum(map(linkage.opening_per_rad_m, closed_rad)) * RAD_PER_PULSE
+    return sum(
+        linkage.opening_per_rad_m(closed_rad) * MODELS[servo.model].rad_per_pulse
+        for closed_rad, servo in zip(linkage.angles_rad(0.0), gripper.servos, strict=True)
+    )

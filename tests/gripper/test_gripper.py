@@ -2,11 +2,13 @@
 
 import itertools
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 
+from gripper.dynamixel import models
 from gripper.dynamixel.control_table import BUS_WATCHDOG, TORQUE_ENABLE
-from gripper.dynamixel.models import XL330_M288
+from gripper.dynamixel.models import XL330_M288, XM430_W350
 from gripper.errors import (
     GripContradicted,
     GripperStateError,
@@ -400,3 +402,30 @@ def test_servo_settings_out_of_range_cannot_exist() -> None:
         ServoSettings(servo_id=1, zero_raw=4096)
     with pytest.raises(LimitExceeded, match=r"\[1, 1\]"):
         GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=1)))
+
+
+def test_a_servo_with_other_units_is_data(make_cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice the counts in a turn, other counts of current, speed and voltage; the same motor."""
+    other = replace(
+        XM430_W350,
+        name="other units",
+        number=4321,
+        current_unit_a=4.02e-3,
+        current_limit_raw=800,
+        pulses_per_turn=8192,
+        velocity_unit_rad_s=0.01,
+        voltage_unit_v=0.2,
+        position_gains=(0, 0, 400),
+    )
+    monkeypatch.setattr(models, "MODELS", {other.name: other})
+    cell = make_cell(model=other, zero_raw=4096)
+    assert cell.gripper.start().ok
+    assert cell.gripper.open(0.02).aperture_m == pytest.approx(0.02, abs=5e-4)
+    seen: list[Cycle] = []
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.2), seen.append)
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(4.0, abs=0.4)
+    fastest_m_s = min(cycle.state.aperture_velocity_m_s for cycle in seen)
+    assert fastest_m_s == pytest.approx(-cell.settings.approach_speed_m_s, rel=0.3)
+    assert seen[-1].state.servos[0].current_a == pytest.approx(cell.motors[0].current_a, abs=0.02)
+    cell.gripper.release()

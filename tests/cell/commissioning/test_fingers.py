@@ -16,6 +16,7 @@ from cell.commissioning.fingers import (
     zero_pulse,
 )
 from cell.commissioning.servos import ServosStep
+from gripper.dynamixel.models import XM430_W350
 from gripper.mechanics.kinematics import ParallelLinkage, RackPinion
 from gripper.servos.group import ServoGroup
 from simulator.servo.mechanics import RackLinkage, ServoMount
@@ -91,8 +92,8 @@ def test_directions_and_zero_follow_from_the_hands() -> None:
     assert moved_alone((2048, 2048), (2048, 1500)) == 1
     assert moved_alone((2048, 2048), (2500, 2300)) is None
     assert moved_alone((2048, 2048), (2050, 2048)) is None
-    assert zero_pulse(2100, 1, radians(9)) == 2100 - 102
-    assert zero_pulse(2100, -1, radians(9)) == 2100 + 102
+    assert zero_pulse(XM430_W350, 2100, 1, radians(9)) == 2100 - 102
+    assert zero_pulse(XM430_W350, 2100, -1, radians(9)) == 2100 + 102
 
 
 @pytest.fixture
