@@ -19,11 +19,9 @@ from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import (
-    FASTEST_BITRATE,
-    LONGEST_SYNC_MS,
     TactileConfig,
+    check_bus_load,
     layout_from_config,
-    link_settings,
     make_calibration,
 )
 from cell.data.formats import CONFIG
@@ -34,10 +32,7 @@ from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
-from tactile.frames.codec import FrameFormat
 from tactile.layout import TaxelLayout
-from tactile.unit.bus_load import bus_load, least_sync_period_s
-from tactile.unit.settings import WINDOW_SHARE
 
 TAXELS_OF_SMALL_PART = 8
 """Taxels of a pad that a small part presses: a cylinder of 6 x 20 mm on taxels of 3.4 x 5 mm."""
@@ -165,7 +160,7 @@ class CellConfig(Section):
         except ConfigError as error:
             raise ValueError(str(error)) from error
         self._check_full_scale(layout, most_n)
-        self._check_bus_load(layout)
+        check_bus_load(self.tactile, layout)
         simulated = (self.gripper.port == SIMULATED, self.tactile.interface == SIMULATED)
         if simulated[0] != simulated[1]:
             raise ValueError(
@@ -258,29 +253,6 @@ class CellConfig(Section):
                     f"an axis of the positioner is on {port!r}, the port of the fingers: its "
                     "servo needs a port of its own"
                 )
-
-    def _check_bus_load(self, layout: TaxelLayout) -> None:
-        """Refuse frames and force messages that the CAN bus cannot carry."""
-        tactile, link = self.tactile, link_settings(self.tactile)
-        least_ms = {
-            rate: 1e3 * least_sync_period_s(layout, link, rate)
-            for rate in (tactile.bitrate, FASTEST_BITRATE)
-        }
-        if least_ms[tactile.bitrate] <= tactile.sync_period_ms:
-            return
-        ways = [
-            f"tactile.bitrate {rate} with tactile.sync_period_ms {ceil(period_ms)} or more"
-            for rate, period_ms in least_ms.items()
-            if period_ms <= LONGEST_SYNC_MS
-        ]
-        raise ValueError(
-            f"tactile: at tactile.bitrate = {tactile.bitrate} the control unit loads the bus by up "
-            f"to {bus_load(layout, link, tactile.bitrate):.0%}: "
-            f"{FrameFormat.of(layout).n_messages} messages a frame, which must be through in "
-            f"{WINDOW_SHARE:.0%} of tactile.sync_period_ms = {tactile.sync_period_ms:g}, beside "
-            f"force messages every tactile.force_period_ms = {tactile.force_period_ms}. Write "
-            f"{', or '.join(ways) or 'a layout of fewer taxels'}"
-        )
 
     def _check_full_scale(self, layout: TaxelLayout, most_n: float) -> None:
         """Refuse a calibration under which the ramp's end is beyond what a few taxels measure."""

@@ -1,5 +1,6 @@
 """Config of the tactile sensor: pads, calibration, control unit, CAN bus."""
 
+from math import ceil
 from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
@@ -9,9 +10,11 @@ from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_value
 from cell.errors import ConfigError
 from recognition.grasp import PadArray
 from tactile.errors import LayoutError
+from tactile.frames.codec import FrameFormat
 from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
-from tactile.unit.settings import ExpectedIdentity, LinkSettings
+from tactile.unit.bus_load import bus_load, least_sync_period_s
+from tactile.unit.settings import WINDOW_SHARE, ExpectedIdentity, LinkSettings
 
 FASTEST_BITRATE = 1_000_000
 """Largest bit rate of a CAN bus in bit/s."""
@@ -211,6 +214,30 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
     if isinstance(law, PaperCalibrationConfig):
         return FoamCalibration(adc_max=layout.adc_max, gain=law.gain)
     return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n)
+
+
+def check_bus_load(tactile: TactileConfig, layout: TaxelLayout) -> None:
+    """Raise ValueError for frames and force messages that the CAN bus cannot carry."""
+    link = link_settings(tactile)
+    least_ms = {
+        rate: 1e3 * least_sync_period_s(layout, link, rate)
+        for rate in (tactile.bitrate, FASTEST_BITRATE)
+    }
+    if least_ms[tactile.bitrate] <= tactile.sync_period_ms:
+        return
+    ways = [
+        f"tactile.bitrate {rate} with tactile.sync_period_ms {ceil(period_ms)} or more"
+        for rate, period_ms in least_ms.items()
+        if period_ms <= LONGEST_SYNC_MS
+    ]
+    raise ValueError(
+        f"tactile: at tactile.bitrate = {tactile.bitrate} the control unit loads the bus by up "
+        f"to {bus_load(layout, link, tactile.bitrate):.0%}: "
+        f"{FrameFormat.of(layout).n_messages} messages a frame, which must be through in "
+        f"{WINDOW_SHARE:.0%} of tactile.sync_period_ms = {tactile.sync_period_ms:g}, beside "
+        f"force messages every tactile.force_period_ms = {tactile.force_period_ms}. Write "
+        f"{', or '.join(ways) or 'a layout of fewer taxels'}"
+    )
 
 
 def layout_from_pads(pads: PadArray) -> TaxelLayout:

@@ -75,7 +75,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     gripper.start()
     opened = gripper.open()
     assert opened.aperture_m == pytest.approx(0.03, abs=0.0008)
-    assert gripper.state is GripperPhase.IDLE
+    assert gripper.values.state is GripperPhase.IDLE
     assert cell.register(0, "bus_watchdog") == 10
     cycles: list[Cycle] = []
     outcome = gripper.grasp(RAMP, cycles.append)
@@ -83,7 +83,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     assert outcome.contact_aperture_m == pytest.approx(0.012, abs=0.0006)
     assert outcome.final_force_n == pytest.approx(8.0, abs=0.6)
     assert cell.force_n == pytest.approx(8.0, abs=0.5)
-    assert gripper.state is GripperPhase.HOLDING
+    assert gripper.values.state is GripperPhase.HOLDING
     phases = [c.phase for c in cycles]
     assert phases == sorted(phases, key=[GripperPhase.APPROACHING, GripperPhase.RAMPING].index)
     setpoints = [c.setpoint_n for c in cycles if c.phase is GripperPhase.RAMPING]
@@ -93,10 +93,10 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     gripper.hold(0.5)
     released = gripper.release().state
     assert released.aperture_m == pytest.approx(0.03, abs=0.0008)
-    assert gripper.state is GripperPhase.IDLE
+    assert gripper.values.state is GripperPhase.IDLE
     gripper.close()
     gripper.close()
-    assert gripper.state is GripperPhase.OFF
+    assert gripper.values.state is GripperPhase.OFF
     assert cell.register(0, "torque_enable") == 0
     assert cell.register(0, "bus_watchdog") == 0
     assert gripper.statistics.late == 0

@@ -46,7 +46,7 @@ def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
     # The limp finger gives way to the elastic part, and is not moved by more.
     assert abs(after_m[limp] - before_m[limp]) < 0.001
     assert cell.torques == [0, 0]
-    assert gripper.state is GripperPhase.OFF
+    assert gripper.values.state is GripperPhase.OFF
     gripper.clear_fault(reboot=True)
     assert gripper.start().ok
     gripper.open()
@@ -135,7 +135,7 @@ def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> No
     with pytest.raises(GraspStopped) as stopped:
         gripper.release(stop)
     assert "stopped while letting go" in fingers_left(stopped.value)
-    assert gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT
     gripper.keep_grip()
     stood_m = cell.mechanics.finger_position_m[1]
     assert stood_m < 0.015
@@ -160,7 +160,7 @@ def test_a_fault_of_the_finger_that_opens_is_latched(make_cell) -> None:
         gripper.release(silence)
     assert "were seen last while letting go" in fingers_left(lost.value)
     assert gripper.fault is lost.value
-    assert gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT
     gripper.keep_grip()
     cell.clock.sleep(1.0)
     # Its watchdog was left armed, and has stopped it.

@@ -219,7 +219,7 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
         r"the part is too small or too soft for 8\.0 N: .*_min_mm is 0\.5", outcome.short
     )
     assert outcome.final_force_n == pytest.approx(3.5, abs=0.7)
-    assert gripper.state is GripperPhase.HOLDING
+    assert gripper.values.state is GripperPhase.HOLDING
     gripper.hold(2.0)
     gripper.carry(6.0, 1.0)
     gripper.carry(1.5)
@@ -227,7 +227,7 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
     assert cell.force_n == pytest.approx(3.5, abs=1.0)
     assert cell.peak_n < 4.5
     gripper.release()
-    assert gripper.state is GripperPhase.IDLE
+    assert gripper.values.state is GripperPhase.IDLE
 
 
 def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(

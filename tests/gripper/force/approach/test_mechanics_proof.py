@@ -243,4 +243,4 @@ def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
         gripper.release()
     assert cell.torques == [1, 1]
     assert cell.peak_n < 8.0
-    assert gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT
