@@ -110,7 +110,7 @@ class Gripper:
         return self._bus
 
     @property
-    def state(self) -> GripperPhase:
+    def phase(self) -> GripperPhase:
         """Phase of the gripper."""
         return self._life.phase
 

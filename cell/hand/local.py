@@ -56,7 +56,7 @@ class LocalHand:
     @property
     def phase(self) -> GripperPhase:
         """What the gripper is doing."""
-        return self.gripper.state
+        return self.gripper.phase
 
     @property
     def statistics(self) -> HandStatistics:

@@ -34,7 +34,7 @@ def test_start_corrects_the_mode_and_moves_nothing(cell) -> None:
         ("return_delay_time", False),
         ("model_number", False),
     }
-    assert cell.gripper.state is GripperPhase.OFF
+    assert cell.gripper.phase is GripperPhase.OFF
     assert cell.mechanics.aperture_m == before_m
     assert cell.register(0, "torque_enable") == 0
     assert cell.register(1, "operating_mode") == 5
@@ -48,7 +48,7 @@ def test_inspecting_reports_what_start_would_correct_and_writes_nothing(cell) ->
         (2, "operating_mode"),
     ]
     assert cell.register(1, "operating_mode") == 3
-    assert cell.gripper.state is GripperPhase.OFF
+    assert cell.gripper.phase is GripperPhase.OFF
 
 
 def test_another_model_is_named_and_nothing_of_it_is_rewritten(make_cell) -> None:
@@ -75,7 +75,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     gripper.start()
     opened = gripper.open()
     assert opened.aperture_m == pytest.approx(0.03, abs=0.0008)
-    assert gripper.values.state is GripperPhase.IDLE
+    assert gripper.phase is GripperPhase.IDLE
     assert cell.register(0, "bus_watchdog") == 10
     cycles: list[Cycle] = []
     outcome = gripper.grasp(RAMP, cycles.append)
@@ -83,7 +83,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     assert outcome.contact_aperture_m == pytest.approx(0.012, abs=0.0006)
     assert outcome.final_force_n == pytest.approx(8.0, abs=0.6)
     assert cell.force_n == pytest.approx(8.0, abs=0.5)
-    assert gripper.values.state is GripperPhase.HOLDING
+    assert gripper.phase is GripperPhase.HOLDING
     phases = [c.phase for c in cycles]
     assert phases == sorted(phases, key=[GripperPhase.APPROACHING, GripperPhase.RAMPING].index)
     setpoints = [c.setpoint_n for c in cycles if c.phase is GripperPhase.RAMPING]
@@ -93,10 +93,10 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     gripper.hold(0.5)
     released = gripper.release().state
     assert released.aperture_m == pytest.approx(0.03, abs=0.0008)
-    assert gripper.values.state is GripperPhase.IDLE
+    assert gripper.phase is GripperPhase.IDLE
     gripper.close()
     gripper.close()
-    assert gripper.values.state is GripperPhase.OFF
+    assert gripper.phase is GripperPhase.OFF
     assert cell.register(0, "torque_enable") == 0
     assert cell.register(0, "bus_watchdog") == 0
     assert gripper.statistics.late == 0
@@ -177,7 +177,7 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
     cell.least_n = 99.0
     cell.gripper.carry(force_n, 0.2)
     assert cell.least_n > min(force_n, 8.0) - 1.0
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING
     assert cell.register(0, "bus_watchdog") == 0
     ticks(cell, 3.0, creep_m_s=2e-4)
     assert cell.force_n == pytest.approx(force_n, abs=0.6)
@@ -212,7 +212,7 @@ def test_a_part_is_squeezed_again_in_the_same_grip(cell) -> None:
     assert setpoints_n[0] == pytest.approx(2.0, abs=0.1)
     assert setpoints_n == sorted(setpoints_n)
     assert cell.least_n > 1.0
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING
 
 
 def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
@@ -222,7 +222,7 @@ def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
     assert outcome.result is GraspResult.NO_CONTACT
     assert outcome.contact_t_s is None
     assert 0.003 < outcome.final_aperture_m <= 0.004
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
     cell.gripper.open()
 
 
@@ -234,7 +234,7 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> 
         cell.gripper.grasp(RAMP)
     assert 0.5 < cell.peak_n < 8.0
     cell.clock.sleep(1.0)
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     cell.gripper.clear_fault()
     cell.gripper.release()
 
@@ -316,7 +316,7 @@ def test_torque_found_on_in_another_mode_changes_nothing_before_the_release(cell
     assert cell.register(0, "torque_enable") == 1
     cell.gripper.release()
     assert cell.register(0, "operating_mode") == 5
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
 
 
 def test_ticks_feed_the_watchdog_between_commands(cell) -> None:
