@@ -276,7 +276,9 @@ class Gripper:
         """
         return self._close(ramp, observer, self._grasping.run)
 
-    def meet(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
+    def press_pads_together(
+        self, ramp: ForceRamp, observer: Observer | None = None
+    ) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp to its end, return holding.
 
         The way down is that of a grasp, and goes on below ``aperture_min_m`` until the pads meet.
@@ -292,7 +294,7 @@ class Gripper:
         LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             As `grasp`.
         """
-        return self._close(ramp, observer, self._grasping.meet)
+        return self._close(ramp, observer, self._grasping.press_pads_together)
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> GripperState:
         """Control the force at its last set-point for a time in s.

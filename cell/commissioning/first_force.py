@@ -267,7 +267,7 @@ class _Trial:
         )
         begun = len(self.motion.cycles)
         ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
-        outcome = self.hand.meet(ramp, self.motion)
+        outcome = self.hand.press_pads_together(ramp, self.motion)
         if between := part_between(outcome):
             raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
         last = _course(self.motion.cycles[begun:])[-_LAST_PERIODS:]

@@ -214,7 +214,9 @@ class Grasper:
                     self.hand.end_ramp()
 
         most_n = min(_ZERO_FORCE_N, self.config.largest_ramp_n)
-        outcome = self.hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
+        outcome = self.hand.press_pads_together(
+            ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch
+        )
         if part_between(outcome):
             return outcome, None, ""
         try:

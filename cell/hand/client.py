@@ -262,7 +262,7 @@ class HandProcess:
     open = _remote(Hand.open)
     tare = _remote(Hand.tare)
     grasp = _remote(Hand.grasp)
-    meet = _remote(Hand.meet)
+    press_pads_together = _remote(Hand.press_pads_together)
     carry = _remote(Hand.carry)
     squeeze = _remote(Hand.squeeze)
     release = _remote(Hand.release)

@@ -129,7 +129,7 @@ class Hand(Protocol):
     def grasp(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close until both pads touch, follow the ramp; return while holding."""
 
-    def meet(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
+    def press_pads_together(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp; return while they press."""
         ...
 

@@ -85,11 +85,11 @@ class LocalHand:
         self._force.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
-    def meet(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
+    def press_pads_together(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other; see `Hand`."""
         self._check_zero()
         self._force.take()
-        return self.gripper.meet(ramp, observer=self._observer(watch))
+        return self.gripper.press_pads_together(ramp, observer=self._observer(watch))
 
     def carry(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force; see `Hand`."""

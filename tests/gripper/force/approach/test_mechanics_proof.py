@@ -227,7 +227,7 @@ def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(
     cell = make_cell(part=make_part(present=False), **slow)
     cell.gripper.start()
     with pytest.raises(LimitExceeded, match=r"after 3 s they have closed .*contact_timeout_s"):
-        cell.gripper.meet(ForceRamp.linear(3.0, 5.0))
+        cell.gripper.press_pads_together(ForceRamp.linear(3.0, 5.0))
     assert cell.torques == [1, 1]
 
 
