@@ -286,7 +286,7 @@ class Grasper:
             if judge.keeps:
                 held = (zero, self._look_at_held(zero))
             else:
-                self.hand.carry(self._sequence.carry_force_n, 0.0, self.watch)
+                self.hand.hold_at(self._sequence.carry_force_n, 0.0, self.watch)
             verdict = judge.decide()
             self.life.check_cancelled()
             if verdict.further is None:
@@ -301,7 +301,7 @@ class Grasper:
         """Back off and follow a further ramp in the same grip; return its record."""
         from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
         from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
-        self.hand.carry(from_n, 0.0, self.watch)
+        self.hand.hold_at(from_n, 0.0, self.watch)
         collector, watch = self._collecting(self.zeros.newest)
         outcome = self.hand.squeeze(self._ramp(step), watch)
         self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
@@ -319,9 +319,9 @@ class Grasper:
     def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
         """Hold the part with the force of a carry, and measure it for a comparison."""
         carry_n = self._sequence.carry_force_n
-        self.hand.carry(carry_n, 0.0, self.watch)
+        self.hand.hold_at(carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
-        self.hand.carry(carry_n, HELD_LOOK_S, watch)
+        self.hand.hold_at(carry_n, HELD_LOOK_S, watch)
         return measured(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:

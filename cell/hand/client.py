@@ -263,7 +263,7 @@ class HandProcess:
     tare = _remote(Hand.tare)
     grasp = _remote(Hand.grasp)
     press_pads_together = _remote(Hand.press_pads_together)
-    carry = _remote(Hand.carry)
+    hold_at = _remote(Hand.hold_at)
     squeeze = _remote(Hand.squeeze)
     release = _remote(Hand.release)
     conditions = _remote(Hand.conditions)

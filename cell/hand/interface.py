@@ -133,7 +133,7 @@ class Hand(Protocol):
         """Close the empty fingers onto each other, follow the ramp; return while they press."""
         ...
 
-    def carry(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
+    def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force for a time, and control it on between commands."""
 
     def squeeze(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:

@@ -91,10 +91,10 @@ class LocalHand:
         self._force.take()
         return self.gripper.press_pads_together(ramp, observer=self._observer(watch))
 
-    def carry(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
+    def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force; see `Hand`."""
         self._force.take()
-        self.gripper.carry(force_n, duration_s, self._observer(watch))
+        self.gripper.hold_at(force_n, duration_s, self._observer(watch))
 
     def squeeze(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Hand`."""

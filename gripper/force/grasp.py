@@ -112,7 +112,7 @@ class GraspRun:
             return self._press(ramp, reached, slip=LevelSlip(self._settings))
 
     def press_pads_together(self, ramp: ForceRamp) -> GraspOutcome:
-        """Close the empty fingers onto each other and follow a ramp; see the method of `Gripper`."""
+        """Close the empty fingers onto each other and follow a ramp, see `Gripper`."""
         self.forget()
         reached = self._closed()
         contact = reached.state

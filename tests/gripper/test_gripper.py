@@ -175,7 +175,7 @@ def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
 def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None:
     cell.hold_part(RAMP)
     cell.least_n = 99.0
-    cell.gripper.carry(force_n, 0.2)
+    cell.gripper.hold_at(force_n, 0.2)
     assert cell.least_n > min(force_n, 8.0) - 1.0
     assert cell.gripper.phase is GripperPhase.HOLDING
     assert cell.register(0, "bus_watchdog") == 0
@@ -190,7 +190,7 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
 
 def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
     cell.hold_part(RAMP)
-    cell.gripper.carry(4.0)
+    cell.gripper.hold_at(4.0)
     cell.gripper.request_stop()
     ticks(cell, 0.5)
     assert cell.force_n == pytest.approx(4.0, abs=0.6)
@@ -203,7 +203,7 @@ def test_a_part_is_squeezed_again_in_the_same_grip(cell) -> None:
     cell.gripper.grasp(RAMP)
     with pytest.raises(LimitExceeded, match="carry it with less force first"):
         cell.gripper.squeeze(RAMP)
-    cell.gripper.carry(2.0)
+    cell.gripper.hold_at(2.0)
     cell.least_n = 99.0
     setpoints_n: list[float] = []
     outcome = cell.gripper.squeeze(RAMP, lambda c: setpoints_n.append(c.setpoint_n))

@@ -221,8 +221,8 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
     assert outcome.final_force_n == pytest.approx(3.5, abs=0.7)
     assert gripper.phase is GripperPhase.HOLDING
     gripper.hold(2.0)
-    gripper.carry(6.0, 1.0)
-    gripper.carry(1.5)
+    gripper.hold_at(6.0, 1.0)
+    gripper.hold_at(1.5)
     assert gripper.squeeze(LINEAR).short
     assert cell.force_n == pytest.approx(3.5, abs=1.0)
     assert cell.peak_n < 4.5
