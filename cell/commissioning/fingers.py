@@ -29,8 +29,8 @@ from cell.commissioning.engine import (
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import GripperConfig, ServoConfig, gripper_settings, linkage_of
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import PRESENT_BLOCK, RAD_PER_PULSE, TORQUE_ENABLE
-from gripper.dynamixel.models import PULSES_PER_TURN
+from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
+from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.errors import GripperError
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.servos.goals import ServoGoal
@@ -79,8 +79,8 @@ _BLOCKS = (
 """Texts that ask for the blocks, each with the least thickness in mm."""
 _SIMPLE_BLOCKS = 2
 """Blocks that tell a simple linkage."""
-_MID_PULSE, _OFF_PULSES = PULSES_PER_TURN // 2, 60
-"""Middle of the encoder, and distance of a zero from that of the config which is named."""
+_OFF_PULSES = 60
+"""Distance of a zero from that of the config which is named."""
 _LEAST_ROOM_M = 6e-3
 """Opening in m, and distance from the widest one, that the first motion needs."""
 _FIRST_WAY_RAD = 0.05
@@ -224,9 +224,9 @@ def _fit(
     return LinkageFit(kind=kind, linkage=linkage, closed_rad=closed_rad, residual_m=max(off_m))
 
 
-def zero_pulse(closed_raw: int, direction: int, closed_rad: float) -> int:
+def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: float) -> int:
     """Return Present Position at angle 0 of the linkage, from that of the closed fingers."""
-    return closed_raw - direction * round(closed_rad / RAD_PER_PULSE)
+    return closed_raw - direction * round(closed_rad / model.rad_per_pulse)
 
 
 def first_current_max_a(settings: GripperSettings) -> float:
@@ -276,6 +276,7 @@ class _Hands:
         self._gripper = gripper
         self._notes = notes
         self._servos = list(gripper.servos)
+        self._models = [MODELS[servo.model] for servo in gripper.servos]
         self._shown: Callable[[], str] = self._pulses
 
     def run(self) -> None:
@@ -289,20 +290,22 @@ class _Hands:
                 "thickness typed wrong, or a block not held flat? Nothing has moved by itself"
             )
         zeros = [
-            zero_pulse(raw, sign, fit.closed_rad) for raw, sign in zip(closed, signs, strict=True)
+            zero_pulse(model, raw, sign, fit.closed_rad)
+            for model, raw, sign in zip(self._models, closed, signs, strict=True)
         ]
-        if any(not 0 <= zero < PULSES_PER_TURN for zero in zeros):
+        turn = min(model.pulses_per_turn for model in self._models)
+        if any(not 0 <= zero < turn for zero in zeros):
             raise StepFailed(
                 f"the zero of the linkage lies at {zeros} pulses, beyond the encoder's turn (0 to "
-                f"{PULSES_PER_TURN - 1}): turn the horn so that the closed finger stands near "
-                f"{_MID_PULSE}"
+                f"{turn - 1}): turn the horn so that the closed finger stands near "
+                f"{turn // 2}"
             )
         self._servos = [
             servo.model_copy(update={"direction": sign, "zero_pulse": zero})
             for servo, sign, zero in zip(self._servos, signs, zeros, strict=True)
         ]
         widest_m = fit.linkage.aperture_m(
-            [fit.closed_rad + way for way in _turned(opened, closed, signs)]
+            [fit.closed_rad + way for way in self._turned(opened, closed, signs)]
         )
         self._judge(fit, widest_m, measured)
         self._notes.values |= {
@@ -325,8 +328,8 @@ class _Hands:
                 closed, opened = self._ends()
                 if crossing := [
                     f"servo {s.id}: {a} to {b} pulses"
-                    for s, a, b in zip(self._servos, closed, opened, strict=True)
-                    if not (min(a, b) >= 0 and max(a, b) < PULSES_PER_TURN)
+                    for s, m, a, b in zip(self._servos, self._models, closed, opened, strict=True)
+                    if not (min(a, b) >= 0 and max(a, b) < m.pulses_per_turn)
                 ]:
                     raise StepFailed(
                         f"a finger crosses the end of its encoder's turn ({'; '.join(crossing)}): "
@@ -340,10 +343,25 @@ class _Hands:
         found = self._bus.sync_read([servo.id for servo in self._servos], PRESENT_BLOCK)
         return tuple(found[servo.id]["present_position"] for servo in self._servos)
 
+    def _turned(
+        self, raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]
+    ) -> tuple[float, ...]:
+        """Return the angles in rad from the closed fingers, growing while they open."""
+        return tuple(
+            sign * (raw - zero) * model.rad_per_pulse
+            for model, raw, zero, sign in zip(self._models, raws, closed, signs, strict=True)
+        )
+
+    def _ways(self, before: Sequence[int], after: Sequence[int]) -> str:
+        return ", ".join(
+            f"servo {servo.id} by {degrees(abs(b - a) * model.rad_per_pulse):.1f} deg"
+            for servo, model, a, b in zip(self._servos, self._models, before, after, strict=True)
+        )
+
     def _pulses(self) -> str:
         return ", ".join(
-            f"servo {servo.id}: {degrees(raw * RAD_PER_PULSE):.1f} deg"
-            for servo, raw in zip(self._servos, self._read(), strict=True)
+            f"servo {servo.id}: {degrees(raw * model.rad_per_pulse):.1f} deg"
+            for servo, model, raw in zip(self._servos, self._models, self._read(), strict=True)
         )
 
     def _by_hand(self, key: str, text: str) -> Pulses:
@@ -378,7 +396,7 @@ class _Hands:
         while (index := moved_alone(closed, opened := self._by_hand("open_first", text))) is None:
             text = (
                 f"One finger should have moved by 5 degrees or more, and no other. From closed: "
-                f"{_ways(self._servos, closed, opened)}. Close both, then open one by hand as far "
+                f"{self._ways(closed, opened)}. Close both, then open one by hand as far "
                 "as it goes."
             )
         if len(self._servos) == 1:
@@ -389,7 +407,7 @@ class _Hands:
         text = "Now open the other one as far as it goes."
         while abs((both := self._by_hand("open_second", text))[1] - closed[1]) < _MOVED_PULSES:
             text = (
-                f"It has not moved: {_ways(self._servos, closed, both)}. Open the other finger by "
+                f"It has not moved: {self._ways(closed, both)}. Open the other finger by "
                 "hand as far as it goes."
             )
         return closed, (first, both[1])
@@ -398,7 +416,7 @@ class _Hands:
         """Return the fingers on blocks of known size: two, a third where no simple law fits."""
         self._shown = lambda: ", ".join(
             f"finger {number}: {degrees(angle):.1f} deg open"
-            for number, angle in enumerate(_turned(self._read(), closed, signs))
+            for number, angle in enumerate(self._turned(self._read(), closed, signs))
         )
         measured: list[BlockMeasurement] = []
         for number, (text, least) in enumerate(_BLOCKS, start=1):
@@ -426,7 +444,7 @@ class _Hands:
             "until they just touch it, flat."
         )
         while True:
-            angles_rad = _turned(self._by_hand(f"on_block{number}", text), closed, signs)
+            angles_rad = self._turned(self._by_hand(f"on_block{number}", text), closed, signs)
             closer = [
                 f"finger {finger} by {degrees(-angle):.1f} deg"
                 for finger, angle in enumerate(angles_rad)
@@ -518,7 +536,7 @@ class _Hands:
     def _compare(self, linkage: Linkage, measured: Sequence[BlockMeasurement]) -> None:
         """Note what the config had otherwise."""
         was_by_id = {servo.id: servo for servo in self._bench.base.gripper.servos}
-        for servo in self._servos:
+        for servo, model in zip(self._servos, self._models, strict=True):
             was = was_by_id.get(servo.id, ServoConfig(id=servo.id))
             if servo.direction != was.direction:
                 self._notes.fact(
@@ -527,9 +545,10 @@ class _Hands:
                     corrected=True,
                 )
             if abs(off := servo.zero_pulse - was.zero_pulse) > _OFF_PULSES:
+                off_deg = degrees(off * model.rad_per_pulse)
                 self._notes.fact(
-                    f"servo {servo.id}: its horn sits {degrees(off * RAD_PER_PULSE):+.1f} deg off: "
-                    f"its zero was {was.zero_pulse} pulses, is now {servo.zero_pulse}",
+                    f"servo {servo.id}: its horn sits {off_deg:+.1f} deg off: its zero was "
+                    f"{was.zero_pulse} pulses, is now {servo.zero_pulse}",
                     corrected=True,
                 )
         before = linkage_of(self._gripper)
@@ -675,19 +694,4 @@ def _missed_m(linkage: Linkage, measured: Sequence[BlockMeasurement]) -> float:
             - one.aperture_m
         )
         for one in measured
-    )
-
-
-def _turned(raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]) -> tuple[float, ...]:
-    """Return the angles in rad from the closed fingers, growing while they open."""
-    return tuple(
-        sign * (raw - zero) * RAD_PER_PULSE
-        for raw, zero, sign in zip(raws, closed, signs, strict=True)
-    )
-
-
-def _ways(servos: Sequence[object], before: Sequence[int], after: Sequence[int]) -> str:
-    return ", ".join(
-        f"servo {getattr(servo, 'id', '?')} by {degrees(abs(b - a) * RAD_PER_PULSE):.1f} deg"
-        for servo, a, b in zip(servos, before, after, strict=True)
     )

@@ -28,7 +28,6 @@ from gripper.dynamixel.control_table import (
     REGISTERS,
     SERVO_ID,
     TORQUE_ENABLE,
-    VOLTAGE_UNIT_V,
 )
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel
@@ -420,8 +419,9 @@ def check_supply(
     servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Finding
 ) -> None:
     """Note what is wrong with the supply of a servo."""
-    supply_v = table[PRESENT_INPUT_VOLTAGE.name] * VOLTAGE_UNIT_V
-    least_v, most_v = model.min_voltage_raw * VOLTAGE_UNIT_V, model.max_voltage_raw * VOLTAGE_UNIT_V
+    unit_v = model.voltage_unit_v
+    supply_v = table[PRESENT_INPUT_VOLTAGE.name] * unit_v
+    least_v, most_v = model.min_voltage_raw * unit_v, model.max_voltage_raw * unit_v
     text = (
         f"servo {servo_id} has {supply_v:.1f} V, a {model.name} takes {least_v:.1f} to "
         f"{most_v:.1f} V"

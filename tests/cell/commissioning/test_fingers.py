@@ -21,6 +21,7 @@ from cell.commissioning.servos import ServosStep
 from cell.config.file import changed_config
 from cell.interfaces.cli.dialog import SKETCHES
 from cell.interfaces.page import FOLDER
+from gripper.dynamixel.models import XM430_W350
 from gripper.mechanics.kinematics import ParallelLinkage, RackPinion
 from gripper.servos.group import ServoGroup
 from simulator.servo.mechanics import RackLinkage, ServoMount
@@ -96,8 +97,8 @@ def test_directions_and_zero_follow_from_the_hands() -> None:
     assert moved_alone((2048, 2048), (2048, 1500)) == 1
     assert moved_alone((2048, 2048), (2500, 2300)) is None
     assert moved_alone((2048, 2048), (2050, 2048)) is None
-    assert zero_pulse(2100, 1, radians(9)) == 2100 - 102
-    assert zero_pulse(2100, -1, radians(9)) == 2100 + 102
+    assert zero_pulse(XM430_W350, 2100, 1, radians(9)) == 2100 - 102
+    assert zero_pulse(XM430_W350, 2100, -1, radians(9)) == 2100 + 102
 
 
 @pytest.fixture
