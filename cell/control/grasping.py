@@ -118,16 +118,16 @@ class Grasper:
         self,
         step: GraspStep,
         label: str,
-        looks: EarlyDecider | None = None,
+        early_checks: EarlyDecider | None = None,
         judge: Judge | None = None,
     ) -> tuple[GraspRecord, bool]:
-        """Go to the pose, grasp, record, let go; with ``looks`` end the ramp where these decide.
+        """Go to the pose, grasp, record, let go; ``early_checks`` may end the ramp.
 
         With a ``judge`` that holds, the part is held with the force of a carry until it has
         decided whether the part is let go, squeezed once more, or kept. Returns the record of the
         grasp, and whether the part was kept.
         """
-        record = self._close(step, self._move_to(step.pose), label, looks)
+        record = self._close(step, self._move_to(step.pose), label, early_checks)
         kept = False
         if judge is not None and record.outcome.result not in NOTHING_HELD:
             judge.begin(record)
@@ -240,7 +240,7 @@ class Grasper:
         return found
 
     def _close(
-        self, step: GraspStep, reached: Pose, label: str, looks: EarlyDecider | None
+        self, step: GraspStep, reached: Pose, label: str, early_checks: EarlyDecider | None
     ) -> GraspRecord:
         """Open, close and follow the ramp; record that, and return while holding."""
         self._held = None
@@ -249,8 +249,8 @@ class Grasper:
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             collect(cycle, frames)
-            if looks is not None and any(
-                looks.add_frame(frame.counts, collector.grasp) for frame in frames
+            if early_checks is not None and any(
+                early_checks.add_frame(frame.counts, collector.grasp) for frame in frames
             ):
                 self.hand.end_ramp()
 
@@ -268,7 +268,7 @@ class Grasper:
             reached=reached,
             outcome=outcome,
             cycles=tuple(collector.cycles),
-            early=looks.answer if looks is not None and outcome.ended_early else None,
+            early=early_checks.answer if early_checks is not None and outcome.ended_early else None,
         )
         missing = NOTHING_HELD.get(outcome.result)
         if missing is not None:

@@ -70,12 +70,12 @@ def evaluate(
     from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
     from cell.jobs.evaluate import evaluate_recognizers
     from cell.jobs.parallel import workers
-    from cell.jobs.teach import labelled, repeated
+    from cell.jobs.teach import duplicate_grasps, read_labelled_grasps
 
     names = recognizers or list(TRAINERS)
-    grasps = [grasp for path in datasets for grasp in labelled(path, print_line)]
-    taught = None if train_on is None else labelled(train_on, print_line)
-    if twice := len(repeated([*(taught or ()), *grasps])):
+    grasps = [grasp for path in datasets for grasp in read_labelled_grasps(path, print_line)]
+    taught = None if train_on is None else read_labelled_grasps(train_on, print_line)
+    if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
         print_note(f"{twice} grasps are tested that were taught, or stand twice: right too often")
     if jobs is None:
         jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
