@@ -52,7 +52,7 @@ def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
     assert found["cycle_s"] == 5.0
     assert found["parts_per_hour"] == pytest.approx(45.0)
     first = found["answers"][0]
-    assert (first["id"], first["label"], first["place"]) == (1, "ball", "left")
+    assert (first["number"], first["label"], first["place"]) == (1, "ball", "left")
     assert first["runner_up"] == {"label": "box", "probability": 0.05}
     assert first["time_s"] == found["since_s"] + 60.0
 
@@ -79,10 +79,12 @@ def test_the_ledger_stays_small() -> None:
     found = shift.values(n_faults=0)
     assert found["parts"] == 5000
     assert found["parts_per_hour"] == pytest.approx(36000.0, rel=0.01)
-    assert [one["id"] for one in found["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
-    assert shift.grasp(5000) == {"t_s": [4999.0]}
-    assert shift.grasp(5000 - KEPT_ANSWERS) is None
-    assert (len(shift._times_s), len(shift._cycles_s), len(shift._answers)) == (1000, 1000, 20)
+    assert [one["number"] for one in found["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
+    newest = shift.part(5000)
+    assert newest is not None
+    assert newest.curves == {"t_s": [4999.0]}
+    assert shift.part(5000 - KEPT_ANSWERS) is None
+    assert (len(shift._times_s), len(shift._cycles_s), len(shift.parts)) == (1000, 1000, 20)
 
 
 class NothingThere:

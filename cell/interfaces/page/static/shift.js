@@ -65,7 +65,7 @@ export async function openGrasp({ link, info }, answer) {
   drawOpened();
   if (!dialog.open) dialog.show();
   try {
-    const grasp = await link.call("GET", `api/grasps/${encodeURIComponent(answer.id)}`, { timeout_ms: 5000 });
+    const grasp = await link.call("GET", `api/grasps/${encodeURIComponent(answer.number)}`, { timeout_ms: 5000 });
     opened = { info, grasp };
   } catch {
     setText(byId("grasp_text"), `${facts} · ${t("shift.grasp_gone")}`);
