@@ -49,6 +49,8 @@ _HOLDERS_MAX = 100
 """Clients that keep the cell on hold at once; further ones are refused, the cell is held anyway."""
 _UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
 """Commands that move nothing and are obeyed while a client keeps the cell on hold."""
+_KEEPING = (*_UNMOVING, Command.RESET.value, "verify", "forget", "forget_drift")
+"""Tasks and commands that leave what is in the grip there."""
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
 _HEALTH_S = 0.5
@@ -118,6 +120,8 @@ class Snapshot:
     """Clients that keep the cell on hold; "(gone)" stands after one that is gone."""
     part: PartReport | None
     """The newest part of an identification or sort; None before the first."""
+    held_part: int | None
+    """Number of the part in the grip; None where nothing is held, or what is held has no name."""
     pose_seq: int
     pose: Pose | None
     """The pose that the host shall reach and its number; 0 and None where none is waited for."""
@@ -185,7 +189,7 @@ class Service:
         """Without it nobody commands; whoever loses it has the job that runs held."""
         self._holders: dict[Hashable, _Holder] = {}
         self._jobs: dict[int, tuple[Job, str, int, float]] = {}
-        self._newest = 0
+        self._newest = self._gripped_by = 0
         self._health: tuple[float, dict[str, Any]] = (-inf, {})
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self.lease.watch(note)
@@ -210,13 +214,17 @@ class Service:
             job = self.job()
             status = self.status()
             seq, pose = self._poses.awaited
+            last = self._answered(status)
+            part = next(iter(self.shift.parts[-1:]), None)
+            named = last is not None and last.kept and last.number >= self._gripped_by
             return Snapshot(
                 status=status,
                 job=job,
-                last_answer=self._answered(status),
+                last_answer=last,
                 commander=self.lease.name,
                 held_by=self.held_by,
-                part=next(iter(self.shift.parts[-1:]), None),
+                part=part,
+                held_part=part.number if part and named and status.holding else None,
                 pose_seq=seq,
                 pose=pose,
             )
@@ -562,6 +570,8 @@ class Service:
             self._jobs[job.number] = (job, task, lease, time.time())
             self._jobs.pop(job.number - KEPT_JOBS, None)
             self._newest = job.number
+            if task not in _KEEPING:
+                self._gripped_by = job.number
             return job.number
 
     @property

@@ -11,10 +11,10 @@ from cell.plugin.part_report import PartReport
 
 KEPT_ANSWERS = 20
 """Newest answers that are kept, each with its last grasp."""
-_KEPT_TIMES = 1000
-"""Newest parts whose times are kept."""
-_RATE_S = 3600.0
-"""Time in s up to now over which parts are counted for their rate."""
+_KEPT_CYCLES = 1000
+"""Newest parts whose cycle times are kept."""
+_HOUR_S = 3600.0
+"""Time in s up to now over which recent parts are counted."""
 
 
 class Shift:
@@ -25,8 +25,8 @@ class Shift:
         self._since_s = wall_clock()
         self._counts: Counter[str] = Counter()
         self._n_rejected = self._n_missed = 0
-        self._cycles_s: deque[float] = deque(maxlen=_KEPT_TIMES)
-        self._times_s: deque[float] = deque(maxlen=_KEPT_TIMES)
+        self._cycles_s: deque[float] = deque(maxlen=_KEPT_CYCLES)
+        self._times_s = deque[float]()
         self.parts: tuple[PartReport, ...] = ()
         """The newest parts, at most `KEPT_ANSWERS`, oldest first; replaced with each part."""
 
@@ -40,16 +40,13 @@ class Shift:
         self._counts[report.answer.label] += 1
         part = replace(report, number=self._counts.total(), time_s=self._now_s())
         self._times_s.append(part.time_s)
+        while self._times_s[0] <= part.time_s - _HOUR_S:
+            self._times_s.popleft()
         self.parts = (*self.parts, part)[-KEPT_ANSWERS:]
 
     def values(self, *, n_faults: int) -> dict[str, Any]:
-        """Return the ledger as plain data; times in s, the rate in parts an hour."""
-        cycles_s, recent_s = tuple(self._cycles_s), tuple(self._times_s)
-        now_s = self._now_s()
-        begin_s = max(now_s - _RATE_S, self._since_s)
-        if len(recent_s) == _KEPT_TIMES:
-            begin_s = max(begin_s, recent_s[0])
-        n_recent = sum(at_s > begin_s for at_s in recent_s)
+        """Return the ledger as plain data; times in s."""
+        cycles_s, begin_s = tuple(self._cycles_s), self._now_s() - _HOUR_S
         return {
             "since_s": self._since_s,
             "parts": self._counts.total(),
@@ -57,7 +54,7 @@ class Shift:
             "missed": self._n_missed,
             "faults": n_faults,
             "cycle_s": statistics.median(cycles_s) if cycles_s else None,
-            "parts_per_hour": 3600.0 * n_recent / (now_s - begin_s) if n_recent else None,
+            "parts_last_hour": sum(at_s > begin_s for at_s in tuple(self._times_s)),
             "counts": dict(self._counts),
             "answers": [part.as_json() for part in self.parts],
         }

@@ -354,7 +354,7 @@ def test_unknown_commands_objects_and_addresses_are_refused(connect: Any) -> Non
     assert plc.command(REACHED, 1) == 513
     assert plc.write(8, 1, 1) == 2
     assert plc.write(9, 1) == 2
-    assert plc.link.read_input_registers(92, count=5).exception_code == 2
+    assert plc.link.read_input_registers(132, count=5).exception_code == 2
     assert plc.link.read_holding_registers(0, count=10).exception_code == 2
     assert plc.link.read_coils(0, count=1).exception_code == 1
     assert served.service.job().number == 0
@@ -568,7 +568,7 @@ def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:
     block = FunctionBlock()
     swapped = [(value & 0xFF) << 8 | value >> 8 for value in plc.inputs()]
     for _ in range(5):
-        found = {"Inputs": swapped[:64], "Part": swapped[96:]}
+        found = {"Inputs": swapped[:64], "Part": [0] * 40}
         block.call(Enable=True, Connected=True, Execute=True, Command=RELEASE, **found)
     assert (block["SwappedBytes"], block["Ready"]) == (True, False)
     assert block["Outputs"][:2] == [0, 0]
