@@ -32,8 +32,8 @@ def setting(default: Any, *, low: float = -inf, above: float = -inf, high: float
 
 def check_number(
     name: str, value: float, *, low: float = -inf, above: float = -inf, high: float = inf
-) -> None:
-    """Raise LimitExceeded when a value is not finite or outside its range."""
+) -> float:
+    """Return a value; raise LimitExceeded when it is not finite or outside its range."""
     wanted = [
         (value >= low, f"at least {low:g}"),
         (value > above, f"above {above:g}"),
@@ -42,6 +42,7 @@ def check_number(
     if not isfinite(value) or not all(ok for ok, _ in wanted):
         broken = " and ".join(text for ok, text in wanted if not ok) or "a number"
         raise LimitExceeded(f"{name} is {value}, must be finite and {broken}")
+    return value
 
 
 def _check_settings(settings: Any) -> None:

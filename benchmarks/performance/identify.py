@@ -22,8 +22,10 @@ from cell.build import build_cell
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.keeping import Keep
+from cell.jobs.collection import Collection
+from cell.jobs.identify import identify
 from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
-from cell.learning.collection import Collection
+from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel
 from recognition.evaluation.splits import chronological_split
 from recognition.grasp import Grasp
@@ -55,7 +57,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
         controller.start()
         for seed, label in enumerate(labels):
             one = Collection(label=label, n_planned=n_teach)
-            model.collect(controller, one, seed=seed, on_grasp=lambda _so_far: None)
+            teach(controller, model, one, seed=seed, on_grasp=lambda _so_far: None)
         model.train()
         last_s = [clock.monotonic()]
 
@@ -66,7 +68,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
         def answers(found: Identification) -> float:
             grasps = [record.grasp for record in found.records]
             _, took = timed(
-                lambda: [(model.recognizer.posterior(g), model.read_shape(g)) for g in grasps]
+                lambda: [(model.recognizer.posterior(g), model.shapes.read(g)) for g in grasps]
             )
             return took.cpu_s
 
@@ -79,7 +81,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             for turn in range(rounds * len(labels)):
                 spent_s.clear()
                 held = labels[turn % len(labels)]
-                found = model.identify(controller, held=held, seed=1000 + turn, keep=keep)
+                found = identify(controller, model, held=held, seed=1000 + turn, keep=keep)
                 took_s = dict(spent_s) | {"computing": answers(found)}
                 alone_s = max(0.0, took_s["computing"] - sum(spent_s[name] for name in beside))
                 totals_s.append(sum(spent_s.values()) + alone_s)

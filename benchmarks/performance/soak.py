@@ -30,7 +30,7 @@ from cell.config.model import CellConfig
 from cell.control.plan import plan
 from cell.control.states import CellState
 from cell.errors import CellStopped
-from cell.learning.collection import grasps_of
+from cell.jobs.collection import grasps_of
 from cell.learning.training import train
 from gripper.values.state import GripperPhase
 from recognition.recognizer import Recognizer

@@ -10,7 +10,7 @@ import numpy as np
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.learning.collection import grasps_of
+from cell.jobs.collection import grasps_of
 from cell.simulation import simulator_settings
 from recognition.grasp import Grasp
 

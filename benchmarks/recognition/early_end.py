@@ -21,7 +21,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.plan import plan
-from cell.learning.collection import grasps_of
+from cell.jobs.collection import grasps_of
 from cell.learning.shape_reading import shape_reader
 from cell.learning.training import train
 from recognition.recognizer import Recognizer

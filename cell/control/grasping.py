@@ -32,7 +32,7 @@ from cell.control.self_zero import (
     unsound,
     zero_text,
 )
-from cell.data.dataset import text_refused
+from cell.data.grasp_limits import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, OnPeriod
 from gripper.clock import Clock

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from cell.errors import CellError
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import LoadedModel, check_pads
-from cell.learning.training import gaugeable
+from cell.learning.training import gaugeable, gauged
 from recognition.grasp import Grasp
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 
@@ -27,14 +27,11 @@ def calibrate_model(
     of a kind that cannot be gauged, or was taught on other pads, and CellError if an object was not
     taught, or no grasp of it touched both pads.
     """
-    recognizer = gaugeable(model.recognizer, model.trainer_name).without_gauges()
+    recognizer = gaugeable(model, *grasps).without_gauges()
     for label, taken in grasps.items():
         if taken:
             check_pads(model, taken[0].pads)
-        try:
-            recognizer = recognizer.gauge(label, taken)
-        except ValueError as error:
-            raise CellError(f"cannot calibrate: {error}") from error
+        recognizer = gauged(recognizer, label, taken)
     return recognizer
 
 
@@ -45,7 +42,7 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecogn
     Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads,
     and CellError if there are fewer grasps than show a drift.
     """
-    recognizer = gaugeable(model.recognizer, model.trainer_name)
+    recognizer = gaugeable(model)
     if len(grasps) < MIN_UNNAMED_GRASPS:
         raise CellError(
             f"{len(grasps)} grasps do not show a drift: give {MIN_UNNAMED_GRASPS} or more, of "
@@ -55,16 +52,3 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecogn
     for grasp in sorted(grasps, key=lambda g: g.start_ms):
         recognizer = recognizer.follow(grasp)
     return recognizer.with_grid(recognizer.grid.with_unnamed_kept())
-
-
-def check_gauge(model: LoadedModel, label: str) -> None:
-    """Refuse a gauge object that the model cannot be calibrated with, before it is grasped.
-
-    Raises ModelError if the model is of a kind that cannot be gauged, and CellError if the object
-    was not taught.
-    """
-    gaugeable(model.recognizer, model.trainer_name)
-    if label not in model.labels:
-        raise CellError(
-            f"{label!r} was not taught: gauge with one of {', '.join(model.labels)}, or teach it"
-        )

@@ -5,7 +5,7 @@ from datetime import datetime
 from pathlib import Path
 
 from cell.errors import CellError
-from cell.learning.collection import Collection
+from cell.jobs.collection import Collection
 
 Progress = Callable[[str, int, int], None]
 """Called by a job after each step with a task, its steps that are over, and all of them; the

@@ -1,15 +1,17 @@
 """Identification: of the object in a cell, or of recorded grasps, with a taught model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from cell.build import Cell
 from cell.config.model import CellConfig
-from cell.control.identification import Identification, ReadShape
+from cell.control.controller import CellController
+from cell.control.identification import Identification, OnGrasp, ReadShape
 from cell.control.keeping import Keep
+from cell.control.plan import plan
 from cell.errors import ModelError
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
@@ -95,6 +97,54 @@ def identify_recorded(
     return sorted(answers, key=lambda answer: answer.number)
 
 
+@one_blas_thread()
+def identify(
+    controller: CellController,
+    model: TaughtModel,
+    *,
+    held: str | None,
+    seed: int,
+    max_grasps: int | None = None,
+    force_n: float | None = None,
+    keep: Keep = Keep.NEVER,
+    whole_ramps: bool = False,
+    on_grasp: OnGrasp | None = None,
+) -> Identification:
+    """Grasp an object until its name is sure enough, then follow the drift that it shows.
+
+    Raises CellStateError if nothing was taught yet. Else it raises as `CellController.identify`.
+
+    Parameters
+    ----------
+    held
+        Object that the positioner is to bring; None: the one that is there.
+    max_grasps
+        Most grasps; None: as many as the config allows.
+    force_n
+        Force at the end of each ramp in N; None: those of the plan.
+    keep
+        When the part stays in the grip.
+    whole_ramps
+        Whether no ramp ends early, whatever the config says.
+    """
+    recognizer, sequence = model.recognizer, model.config.sequence
+    if force_n is not None:
+        sequence = sequence.with_force(force_n)
+    controller.present(held)
+    found = controller.identify(
+        recognizer,
+        plan(sequence, max_grasps or sequence.max_grasps, seed=seed),
+        early=None if whole_ramps else model.early,
+        read_shape=model.shapes.reader,
+        on_grasp=on_grasp,
+        keep=keep,
+    )
+    remark = model.remark_on(found.records)
+    if remark:
+        controller.remark("drift", remark)
+    return replace(found, remark=remark)
+
+
 def identify_on_cell(
     cell: Cell,
     config: CellConfig,
@@ -106,14 +156,15 @@ def identify_on_cell(
 ) -> tuple[Identification, str | None]:
     """Run one sequence; return its answer and, where the cell is simulated, the object held.
 
-    A simulated cell that is given no object draws one of its own. Raises as `TaughtModel.identify`.
+    A simulated cell that is given no object draws one of its own. Raises as `identify`.
     """
     if held is None and config.brings_objects:
         objects = [entry.label for entry in config.simulator.objects]
         held = str(np.random.default_rng(config.seed).choice(objects))
     n_grasps = config.sequence.max_grasps
-    found = model.identify(
+    found = identify(
         cell.controller,
+        model,
         held=held,
         seed=config.seed + 1,
         keep=keep,

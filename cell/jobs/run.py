@@ -12,9 +12,11 @@ from cell.build import Cell
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
+from cell.jobs.collection import Collection
 from cell.jobs.common import Progress, progress_of
+from cell.jobs.identify import identify
+from cell.jobs.teach import teach
 from cell.learning.blas import one_blas_thread
-from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
 from cell.report.build import BASELINE, score_tables
@@ -149,15 +151,15 @@ def teach_and_identify(
         model.train()
         model.save(files["model"])
         progress("train", 1, 2)
-        recognizers = baseline(model, taught)
+        recognizers = baseline(config.recognition.recognizer, taught)
         progress("train", 2, 2)
-    default = model.trainer_name
+    default = model.check_taught().trainer_name
     recognizers = {default: model.recognizer} | recognizers
     trials = []
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
             seed = _seed(config, 1 + repeat, number)
-            found = model.identify(cell.controller, held=label, seed=seed, whole_ramps=True)
+            found = identify(cell.controller, model, held=label, seed=seed, whole_ramps=True)
             others = {
                 name: recognizer.posterior(found.records[0].grasp)
                 for name, recognizer in recognizers.items()
@@ -187,9 +189,9 @@ def teach_and_identify(
     )
 
 
-def baseline(model: TaughtModel, taught: Sequence[Collection]) -> dict[str, Recognizer]:
+def baseline(default: str, taught: Sequence[Collection]) -> dict[str, Recognizer]:
     """Return the paper's classifier, by its name, taught the same; none where the model is one."""
-    if model.trainer_name == BASELINE:
+    if default == BASELINE:
         return {}
     grasps = [grasp for one in taught for grasp in one.grasps]
     return {BASELINE: train(grasps, BASELINE).recognizer}
@@ -206,12 +208,12 @@ def teach_objects(
 ) -> list[Collection]:
     """Grasp each object ``n_grasps`` times for the training set of the model.
 
-    Raises as `TaughtModel.collect`.
+    Raises as `cell.jobs.teach.teach`.
     """
     taught = [Collection(label=label, n_planned=n_grasps) for label in labels]
     for number, one in enumerate(taught):
         seed = _seed(config, 0, number)
-        model.collect(cell.controller, one, seed=seed, on_grasp=progress_of(progress))
+        teach(cell.controller, model, one, seed=seed, on_grasp=progress_of(progress))
     return taught
 
 

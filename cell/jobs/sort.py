@@ -15,6 +15,7 @@ from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.positioner import Destination
 from cell.errors import ConfigError, NoPartFound
+from cell.jobs.identify import identify
 from cell.learning.taught_model import TaughtModel
 from recognition.recognizer import UNKNOWN
 
@@ -178,7 +179,7 @@ def sort_parts(
     seed
         Seed of the poses and forces of the first part; each further one has the next.
     max_grasps, force_n
-        As `TaughtModel.identify`.
+        As `cell.jobs.identify.identify`.
     on_part
         Called after each part, with what its identification has found.
     on_missed
@@ -197,8 +198,9 @@ def sort_parts(
     for turn in range(n_parts):
         truth = feed(turn)
         try:
-            found = model.identify(
+            found = identify(
                 controller,
+                model,
                 held=truth,
                 seed=seed + turn,
                 max_grasps=max_grasps,

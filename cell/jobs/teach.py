@@ -8,11 +8,13 @@ import numpy as np
 
 from cell.build import Cell
 from cell.config.model import CellConfig
+from cell.control.controller import CellController
 from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.errors import CellError, DatasetError
+from cell.jobs.collection import Collection
 from cell.jobs.common import Progress, progress_of
-from cell.learning.collection import Collection
 from cell.learning.model import what_differs
+from cell.learning.taught_model import TaughtModel
 from recognition.grasp import Grasp, PadArray
 
 
@@ -60,6 +62,27 @@ def teach_to_dataset(
             note(f"{collection} added to {dataset} ({len(before)} were there)")
             if collection.short:
                 note(collection.short)
+
+
+def teach(
+    controller: CellController,
+    model: TaughtModel,
+    collection: Collection,
+    *,
+    seed: int,
+    on_grasp: Callable[[Collection], None],
+) -> None:
+    """Grasp a known object and add its grasps to the training set; `train` is to follow.
+
+    What was grasped before an error stays in the training set. Raises CellStateError if the
+    training set of the loaded model is not at hand: its objects would be lost. Else it raises as
+    `Collection.fill`.
+    """
+    model.check_extendable()
+    try:
+        collection.fill(controller, model.config.sequence, seed=seed, on_grasp=on_grasp)
+    finally:
+        model.add(collection.grasps)
 
 
 def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:

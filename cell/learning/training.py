@@ -3,11 +3,12 @@
 Beside the recogniser a model may keep early classifiers, which answer while a ramp still runs.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
 
-from cell.config.model import RecognitionConfig
-from cell.errors import CellError, ModelError
+from cell.config.model import CellConfig
+from cell.errors import CellError, CellStateError, ModelError
 from cell.installation import extra
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
@@ -22,11 +23,24 @@ EARLY_SECTION = "early"
 """Section of a model file that holds the early classifiers."""
 
 
-def with_caution(recognizer: Recognizer, config: RecognitionConfig) -> Recognizer:
-    """Return the recogniser with the caution of the config, where it is of a kind that has one."""
-    if isinstance(recognizer, ForceRampRecognizer):
-        return replace(recognizer, caution=config.caution)
-    return recognizer
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trained:
+    """Result of a training, as a model file keeps it."""
+
+    recognizer: Recognizer
+    """The recogniser of whole ramps."""
+    trainer_name: str
+    """Its kind, one of `recognition.recognizers.trainer_names`."""
+    early: EarlyClassifiers | None = None
+    """Classifiers for ramps that end early; None where they were not asked for."""
+    sections: Mapping[str, Arrays] = field(default_factory=dict)
+    """Further sections of the model file, those of the optional parts among them."""
+
+    def with_caution(self, caution: float) -> Self:
+        """Return it with a caution, where the recogniser is of a kind that has one."""
+        if not isinstance(self.recognizer, ForceRampRecognizer):
+            return self
+        return replace(self, recognizer=replace(self.recognizer, caution=caution))
 
 
 def may_end_early(recognizer: Recognizer) -> bool:
@@ -37,28 +51,35 @@ def may_end_early(recognizer: Recognizer) -> bool:
     return isinstance(recognizer, ForceRampRecognizer) and recognizer.both is not None
 
 
-def gaugeable(recognizer: Recognizer, trainer_name: str) -> ForceRampRecognizer:
-    """Return a recogniser that can be gauged. Raises ModelError for one of another kind."""
+def gaugeable(model: Trained | LoadedModel, *labels: str) -> ForceRampRecognizer:
+    """Return the recogniser of a model that can be gauged with these objects.
+
+    Raises ModelError if it is of another kind, and CellStateError if an object was not taught.
+    """
+    recognizer = model.recognizer
     if not isinstance(recognizer, ForceRampRecognizer):
-        raise ModelError(f"a model of {trainer_name} cannot be gauged; train one of force_ramp")
+        raise ModelError(
+            f"a model of {model.trainer_name} cannot be gauged; train one of force_ramp"
+        )
+    for label in labels:
+        if label not in recognizer.labels:
+            raise CellStateError(
+                f"{label!r:.80} was not taught: gauge with one of {', '.join(recognizer.labels)}"
+            )
     return recognizer
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trained:
-    """Result of a training."""
+def gauged(
+    recognizer: ForceRampRecognizer, label: str, grasps: Sequence[Grasp]
+) -> ForceRampRecognizer:
+    """Return a recogniser after grasps of a taught object that were taken now.
 
-    recognizer: Recognizer
-    """The recogniser of whole ramps."""
-    trainer_name: str
-    """Its kind, one of `recognition.recognizers.trainer_names`."""
-    early: EarlyClassifiers | None = None
-    """Classifiers for ramps that end early; None where they were not asked for."""
-
-    @property
-    def sections(self) -> dict[str, Arrays]:
-        """Sections of a model file that keep the optional parts."""
-        return {} if self.early is None else {EARLY_SECTION: self.early.to_arrays()}
+    Raises CellError if the object was not taught, or no grasp touched both pads.
+    """
+    try:
+        return recognizer.gauge(label, grasps)
+    except ValueError as error:
+        raise CellError(f"cannot gauge: {error}") from error
 
 
 @one_blas_thread()
@@ -90,10 +111,22 @@ def train(
         raise CellError(
             f"{name} cannot be trained on these {len(grasps)} grasps: {error}"
         ) from error
-    cut = None
-    if early and may_end_early(recognizer):
-        cut = teach_early(trainer, grasps, recognizer.labels)
-    return Trained(recognizer=recognizer, trainer_name=name, early=cut)
+    trained = Trained(recognizer=recognizer, trainer_name=name)
+    if not early or not may_end_early(recognizer):
+        return trained
+    cut = teach_early(trainer, grasps, recognizer.labels)
+    return replace(trained, early=cut, sections={EARLY_SECTION: cut.to_arrays()})
+
+
+def loaded(model: LoadedModel, config: CellConfig) -> Trained:
+    """Return a model file as trained, with what the config uses of it; raises as `load_early`."""
+    trained = Trained(
+        recognizer=model.recognizer,
+        trainer_name=model.trainer_name,
+        early=load_early(model) if config.decides_early else None,
+        sections=model.sections,
+    )
+    return trained.with_caution(config.recognition.caution)
 
 
 def load_early(model: LoadedModel) -> EarlyClassifiers | None:

@@ -119,6 +119,8 @@ class HostStatus(CellStatus):
 
     live: "LiveValues" = field(compare=False)
     """Force, opening, temperature and taxels as they are measured at the moment."""
+    recording_fault: str = ""
+    """Why the recording has stopped; empty while it is written, or where none is made."""
     last_answer: Answer | None
     """Answer of the last identification, whatever jobs came after it; None from the beginning of
     the next identification or sort on, until the identification has succeeded."""

@@ -14,8 +14,10 @@ from cell.control.plan import Pose
 from cell.control.records import GraspRecord
 from cell.control.self_zero import zero_text, zero_values
 from cell.errors import CellError, NoPartFound
+from cell.jobs.collection import Collection
+from cell.jobs.identify import identify
 from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
-from cell.learning.collection import Collection
+from cell.jobs.teach import teach
 from cell.learning.taught_model import TaughtModel
 from cell.plugin.answer import Answer, SortAnswer, Verification
 from cell.plugin.goals import (
@@ -96,7 +98,7 @@ class Tasks:
         Raises
         ------
         cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-            As `TaughtModel.collect`; the grasps until then count at the next teaching.
+            As `cell.jobs.teach.teach`; the grasps until then count at the next teaching.
         CellError
             If all taught grasps together are too few to train with; they are kept too.
         ModelError, DatasetError
@@ -115,7 +117,7 @@ class Tasks:
         shown |= {"of": goal.grasps, "each": []}
         collection = Collection(label=goal.label, n_planned=goal.grasps)
         self.file.due = True
-        self.model.collect(self.controller, collection, seed=goal.seed, on_grasp=progress)
+        teach(self.controller, self.model, collection, seed=goal.seed, on_grasp=progress)
         self.model.train()
         apart = self.model.told_apart(goal.label)
         n_grasps = self.model.objects()[goal.label][0]
@@ -144,7 +146,10 @@ class Tasks:
 
         shown["of"] = goal.grasps
         collection = Collection(label=goal.label, n_planned=goal.grasps)
-        found = self.model.gauge(self.controller, collection, goal.seed, progress)
+        self.model.check_gauge(goal.label)
+        sequence = self.model.config.sequence
+        collection.fill(self.controller, sequence, seed=goal.seed, on_grasp=progress)
+        found = self.model.gauge(goal.label, collection.grasps)
         drifts = {
             when: {"gain": drift.gain, "opening_mm": 1e3 * drift.aperture_offset_m}
             for when, drift in zip(("before", "after"), found, strict=True)
@@ -167,7 +172,7 @@ class Tasks:
     def identify(self, goal: IdentifyGoal, report: Report) -> Answer:
         """Grasp an object until its name is sure enough, and return the answer.
 
-        What the goal wants to be kept stays in the grip. Raises as `TaughtModel.identify`.
+        What the goal wants to be kept stays in the grip. Raises as `cell.jobs.identify.identify`.
         """
         seen, posteriors = self.begin("identify"), list[Posterior]()
 
@@ -178,7 +183,7 @@ class Tasks:
                 {
                     "task": "identify",
                     "grasps": number,
-                    "of": goal.max_grasps or self.model.max_grasps,
+                    "of": goal.max_grasps or self.model.config.sequence.max_grasps,
                     "best": answer.name,
                     "probability": answer.name_probability,
                     "force_n": record.step.force_n,
@@ -189,8 +194,9 @@ class Tasks:
             )
 
         try:
-            found = self.model.identify(
+            found = identify(
                 self.controller,
+                self.model,
                 held=goal.present,
                 seed=goal.seed,
                 max_grasps=goal.max_grasps,
@@ -277,7 +283,7 @@ class Tasks:
 
 def _felt(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:
     """Return force, opening and size of one taught grasp as plain data."""
-    shape = model.read_shape(record.grasp)
+    shape = model.shapes.read(record.grasp)
     return {
         "force_n": record.outcome.final_force_n,
         "opening_mm": 1e3 * record.outcome.final_aperture_m,

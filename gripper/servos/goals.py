@@ -191,7 +191,12 @@ class GoalGuard:
 
         Raises LimitExceeded when a limit is against the goals; it is named.
         """
-        self._check_age(state, now_s)
+        settings, age_s = self._settings, now_s - state.t_s
+        if age_s > settings.bus_loss_s:
+            raise LimitExceeded(
+                f"the servos' feedback is {age_s:.3f} s old, at most {settings.bus_loss_s} s are "
+                f"allowed: check the servo bus"
+            )
         lowering = len(goals) == len(self._previous_a) and all(
             goal.current_a <= before_a + _EQUAL
             for goal, before_a in zip(goals, self._previous_a, strict=True)
@@ -205,9 +210,13 @@ class GoalGuard:
         if not lowering and not opening:
             for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
                 self._check_current_force(index, goal, servo.angle_rad)
-            self._check_temperature(state)
+            if state.temperature_c > settings.temperature_max_c:
+                raise LimitExceeded(
+                    f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
+                    f"{settings.temperature_max_c:g}: let it cool down"
+                )
             newest = self.newest_force
-            if newest is not None and now_s - newest.t_s <= self._settings.force_stale_s:
+            if newest is not None and now_s - newest.t_s <= settings.force_stale_s:
                 self.check_force()
         self._previous_a = tuple(goal.current_a for goal in goals)
 
@@ -227,22 +236,6 @@ class GoalGuard:
             times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / QUIET_N) if few else 1.0
             most_n = max(most_n, max(first_n, second_n) / n - times * settings.force_noise_n)
         return most_n - settings.force_max_n
-
-    def _check_age(self, state: GripperState, now_s: float) -> None:
-        settings = self._settings
-        if now_s - state.t_s > settings.bus_loss_s:
-            raise LimitExceeded(
-                f"the servos' feedback is {now_s - state.t_s:.3f} s old, at most "
-                f"{settings.bus_loss_s} s are allowed: check the servo bus"
-            )
-
-    def _check_temperature(self, state: GripperState) -> None:
-        settings = self._settings
-        if state.temperature_c > settings.temperature_max_c:
-            raise LimitExceeded(
-                f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
-                f"{settings.temperature_max_c:g}: let it cool down"
-            )
 
     def _check_goal(self, index: int, goal: ServoGoal, angle_rad: float) -> None:
         settings = self._settings

@@ -120,9 +120,11 @@ class Driver:
 
     def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
         step = GraspStep(pose=Pose(), force_n=force_n)
+        witness = self.witness()
+        early = witness.early(self.controller.hand.layout)
         return self.command(
             f"identify {force_n} N, keep {keep}",
-            lambda: self.witness().identify(self.controller, step, keep),
+            lambda: self.controller.identify(witness, [step], early=early, keep=keep),
         )
 
     def witness(self) -> FrameWitness:

@@ -12,9 +12,6 @@ import numpy as np
 from cell.build import Cell
 from cell.config.gripper import GripperConfig
 from cell.control.controller import CellController
-from cell.control.identification import Identification
-from cell.control.keeping import Keep
-from cell.control.plan import GraspStep
 from cell.control.records import pad_array
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
@@ -27,6 +24,7 @@ from recognition.recognizers.early_classifiers import EarlyClassifiers
 from simulator.cell import SimulatedCell
 from simulator.faults.injector import InjectedFault
 from simulator.world.world import PhysicalWorld
+from tactile.layout import TaxelLayout
 
 CONTACT_N = 0.02
 """Force in N above which a pad touches the part."""
@@ -395,17 +393,14 @@ class FrameWitness:
             raise InvariantBroken(f"a label in spite of {', '.join(self._spoiled())}")
         return Posterior(labels=self.labels, probability=np.array([0.999, 0.001]), unknown=0.001)
 
-    def identify(self, controller: CellController, step: GraspStep, keep: Keep) -> Identification:
-        """Identify with one grasp, whose ramp ends as soon as its load is felt."""
-        pads = pad_array(controller.hand.layout)
-        n_taxels, gripping = len(pads.taxel_pad), controller.hand.layout.gripping_pads
-        rest = Rest(
-            pads=pads, gripping=gripping, counts=np.zeros(n_taxels), noise_counts=np.ones(2)
-        )
-        early = EarlyClassifiers(
+    def early(self, layout: TaxelLayout) -> EarlyClassifiers:
+        """Return it as the classifier of a ramp, which ends as soon as its load is felt."""
+        pads = pad_array(layout)
+        counts, gripping = np.zeros(len(pads.taxel_pad)), layout.gripping_pads
+        rest = Rest(pads=pads, gripping=gripping, counts=counts, noise_counts=np.ones(2))
+        return EarlyClassifiers(
             rest=rest, load_counts=np.array([_ENDING_COUNTS]), recognizers=(self,)
         )
-        return controller.identify(self, [step], early=early, keep=keep)
 
 
 def spoiling(faults: Sequence[InjectedFault], now_s: float) -> list[str]:

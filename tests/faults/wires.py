@@ -9,15 +9,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, Protocol
 from unittest.mock import patch
 from xmlrpc.client import ServerProxy
 
 from cell.build import Cell, build_cell
 from cell.config.file import changed_config
-from cell.control.controller import CellController
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config
 from cell.control.keeping import Keep
-from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import CellError, HeldByClient, NotInCommand
 from cell.fault_catalogue import fault_number
@@ -32,6 +33,7 @@ from cell.interfaces.modbus.registers import (
 from cell.interfaces.opening import open_doors
 from cell.service.opening import open_service
 from cell.service.service import RELEASE_KEY, JobView, Service
+from recognition.recognizers.early_classifiers import EarlyClassifiers
 from tests.cell.interfaces.hosts import Client, Plc
 from tests.faults.campaign import PRODUCT_ERRORS
 from tests.faults.driver import COMMAND_BOUND_S, Driver
@@ -270,12 +272,23 @@ WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {
 
 
 class WitnessModel:
-    """A taught model whose recogniser looks at its frames."""
+    """A taught model whose recogniser looks at its frames; each grasp has the same pose."""
 
-    labels, max_grasps, revision, drift = ("ball", "box"), 1, 0, None
+    labels, revision, drift, shapes = ("ball", "box"), 0, None, SimpleNamespace(reader=None)
 
-    def __init__(self, witness: Callable[[], FrameWitness]) -> None:
+    def __init__(self, config: CellConfig, witness: Callable[[], FrameWitness]) -> None:
+        ranges = dict.fromkeys(("x_mm", "y_mm", "rotation_deg", "roll_deg"), (0.0, 0.0))
+        changes = {f"sequence.{name}": range_ for name, range_ in ranges.items()}
+        self.config = changed_config(config, changes | {"sequence.max_grasps": 1})
         self._witness = witness
+
+    @property
+    def recognizer(self) -> FrameWitness:
+        return self._witness()
+
+    @property
+    def early(self) -> EarlyClassifiers:
+        return self._witness().early(layout_from_config(self.config.tactile))
 
     def check_extendable(self) -> None:
         """Do nothing: its training set is at hand."""
@@ -283,13 +296,8 @@ class WitnessModel:
     def check_taught(self) -> None:
         """Do nothing: it is taught."""
 
-    def identify(
-        self, controller: CellController, *, held: str, force_n: float, keep: Keep, **_other: Any
-    ) -> Any:
-        """Grasp and classify, as `TaughtModel.identify`."""
-        controller.present(held)
-        step = GraspStep(pose=Pose(), force_n=force_n)
-        return self._witness().identify(controller, step, keep)
+    def remark_on(self, _records: Any) -> str:
+        return ""
 
 
 class WireDriver(Driver):
@@ -523,7 +531,7 @@ class WireDriver(Driver):
         with patch("cell.build.build_cell", built):
             self._service = self._new_service()
         plugin: Any = self._service._plugin
-        plugin._model = plugin._file.model = WitnessModel(self.witness)
+        plugin._model = plugin._file.model = WitnessModel(plugin._config, self.witness)
         doors = open_doors(self._service)
         self._wire = WIRES[self.door](doors.__enter__())
         self._ending = [self._wire.close, lambda: doors.__exit__(None, None, None)]

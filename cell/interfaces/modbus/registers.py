@@ -49,9 +49,10 @@ _REGISTERS = {"grasps": GRASPS, "max_grasps": GRASPS, "parts": OBJECT, "key": KE
 READY, REMOTE, RUNNING, DONE, REFUSED, FAULT, HOLDING, NO_PART, LOST, UNNAMED, NEEDS_RESET = (
     1 << bit for bit in range(11)
 )
-ON_HOLD = 1 << 11
+ON_HOLD, NOT_RECORDED = 1 << 11, 1 << 12
 """Bits of the third input register; `REMOTE`: the lease is with Modbus, `ON_HOLD`: some client
-keeps the cell on hold, `HOLDING`: a part may be in the grip."""
+keeps the cell on hold, `HOLDING`: a part may be in the grip, `NOT_RECORDED`: the recording has
+stopped."""
 
 
 NOT_MEASURED = 0x8000
@@ -109,6 +110,7 @@ def input_registers(
         (UNNAMED, job.label == UNKNOWN or job.same is False),
         (NEEDS_RESET, status.needs_reset),
         (ON_HOLD, bool(now.held_by)),
+        (NOT_RECORDED, bool(status.recording_fault)),
     )
     words = [0] * N_INPUT
     for value in (*VALUES, *PLATE):

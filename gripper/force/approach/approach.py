@@ -8,6 +8,7 @@ from math import inf
 from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
 from gripper.force.approach.contact import LOADED_SHARE, ContactDetector, FirstTouch
 from gripper.force.estimates.history import History
+from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
 from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
@@ -387,6 +388,24 @@ class Approach:
         if now_s >= self._deadline_s:
             return ApproachEvent.LIMIT
         return ApproachEvent.CLOSING
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reached:
+    """End of an approach, and what it has shown of the part."""
+
+    settings: GripperSettings
+    """Those of the gripper, or those with which empty fingers meet."""
+    event: ApproachEvent
+    state: GripperState
+    """What has ended it, and the feedback then."""
+    braked_s: float
+    """Monotonic time in s at which a finger was braked at its first touch."""
+    touch_m: float
+    """Opening in m at which both pads were first loaded."""
+    stiffness: StiffnessEstimate
+    friction_share: float
+    """Stiffness of the part so far, and friction as a share of the model's."""
 
 
 @dataclass(slots=True)

@@ -8,7 +8,7 @@ import pytest
 
 from cell.build import build_cell
 from cell.data.dataset import read_grasps
-from cell.learning.collection import grasps_of
+from cell.jobs.collection import grasps_of
 from cell.simulation import simulation_of
 from simulator.cell import SimulatedCell
 from tactile.errors import LinkFault

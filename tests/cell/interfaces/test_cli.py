@@ -25,8 +25,9 @@ from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
+from cell.data.recorder_sink import DirectFile
 from cell.data.recording_reader import read_recording
-from cell.errors import ConfigError
+from cell.errors import ConfigError, RecordingError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.run import confusion_table, print_result
@@ -241,6 +242,41 @@ def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None
     assert data["kept"] is False
     assert "the part was kept" not in text
     assert "COMPLETE" not in [state["state"] for state in recording.states]
+
+
+@pytest.mark.parametrize(
+    ("command", "answer"),
+    [
+        ("identify -m {model} --object box -c {config} --json {json}", "answer: box"),
+        ("run -c {config} --json {json}", "One grasp takes"),
+        ("teach ball -n 3 -o {out}/b.npz -c {config} --json {json}", "3 grasps of ball added"),
+        ("sort --parts 1 -m {model} -c {config} --json {json}", "1 parts sorted"),
+        ("calibrate --gauge ball -n 1 -m {model} -o {out}/c.npz -c {config}", "1 grasps of ball"),
+    ],
+)
+@pytest.mark.usefixtures("run_at_once")
+def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
+    *,
+    config: Path,
+    model: Path,
+    tmp_path: Path,
+    command: str,
+    answer: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(_file: DirectFile) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(DirectFile, "close", refuse)
+    found = tmp_path / "found.json"
+    names = {"model": model, "config": config, "out": tmp_path, "json": found}
+    result = RUNNER.invoke(app, [part.format(**names) for part in command.split()])
+    assert answer in result.stdout
+    assert isinstance(result.exception, RecordingError)
+    assert "stopped after" in str(result.exception)
+    assert "No space left" in str(result.exception)
+    if found.exists():
+        assert "No space left" in read_json(found)["health"]["recording"]
 
 
 def test_identify_keeps_the_part_where_that_is_asked_for(

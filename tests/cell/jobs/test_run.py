@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,10 +11,10 @@ from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.data.files import json_bytes
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
+from cell.jobs.collection import Collection, grasps_of
 from cell.jobs.common import job_folder, progress_of
 from cell.jobs.run import baseline
 from cell.jobs.teach import labelled, name_recorded, teach_to_dataset
-from cell.learning.collection import Collection, grasps_of
 from cell.learning.model import load_model
 from cell.learning.training import train
 from cell.report.build import BASELINE, score, score_tables
@@ -87,7 +86,7 @@ def test_json_has_what_was_promised(taught: Any) -> None:
 
 
 def test_the_baseline_as_default_is_trained_once() -> None:
-    assert baseline(Mock(trainer_name=BASELINE), ()) == {}
+    assert baseline(BASELINE, ()) == {}
 
 
 # -- scores ------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from cell.jobs.identify import identify
 from cell.learning.blas import one_blas_thread
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
@@ -64,6 +65,6 @@ def test_training_and_answering_have_one_thread(
     model.train()
     bench = make_bench(taught.config)
     bench.controller.start()
-    model.identify(bench.controller, held="ball", seed=1)
+    identify(bench.controller, model, held="ball", seed=1)
     assert seen == [{1}] * 3
     assert threads() == {HOST_THREADS}

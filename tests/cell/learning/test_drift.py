@@ -16,7 +16,7 @@ from cell.data.recording_reader import read_recording
 from cell.errors import ConfigError, ModelError
 from cell.interfaces.cli.app import app
 from cell.jobs.calibrate import calibrate_model
-from cell.jobs.identify import identify_recorded
+from cell.jobs.identify import identify, identify_recorded
 from cell.learning.model import load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import Trained, train
@@ -74,7 +74,7 @@ class Plain:
 
 def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early: bool = False):
     outcome = SimpleNamespace(
-        result=result, ended_early=early, final_force_n=5.0, final_aperture_m=0.01
+        result=result, ended_early=early, final_force_n=5.0, final_aperture_m=0.01, short=""
     )
     return SimpleNamespace(grasp=grasp, outcome=outcome, early=None)
 
@@ -82,14 +82,14 @@ def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early:
 def model_of(recognizer: Any, **changes: object) -> TaughtModel:
     """Return a model with that recogniser."""
     model = TaughtModel(small_config(**changes))
-    model._recognizer = recognizer
+    model._trained = Trained(recognizer=recognizer, trainer_name="force_ramp")
     return model
 
 
 def identified(model: TaughtModel, *records: Any) -> str:
     """Identify once; return the remark."""
     controller: Any = Grasping(records[0].grasp, records)
-    return model.identify(controller, held=None, seed=0).remark
+    return identify(controller, model, held=None, seed=0).remark
 
 
 def test_it_learns_after_each_answer_and_speaks_once() -> None:
@@ -270,6 +270,6 @@ def test_a_model_that_was_taught_without_a_self_zero_is_named_once(
 ) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
     model = TaughtModel.load(bench.config, taught.result.model)
-    first, second = (model.identify(bench.controller, held="ball", seed=s) for s in (1, 2))
+    first, second = (identify(bench.controller, model, held="ball", seed=s) for s in (1, 2))
     assert "was taught without a self-zero" in first.remark
     assert "without a self-zero" not in second.remark

@@ -11,7 +11,9 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, ModelError
-from cell.learning.collection import Collection
+from cell.jobs.collection import Collection
+from cell.jobs.identify import identify
+from cell.jobs.teach import teach
 from cell.learning.model import LoadedModel, load_model, save_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import EARLY_SECTION, load_early, train
@@ -146,8 +148,8 @@ def test_objects_are_named_in_less_time_and_none_wrongly(
     for whole, times_s in grasp_s.items():
         ended = 0
         for number, label in enumerate(["ball", "box"]):
-            found = model.identify(
-                bench.controller, held=label, seed=20 + number, whole_ramps=whole
+            found = identify(
+                bench.controller, model, held=label, seed=20 + number, whole_ramps=whole
             )
             assert found.label in (label, UNKNOWN)
             times_s += [record.duration_s for record in found.records]
@@ -155,7 +157,7 @@ def test_objects_are_named_in_less_time_and_none_wrongly(
         assert (ended == 0) is whole
     assert np.mean(grasp_s[False]) < np.mean(grasp_s[True])
     more = Collection(label="ball", n_planned=1)
-    model.collect(bench.controller, more, seed=30, on_grasp=lambda _: None)
+    teach(bench.controller, model, more, seed=30, on_grasp=lambda _: None)
     assert all(one.cycles[-1].setpoint_n == one.step.force_n for one in more.records)
 
 
@@ -181,7 +183,7 @@ def test_by_touch_alone_ramps_are_whole_and_nothing_is_said(
         taught.config.model_copy(update={"recognition": touch}), training_set=taught.grasps
     )
     model.train()
-    found = model.identify(bench.controller, held="box", seed=0)
+    found = identify(bench.controller, model, held="box", seed=0)
     assert all(record.early is None for record in found.records)
     assert found.remark == ""
 
@@ -213,7 +215,7 @@ def test_a_model_taught_without_ramps_cut_short_says_once_that_its_ramps_are_who
     bench = make_bench(taught.config).ready()
     path = resaved(load_model(taught.result.model), tmp_path / "m.npz", {})
     model = TaughtModel.load(taught.config, path)
-    found = [model.identify(bench.controller, held="box", seed=seed) for seed in range(2)]
+    found = [identify(bench.controller, model, held="box", seed=seed) for seed in range(2)]
     assert all(record.early is None for one in found for record in one.records)
     assert [one.remark.partition(":")[0] for one in found] == [
         "the model was taught without ramps cut short, so that none ends early",

@@ -24,16 +24,16 @@ def model(taught: Any) -> TaughtModel:
 
 def test_objects_have_their_grasps_and_the_size_of_the_newest(model: TaughtModel) -> None:
     assert model.objects()["ball"] == (5, None)  # who asks does not wait
-    assert not model.looked_at
-    model.look_at_newest()
-    assert model.looked_at
+    assert not model.shapes_read
+    model.read_shapes()
+    assert model.shapes_read
     objects = model.objects()
     assert {label: n for label, (n, _) in objects.items()} == {"ball": 5, "box": 5}
     shape = objects["ball"][1]
     assert shape is not None
     assert 1e3 * shape.size_m == pytest.approx(9.5, abs=1.0)
     revision = model.revision
-    model.look_at_newest()
+    model.read_shapes()
     assert (model.objects()["ball"][1] is shape, model.revision) == (True, revision)  # read once
 
 
@@ -47,7 +47,7 @@ def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(
     assert (model.objects()["box"][0], model.labels, gone) == (4, ("ball", "box"), [])
     file.forget("box", last=False, forgotten=lambda: gone.append("box"))
     assert (model.labels, gone, model.revision) == (("ball",), ["box"], revision + 2)
-    assert TaughtModel.load(model._config, path).labels == ("ball",)
+    assert TaughtModel.load(model.config, path).labels == ("ball",)
     with pytest.raises(CellStateError, match="'box' is not taught; ball"):
         model.forget("box")
     file.forget("ball", last=False, forgotten=lambda: None)

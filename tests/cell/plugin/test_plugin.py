@@ -69,7 +69,7 @@ def test_a_gauge_says_under_which_foam_shapes_are_read(
         make_plugin(gauge=gauge)
 
     def read(**options: Any) -> Any:
-        shape = make_plugin(model=taught.result.model, **options)._model._read_shape(box)
+        shape = make_plugin(model=taught.result.model, **options)._model.shapes.reader(box)
         return shape
 
     box = taught.grasps[-1]

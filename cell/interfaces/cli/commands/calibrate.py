@@ -16,6 +16,7 @@ from cell.interfaces.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from cell.build import Cell
     from recognition.grasp import Grasp
 
 
@@ -47,15 +48,17 @@ def calibrate(
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.jobs.calibrate import calibrate_model, check_gauge, follow_shift
+    from cell.jobs.calibrate import calibrate_model, follow_shift
+    from cell.jobs.collection import grasps_of
     from cell.jobs.common import progress_of
-    from cell.learning.collection import grasps_of
     from cell.learning.model import load_model, save_model
+    from cell.learning.training import gaugeable
     from recognition.drift.drift import drift_text
 
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
     taken: dict[str, list[Grasp]] = {}
+    cell: Cell | None = None
     if dataset is not None:
         loaded = load_model(model)
         found = list(read_grasps(dataset))
@@ -70,8 +73,7 @@ def calibrate(
     else:
         checked = cell_config(config, seed=seed)
         loaded = load_model(model, pads_of(checked))
-        for label in gauge:
-            check_gauge(loaded, label)
+        gaugeable(loaded, *gauge)
         with running_cell(
             checked, "calibrate", out_folder, config_file=config, json_file=json_file
         ) as (cell, progress):
@@ -100,6 +102,8 @@ def calibrate(
         f"{drift_text(corrected.grid.drift)} (+-{1e3 * corrected.grid.offset_sd_m:.1f} mm): "
         f"{output}"
     )
+    if cell is not None:
+        cell.check_recording()
 
 
 def _grasps_of(gauge: str, grasps: "list[Grasp]", dataset: Path, *, alone: bool) -> "list[Grasp]":

@@ -90,7 +90,6 @@ def identify(
         found, truth = identify_on_cell(
             cell, checked, taught, held=held, keep=keeps, progress=progress
         )
-        recording, health = cell.recording_path, cell.health()
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
@@ -124,10 +123,11 @@ def identify(
             "ramps": [record.ramp_as_json() for record in found.records],
             "drift": None if found.drift is None else found.drift.values,
             "held": truth,
-            "recording": recording,
-            "health": health,
+            "recording": cell.recording_path,
+            "health": cell.health(),
         },
     )
+    cell.check_recording()
 
 
 def _identify_recorded(
@@ -144,13 +144,12 @@ def _identify_recorded(
     from cell.jobs.identify import identify_recorded
     from cell.learning.model import load_model
     from cell.learning.shape_reading import NO_SHAPE
-    from cell.learning.training import with_caution
+    from cell.learning.training import loaded
     from recognition.drift.drift import drift_text
 
-    loaded = load_model(model)
-    loaded = replace(loaded, recognizer=with_caution(loaded.recognizer, config.recognition))
-    recorded = read_grasps(dataset)
-    answers = identify_recorded(loaded, recorded, follow=follow, read_shape=read_shape)
+    found, recorded = load_model(model), read_grasps(dataset)
+    found = replace(found, recognizer=loaded(found, config).recognizer)
+    answers = identify_recorded(found, recorded, follow=follow, read_shape=read_shape)
     for answer in answers:
         print_line(
             f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"

@@ -18,7 +18,7 @@ from cell.interfaces.cli.options import (
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
-    from cell.learning.collection import Collection
+    from cell.jobs.collection import Collection
 
 _GRASPS = 20
 """Grasps of an object where no number is given."""
@@ -79,7 +79,7 @@ def teach(
     from cell.config.simulator import checked_label
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config
-    from cell.learning.collection import Collection
+    from cell.jobs.collection import Collection
 
     try:
         checked_label(label)
@@ -127,12 +127,10 @@ def _teach_grasps(
     with running_cell(
         config, "teach", out_folder, config_file=config_file, json_file=json_file
     ) as (cell, progress):
-        recording = cell.recording_path
         teach_to_dataset(
             cell, config, collection, dataset, before, progress=progress, note=print_line
         )
-        health = cell.health()
-    print_line(f"recording: {recording}")
+    print_line(f"recording: {cell.recording_path}")
     write_json(
         json_file,
         {
@@ -140,10 +138,11 @@ def _teach_grasps(
             "n_grasps": len(collection.records),
             "n_missed": collection.n_missed,
             "dataset": dataset,
-            "recording": recording,
-            "health": health,
+            "recording": cell.recording_path,
+            "health": cell.health(),
         },
     )
+    cell.check_recording()
 
 
 def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:

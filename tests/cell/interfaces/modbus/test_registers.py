@@ -29,6 +29,7 @@ from cell.interfaces.modbus.registers import (
     LIFE,
     NEEDS_RESET,
     NOT_MEASURED,
+    NOT_RECORDED,
     OLDEST_MS,
     ON_HOLD,
     READY,
@@ -113,6 +114,17 @@ def test_live_values_have_their_registers(connect: Any) -> None:
         served.plugin.show_live(LiveValues(**dict(zip(names, values, strict=True))))
         inputs = plc.inputs()
         assert [*inputs[13:15], *inputs[21:24]] == shown
+
+
+def test_a_recording_that_has_stopped_has_its_bit(connect: Any, block: Any) -> None:
+    served, plc = connect()
+    assert plc.inputs()[2] == READY
+    served.plugin.stop_recording("No space left on device")
+    assert plc.inputs()[2] == READY | NOT_RECORDED
+    served, plc = block()
+    assert plc.cycle()["NotRecorded"] is False
+    served.plugin.stop_recording("No space left on device")
+    assert plc.cycle()["NotRecorded"] is True
 
 
 def test_a_zeroed_stale_or_wrong_key_lets_nothing_go(connect: Any) -> None:

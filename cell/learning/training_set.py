@@ -1,0 +1,67 @@
+"""Training set: the grasps that trained a model, and the data set beside it that keeps them."""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cell.data.dataset import read_dataset
+from cell.errors import ModelError
+from cell.learning.model import Arrays, LoadedModel
+from recognition.grasp import Grasp
+
+TRAINING_SECTION = "training_set"
+"""Section of a model file that names the data set of its training set, and its checksum."""
+
+
+def training_section(grasps: Sequence[Grasp], file: Path) -> Arrays:
+    """Return the section of a model file that names the data set of its training set."""
+    return {
+        "file": np.array(file.name),
+        "sha256": np.array(_checksum(grasps)),
+        "grasps": np.array(len(grasps)),
+    }
+
+
+def saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
+    """Return the training set that was saved with a model, where it still stands beside it.
+
+    Raises DatasetError if it cannot be read.
+    """
+    name = str(model.sections.get(TRAINING_SECTION, {}).get("file", ""))
+    path = model.path.parent / name
+    return read_dataset(path) if Path(name).name == name and os.path.isfile(path) else ()
+
+
+def check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
+    """Raise ModelError for grasps that cannot have trained a model.
+
+    Further grasps after those of the model are no fault: the data set is written first, and the
+    program may have ended before the model.
+    """
+    if not grasps:
+        return
+    labels = {grasp.label for grasp in grasps}
+    section = model.sections.get(TRAINING_SECTION, {})
+    kept, count = section.get("sha256"), str(section.get("grasps", len(grasps)))
+    n_trained = int(count) if count.isdecimal() and len(count) < 10 else len(grasps)
+    if (
+        not labels.issuperset(model.labels)
+        or not grasps[0].pads.same_as(model.pads)
+        or (kept is not None and str(kept) != _checksum(grasps[:n_trained]))
+    ):
+        raise ModelError(
+            f"the training set, {len(grasps)} grasps of {', '.join(sorted(labels))}, is not the "
+            f"one that trained {model.path} ({', '.join(model.labels)}): name that one"
+        )
+
+
+def _checksum(grasps: Sequence[Grasp]) -> str:
+    """Return the SHA-256 of labels, times and frames, which a data set keeps as they are."""
+    digest = hashlib.sha256()
+    for grasp in grasps:
+        digest.update(f"{grasp.label}|{grasp.start_ms}|{grasp.counts.shape}|".encode())
+        digest.update(np.asarray(grasp.counts, dtype="<u2").tobytes())
+    return digest.hexdigest()
