@@ -36,7 +36,7 @@ from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport
 from gripper.values.state import Cycle, GripperPhase, GripperState, Observer
 
-CARRY_RATE_N_S = 20.0
+HOLD_AT_RATE_N_S = 20.0
 """Rate in N/s at which a held force goes to that of the carry: a host waits for the answer."""
 
 
@@ -110,7 +110,7 @@ class Gripper:
         return self._bus
 
     @property
-    def state(self) -> GripperPhase:
+    def phase(self) -> GripperPhase:
         """Phase of the gripper."""
         return self._life.phase
 
@@ -276,7 +276,9 @@ class Gripper:
         """
         return self._close(ramp, observer, self._grasping.run)
 
-    def meet(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
+    def press_pads_together(
+        self, ramp: ForceRamp, observer: Observer | None = None
+    ) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp to its end, return holding.
 
         The way down is that of a grasp, and goes on below ``aperture_min_m`` until the pads meet.
@@ -292,7 +294,7 @@ class Gripper:
         LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             As `grasp`.
         """
-        return self._close(ramp, observer, self._grasping.meet)
+        return self._close(ramp, observer, self._grasping.press_pads_together)
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> GripperState:
         """Control the force at its last set-point for a time in s.
@@ -313,7 +315,7 @@ class Gripper:
             self._fingers.make_ready()
             return self._grasping.hold(control, duration_s)
 
-    def carry(
+    def hold_at(
         self, force_n: float, duration_s: float = 0.0, observer: Observer | None = None
     ) -> GripperState:
         """Bring the held force to ``force_n``, hold it for a time in s, and keep controlling it.
@@ -329,11 +331,11 @@ class Gripper:
         PartLost, PartSlipped
             As `hold`.
         """
-        control = self._held_control("carry")
-        ramp = ForceRamp.linear(force_n, CARRY_RATE_N_S, start_n=control.grip.setpoint_n)
+        control = self._held_control("hold_at")
+        ramp = ForceRamp.linear(force_n, HOLD_AT_RATE_N_S, start_n=control.grip.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None
-        with self._life.command("carry", observer):
+        with self._life.command("hold_at", observer):
             self._fingers.make_ready()
             if force_n != control.grip.setpoint_n:
                 state = self._grasping.follow(control, ramp)

@@ -47,7 +47,7 @@ COMMANDS: Mapping[str, Command] = {
     "open": Command(_EMPTY, GripperPhase.OPENING, GripperPhase.IDLE),
     "grasp": Command(_EMPTY, GripperPhase.APPROACHING, None),
     "hold": Command(_HELD, GripperPhase.HOLDING, GripperPhase.HOLDING),
-    "carry": Command(_HELD, GripperPhase.BACKING_OFF, GripperPhase.HOLDING),
+    "hold_at": Command(_HELD, GripperPhase.BACKING_OFF, GripperPhase.HOLDING),
     "squeeze": Command(_HELD, GripperPhase.RAMPING, GripperPhase.HOLDING),
     "release": Command(frozenset(), GripperPhase.RELEASING, GripperPhase.IDLE),
 }

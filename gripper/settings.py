@@ -10,7 +10,7 @@ from math import inf, isfinite
 from typing import Any
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
-from gripper.dynamixel.models import PULSES_PER_TURN, ServoModel, require_current_control
+from gripper.dynamixel.models import ServoModel, require_current_control
 from gripper.errors import LimitExceeded
 
 HARD_FORCE_CAP_N = 50.0
@@ -154,8 +154,9 @@ class ServoSettings:
             raise LimitExceeded(f"servo_id is {self.servo_id}, must be from 0 to 252")
         if self.direction not in (-1, 1):
             raise LimitExceeded(f"direction is {self.direction}, must be 1 or -1")
-        if not 0 <= self.zero_raw < PULSES_PER_TURN:
-            raise LimitExceeded(f"zero_raw is {self.zero_raw}, must be from 0 to 4095")
+        most_raw = self.servo_model.pulses_per_turn - 1
+        if not 0 <= self.zero_raw <= most_raw:
+            raise LimitExceeded(f"zero_raw is {self.zero_raw}, must be from 0 to {most_raw}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

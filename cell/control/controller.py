@@ -410,11 +410,11 @@ class CellController:
         self._journal.brought = label
 
     def grasp(
-        self, step: GraspStep, looks: EarlyDecider | None = None, *, label: str = ""
+        self, step: GraspStep, early_checks: EarlyDecider | None = None, *, label: str = ""
     ) -> GraspRecord:
         """Run one grasp: pose, approach, contact, ramp, hold, release.
 
-        With ``looks`` the ramp ends as soon as they decide.
+        With ``early_checks`` the ramp ends as soon as they decide.
 
         Raises
         ------
@@ -428,7 +428,7 @@ class CellController:
         """
         self._check_cancelled_between()
         self._grasper.check(step, label)
-        return self._grasp(step, looks, label=label)[0]
+        return self._grasp(step, early_checks, label=label)[0]
 
     def grip(self, force_n: float, pose: Pose | None = None) -> GraspRecord:
         """Close with a force ramp and keep the part: COMPLETE, without a name.
@@ -577,11 +577,11 @@ class CellController:
         steps = self._checked(plan)
 
         def grasp(
-            step: GraspStep, looks: EarlyDecider | None, judge: Judge
+            step: GraspStep, early_checks: EarlyDecider | None, judge: Judge
         ) -> tuple[GraspRecord, bool]:
             self._check_cancelled_between()
             self._grasper.check(step)
-            return self._grasp(step, looks, judge)
+            return self._grasp(step, early_checks, judge)
 
         result = grasp_and_classify(
             grasp,
@@ -611,13 +611,13 @@ class CellController:
     def _grasp(
         self,
         step: GraspStep,
-        looks: EarlyDecider | None,
+        early_checks: EarlyDecider | None,
         judge: Judge | None = None,
         *,
         label: str = "",
     ) -> tuple[GraspRecord, bool]:
         with self._executing(Event.EXECUTE):
-            record, kept = self._grasper.grasp(step, label, looks, judge)
+            record, kept = self._grasper.grasp(step, label, early_checks, judge)
             if kept:
                 self._life.keep(since="answer")
             else:

@@ -45,7 +45,7 @@ class Identification:
     drift: DriftGrid | None = None
     """The drift with which the answer was given; None for a recogniser that does not follow it."""
     complaints: tuple[str, ...] = ()
-    """Errors of the callback, of looks at ramps and of fits of shape; they end no sequence."""
+    """Errors of the callback, of early checks and of fits of shape; they end no sequence."""
     shapes: tuple[ShapeAnswer | None, ...] = ()
     """Shape and size by each grasp, in order; None where its pads do not show them. Empty where
     none was asked for."""
@@ -199,7 +199,7 @@ def grasp_and_classify(
     Parameters
     ----------
     grasp
-        Carries one step out, ends its ramp where the looks at it decide, and does with the part
+        Carries one step out, ends its ramp where the early checks decide, and does with the part
         what the judge decides; returns the record, and whether the part was kept.
     plan
         Steps in order, at least one.
@@ -235,12 +235,13 @@ def grasp_and_classify(
     judge = Judge(begin=answers.begin, decide=decide, holds=keeps or not regrasps, keeps=keeps)
     kept = False
     while not (answers.records and answers.over):
-        looks = None
+        early_checks = None
         if heads is not None:
-            looks = EarlyDecider(heads, answers.posteriors, rule)
-        _, kept = grasp(next(steps), looks, judge)
+            early_checks = EarlyDecider(heads, answers.posteriors, rule)
+        _, kept = grasp(next(steps), early_checks, judge)
         if not judge.holds:
             answers.add()
-        if looks is not None and looks.error is not None:
-            answers.complain(f"looks at the ramp of grasp {len(answers.records)}", looks.error)
+        if early_checks is not None and early_checks.error is not None:
+            ramp = f"early checks of the ramp of grasp {len(answers.records)}"
+            answers.complain(ramp, early_checks.error)
     return answers.identification(kept=kept)

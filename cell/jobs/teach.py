@@ -103,7 +103,7 @@ def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
     return len(grasps), len(before)
 
 
-def labelled(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:
+def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:
     """Return the labelled grasps of a data set or recording; a note says how many have no label.
 
     Raises CellError if none has a label: then nothing can be taught or tested with them.
@@ -120,7 +120,7 @@ def labelled(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:
     return named
 
 
-def repeated(grasps: Sequence[Grasp]) -> list[Grasp]:
+def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
     """Return the grasps that stood before already, at the same time with the same frames."""
     seen: dict[int, list[Grasp]] = {}
     found = []

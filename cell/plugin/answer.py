@@ -88,6 +88,11 @@ class Answer:
         return self.probabilities[self.label]
 
     @property
+    def size_mm(self) -> float:
+        """Size in mm; 0 where it was not felt."""
+        return 0.0 if self.shape is None else self.shape.size_mm
+
+    @property
     def unknown(self) -> float:
         """Probability that the object was never taught."""
         return self.probabilities[UNKNOWN]

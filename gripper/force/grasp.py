@@ -111,8 +111,8 @@ class GraspRun:
             self._touched += 1
             return self._press(ramp, reached, slip=LevelSlip(self._settings))
 
-    def meet(self, ramp: ForceRamp) -> GraspOutcome:
-        """Close the empty fingers onto each other and follow a ramp; see `Gripper.meet`."""
+    def press_pads_together(self, ramp: ForceRamp) -> GraspOutcome:
+        """Close the empty fingers onto each other and follow a ramp, see `Gripper`."""
         self.forget()
         reached = self._closed()
         contact = reached.state

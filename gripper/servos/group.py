@@ -12,11 +12,10 @@ from gripper.dynamixel.control_table import (
     GOAL_PWM,
     OPERATING_MODE,
     PWM_LIMIT,
-    RAD_PER_PULSE,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
 )
-from gripper.dynamixel.models import OperatingMode
+from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import (
     BusCorrupt,
     BusTimeout,
@@ -31,7 +30,7 @@ from gripper.servos.goals import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import GripperState
+from gripper.values.state import GripperState, ServoState
 
 _PATIENT_READS = 3
 """Readings between commands before a lost answer is an error."""
@@ -105,10 +104,10 @@ class ServoGroup:
     # Goals
 
     def write_goals(
-        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_velocity_raw: int = 0
+        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_rad_s: float = 0.0
     ) -> None:
         """Write the goals of all servos at once, if no limit is against it; see `GoalWriter`."""
-        self._goals.write(goals, state, profile_velocity_raw=profile_velocity_raw)
+        self._goals.write(goals, state, profile_rad_s=profile_rad_s)
 
     @property
     def goals_in_force(self) -> bool:
@@ -314,16 +313,17 @@ class ServoGroup:
             self._bus.write(servo_id, TORQUE_ENABLE, 1)
         self._arm_watchdog()
 
-    def _check_goal_is_near(self, servo_id: int, position_raw: int) -> None:
+    def _check_goal_is_near(self, servo: ServoState, model: ServoModel) -> None:
         """Raise FeedbackImplausible where a servo under torque is too far from its goal.
 
         A count that is farther than a gripping program sets its goals is not the one that the
         servo goes by; a goal made of it would move the finger there.
         """
+        servo_id, position_raw = servo.servo_id, servo.position_raw
         if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
             return
         goal_raw = self._bus.read(servo_id, GOAL_POSITION)
-        away_rad = abs(position_raw - goal_raw) * RAD_PER_PULSE
+        away_rad = abs(position_raw - goal_raw) * model.rad_per_pulse
         if away_rad > _FARTHEST_GOAL_RAD:
             raise FeedbackImplausible(
                 f"servo {servo_id}: it reports the position {position_raw} while it holds the goal "
@@ -353,8 +353,8 @@ class ServoGroup:
         """
         for tries_left in reversed(range(_GOAL_TRIES)):
             state = self.read_patiently()
-            for servo in state.servos:
-                self._check_goal_is_near(servo.servo_id, servo.position_raw)
+            for servo, settings in zip(state.servos, self._settings.servos, strict=True):
+                self._check_goal_is_near(servo, settings.servo_model)
             self._goals.write(
                 [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad],
                 state,

@@ -17,7 +17,7 @@ from recognition.statistics.array_record import without_prefix
 from recognition.statistics.fusion import StopRule, fuse
 
 _SHARES = (0.5, 0.75)
-"""Parts of the usual full load at which a ramp is looked at before its end. At a quarter intervals
+"""Parts of the usual full load at which a ramp is checked before its end. At a quarter intervals
 of the size hold it too seldom, at the usual noise in 77 % of grasps instead of 90 %."""
 _MOST_UNKNOWN = 0.02
 """Largest probability of an untaught object with which a ramp ends: that of the end of a sequence
@@ -26,7 +26,7 @@ let up to 3 % more of them pass (docs/decisions/0010-unknown-never-ends-a-ramp.m
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EarlyClassifiers:
-    """One recogniser for each load at which a ramp is looked at before its end."""
+    """One recogniser for each load at which a ramp is checked before its end."""
 
     rest: Rest
     """The untouched pads."""
@@ -97,11 +97,11 @@ class EarlyDecider:
         self._rule = rule
         self._load = RunningLoad(early.rest)
         self._seen = 0
-        self._looks = 0
+        self._n_checked = 0
         self.answer: Posterior | None = None
-        """Posterior of this grasp alone at the look that satisfied the rule; None until then."""
+        """Posterior of this grasp alone at the check that satisfied the rule; None until then."""
         self.error: Exception | None = None
-        """What a look has raised: a ramp goes on through it, as no program may fail in its loop."""
+        """What a check has raised: a ramp goes on through it, as nothing may fail in its loop."""
 
     def add_frame(self, counts: NDArray[np.uint16], so_far: Callable[[], Grasp]) -> bool:
         """Take the next frame; return whether the evidence suffices with it, for the first time.
@@ -111,17 +111,17 @@ class EarlyDecider:
         counts : (n_taxels,) uint16
             The frame.
         so_far
-            Gives the grasp with at least all frames up to this one; asked at a look only.
+            Gives the grasp with at least all frames up to this one; asked at a check only.
         """
         self._seen += 1
         load = self._load.push(counts)
         while (
             self.answer is None
-            and self._looks < len(self._early.recognizers)
-            and load >= self._early.load_counts[self._looks]
+            and self._n_checked < len(self._early.recognizers)
+            and load >= self._early.load_counts[self._n_checked]
         ):
-            classifier = self._early.recognizers[self._looks]
-            self._looks += 1
+            classifier = self._early.recognizers[self._n_checked]
+            self._n_checked += 1
             try:
                 posterior = classifier.posterior(so_far().first_frames(self._seen))
             except RecognitionError:
@@ -146,7 +146,7 @@ def teach_early(
 
     Each recogniser calibrates its probabilities on ramps cut like those that it will meet; ramps
     that end below its load serve whole. A load at which the cut ramps do not suffice to teach,
-    because in the noise too few of them show a touch, is not looked at.
+    because in the noise too few of them show a touch, is not checked.
     """
     rest = learn_rest(grasps)
     loads = [load_so_far(g, rest) for g in grasps]

@@ -37,8 +37,8 @@ _LESS, _MORE = 0.2, 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Look:
-    """What the data show at some parameters."""
+class Linearisation:
+    """Residuals and their normal equations at some parameters."""
 
     residuals: Array
     """(n_data,) float64: over their standard deviations."""
@@ -47,15 +47,15 @@ class Look:
     """(n, n) and (n,) float64: J^T J and J^T r, J the Jacobian of the residuals."""
 
     @classmethod
-    def of(cls, residuals: Array, jacobian: Array) -> "Look":
-        """Return the look of residuals (n_data,) and their Jacobian (n_data, n)."""
+    def of(cls, residuals: Array, jacobian: Array) -> "Linearisation":
+        """Return the linearisation of residuals (n_data,) and their Jacobian (n_data, n)."""
         return cls(
             residuals=residuals, normal=jacobian.T @ jacobian, gradient=jacobian.T @ residuals
         )
 
 
 def minimise(
-    look: Callable[[Array], Look],
+    linearise: Callable[[Array], Linearisation],
     theta: Array,
     mean: Array,
     sd: Array,
@@ -63,20 +63,21 @@ def minimise(
     steps: int,
     trials: int,
     longest: float,
-) -> tuple[Array, float, Look]:
+) -> tuple[Array, float, Linearisation]:
     """Minimise squared residuals and a prior of ``mean`` and ``sd`` (n,) by Levenberg-Marquardt.
 
-    ``look`` gives what the data show; ``longest`` is the longest step of one parameter, in its
-    unit. Returns the best parameters, the sum of squares, and what the data show there.
+    ``linearise`` gives residuals and normal equations; ``longest`` is the longest step of one
+    parameter, in its unit. Returns the best parameters, the sum of squares, and the
+    linearisation there.
     """
 
-    def cost_of(theta: Array, here: Look) -> float:
+    def cost_of(theta: Array, here: Linearisation) -> float:
         away = (theta - mean) / sd
         return float(here.residuals @ here.residuals + away @ away)
 
     precision = sd**-2
     damping = _DAMPING
-    here = look(theta)
+    here = linearise(theta)
     cost = cost_of(theta, here)
     for _ in range(steps):
         normal = here.normal + np.diag(precision)
@@ -85,7 +86,7 @@ def minimise(
         for _ in range(trials):
             step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             trial = theta + np.clip(step, -longest, longest)
-            there = look(trial)
+            there = linearise(trial)
             new = cost_of(trial, there)
             if new < cost:
                 gain, theta, cost, here = cost - new, trial, new, there
@@ -233,7 +234,7 @@ def fit_shape(
         # A turn has no preferred value: its prior only bounds it, around where it starts.
         problem.mean[problem.pose + 2] = starts[int(np.argmin(first)), problem.pose + 2]
     theta, _, found = minimise(
-        lambda theta: Look.of(*problem.around(theta)),
+        lambda theta: Linearisation.of(*problem.around(theta)),
         starts[int(np.argmin(first))],
         problem.mean,
         problem.sd,

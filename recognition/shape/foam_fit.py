@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.ramp.ramp import learn_rest
-from recognition.shape.fit import Look, minimise, misfit_of, n_determined
+from recognition.shape.fit import Linearisation, minimise, misfit_of, n_determined
 from recognition.shape.foam import FoamModel, PadBed, closed_columns_m, neighbours
 from recognition.shape.models import Drawing, posed
 from recognition.shape.pressed_pads import PressedPads, reduce_to_pads
@@ -152,7 +152,13 @@ class _Fit:
 
     def _minimise(self, theta: Array) -> tuple[float, Array, FoamFit]:
         theta, cost, found = minimise(
-            self._look, theta, self.mean, self.sd, steps=_STEPS, trials=_TRIALS, longest=_LONGEST
+            self._linearise,
+            theta,
+            self.mean,
+            self.sd,
+            steps=_STEPS,
+            trials=_TRIALS,
+            longest=_LONGEST,
         )
         each = np.split(found.residuals, self.ends)
         misfit = misfit_of(
@@ -290,7 +296,7 @@ class _Fit:
         residuals: Array = np.concatenate(parts) / float(np.sqrt(self.scale))
         return residuals
 
-    def _look(self, theta: Array) -> Look:
+    def _linearise(self, theta: Array) -> Linearisation:
         """Return what all grasps show together; each has parameters of its own."""
         n_common = len(GLOBALS)
         common = theta[:n_common]
@@ -311,9 +317,9 @@ class _Fit:
                 moved[k] += _STEP
                 there = self._reach(i, moved, bed) if k < 3 else reach
                 columns.append(self._residuals(i, bed, common, moved, there))
-            here = Look.of(base, (np.array(columns) - base).T / _STEP)
+            here = Linearisation.of(base, (np.array(columns) - base).T / _STEP)
             where = np.r_[:n_common, n_common + i * len(own) : n_common + (i + 1) * len(own)]
             normal[np.ix_(where, where)] += here.normal
             gradient[where] += here.gradient
             each.append(base)
-        return Look(residuals=np.concatenate(each), normal=normal, gradient=gradient)
+        return Linearisation(residuals=np.concatenate(each), normal=normal, gradient=gradient)

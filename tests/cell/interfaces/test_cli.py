@@ -5,6 +5,7 @@ import importlib.metadata
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import cell.jobs.doctor
@@ -45,6 +47,8 @@ from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
 from simulator.faults.injector import VOCABULARY
+from simulator.realtime.hands import Hands
+from simulator.realtime.requests import CellRequests
 from tests.cell.conftest import call, once, plain_grasp
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
@@ -518,6 +522,17 @@ def test_evaluate_writes_the_figures_of_each_recognizer(dataset: Path, tmp_path:
     assert "tactile only" in text
 
 
+def test_evaluate_prints_which_object_is_taken_for_which(dataset: Path, tmp_path: Path) -> None:
+    grasps = read_dataset(dataset)
+    # One grasp of the ball bears the name of the box.
+    ball = [grasp for grasp in grasps if grasp.label == "ball"]
+    named = [replace(grasp, label="box") for grasp in ball[-1:]]
+    tested = tmp_path / "tested.npz"
+    write_dataset(tested, [*ball[:-1], *named])
+    text = call("evaluate", tested, "--train", dataset, "--recognizer", "force_ramp")
+    assert "force_ramp confuses, one grasp each: 1 x box as ball" in text
+
+
 def narrowed(grasp: Grasp) -> Grasp:
     """Return a grasp as pads with the two middle columns of its own would have recorded it."""
     pads = grasp.pads
@@ -847,6 +862,36 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
 
 def test_the_version_is_printed() -> None:
     assert call("--version") == f"tactile-cell {importlib.metadata.version('tactile-cell')}\n"
+
+
+def options() -> dict[str, dict[str, Any]]:
+    """Return the options of each command by the long name: all names, and the help."""
+    found: dict[str, dict[str, Any]] = {}
+
+    def add(path: str, command: Any) -> None:
+        for name, one in getattr(command, "commands", {}).items():
+            add(f"{path} {name}".strip(), one)
+        found[path] = {one.opts[0]: one for one in command.params if one.opts[0][0] == "-"}
+
+    add("", get_command(app))
+    return found
+
+
+def test_short_options_mean_the_same_in_every_command() -> None:
+    meanings: dict[str, set[str]] = {}
+    for one in (one for command in options().values() for one in command.values()):
+        for short in (name for name in one.opts if name[:2] != "--"):
+            meanings.setdefault(short, set()).add(one.opts[0])
+    assert meanings["-o"] == {"--output"}
+    assert all(len(longs) == 1 for longs in meanings.values()), meanings
+
+
+def test_the_help_of_ask_names_all_that_hands_and_programs_can_ask_for() -> None:
+    _, acts, requests = re.split("and end:|Programs send", options()["simulate"]["--ask"].help)
+    nothing: Any = None
+    assert set(Hands(nothing, nothing)._acts) <= set(re.findall(r"\w+", acts))
+    listed = set(re.findall(r"\w+", requests.partition(":")[2].partition(":")[2]))
+    assert listed == set(CellRequests(nothing, nothing)._requests)
 
 
 HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "joblib"}

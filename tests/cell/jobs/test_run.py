@@ -14,7 +14,7 @@ from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
 from cell.jobs.collection import Collection, grasps_of
 from cell.jobs.common import job_folder, progress_of
 from cell.jobs.run import baseline
-from cell.jobs.teach import labelled, name_recorded, teach_to_dataset
+from cell.jobs.teach import name_recorded, read_labelled_grasps, teach_to_dataset
 from cell.learning.model import load_model
 from cell.learning.training import train
 from cell.report.build import BASELINE, score, score_tables
@@ -172,15 +172,15 @@ def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(
     recording, named = taught.result.recording, tmp_path / "named.npz"
     n_identified = len(taught.result.records)
     notes: list[str] = []
-    assert {grasp.label for grasp in labelled(recording, notes.append)} == {"ball", "box"}
+    assert {g.label for g in read_labelled_grasps(recording, notes.append)} == {"ball", "box"}
     assert notes == [f"{recording}: {n_identified} grasps without a label are left out"]
     unnamed = tmp_path / "unnamed.npz"
     write_dataset(unnamed, [grasp for grasp in read_grasps(recording) if not grasp.label])
     with pytest.raises(CellError, match=r"tactile-cell teach LABEL --from .*unnamed\.npz -o"):
-        labelled(unnamed, notes.append)
+        read_labelled_grasps(unnamed, notes.append)
     assert name_recorded(recording, "thing", named) == (n_identified, 0)
     assert name_recorded(unnamed, "other", named) == (n_identified, n_identified)
-    assert {grasp.label for grasp in labelled(named, notes.append)} == {"thing", "other"}
+    assert {g.label for g in read_labelled_grasps(named, notes.append)} == {"thing", "other"}
     with pytest.raises(CellError, match="each of its grasps has a label"):
         name_recorded(named, "thing", tmp_path / "again.npz")
 

@@ -98,7 +98,7 @@ def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench: Any, taugh
     early = heads_of(taught, Scripted(LIKELY, look=fail), Scripted((0.9, 0.01)))
     found = bench.controller.identify(Scripted(LIKELY), [STEP], early=early)
     assert (found.label, found.records[0].early) == ("ball", None)
-    assert found.complaints == ("looks at the ramp of grasp 1: a broken model",)
+    assert found.complaints == ("early checks of the ramp of grasp 1: a broken model",)
     assert [len(head.grasps) for head in early.recognizers] == [1, 1]
     assert bench.controller.fault is None
 

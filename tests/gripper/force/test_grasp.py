@@ -60,7 +60,7 @@ def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_cell, kin
     at_n = asking.setpoints_after_n.pop()
     assert 3.5 <= at_n <= 4.0
     assert outcome.final_force_n == pytest.approx(at_n, abs=0.4)
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING
     cell.gripper.hold(0.5, asking)
     assert asking.setpoints_after_n == {at_n}
     assert max(asking.force_n[asking.asked_at :]) <= at_n + 0.25
@@ -139,7 +139,7 @@ def test_a_stop_comes_first(cell) -> None:
     asking = Asking(cell, 4.0, cell.gripper.request_stop)
     with pytest.raises(GraspStopped):
         cell.gripper.grasp(LINEAR, asking)
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING
     assert asking.asked_at == len(asking.cycles) - 1
 
 
@@ -153,7 +153,7 @@ def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(make_cell) -> None:
 
     outcome = cell.gripper.grasp(LINEAR, Asking(cell, 4.0, drop))
     assert outcome.result is GraspResult.PART_LOST
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
 
 
 def test_a_fault_while_the_force_settles_keeps_the_grip(make_cell) -> None:
@@ -169,7 +169,7 @@ def test_a_fault_while_the_force_settles_keeps_the_grip(make_cell) -> None:
 
     with pytest.raises(ForceSensorStale, match="goals are frozen"):
         cell.gripper.grasp(LINEAR, Asking(cell, 5.0, blind))
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     assert cell.force_n == pytest.approx(5.0, abs=0.8)
 
 
@@ -219,15 +219,15 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
         r"the part is too small or too soft for 8\.0 N: .*_min_mm is 0\.5", outcome.short
     )
     assert outcome.final_force_n == pytest.approx(3.5, abs=0.7)
-    assert gripper.state is GripperPhase.HOLDING
+    assert gripper.phase is GripperPhase.HOLDING
     gripper.hold(2.0)
-    gripper.carry(6.0, 1.0)
-    gripper.carry(1.5)
+    gripper.hold_at(6.0, 1.0)
+    gripper.hold_at(1.5)
     assert gripper.squeeze(LINEAR).short
     assert cell.force_n == pytest.approx(3.5, abs=1.0)
     assert cell.peak_n < 4.5
     gripper.release()
-    assert gripper.state is GripperPhase.IDLE
+    assert gripper.phase is GripperPhase.IDLE
 
 
 def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(

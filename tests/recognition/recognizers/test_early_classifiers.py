@@ -1,4 +1,4 @@
-"""Decisions during the ramp: looks use no later frame, and a sure look ends the ramp."""
+"""Decisions during the ramp: checks use no later frame, and a sure check ends the ramp."""
 
 from dataclasses import replace
 from functools import partial
@@ -28,7 +28,7 @@ def early(train, whole):
     return teach_early(make_trainer("shrinkage_lda"), train, whole.labels)
 
 
-def look_frames(early, grasp):
+def check_frames(early, grasp):
     """Return after how many frames each load is reached."""
     load = load_so_far(grasp, early.rest)
     reached = [np.flatnonzero(load >= level) for level in early.load_counts]
@@ -37,24 +37,24 @@ def look_frames(early, grasp):
 
 def answer(early, grasp, rule):
     """Return the posterior that ends the ramp, and after how many frames; None where none does."""
-    looks = EarlyDecider(early, (), rule)
+    decider = EarlyDecider(early, (), rule)
     for number, counts in enumerate(grasp.counts, 1):
-        if looks.add_frame(counts, partial(grasp.first_frames, number)):
-            return looks.answer, number
+        if decider.add_frame(counts, partial(grasp.first_frames, number)):
+            return decider.answer, number
     return None
 
 
-def test_looks_come_in_order_and_use_no_later_frame(early, fresh):
-    reached = [grasp for grasp in fresh if look_frames(early, grasp)]
+def test_checks_come_in_order_and_use_no_later_frame(early, fresh):
+    reached = [grasp for grasp in fresh if check_frames(early, grasp)]
     assert len(reached) > len(fresh) / 2
     for grasp in reached:
-        looks = look_frames(early, grasp)
-        assert looks == sorted(looks)
-        assert look_frames(early, grasp.first_frames(looks[0])) == looks[:1]
+        checks = check_frames(early, grasp)
+        assert checks == sorted(checks)
+        assert check_frames(early, grasp.first_frames(checks[0])) == checks[:1]
         all_of_it = load_so_far(grasp, early.rest)
-        part = load_so_far(grasp.first_frames(looks[0]), early.rest)
-        assert part == pytest.approx(all_of_it[: looks[0]])
-        assert all_of_it[looks[0] - 1] >= early.load_counts[0] > all_of_it[looks[0] - 2]
+        part = load_so_far(grasp.first_frames(checks[0]), early.rest)
+        assert part == pytest.approx(all_of_it[: checks[0]])
+        assert all_of_it[checks[0] - 1] >= early.load_counts[0] > all_of_it[checks[0] - 2]
 
 
 def test_a_lax_rule_ends_earlier_than_a_strict_one(early, fresh):
@@ -92,8 +92,10 @@ def test_a_ramp_that_runs_is_decided_with_what_earlier_grasps_told(whole, early,
     rule = StopRule(error_rate=1e-3)
     sooner = 0
     for grasp in fresh:
-        looks = EarlyDecider(early, (), rule)
-        alone = [n for n, c in enumerate(grasp.counts, 1) if looks.add_frame(c, lambda g=grasp: g)]
+        decider = EarlyDecider(early, (), rule)
+        alone = [
+            n for n, c in enumerate(grasp.counts, 1) if decider.add_frame(c, lambda g=grasp: g)
+        ]
         known = Posterior(
             labels=whole.labels,
             probability=np.array([0.99 if n == grasp.label else 0.0 for n in whole.labels])
@@ -103,10 +105,10 @@ def test_a_ramp_that_runs_is_decided_with_what_earlier_grasps_told(whole, early,
         more = EarlyDecider(early, (known, known), rule)
         fused = [n for n, c in enumerate(grasp.counts, 1) if more.add_frame(c, lambda g=grasp: g)]
         assert len(alone) <= 1
-        assert bool(alone) is (looks.answer is not None)
-        assert set(alone) | set(fused) <= set(look_frames(early, grasp))
-        if looks.answer is not None and alone == fused:
-            assert more.answer.probability == pytest.approx(looks.answer.probability)
+        assert bool(alone) is (decider.answer is not None)
+        assert set(alone) | set(fused) <= set(check_frames(early, grasp))
+        if decider.answer is not None and alone == fused:
+            assert more.answer.probability == pytest.approx(decider.answer.probability)
         sooner += bool(fused) and (not alone or fused[0] < alone[0])
     assert sooner > len(fresh) / 4
 
@@ -115,7 +117,7 @@ def test_heads_come_back_from_their_arrays(whole, early, fresh):
     arrays = early.to_arrays()
     assert all(array.dtype.kind in "biufU" for array in arrays.values())
     early_classifiers = EarlyClassifiers.from_arrays(arrays, type(whole))
-    assert look_frames(early_classifiers, fresh[0]) == look_frames(early, fresh[0])
+    assert check_frames(early_classifiers, fresh[0]) == check_frames(early, fresh[0])
     for one, was in zip(early_classifiers.recognizers, early.recognizers, strict=True):
         assert one.posterior(fresh[0]).probability == pytest.approx(
             was.posterior(fresh[0]).probability

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from cell.jobs.evaluate import EvaluationResult
     from recognition.drift.drift import Drift
 
+_PAIRS = 5
+"""Pairs of confused objects that are printed, those that are confused most often."""
 _MANY_GRASPS = 1000
 """From here on the processes that share the work take less time to start than they save."""
 
@@ -70,12 +72,12 @@ def evaluate(
     from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
     from cell.jobs.evaluate import evaluate_recognizers
     from cell.jobs.parallel import workers
-    from cell.jobs.teach import labelled, repeated
+    from cell.jobs.teach import duplicate_grasps, read_labelled_grasps
 
     names = recognizers or list(TRAINERS)
-    grasps = [grasp for path in datasets for grasp in labelled(path, print_line)]
-    taught = None if train_on is None else labelled(train_on, print_line)
-    if twice := len(repeated([*(taught or ()), *grasps])):
+    grasps = [grasp for path in datasets for grasp in read_labelled_grasps(path, print_line)]
+    taught = None if train_on is None else read_labelled_grasps(train_on, print_line)
+    if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
         print_note(f"{twice} grasps are tested that were taught, or stand twice: right too often")
     if jobs is None:
         jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
@@ -184,6 +186,10 @@ def _print_evaluation(result: "EvaluationResult") -> None:
             f"three objects (here {len(result.labels)}) and a split within each"
         )
     for name, figures in result.recognizers.items():
+        if pairs := figures.full.confused:
+            shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
+            rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""
+            print_line(f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}")
         shift = figures.full.shift
         if shift is not None:
             print_line(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 ObjectsOption = Annotated[
     list[str] | None,
-    typer.Option("--object", "-o", help="Object; repeat for several [default: all configured]."),
+    typer.Option("--object", help="Object; repeat for several [default: all configured]."),
 ]
 
 

@@ -31,15 +31,15 @@ def train(
     """Train a recogniser on data sets and write a model file."""
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import print_line, print_note, write_json
-    from cell.jobs.teach import labelled, repeated
+    from cell.jobs.teach import duplicate_grasps, read_labelled_grasps
     from cell.learning.model import save_model
     from cell.learning.teaching_summary import summarise_teaching
     from cell.learning.training import train as train_model
 
-    grasps = [grasp for path in datasets for grasp in labelled(path, print_line)]
+    grasps = [grasp for path in datasets for grasp in read_labelled_grasps(path, print_line)]
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets were taken on different pads; train a model for each")
-    if twice := len(repeated(grasps)):
+    if twice := len(duplicate_grasps(grasps)):
         print_note(f"{twice} of {len(grasps)} grasps stand twice and count as two: too sure")
     trained = train_model(grasps, recognizer, use_aperture=aperture, early=early)
     labels = trained.recognizer.labels
