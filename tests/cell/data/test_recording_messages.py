@@ -208,6 +208,27 @@ def test_a_small_file_that_unpacks_without_end_costs_little(
     assert peak_bytes < 3 * may_unpack + recording_messages.MAX_CHUNK_BYTES
 
 
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ('"shape":{"size_m":"soon"}', "size_m of shape is 'soon', expected number"),
+        (
+            '"grasp_shapes":[{"dimensions_m":{"x":[]}}]',
+            "x of dimensions_m of an item of grasp_shap",
+        ),
+        ('"labels":[1]', "an item of labels is 1, expected string"),
+    ],
+)
+def test_values_inside_others_are_checked_too(value: str, says: str, tmp_path: Path) -> None:
+    given = {"t_s": 1, "label": "", "probability": 1, "labels": [], "probabilities": []}
+    whole = json.dumps(given | {"unknown": 0, "n_grasps": 1})
+    content = f"{whole[:-1]},{value}}}".encode()
+    path = foreign(tmp_path / "f.mcap", whole.encode(), content, topic="/result")
+    recording = read_recording(path)
+    assert len(recording.results) == 1
+    assert says in recording.lost_reason
+
+
 def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
     """A grasp of a few bytes would copy all frames, and the next one again."""
     clock = Clock(now_s=1.0)
