@@ -28,7 +28,7 @@ from cell.control.positioner import (
 from cell.control.records import pad_array
 from cell.control.self_zero import kept_zeros
 from cell.data.recorder import Recorder
-from cell.errors import ConfigError
+from cell.errors import ConfigError, RecordingError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
@@ -90,6 +90,8 @@ class Cell:
 
     def idle(self) -> None:
         """Look after the cell while no job runs; a paced one lives on to the present."""
+        if self._recorder is not None:
+            self._recorder.look()
         if self.simulated is None or self._pace is None:
             self.controller.tick()
             return
@@ -112,9 +114,20 @@ class Cell:
 
     @property
     def recording_fault(self) -> str | None:
-        """Why the recording has stopped; None where it has not, or there is none."""
+        """Why the recording has stopped; None while it is written, or where there is none."""
         fault = None if self._recorder is None else self._recorder.fault
         return None if fault is None else str(fault)
+
+    @property
+    def recording_loss(self) -> str | None:
+        """What is lost of the recording: why it has stopped, or its gap; None where nothing is."""
+        gap = "" if self._recorder is None else self._recorder.gap
+        return self.recording_fault or gap or None
+
+    def check_recording(self) -> None:
+        """Raise RecordingError where something is lost of the recording."""
+        if loss := self.recording_loss:
+            raise RecordingError(loss)
 
     @property
     def bus(self) -> ServoBus:
@@ -147,7 +160,7 @@ class Cell:
             },
             "servo_bus": links["servo_bus"],
             "loop": loop_values(statistics.loop, undelivered=statistics.undelivered),
-            "recording": self.recording_fault,
+            "recording": self.recording_loss,
         }
 
     def close(self) -> None:
@@ -166,6 +179,7 @@ def build_cell(
     simulated: SimulatedCell | None = None,
     partial: bool = False,
     source: FrameSource | None = None,
+    note: Callable[[str], None] = lambda _text: None,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -190,6 +204,8 @@ def build_cell(
         `Cell.missing`.
     source
         Frame source of a simulated cell, in the place of its control unit.
+    note
+        Gets messages for the operator, as that the recording has stopped, from any thread.
 
     Raises
     ------
@@ -224,10 +240,11 @@ def build_cell(
                 metadata={"cell": config.name, "config": config.model_dump_json()},
                 vital=config.recording.when_lost == "hold",
                 background=simulated is None,
+                note=note,
             )
             undo.callback(recorder.close)
-            for note in hand.notes:
-                Journal(recorder).note("note", note)
+            for text in hand.notes:
+                Journal(recorder).note("note", text)
         controller = CellController(
             config,
             hand,

@@ -4,46 +4,39 @@ A part is let go by `Gripper.release` alone. Faults, exceptions, `keep_grip` and
 goals and torque as they are.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Self
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import PRESENT_POSITION
-from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
-    BusTimeout,
     FeedbackImplausible,
     GripperError,
     GripperStateError,
     LimitExceeded,
     ServoFault,
-    VerificationFailed,
 )
-from gripper.force.approach.free_motion import MoveTo, StandStill
-from gripper.force.approach.mechanics_proof import FirstMotion, standing_rows
-from gripper.force.by_current import ForceByCurrent, cap_by_current_n
+from gripper.fingers import Fingers
+from gripper.force.approach.free_motion import StandStill
+from gripper.force.by_current import cap_by_current_n
 from gripper.force.control.grip_control import GripControl
 from gripper.force.grasp import GraspRun
-from gripper.force.loop import LoopRunner, Running
+from gripper.force.loop import Running
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
-from gripper.lifecycle import Lifecycle, bus_is_lost
-from gripper.mechanics.kinematics import Linkage, OneFinger, ParallelLinkage
-from gripper.servos.goals import OPENING_MARGIN_RAD
-from gripper.servos.group import ServoGroup
-from gripper.servos.health import ServoHealth
+from gripper.lifecycle import bus_is_lost
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage
 from gripper.servos.watchdog_proof import prove_watchdog
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSensor
 from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
-from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
+from gripper.values.servo_checks import ServoCondition, VerificationReport
 from gripper.values.state import Cycle, GripperPhase, GripperState, Observer
 
-CARRY_RATE_N_S = 20.0
+HOLD_AT_RATE_N_S = 20.0
 """Rate in N/s at which a held force goes to that of the carry: a host waits for the answer."""
 
 
@@ -85,21 +78,16 @@ class Gripper:
             settings = replace(settings, force_max_n=cap_by_current_n(settings, linkage))
         self._bus = bus
         self._linkage = linkage
-        self._settings = settings
         self._clock = clock
-        self._force_sensor = force_sensor
-        self._ids = [servo.servo_id for servo in settings.servos]
-        self._health = ServoHealth(bus, settings)
-        self._servos = ServoGroup(bus, linkage, settings, clock, self._health)
-        sensor = force_sensor or ForceByCurrent(self._servos, linkage, settings)
-        self._runner = LoopRunner(self._servos, self._health, sensor, settings, clock)
-        self._life = Lifecycle(self._servos, self._runner, settings)
+        self._settings = settings
+        self._fingers = fingers = Fingers(bus, linkage, settings, clock, force_sensor)
+        self._servos, self._health = fingers.servos, fingers.health
+        self._runner, self._life = fingers.runner, fingers.life
         self._grasping = GraspRun(
-            self._runner, self._servos, linkage, settings, self._life.set_phase
+            fingers.runner, fingers.servos, linkage, settings, fingers.life.set_phase
         )
+        fingers.on_torque = self._grasping.begin
         self._watchdog_proven = False
-        self._link_checked = False
-        self._one_finger: Gripper | None = None
         self._carried: Running | None = None
 
     def __enter__(self) -> Self:
@@ -122,7 +110,7 @@ class Gripper:
         return self._bus
 
     @property
-    def state(self) -> GripperPhase:
+    def phase(self) -> GripperPhase:
         """Phase of the gripper."""
         return self._life.phase
 
@@ -166,38 +154,24 @@ class Gripper:
         """
         self._life.check_ready("start")
         self._health.require_present()
-        for servo_id, seen in self._servos.strayed.items():
+        for servo_id, seen in self._servos.feedback.strayed.items():
             raise FeedbackImplausible(
                 f"servo {servo_id}: {seen}, and it was not restarted since then: where its finger "
                 f"is, is unknown, and nothing is moved. Check encoder, horn and linkage, then "
                 f"clear the fault with a reboot"
             )
-        report = self._verify()
-        check_link(self._bus, self._ids, self.period_s)
-        self._link_checked = True
+        report = self._fingers.verify()
+        self._fingers.check_link([servo.servo_id for servo in self._settings.servos])
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo, of those too that others hide; reads only."""
-        return tuple(
-            replace(one, strayed=self._servos.strayed.get(one.servo_id, ""))
-            for one in self._health.conditions()
-        )
+        return self._fingers.conditions()
 
     def inspect(self) -> VerificationReport:
         """Compare the servos, and where they stand, with the settings; reads only."""
         report = self._health.verify(correct=False)
-        return replace(report, rows=report.rows + self._standing_rows())
-
-    def _standing_rows(self) -> tuple[VerificationRow, ...]:
-        positions_raw = [self._bus.read(servo_id, PRESENT_POSITION) for servo_id in self._ids]
-        return standing_rows(self._settings, self._linkage, positions_raw)
-
-    def _check_standing(self, rows: tuple[VerificationRow, ...]) -> None:
-        """Raise VerificationFailed where a finger stands where the settings exclude it."""
-        report = VerificationReport(rows=rows)
-        if not report.ok:
-            raise VerificationFailed(report, [str(row) for row in report.failed])
+        return replace(report, rows=report.rows + self._fingers.standing_rows())
 
     def read_state(self) -> GripperState:
         """Read the feedback of all servos in one transaction."""
@@ -235,8 +209,6 @@ class Gripper:
             t_s=state.t_s,
             phase=self._life.phase,
             state=state,
-            force=None,
-            setpoint_n=0.0,
             goal_current_a=self._servos.goal_current_a,
         )
 
@@ -264,26 +236,25 @@ class Gripper:
         GripperStateError
             While a part may be held: then `release` is the command.
         """
-        self._life.check_ready("open", GripperPhase.OFF, GripperPhase.IDLE)
+        self._life.check_ready("open")
         target_m = self._settings.aperture_open_m if aperture_m is None else aperture_m
         if not self._settings.aperture_min_m <= target_m <= self._settings.aperture_open_m:
             raise LimitExceeded(
                 f"aperture_m is {target_m}, must be from {self._settings.aperture_min_m} to "
                 f"{self._settings.aperture_open_m}"
             )
-        with self._life.command(GripperPhase.OPENING, observer):
-            was_limp = self._make_ready()
-            if was_limp and self._servos.off_by_turns:
+        with self._life.command("open", observer):
+            was_limp = self._fingers.make_ready()
+            if was_limp and self._servos.feedback.off_by_turns:
                 standing = StandStill(self._settings, self._servos.read_patiently())
                 self._runner.run(standing.step, needs_force=False)
-            state = self._move_to(target_m, first=was_limp)
+            state = self._fingers.move_to(target_m, first=was_limp)
             if self._settings.watchdog_self_test and not self._watchdog_proven:
                 prove_watchdog(
                     self._servos, self._health, self._linkage, self._settings, self._clock
                 )
                 self._watchdog_proven = True
-                state = self._move_to(target_m)
-        self._life.phase = GripperPhase.IDLE
+                state = self._fingers.move_to(target_m)
         return state
 
     def check_ramp(self, ramp: ForceRamp) -> None:
@@ -305,7 +276,9 @@ class Gripper:
         """
         return self._close(ramp, observer, self._grasping.run)
 
-    def meet(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
+    def press_pads_together(
+        self, ramp: ForceRamp, observer: Observer | None = None
+    ) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp to its end, return holding.
 
         The way down is that of a grasp, and goes on below ``aperture_min_m`` until the pads meet.
@@ -321,7 +294,7 @@ class Gripper:
         LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             As `grasp`.
         """
-        return self._close(ramp, observer, self._grasping.meet)
+        return self._close(ramp, observer, self._grasping.press_pads_together)
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> GripperState:
         """Control the force at its last set-point for a time in s.
@@ -338,13 +311,11 @@ class Gripper:
         control = self._held_control("hold")
         if not duration_s > 0.0:
             raise LimitExceeded(f"duration_s is {duration_s}, must be above 0")
-        with self._life.command(GripperPhase.HOLDING, observer):
-            self._make_ready()
-            state = self._grasping.hold(control, duration_s)
-        self._life.phase = GripperPhase.HOLDING
-        return state
+        with self._life.command("hold", observer):
+            self._fingers.make_ready()
+            return self._grasping.hold(control, duration_s)
 
-    def carry(
+    def hold_at(
         self, force_n: float, duration_s: float = 0.0, observer: Observer | None = None
     ) -> GripperState:
         """Bring the held force to ``force_n``, hold it for a time in s, and keep controlling it.
@@ -360,16 +331,16 @@ class Gripper:
         PartLost, PartSlipped
             As `hold`.
         """
-        control = self._held_control("carry")
-        ramp = ForceRamp.linear(force_n, CARRY_RATE_N_S, start_n=control.setpoint_n)
+        control = self._held_control("hold_at")
+        ramp = ForceRamp.linear(force_n, HOLD_AT_RATE_N_S, start_n=control.grip.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None
-        with self._life.command(GripperPhase.BACKING_OFF, observer):
-            self._make_ready()
-            if force_n != control.setpoint_n:
+        with self._life.command("hold_at", observer):
+            self._fingers.make_ready()
+            if force_n != control.grip.setpoint_n:
                 state = self._grasping.follow(control, ramp)
             self._life.phase = GripperPhase.HOLDING
-            if duration_s > 0.0 or force_n == control.setpoint_n:
+            if duration_s > 0.0 or force_n == control.grip.setpoint_n:
                 state = self._grasping.hold(control, max(duration_s, self.period_s))
             self._servos.disarm_watchdog()
         self._carried = self._grasping.hold_on(control, state.t_s)
@@ -387,17 +358,16 @@ class Gripper:
         """
         control = self._held_control("squeeze")
         self.check_ramp(ramp)
-        if not control.setpoint_n < ramp.final_n:
+        held_n = control.grip.setpoint_n
+        if not held_n < ramp.final_n:
             raise LimitExceeded(
-                f"a further ramp to {ramp.final_n} N is not above the held {control.setpoint_n} "
-                f"N: carry it with less force first"
+                f"a further ramp to {ramp.final_n} N is not above the held {held_n} N: carry it "
+                f"with less force first"
             )
         self._carried = None
-        with self._life.command(GripperPhase.RAMPING, observer):
-            self._make_ready()
-            outcome = self._grasping.squeeze(control, ramp)
-        self._life.phase = GripperPhase.HOLDING
-        return outcome
+        with self._life.command("squeeze", observer):
+            self._fingers.make_ready()
+            return self._grasping.squeeze(control, ramp)
 
     def release(self, observer: Observer | None = None) -> ReleaseReport:
         """Let go: open to aperture_open_m. The only command that lets a part go.
@@ -420,25 +390,7 @@ class Gripper:
         """
         self._life.check_ready("release")
         self._carried = None
-        if not self._servos.goals_in_force:
-            left = self._not_able()
-            if left:
-                return self._open_one_finger(left[0], observer)
-        with self._life.command(GripperPhase.RELEASING, observer):
-            was_limp = self._make_ready(releasing=True)
-            # A part that a stop leaves half held is none whose force can be controlled.
-            self._grasping.forget()
-            self._life.controlled = False
-            wider = self._wider_open()
-            try:
-                state = self._move_to(
-                    self._settings.aperture_open_m, only_open=True, first=was_limp
-                )
-            finally:
-                self._health.end_release()
-        self._life.part_possible = False
-        self._life.phase = GripperPhase.IDLE
-        return ReleaseReport(state=state, opened=tuple(self._ids), wider=wider)
+        return self._fingers.release(observer)
 
     def end_ramp(self) -> None:
         """Let the running ramp end at its present set-point, as if it had no more; from any thread.
@@ -457,9 +409,7 @@ class Gripper:
 
         Goals of a grip are frozen, fingers on their way stop where they are.
         """
-        self._runner.request_stop()
-        if self._one_finger is not None:
-            self._one_finger.request_stop()
+        self._fingers.request_stop()
 
     def keep_grip(self) -> None:
         """Freeze in any state: no new goals, torque as it is, bus watchdog disarmed.
@@ -524,8 +474,7 @@ class Gripper:
         elif any(condition.torque_on or not condition.answers for condition in conditions):
             # This gripper gave no goals, or not all of them are in force any more.
             self._servos.forget()
-            self._life.part_possible, self._life.controlled = True, False
-            self._life.rest()
+            self._life.found_held()
         else:
             self._life.switched_off()
 
@@ -558,34 +507,21 @@ class Gripper:
         run: Callable[[ForceRamp], GraspOutcome],
     ) -> GraspOutcome:
         """Close with one of the runs of a grasp, and keep what is held after it."""
-        self._life.check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)
+        self._life.check_ready("grasp")
         if self._settings.watchdog_self_test and not self._watchdog_proven:
             raise GripperStateError(
                 "grasp is not possible before the bus watchdog has proven to stop the motors: "
                 "open the gripper, its self-test follows (watchdog_self_test is on)"
             )
         self.check_ramp(ramp)
-        with self._life.command(GripperPhase.APPROACHING, observer):
-            self._make_ready()
+        with self._life.command("grasp", observer):
+            self._fingers.make_ready()
             self._life.part_possible = True
             outcome = run(ramp)
         held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
         self._life.part_possible = self._life.controlled = held
         self._life.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
         return outcome
-
-    def _verify(self) -> VerificationReport:
-        held_before = self._life.phase is not GripperPhase.IDLE
-        if not self._health.torque_on():
-            self._life.switched_off()
-            report = self._health.verify(correct=True, refuse=True)
-            self._check_standing(self._standing_rows())
-            return report
-        if held_before:
-            self._life.phase = GripperPhase.HELD_AFTER_FAULT
-            self._life.part_possible = True
-            self._life.controlled = False
-        return self._health.verify(correct=False, refuse=not held_before)
 
     def _freeze_carried(self) -> None:
         """Freeze the goals of a carried part, whose force nobody controls any more."""
@@ -595,103 +531,11 @@ class Gripper:
                 self._servos.freeze()
 
     def _held_control(self, command: str) -> GripControl:
-        self._life.check_ready(command, GripperPhase.HOLDING)
+        self._life.check_ready(command)
         control = self._grasping.control
         if control is None:
             raise GripperStateError(f"{command} needs a grasp before it")
         return control
-
-    def _wider_open(self) -> tuple[int, ...]:
-        """Return the IDs of the servos whose fingers stand wider open than the gripper opens."""
-        widest_rad = self._linkage.angles_rad(self._settings.aperture_open_m)
-        return tuple(
-            servo.servo_id
-            for servo, open_rad in zip(
-                self._servos.read_patiently().servos, widest_rad, strict=True
-            )
-            if servo.angle_rad > open_rad + OPENING_MARGIN_RAD
-        )
-
-    def _not_able(self) -> list[ServoCondition]:
-        """Return the servos that cannot be moved; raises where none can be."""
-        conditions = self.conditions()
-        if not any(condition.answers for condition in conditions):
-            self._health.require_present()
-            raise BusTimeout(
-                "the servos answer now and then only, and nothing was moved: check cable and "
-                "supply, then release again"
-            )
-        able = [condition.servo_id for condition in conditions if condition.able]
-        if not able:
-            raise _nothing_to_open(conditions)
-        if not self._link_checked:
-            check_link(self._bus, able, self.period_s)
-            self._link_checked = True
-        self._life.part_possible |= any(c.torque_on or not c.answers for c in conditions)
-        return [condition for condition in conditions if not condition.able]
-
-    def _open_one_finger(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
-        """Open one finger, by a gripper of its own; the servo of the other one is left alone."""
-        (servo_id,) = (servo_id for servo_id in self._ids if servo_id != left.servo_id)
-        index = self._ids.index(servo_id)
-        finger = Gripper(
-            self._bus,
-            OneFinger(linkage=self._linkage, index=index),
-            replace(self._settings, servos=(self._settings.servos[index],)),
-            clock=self._clock,
-            force_sensor=self._force_sensor,
-        )
-        finger._link_checked = self._link_checked
-        self._servos.forget()
-        self._one_finger = finger
-        try:
-            with self._life.delegated(GripperPhase.RELEASING, finger._life):
-                state = finger.release(observer).state
-                finger.close()
-        finally:
-            self._one_finger = None
-        self._grasping.forget()
-        self._life.switched_off()
-        return ReleaseReport(state=state, opened=(servo_id,), left=(left,))
-
-    def _move_to(
-        self,
-        aperture_m: float,
-        *,
-        only_open: bool = False,
-        first: bool = False,
-    ) -> GripperState:
-        kind = FirstMotion if first else MoveTo
-        state = self._servos.read_patiently()
-        move = kind(
-            self._settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open
-        )
-        return self._runner.run(move.step, needs_force=False)
-
-    def _make_ready(self, *, releasing: bool = False) -> bool:
-        """Make the servos ready for a command; return whether all of them were without torque."""
-        limp: GripperState | None = None
-        if not self._servos.goals_in_force and not self._health.torque_on():
-            limp = self._servos.read_patiently()
-            positions_raw = [servo.position_raw for servo in limp.servos]
-            self._check_standing(standing_rows(self._settings, self._linkage, positions_raw))
-            self._grasping.begin()
-        self._servos.make_ready(
-            part_possible=self._life.part_possible, releasing=releasing, limp=limp
-        )
-        return limp is not None
-
-
-def _nothing_to_open(conditions: Sequence[ServoCondition]) -> ServoFault:
-    """Return the error of a release that finds no servo that it could move."""
-    limp = next(condition for condition in conditions if condition.answers)
-    found = "; ".join(map(str, conditions))
-    return ServoFault(
-        limp.servo_id,
-        limp.error_bits,
-        f"no finger can be opened: {found}. Take the part out by hand, or remedy the cause, clear "
-        f"the error with a reboot and release again",
-    )
 
 
 def open_gripper(

@@ -1,8 +1,9 @@
 """Lifecycle of the gripper: which command is possible when, and the response to a fault."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from enum import StrEnum
+from typing import NamedTuple
 
 from gripper.errors import (
     BusCorrupt,
@@ -27,6 +28,31 @@ _DOING = {
     GripperPhase.APPROACHING: "closing",
     GripperPhase.RELEASING: "letting go",
 }
+
+
+class Command(NamedTuple):
+    """Transition that a command makes."""
+
+    phases: frozenset[GripperPhase]
+    """Phases in which it is possible; empty: all."""
+    running: GripperPhase
+    after: GripperPhase | None
+    """Phase while it runs, and after its success; None where it is decided by what was found."""
+
+
+_EMPTY = frozenset({GripperPhase.OFF, GripperPhase.IDLE})
+_HELD = frozenset({GripperPhase.HOLDING})
+COMMANDS: Mapping[str, Command] = {
+    "start": Command(frozenset(), GripperPhase.OFF, None),
+    "open": Command(_EMPTY, GripperPhase.OPENING, GripperPhase.IDLE),
+    "grasp": Command(_EMPTY, GripperPhase.APPROACHING, None),
+    "hold": Command(_HELD, GripperPhase.HOLDING, GripperPhase.HOLDING),
+    "hold_at": Command(_HELD, GripperPhase.BACKING_OFF, GripperPhase.HOLDING),
+    "squeeze": Command(_HELD, GripperPhase.RAMPING, GripperPhase.HOLDING),
+    "release": Command(frozenset(), GripperPhase.RELEASING, GripperPhase.IDLE),
+}
+"""Commands by name. A fault goes from each phase to HELD_AFTER_FAULT; a stop goes where
+`Lifecycle.rest` says."""
 
 
 class FingersLeft(StrEnum):
@@ -99,6 +125,11 @@ class Lifecycle:
         else:
             self.phase = GripperPhase.IDLE
 
+    def found_held(self) -> None:
+        """Set the phase of torque that was found on: a part may be held, its force is unknown."""
+        self.part_possible, self.controlled = True, False
+        self.rest()
+
     def switched_off(self) -> None:
         """Set the phase that belongs to torque off: nothing is held."""
         self._servos.forget()
@@ -106,8 +137,8 @@ class Lifecycle:
         self.controlled = False
         self.phase = GripperPhase.OFF
 
-    def check_ready(self, command: str, *phases: GripperPhase) -> None:
-        """Raise GripperStateError when a command is not possible now."""
+    def check_ready(self, command: str) -> None:
+        """Raise GripperStateError when a command is not possible now; see `COMMANDS`."""
         if self.running:
             raise GripperStateError(f"{command} is not possible while another command runs")
         if self.fault is not None:
@@ -115,6 +146,7 @@ class Lifecycle:
                 f"{command} is not possible while a fault is latched ({self.fault}): call "
                 f"clear_fault first"
             )
+        phases = COMMANDS[command].phases
         if phases and self.phase not in phases:
             hint = ": release the part first" if self.part_possible else ""
             raise GripperStateError(
@@ -122,15 +154,16 @@ class Lifecycle:
             )
 
     @contextmanager
-    def command(self, phase: GripperPhase, observer: Observer | None) -> Iterator[None]:
+    def command(self, command: str, observer: Observer | None) -> Iterator[None]:
         """Run one command in its phase; a stop freezes the goals, or stops fingers on their way."""
         self._runner.forget_stop()
-        self.phase = phase
+        self.phase = COMMANDS[command].running
         self._runner.observer = observer
         self.running = True
         try:
             with self.latching():
                 yield
+            self.phase = COMMANDS[command].after or self.phase
         except GraspStopped as stop:
             self._stop(stop)
             self.rest()
@@ -200,7 +233,7 @@ class Lifecycle:
         if not phase.moving:
             self._note_grip(error, left)
             return
-        state = self._servos.last_read
+        state = self._servos.feedback.last
         where = "" if state is None else f", at an opening of {state.aperture_m * 1e3:.1f} mm"
         unconfirmed = left is FingersLeft.UNCONFIRMED
         watchdog = "; the servos' bus watchdog stops them" if unconfirmed else ""
@@ -251,7 +284,7 @@ def fault_response(
         return FingersLeft.UNCONFIRMED
     # No patience here: a servo that does not answer must not hold up the others.
     with servos.in_loop():
-        over_force = isinstance(error, ForceAboveCap) or servos.force_is_too_high()
+        over_force = isinstance(error, ForceAboveCap) or servos.guard.force_is_too_high()
         limp = over_force and settings.over_force is OverForce.LIMP
         if limp or isinstance(error, FeedbackImplausible):
             servos.go_limp()

@@ -10,7 +10,7 @@ from math import inf, isfinite
 from typing import Any
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
-from gripper.dynamixel.models import PULSES_PER_TURN, ServoModel, require_current_control
+from gripper.dynamixel.models import ServoModel, require_current_control
 from gripper.errors import LimitExceeded
 
 HARD_FORCE_CAP_N = 50.0
@@ -32,8 +32,8 @@ def setting(default: Any, *, low: float = -inf, above: float = -inf, high: float
 
 def check_number(
     name: str, value: float, *, low: float = -inf, above: float = -inf, high: float = inf
-) -> None:
-    """Raise LimitExceeded when a value is not finite or outside its range."""
+) -> float:
+    """Return a value; raise LimitExceeded when it is not finite or outside its range."""
     wanted = [
         (value >= low, f"at least {low:g}"),
         (value > above, f"above {above:g}"),
@@ -42,6 +42,7 @@ def check_number(
     if not isfinite(value) or not all(ok for ok, _ in wanted):
         broken = " and ".join(text for ok, text in wanted if not ok) or "a number"
         raise LimitExceeded(f"{name} is {value}, must be finite and {broken}")
+    return value
 
 
 def _check_settings(settings: Any) -> None:
@@ -153,8 +154,9 @@ class ServoSettings:
             raise LimitExceeded(f"servo_id is {self.servo_id}, must be from 0 to 252")
         if self.direction not in (-1, 1):
             raise LimitExceeded(f"direction is {self.direction}, must be 1 or -1")
-        if not 0 <= self.zero_raw < PULSES_PER_TURN:
-            raise LimitExceeded(f"zero_raw is {self.zero_raw}, must be from 0 to 4095")
+        most_raw = self.servo_model.pulses_per_turn - 1
+        if not 0 <= self.zero_raw <= most_raw:
+            raise LimitExceeded(f"zero_raw is {self.zero_raw}, must be from 0 to {most_raw}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

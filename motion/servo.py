@@ -19,7 +19,7 @@ from gripper.dynamixel.control_table import (
     WATCHDOG_UNIT_S,
     Register,
 )
-from gripper.dynamixel.models import PULSES_PER_TURN, OperatingMode, ServoModel
+from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
 from gripper.values.servo_checks import hardware_error_names
 from motion.bus import Watch
@@ -135,8 +135,8 @@ class ServoAxis:
         low, high, reserve = self._settings.low, self._settings.high, self._settings.window
         # The turn in which the servo stands is the one that lies within the limits.
         middle = (low + high) // 2
-        turns = round((middle - (at - self._settings.zero)) / PULSES_PER_TURN)
-        self._turn = turns * PULSES_PER_TURN
+        turn = self._settings.model.pulses_per_turn
+        self._turn = round((middle - (at - self._settings.zero)) / turn) * turn
         if not low - reserve <= self._axis(at) <= high + reserve:
             raise AxisFault(
                 f"{self.name} stands at {self._axis(at)} pulses, its limits are {low} to {high}: "

@@ -157,7 +157,10 @@ class PadArray:
     def grid(
         cls, rows: int, columns: int, pitch_m: float, *, n_pads: int = 2, adc_max: int = 4095
     ) -> "PadArray":
-        """Return equal pads, each a grid of taxels around its centre.
+        """Return equal pads, each a grid of taxels around its centre; two pads by default.
+
+        ``grid(8, 8, 3e-3)`` has 128 taxels: 64 on each of the two pads that grip. A grasp has
+        counts of both, pad by pad; ``n_pads=1`` describes a single pad.
 
         Parameters
         ----------
@@ -166,7 +169,7 @@ class PadArray:
         pitch_m
             Distance between two of them in m.
         n_pads
-            Number of pads; two grip.
+            Number of pads.
         adc_max
             Full scale of the counts.
         """
@@ -261,7 +264,13 @@ class Grasp:
                 f"counts go from {low:g} to {high:g}, must be from 0 to adc_max = "
                 f"{self.pads.adc_max}"
             )
-        _keep(self, "counts", counts, np.uint16, (n_frames, self.pads.n_taxels))
+        if counts.shape != (n_frames, self.pads.n_taxels):
+            per_pad = " + ".join(str(n) for n in self.pads.pad_shape.prod(axis=1))
+            raise ValueError(
+                f"counts has shape {counts.shape}, expected {(n_frames, self.pads.n_taxels)}: one "
+                f"column for each taxel of the {self.pads.n_pads} pads, {per_pad}"
+            )
+        _keep(self, "counts", counts, np.uint16, counts.shape)
         for name in ("t_s", "aperture_m", "force_n"):
             value = getattr(self, name)
             if np.ndim(value) == 0 and name != "t_s":

@@ -122,7 +122,7 @@ def _cancelled_in(cell: Cell, phase: GripperPhase, config: CellConfig, seed: int
     controller, advances = cell.controller, cell.simulated.clock.on_advance
 
     def cancel(_now_s: float) -> None:
-        if controller.gripper.state is phase:
+        if controller.gripper.phase is phase:
             controller.cancel()
             advances.remove(cancel)
 

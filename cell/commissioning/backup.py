@@ -181,6 +181,21 @@ def restore(
     return tuple(lines)
 
 
+def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, str, str]]:
+    """Return the items of a servo's EEPROM that differ from its backup: name, value then and now.
+
+    None without a backup. Raises CellError as `restore`.
+    """
+    rates = {code: rate for rate, code in BAUD_CODES.items()}
+
+    def text(name: str, raw: int) -> str:
+        return f"{rates.get(raw, raw)} bit/s" if name == BAUD_RATE.name else str(raw)
+
+    backup = _read(backup_file(folder, servo_id))
+    differing = {} if backup is None else _differing(bus, backup)
+    return [(name, text(name, was), text(name, now)) for name, (now, was) in differing.items()]
+
+
 def _read(path: Path) -> Backup | None:
     """Return the backup in a file, None where there is no file."""
     kept = read_json(path, SERVO_BACKUP, error=CellError)

@@ -328,7 +328,7 @@ def measure_gauge(
                 "the pads, and run the step again"
             )
         since = len(motion.cycles), len(motion.frames)
-        hand.carry(force_n, _HOLD_S, motion)
+        hand.hold_at(force_n, _HOLD_S, motion)
         held, frames = motion.cycles[since[0] :], motion.frames[since[1] :]
         _let_go(hand, bench.clock, dialog)
     layout = layout_from_config(config.tactile)

@@ -76,7 +76,8 @@ class Bench:
         self.folder = folder
         if base is None and (folder / CONFIG_NAME).exists():
             base = load_config(folder / CONFIG_NAME)
-        self._base = _new_cell(folder) if base is None else base
+        self.base = _new_cell(folder) if base is None else base
+        """Config to begin with."""
         self.lines = lines or LineOpener()
         self.given: Mapping[str, Any] = given or {}
         self.settings: Mapping[str, Any] = {}
@@ -98,18 +99,18 @@ class Bench:
     def config(self) -> CellConfig:
         """The whole config so far; ConfigError while it lacks what makes it valid."""
         changes: dict[str, Any] = {"simulator.faults": []}
-        positioner = self._base.positioner
+        positioner = self.base.positioner
         if positioner.kind == "simulated" and not positioner.socket:
             changes["positioner"] = {"kind": "operator"}
-        return changed_config(self._base, changes | dict(self.settings))
+        return changed_config(self.base, changes | dict(self.settings))
 
     def gripper(self, **changes: Any) -> GripperConfig:
         """Return the gripper's section so far, with some keys changed; raises ConfigError."""
-        return self._section("gripper", self._base.gripper, changes)
+        return self._section("gripper", self.base.gripper, changes)
 
     def tactile(self, **changes: Any) -> TactileConfig:
         """Return the control unit's section so far, with some keys changed; raises ConfigError."""
-        return self._section("tactile", self._base.tactile, changes)
+        return self._section("tactile", self.base.tactile, changes)
 
     def _section(self, name: str, base: _Section, changes: Mapping[str, Any]) -> _Section:
         found = {

@@ -52,6 +52,8 @@ class Choice:
     """What `Dialog.ask` returns."""
     text: str
     """What the person reads."""
+    picture: str = ""
+    """Name of its picture, which each face has in its own way; empty without one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,17 +108,21 @@ class Finding:
     """Values of the config by dotted key, as ``{"gripper.baud_rate": 1000000}``."""
     figures: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     """Pictures by name, as numbers: see `cell.commissioning.figures`."""
+    corrected: list[str] = field(default_factory=list)
+    """Those of its lines that say what was wrong, and what it is set to now."""
     began: str = ""
     ended: str = ""
     """Wall-clock times of the step (ISO 8601, UTC), which the engine sets."""
 
-    def fact(self, line: str) -> None:
-        """Add a line that is as it should be."""
+    def fact(self, line: str, *, corrected: bool = False) -> None:
+        """Add a line that is as it should be; ``corrected``: by what was set now."""
         self.lines.append(line)
+        if corrected:
+            self.corrected.append(line)
 
-    def warn(self, line: str) -> None:
-        """Add a line that is worth a word to the operator."""
-        self.lines.append(line)
+    def warn(self, line: str, *, corrected: bool = False) -> None:
+        """Add a line that is worth a word to the operator; ``corrected`` as for `fact`."""
+        self.fact(line, corrected=corrected)
         if self.status is Verdict.PASS:
             self.status = Verdict.WARN
 
@@ -206,19 +212,19 @@ class Step:
         Raises
         ------
         Left
-            When the person leaves or refuses; nothing of the step is kept then.
+            When the person leaves or refuses; of the step its values alone are kept then.
         CellError, GripperError, TactileError
             What ends the step; `carry_out` adds it to the notes.
         """
         raise NotImplementedError
 
 
-def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Finding:
+def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = None) -> Finding:
     """Run a step and return what it found; an error of cell or lines is a failure of the step.
 
-    Raises Left when the person leaves or refuses.
+    Raises Left when the person leaves or refuses; ``notes`` has what was found by then.
     """
-    notes = Finding()
+    notes = notes or Finding()
     if step.needs_pads and bench.gripper_alone:
         notes.warn("This gripper has no pads yet: `--redo unit` once its control unit is there.")
         return notes
@@ -233,6 +239,7 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Finding:
         notes.fail(error_text(error))
     if notes.failed:
         notes.settings.clear()
+        notes.corrected.clear()
     return notes
 
 
@@ -317,6 +324,12 @@ class Engine:
         finding = self.findings.get(step.key)
         return finding is not None and finding.status is not Verdict.FAIL
 
+    @property
+    def corrected(self) -> list[str]:
+        """What was wrong with the cell, and what it is set to now, in the order of the steps."""
+        done = (self.findings.get(step.key, Finding()) for step in self.steps)
+        return [line for finding in done for line in finding.corrected]
+
     def redo(self, key: str) -> tuple[str, ...]:
         """Forget a step and all that need it; return their keys.
 
@@ -360,12 +373,22 @@ class Engine:
             self.approved += [Approved(step=step.key, at=at, write=write) for write in writes]
             self._store()
 
-        began = _now()
-        finding = carry_out(step, self.bench, _Logged(dialog, log))
-        finding.began, finding.ended = began, _now()
+        finding = Finding(began=_now())
+        try:
+            carry_out(step, self.bench, _Logged(dialog, log), finding)
+        except Left:
+            if finding.values:
+                left = Finding(began=finding.began, values=finding.values)
+                left.fail("It was left before its end, and goes on with what it has found so far.")
+                self._keep(step, left)
+            raise
+        self._keep(step, finding)
+        dialog.found(step, finding)
+
+    def _keep(self, step: Step, finding: Finding) -> None:
+        finding.ended = _now()
         self.findings[step.key] = finding
         self._store()
-        dialog.found(step, finding)
 
     def _again(self, step: Step, dialog: Dialog) -> None:
         answer = dialog.choose(

@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     LIVE_CALL_S,
+    Choice,
     Dialog,
     Finding,
     NumberRange,
@@ -26,10 +27,10 @@ from cell.commissioning.engine import (
     Write,
 )
 from cell.commissioning.servos import torque_off
-from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
+from cell.config.gripper import GripperConfig, ServoConfig, gripper_settings, linkage_of
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import PRESENT_BLOCK, RAD_PER_PULSE, TORQUE_ENABLE
-from gripper.dynamixel.models import PULSES_PER_TURN
+from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
+from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.errors import GripperError
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.servos.goals import ServoGoal
@@ -45,6 +46,13 @@ KINDS: dict[Kind, str] = {
 }
 """Kinds of linkage that are fitted, as a person sees them."""
 
+Pulses = tuple[int, ...]
+"""Present Position of each servo in pulses, in the order of the fingers."""
+Signs = tuple[Literal[1, -1], ...]
+"""Direction of each servo."""
+
+_CLOSED = "closed"
+"""Answer with which the closed fingers are measured again."""
 _MOVED_PULSES = 60
 """Way of a servo in pulses, 5 degrees, from which a finger was moved."""
 _STILL_SHARE = 0.2
@@ -71,8 +79,8 @@ _BLOCKS = (
 """Texts that ask for the blocks, each with the least thickness in mm."""
 _SIMPLE_BLOCKS = 2
 """Blocks that tell a simple linkage."""
-_MID_PULSE, _OFF_PULSES = PULSES_PER_TURN // 2, 60
-"""Middle of the encoder, and distance of the zero from it that is named to the person."""
+_OFF_PULSES = 60
+"""Distance of a zero from that of the config which is named."""
 _LEAST_ROOM_M = 6e-3
 """Opening in m, and distance from the widest one, that the first motion needs."""
 _FIRST_WAY_RAD = 0.05
@@ -109,7 +117,7 @@ class LinkageFit:
     """Largest difference between fitted and measured opening in m."""
 
 
-def directions(closed: Sequence[int], opened: Sequence[int]) -> tuple[Literal[1, -1], ...]:
+def directions(closed: Sequence[int], opened: Sequence[int]) -> Signs:
     """Return the direction of each servo: 1 where its position grows while its finger opens.
 
     Raises ValueError if a servo was moved by less than 5 degrees.
@@ -166,6 +174,15 @@ def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]
     return tuple(fits)
 
 
+def decided(fits: Sequence[LinkageFit]) -> bool:
+    """Return whether the first fit is better than the others by more than the measuring error.
+
+    A swinging finger has one more unknown and fits always: beside a simple linkage it is no rival.
+    """
+    rivals = [fit.residual_m for fit in fits[1:] if fit.kind != "swinging"]
+    return min(rivals) - fits[0].residual_m > _GOOD_FIT_M
+
+
 def _simple(fit: LinkageFit) -> bool:
     """Return whether two blocks have told the linkage."""
     return fit.kind != "swinging" and fit.residual_m <= _GOOD_FIT_M
@@ -207,9 +224,9 @@ def _fit(
     return LinkageFit(kind=kind, linkage=linkage, closed_rad=closed_rad, residual_m=max(off_m))
 
 
-def zero_pulse(closed_raw: int, direction: int, closed_rad: float) -> int:
+def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: float) -> int:
     """Return Present Position at angle 0 of the linkage, from that of the closed fingers."""
-    return closed_raw - direction * round(closed_rad / RAD_PER_PULSE)
+    return closed_raw - direction * round(closed_rad / model.rad_per_pulse)
 
 
 def first_current_max_a(settings: GripperSettings) -> float:
@@ -243,6 +260,10 @@ class FingersStep(Step):
             _Hands(bench, dialog, bus, gripper, notes).run()
 
 
+class _ClosedAgain(Exception):
+    """The person wants to measure the closed fingers again."""
+
+
 class _Hands:
     """One run of the step."""
 
@@ -255,21 +276,11 @@ class _Hands:
         self._gripper = gripper
         self._notes = notes
         self._servos = list(gripper.servos)
+        self._models = [MODELS[servo.model] for servo in gripper.servos]
         self._shown: Callable[[], str] = self._pulses
 
     def run(self) -> None:
-        closed, opened = self._ends()
-        if crossing := [
-            f"servo {s.id}: {a} to {b} pulses"
-            for s, a, b in zip(self._servos, closed, opened, strict=True)
-            if not (min(a, b) >= 0 and max(a, b) < PULSES_PER_TURN)
-        ]:
-            raise StepFailed(
-                f"a finger crosses the end of its encoder's turn ({'; '.join(crossing)}): take "
-                "off the horn, turn the servo by half a turn and mount it again"
-            )
-        signs = directions(closed, opened)
-        measured = self._blocks(closed, signs)
+        closed, opened, signs, measured = self._measured()
         fits = fit_linkages(measured)
         fit = self._chosen(fits)
         if fit.residual_m > _UNUSABLE_FIT_M:
@@ -279,22 +290,24 @@ class _Hands:
                 "thickness typed wrong, or a block not held flat? Nothing has moved by itself"
             )
         zeros = [
-            zero_pulse(raw, sign, fit.closed_rad) for raw, sign in zip(closed, signs, strict=True)
+            zero_pulse(model, raw, sign, fit.closed_rad)
+            for model, raw, sign in zip(self._models, closed, signs, strict=True)
         ]
-        if any(not 0 <= zero < PULSES_PER_TURN for zero in zeros):
+        turn = min(model.pulses_per_turn for model in self._models)
+        if any(not 0 <= zero < turn for zero in zeros):
             raise StepFailed(
                 f"the zero of the linkage lies at {zeros} pulses, beyond the encoder's turn (0 to "
-                f"{PULSES_PER_TURN - 1}): turn the horn so that the closed finger stands near "
-                f"{_MID_PULSE}"
+                f"{turn - 1}): turn the horn so that the closed finger stands near "
+                f"{turn // 2}"
             )
         self._servos = [
             servo.model_copy(update={"direction": sign, "zero_pulse": zero})
             for servo, sign, zero in zip(self._servos, signs, zeros, strict=True)
         ]
         widest_m = fit.linkage.aperture_m(
-            [fit.closed_rad + way for way in _turned(opened, closed, signs)]
+            [fit.closed_rad + way for way in self._turned(opened, closed, signs)]
         )
-        self._judge(fit, widest_m, proven=len(measured) > (2 if fit.kind == "swinging" else 1))
+        self._judge(fit, widest_m, measured)
         self._notes.values |= {
             "widest_mm": round(widest_m * 1e3, 2),
             "residual_mm": round(fit.residual_m * 1e3, 3),
@@ -304,23 +317,67 @@ class _Hands:
 
     # By hand
 
-    def _read(self) -> tuple[int, ...]:
+    def _measured(self) -> tuple[Pulses, Pulses, Signs, list[BlockMeasurement]]:
+        """Return the positions closed and wide open, the directions, and the fingers on blocks.
+
+        All is measured anew where the person finds that the fingers were not closed.
+        """
+        while True:
+            self._shown = self._pulses
+            with suppress(_ClosedAgain):
+                closed, opened = self._ends()
+                if crossing := [
+                    f"servo {s.id}: {a} to {b} pulses"
+                    for s, m, a, b in zip(self._servos, self._models, closed, opened, strict=True)
+                    if not (min(a, b) >= 0 and max(a, b) < m.pulses_per_turn)
+                ]:
+                    raise StepFailed(
+                        f"a finger crosses the end of its encoder's turn ({'; '.join(crossing)}): "
+                        "take off the horn, turn the servo by half a turn and mount it again"
+                    )
+                signs = directions(closed, opened)
+                return closed, opened, signs, self._blocks(closed, signs)
+
+    def _read(self) -> Pulses:
         """Return Present Position of each servo in pulses, in the order of the fingers."""
         found = self._bus.sync_read([servo.id for servo in self._servos], PRESENT_BLOCK)
         return tuple(found[servo.id]["present_position"] for servo in self._servos)
 
-    def _pulses(self) -> str:
-        return ", ".join(
-            f"servo {servo.id}: {degrees(raw * RAD_PER_PULSE):.1f} deg"
-            for servo, raw in zip(self._servos, self._read(), strict=True)
+    def _turned(
+        self, raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]
+    ) -> tuple[float, ...]:
+        """Return the angles in rad from the closed fingers, growing while they open."""
+        return tuple(
+            sign * (raw - zero) * model.rad_per_pulse
+            for model, raw, zero, sign in zip(self._models, raws, closed, signs, strict=True)
         )
 
-    def _by_hand(self, key: str, text: str) -> tuple[int, ...]:
-        """Ask for a position by hand and return it in pulses."""
-        self._dialog.confirm(f"fingers.{key}", text, watch=self._shown)
+    def _ways(self, before: Sequence[int], after: Sequence[int]) -> str:
+        return ", ".join(
+            f"servo {servo.id} by {degrees(abs(b - a) * model.rad_per_pulse):.1f} deg"
+            for servo, model, a, b in zip(self._servos, self._models, before, after, strict=True)
+        )
+
+    def _pulses(self) -> str:
+        return ", ".join(
+            f"servo {servo.id}: {degrees(raw * model.rad_per_pulse):.1f} deg"
+            for servo, model, raw in zip(self._servos, self._models, self._read(), strict=True)
+        )
+
+    def _by_hand(self, key: str, text: str) -> Pulses:
+        """Ask for a position by hand and return it in pulses.
+
+        Raises _ClosedAgain where the person wants to measure the closed fingers anew.
+        """
+        answers = {"done": "done", _CLOSED: "measure the closed fingers again"}
+        if key == "close":
+            del answers[_CLOSED]
+        answer = self._dialog.choose(f"fingers.{key}", text, answers, "done", self._shown)
+        if answer == _CLOSED:
+            raise _ClosedAgain
         return self._read()
 
-    def _ends(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    def _ends(self) -> tuple[Pulses, Pulses]:
         """Return the positions closed and wide open; puts the servos in the order of the fingers.
 
         Finger 0 is the one that the person opens first.
@@ -330,38 +387,36 @@ class _Hands:
             "The servos have no torque. Take out whatever is between the fingers and close them "
             "by hand until their pads touch, in the middle.",
         )
-        index, opened = None, closed
-        while index is None:
-            both = len(self._servos) == 1
-            opened = self._by_hand(
-                "open_first",
-                "Open the fingers by hand as far as they go."
-                if both
-                else "Open one finger by hand as far as it goes, and leave the other. This one is "
-                "finger 0 from now on: mark it.",
+        text = (
+            "Open the fingers by hand as far as they go."
+            if len(self._servos) == 1
+            else "Open one finger by hand as far as it goes, and leave the other. This one is "
+            "finger 0 from now on: mark it."
+        )
+        while (index := moved_alone(closed, opened := self._by_hand("open_first", text))) is None:
+            text = (
+                f"One finger should have moved by 5 degrees or more, and no other. From closed: "
+                f"{self._ways(closed, opened)}. Close both, then open one by hand as far "
+                "as it goes."
             )
-            index = moved_alone(closed, opened)
-            if index is None:
-                self._dialog.say(
-                    f"One finger should have moved by 5 degrees or more. From closed: "
-                    f"{_ways(self._servos, closed, opened)}. Close both, then open one."
-                )
         if len(self._servos) == 1:
             return closed, opened
         order = [index, 1 - index]
         self._servos = [self._servos[i] for i in order]
         closed, first = tuple(closed[i] for i in order), opened[index]
-        while True:
-            both_open = self._by_hand("open_second", "Now open the other one as far as it goes.")
-            if abs(both_open[1] - closed[1]) >= _MOVED_PULSES:
-                return closed, (first, both_open[1])
-            self._dialog.say(f"It has not moved: {_ways(self._servos, closed, both_open)}.")
+        text = "Now open the other one as far as it goes."
+        while abs((both := self._by_hand("open_second", text))[1] - closed[1]) < _MOVED_PULSES:
+            text = (
+                f"It has not moved: {self._ways(closed, both)}. Open the other finger by "
+                "hand as far as it goes."
+            )
+        return closed, (first, both[1])
 
-    def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[BlockMeasurement]:
+    def _blocks(self, closed: Pulses, signs: Signs) -> list[BlockMeasurement]:
         """Return the fingers on blocks of known size: two, a third where no simple law fits."""
         self._shown = lambda: ", ".join(
             f"finger {number}: {degrees(angle):.1f} deg open"
-            for number, angle in enumerate(_turned(self._read(), closed, signs))
+            for number, angle in enumerate(self._turned(self._read(), closed, signs))
         )
         measured: list[BlockMeasurement] = []
         for number, (text, least) in enumerate(_BLOCKS, start=1):
@@ -377,42 +432,67 @@ class _Hands:
             )
             if float(size_mm) <= 0.0:
                 break
-            raws = self._by_hand(
-                f"on_block{number}",
-                f"Hold the block of {float(size_mm):g} mm between the pads and close both fingers "
-                "by hand until they just touch it, flat.",
-            )
-            angles_rad = _turned(raws, closed, signs)
-            measured.append(
-                BlockMeasurement(angles_rad=angles_rad, aperture_m=float(size_mm) * 1e-3)
-            )
-            if sum(measured[-1].angles_rad) <= 0.0:
-                raise StepFailed(
-                    f"on the block of {float(size_mm):g} mm the fingers stand closer than when "
-                    "their pads were to touch: something was between them then, or the block is "
-                    "not. Run the step again"
-                )
+            measured.append(self._on_block(number, float(size_mm), closed, signs))
         return measured
 
+    def _on_block(
+        self, number: int, size_mm: float, closed: Pulses, signs: Signs
+    ) -> BlockMeasurement:
+        """Return the fingers on a block: each stands farther open there than on the other one."""
+        text = (
+            f"Hold the block of {size_mm:g} mm between the pads and close both fingers by hand "
+            "until they just touch it, flat."
+        )
+        while True:
+            angles_rad = self._turned(self._by_hand(f"on_block{number}", text), closed, signs)
+            closer = [
+                f"finger {finger} by {degrees(-angle):.1f} deg"
+                for finger, angle in enumerate(angles_rad)
+                if angle <= 0.0
+            ]
+            if not closer:
+                return BlockMeasurement(angles_rad=angles_rad, aperture_m=size_mm * 1e-3)
+            text = (
+                f"On the block fingers stand closer than in the closed position: "
+                f"{', '.join(closer)}. Was something between the pads there, or was a finger "
+                "pushed past the other one instead of opened? Then measure the closed fingers "
+                "again. Otherwise hold the block in the middle, and close both fingers until they "
+                "just touch it, flat."
+            )
+
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
-        """Return the linkage that the person sees; the fit proposes one."""
-        answer = self._dialog.choose(
-            "fingers.kind",
-            "How do the fingers move? The measurements fit the first one best.",
-            {
-                fit.kind: f"{KINDS[fit.kind]} ({fit.linkage}; residual "
-                f"{fit.residual_m * 1e3:.2f} mm)"
-                for fit in fits
-            },
-            fits[0].kind,
+        """Return the linkage that the person sees; the fit proposes one where it can."""
+        sure = decided(fits)
+        shown = fits if sure else sorted(fits, key=lambda fit: list(KINDS).index(fit.kind))
+        answer = self._dialog.ask(
+            Question(
+                key="fingers.kind",
+                text="How do the fingers move? The measurements fit the first one best."
+                if sure
+                else "How do the fingers move? The measurements fit more than one kind: look at "
+                "the fingers while you move them.",
+                choices=tuple(
+                    Choice(
+                        key=fit.kind,
+                        text=f"{KINDS[fit.kind]} ({fit.linkage}; residual "
+                        f"{fit.residual_m * 1e3:.2f} mm)",
+                        picture=f"linkage-{fit.kind}",
+                    )
+                    for fit in shown
+                ),
+                default=shown[0].kind if sure else None,
+            )
         )
         return next(fit for fit in fits if fit.kind == answer)
 
     # The result
 
-    def _judge(self, fit: LinkageFit, widest_m: float, *, proven: bool) -> None:
+    def _judge(
+        self, fit: LinkageFit, widest_m: float, measured: Sequence[BlockMeasurement]
+    ) -> None:
         """Note what was measured by hand, and set it."""
         notes, drive = self._notes, fit.linkage
+        proven = len(measured) > (2 if fit.kind == "swinging" else 1)
         if isinstance(drive, ParallelLinkage):
             linkage = {
                 "kind": "parallel_linkage",
@@ -429,23 +509,19 @@ class _Hands:
             "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],
             "gripper.linkage": linkage,
         }
-        reach_mm = round((widest_m - _END_MARGIN_M) * 1e3, 2)
-        if reach_mm < self._gripper.aperture_open_mm:
-            notes.settings["gripper.aperture_open_mm"] = reach_mm
+        reach_mm, wanted_mm = (widest_m - _END_MARGIN_M) * 1e3, self._gripper.aperture_open_mm
         for number, servo in enumerate(self._servos):
             notes.fact(
                 f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
                 f"{servo.zero_pulse} pulses"
             )
-        for servo in self._servos:
-            off = servo.zero_pulse - _MID_PULSE
-            if abs(off) > _OFF_PULSES:
-                notes.fact(
-                    f"servo {servo.id}: its zero is {off:+d} pulses "
-                    f"({degrees(off * RAD_PER_PULSE):+.1f} deg) from the middle of its encoder: "
-                    "the horn sits some splines off. The config makes up for it"
-                )
-        found = f"linkage: {linkage['kind']}, {drive}; residual {fit.residual_m * 1e3:.2f} mm"
+        self._compare(drive, measured)
+        if reach_mm < wanted_mm:
+            notes.settings["gripper.aperture_open_mm"] = round(reach_mm, 2)
+            notes.fact(
+                f"gripper.aperture_open_mm was {wanted_mm:g}, is now {reach_mm:.2f}", corrected=True
+            )
+        found = f"linkage: {_linkage_text(drive)}; residual {fit.residual_m * 1e3:.2f} mm"
         if proven:
             notes.fact(found)
         else:
@@ -455,6 +531,31 @@ class _Hands:
             notes.warn(
                 f"the residual is above {_BAD_FIT_M * 1e3:g} mm: measure the blocks again, look "
                 "for play, and run `tactile-cell commission --redo fingers`"
+            )
+
+    def _compare(self, linkage: Linkage, measured: Sequence[BlockMeasurement]) -> None:
+        """Note what the config had otherwise."""
+        was_by_id = {servo.id: servo for servo in self._bench.base.gripper.servos}
+        for servo, model in zip(self._servos, self._models, strict=True):
+            was = was_by_id.get(servo.id, ServoConfig(id=servo.id))
+            if servo.direction != was.direction:
+                self._notes.fact(
+                    f"servo {servo.id} turns the other way: its direction was {was.direction:+d}, "
+                    f"is now {servo.direction:+d}",
+                    corrected=True,
+                )
+            if abs(off := servo.zero_pulse - was.zero_pulse) > _OFF_PULSES:
+                off_deg = degrees(off * model.rad_per_pulse)
+                self._notes.fact(
+                    f"servo {servo.id}: its horn sits {off_deg:+.1f} deg off: its zero was "
+                    f"{was.zero_pulse} pulses, is now {servo.zero_pulse}",
+                    corrected=True,
+                )
+        before = linkage_of(self._gripper)
+        if type(before) is not type(linkage) or _missed_m(before, measured) > _BAD_FIT_M:
+            self._notes.fact(
+                f"the linkage was {_linkage_text(before)}; it is now {_linkage_text(linkage)}",
+                corrected=True,
             )
 
     def _first_motion(self, widest_m: float) -> None:
@@ -480,18 +581,18 @@ class _Hands:
             return linkage.aperture_m(group.read_patiently().angles_rad)
 
         self._shown = lambda: f"opening {opening_m() * 1e3:.1f} mm"
-        while True:
-            self._by_hand(
-                "free",
-                "Take the block out and open both fingers by hand to about half way. Keep your "
-                "hands off then.",
+        text = (
+            "Take the block out and open both fingers by hand to about half way. Keep your hands "
+            "off then."
+        )
+        least_m, most_m = _LEAST_ROOM_M, widest_m - _LEAST_ROOM_M
+        self._dialog.confirm("fingers.free", text, watch=self._shown)
+        while not least_m <= (stand_m := opening_m()) <= most_m:
+            text = (
+                f"The opening is {stand_m * 1e3:.1f} mm; {least_m * 1e3:g} to {most_m * 1e3:.1f} "
+                "mm leave room for the motion. Open both fingers by hand to about half way."
             )
-            if _LEAST_ROOM_M <= opening_m() <= widest_m - _LEAST_ROOM_M:
-                break
-            self._dialog.say(
-                f"The opening is {opening_m() * 1e3:.1f} mm; {_LEAST_ROOM_M * 1e3:g} to "
-                f"{(widest_m - _LEAST_ROOM_M) * 1e3:.1f} mm leave room for the motion."
-            )
+            self._dialog.confirm("fingers.free", text, watch=self._shown)
         self._dialog.approve(
             [
                 Write(
@@ -578,16 +679,19 @@ def _goals(start: Sequence[float], index: int, current_a: float, hold_a: float) 
     ]
 
 
-def _turned(raws: Sequence[int], closed: Sequence[int], signs: Sequence[int]) -> tuple[float, ...]:
-    """Return the angles in rad from the closed fingers, growing while they open."""
-    return tuple(
-        sign * (raw - zero) * RAD_PER_PULSE
-        for raw, zero, sign in zip(raws, closed, signs, strict=True)
-    )
+def _linkage_text(linkage: Linkage) -> str:
+    """Return a linkage as the config names it."""
+    kind = "parallel_linkage" if isinstance(linkage, ParallelLinkage) else "rack_pinion"
+    return f"{kind}, {linkage}"
 
 
-def _ways(servos: Sequence[object], before: Sequence[int], after: Sequence[int]) -> str:
-    return ", ".join(
-        f"servo {getattr(servo, 'id', '?')} by {degrees(abs(b - a) * RAD_PER_PULSE):.1f} deg"
-        for servo, a, b in zip(servos, before, after, strict=True)
+def _missed_m(linkage: Linkage, measured: Sequence[BlockMeasurement]) -> float:
+    """Return by how many m a linkage misses the blocks at most, from the closed fingers on."""
+    closed = linkage.angles_rad(0.0)
+    return max(
+        abs(
+            linkage.aperture_m([c + a for c, a in zip(closed, one.angles_rad, strict=True)])
+            - one.aperture_m
+        )
+        for one in measured
     )

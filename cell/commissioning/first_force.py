@@ -267,7 +267,7 @@ class _Trial:
         )
         begun = len(self.motion.cycles)
         ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
-        outcome = self.hand.meet(ramp, self.motion)
+        outcome = self.hand.press_pads_together(ramp, self.motion)
         if between := part_between(outcome):
             raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
         last = _course(self.motion.cycles[begun:])[-_LAST_PERIODS:]
@@ -299,11 +299,11 @@ class _Trial:
                     "middle between the pads, and run the step again."
                 )
             since = len(motion.cycles)
-            self.hand.carry(force_n, _HOLD_S, motion)
+            self.hand.hold_at(force_n, _HOLD_S, motion)
             held_n = _grip_n(_course(motion.cycles[since:]))
             measured.append([force_n, *(round(float(n), 3) for n in (held_n.mean(), held_n.max()))])
             self._judge(force_n, float(held_n.mean()), outcome)
-        self.hand.carry(first_n, 0.0, motion)
+        self.hand.hold_at(first_n, 0.0, motion)
         peak_n = float(_grip_n(_course(motion.cycles)).max())
         self.notes.values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
         if peak_n > self.cap_n + _WRONG_N:

@@ -17,6 +17,8 @@ from tactile.sensor.sensor import TactileSensor
 
 GRAVITY_N_KG = 9.80665
 """Standard acceleration of fall (ISO 80000-3): what a kitchen scale takes for its grams."""
+_TYPED = "loads_so_far_n"
+"""Name of the loads by finger among the values, until all of them are there."""
 _STEPS = 3
 """Loads on each inner pad."""
 _LOAD_FRAMES = 25
@@ -99,9 +101,16 @@ class LawStep(Step):
             "Lay a flat stamp of about 10 mm across on the middle of the pad. Press it against the "
             "scale, or lay the weight on it, and keep it so until the next question."
         )
+        # Loads of a run that did not come to its end; an error of the unit cost them otherwise.
+        loads = [list(map(tuple, of)) for of in bench.found.get(self.key, {}).get(_TYPED, ([], []))]
+        if kept := sum(map(len, loads)):
+            dialog.say(f"{kept} loads are kept from before.")
+        notes.values[_TYPED] = loads
         with unit_sensor(bench) as sensor:
             sensor.tare(bench.tactile().tare_frames)
-            loads = [_loads(sensor, dialog, finger, _targets_n(bench)) for finger in (0, 1)]
+            for finger in (0, 1):
+                _load(sensor, dialog, finger, _targets_n(bench), loads[finger])
+        del notes.values[_TYPED]
         judge_law(bench.tactile(), loads, notes)
 
 
@@ -115,15 +124,18 @@ def _targets_n(bench: Bench) -> list[float]:
     return [round(float(n), 1) for n in np.linspace(min(least_n, 0.5 * most_n), most_n, _STEPS)]
 
 
-def _loads(
-    sensor: TactileSensor, dialog: Dialog, finger: int, targets_n: Sequence[float]
-) -> list[Load]:
-    """Return true and shown forces of the loads on one inner pad."""
+def _load(
+    sensor: TactileSensor,
+    dialog: Dialog,
+    finger: int,
+    targets_n: Sequence[float],
+    loads: list[Load],
+) -> None:
+    """Add the true and shown forces of the loads on one inner pad to those that are there."""
     pad = sensor.layout.gripping_pads[finger]
     name = sensor.layout.pads[pad].name
     most_g = 2e3 * max(targets_n) / GRAVITY_N_KG
-    loads: list[Load] = []
-    for number, target_n in enumerate(targets_n, start=1):
+    for number, target_n in list(enumerate(targets_n, start=1))[len(loads) :]:
         answer = dialog.ask(
             Question(
                 key=f"pads_law.{finger}.{number}",
@@ -137,7 +149,6 @@ def _loads(
         loads.append((true_n, _shown_n(sensor, pad, _LOAD_FRAMES)))
         dialog.say(f"{true_n:.2f} N on the scale, {loads[-1][1]:.2f} N by the pad.")
     dialog.say("Take the load off.")
-    return loads
 
 
 def _shown_n(sensor: TactileSensor, pad: int, n_frames: int) -> float:
@@ -200,8 +211,9 @@ def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Fi
         before = law.force_per_count_n if isinstance(law, LinearCalibrationConfig) else law.gain
         notes.settings[key] = round(before * fit.factor, 6)
         notes.warn(
-            f"The law was {abs(1.0 / fit.factor - 1.0):.0%} off: {key} is set from {before:g} to "
-            f"{before * fit.factor:.3g}."
+            f"The law was {abs(1.0 / fit.factor - 1.0):.0%} off: {key} was {before:g}, is now "
+            f"{before * fit.factor:.3g}",
+            corrected=True,
         )
 
 

@@ -304,27 +304,25 @@ def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
     """Return in words how pads sit otherwise than the layout has them."""
     lines = []
     by_pad = {mount.pad: mount.sent_as for mount in mounts}
-    first, second = layout.gripping_pads
-    if (by_pad.get(first), by_pad.get(second)) == (second, first):
+    exchanged = {
+        pad
+        for pad, other in by_pad.items()
+        if by_pad.get(other) == pad != other and layout.pads[pad].face == layout.pads[other].face
+    }
+    if exchanged.issuperset(layout.gripping_pads):
         lines.append(
             "The pads of the two fingers are exchanged: set in tactile.mounting. Or exchange their "
             "cables at the control unit and run this step again."
         )
     for mount in mounts:
         name, sent = layout.pads[mount.pad].name, layout.pads[mount.sent_as].name
-        if sent != name and not (lines and mount.pad in (first, second)):
+        if sent != name and not (lines and mount.pad in exchanged):
             lines.append(f"{name} is plugged in the place of {sent}: set in tactile.mounting.")
         if mount.rows_mirrored and mount.columns_mirrored:
             lines.append(f"{name} is turned by 180 degrees: set in tactile.mounting.")
         elif mount.rows_mirrored or mount.columns_mirrored:
             what = "rows" if mount.rows_mirrored else "columns"
             lines.append(f"The {what} of {name} run the other way: set in tactile.mounting.")
-    if not Mounting(layout, mounts).unit_can_sum:
-        lines.append(
-            "The inner pads are not mounted alike, so the unit's force messages cannot be used and "
-            "the force comes from whole frames, which is slower: turn the pad on its finger, run "
-            "this step again, or set gripper.approach_speed_mm_s to 12."
-        )
     return lines
 
 
@@ -357,7 +355,13 @@ class PadsPressedStep(Step):
         mounts = mounts_of(layout, patches)
         notes.fact(f"{len(patches)} pads were pressed, one after another.")
         for line in mount_lines(layout, mounts):
-            notes.warn(line)
+            notes.warn(line, corrected=True)
+        if not Mounting(layout, mounts).unit_can_sum:
+            notes.warn(
+                "The inner pads are not mounted alike, so the unit's force messages cannot be used "
+                "and the force comes from whole frames, which is slower: turn the pad on its "
+                "finger, run this step again, or set gripper.approach_speed_mm_s to 12."
+            )
         for pad in missing:
             (notes.fail if pad in grip else notes.warn)(
                 f"{layout.pads[pad].name} was not seen: no pad of its size that was not found "

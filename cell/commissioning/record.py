@@ -52,6 +52,7 @@ def render_record(engine: Engine) -> str:
             for name, value in _flat(finding.values)
             if any(part in name.lower() for part in _HARDWARE)
         ],
+        corrected=engine.corrected,
         steps=[_step_view(engine, step) for step in engine.steps],
         settings=[(name, _text(value)) for name, value in engine.bench.settings.items()],
         folder=folder.resolve(),

@@ -10,6 +10,7 @@ from cell.commissioning.backup import (
     keep,
     read_control_table,
     register_writes,
+    since_backup,
 )
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
@@ -27,7 +28,6 @@ from gripper.dynamixel.control_table import (
     REGISTERS,
     SERVO_ID,
     TORQUE_ENABLE,
-    VOLTAGE_UNIT_V,
 )
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel
@@ -57,6 +57,8 @@ _OTHER_MODELS = {
 """Names of further models by Model Number (register 0), for messages (e-Manual)."""
 SCAN_RATES = (57600, 1_000_000, *(r for r in BAUD_RATES if r not in {57600, 1_000_000}))
 """Order in which baud rates are scanned: the factory's and this package's first."""
+_COUNT = "n_servos"
+"""Name of the number of servos among the values that the step has found."""
 _BOOT_S = 1.0
 """Time in s after servos were connected: they boot."""
 _MOST_FINGER_SERVOS = 2
@@ -131,7 +133,7 @@ class ServosStep(Step):
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find, number, check and set the servos."""
         port, rate = bench.gripper().port, bench.gripper().baud_rate
-        placed = _numbered(bench, dialog, port, rate)
+        placed = _numbered(bench, dialog, port, rate, notes)
         fingers, others = _of_fingers(placed, dialog)
         servos = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]
         notes.settings |= {"gripper.baud_rate": rate, "gripper.servos": servos}
@@ -159,6 +161,11 @@ class ServosStep(Step):
             return
         with bench.servo_bus(port, rate) as bus:
             _set_up(bench, bus, dialog, fingers, notes)
+            for one in fingers:
+                for name, was, now in since_backup(bench.folder, bus, one.servo_id):
+                    notes.fact(
+                        f"servo {one.servo_id}: {name} was {was}, is now {now}", corrected=True
+                    )
             try:
                 period_s = 1.0 / bench.gripper().loop_rate_hz
                 median_s = check_link(bus, [one.servo_id for one in fingers], period_s)
@@ -180,12 +187,17 @@ def _model(identity: ServoIdentity) -> ServoModel | None:
 # Finding and numbering
 
 
-def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoIdentity]:
+def _numbered(
+    bench: Bench, dialog: Dialog, port: str, rate: int, notes: Finding
+) -> list[ServoIdentity]:
     """Return the servos, each with an ID of its own at one baud rate."""
-    found, n_wanted = scan_servos(bench, port, dialog), 0
+    found = scan_servos(bench, port, dialog)
+    # A step that was left knows how many there are: those that it has numbered answer alone.
+    n_wanted = int(bench.found.get(ServosStep.key, {}).get(_COUNT, 0))
     while True:
         if found.crowded:
             n_wanted = _MOST_FINGER_SERVOS
+            notes.values[_COUNT] = n_wanted
             _ask_for_one_alone(dialog, found)
         elif not found.servos:
             raise StepFailed(
@@ -197,20 +209,28 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
             placed = _placed(bench, dialog, port, rate, found)
             found = Scan(servos=tuple(Found(rate, one) for one in placed))
             n_wanted = n_wanted or _count(dialog, placed)
-            if len(placed) >= n_wanted:
+            notes.values[_COUNT] = n_wanted
+            if len(placed) >= n_wanted or not _connected(dialog, placed[-1]):
                 return placed
-            dialog.confirm(
-                "servos.connect_next",
-                f"Servo {placed[-1].servo_id} has its number. Connect the next servo beside "
-                "it, and switch its supply on.",
-                "it is connected",
-            )
         bench.clock.sleep(_BOOT_S)
         seen = {one.baud_rate for one in (*found.servos, *found.shared)}
         rates = [one for one in SCAN_RATES if one in {rate, 57600, *seen, *found.damaged}]
         found = scan_servos(bench, port, dialog, rates)
         if not found.servos and not found.crowded:
             found = scan_servos(bench, port, dialog)
+
+
+def _connected(dialog: Dialog, last: ServoIdentity) -> bool:
+    """Return whether the person has connected the next servo; False where there is none."""
+    answers = {"done": "it is connected", "none": "there is no other: one drives both fingers"}
+    answer = dialog.choose(
+        "servos.connect_next",
+        f"Servo {last.servo_id} has its number. Connect the next servo beside it, and switch its "
+        "supply on.",
+        answers,
+        "done",
+    )
+    return answer == "done"
 
 
 def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
@@ -399,8 +419,9 @@ def check_supply(
     servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Finding
 ) -> None:
     """Note what is wrong with the supply of a servo."""
-    supply_v = table[PRESENT_INPUT_VOLTAGE.name] * VOLTAGE_UNIT_V
-    least_v, most_v = model.min_voltage_raw * VOLTAGE_UNIT_V, model.max_voltage_raw * VOLTAGE_UNIT_V
+    unit_v = model.voltage_unit_v
+    supply_v = table[PRESENT_INPUT_VOLTAGE.name] * unit_v
+    least_v, most_v = model.min_voltage_raw * unit_v, model.max_voltage_raw * unit_v
     text = (
         f"servo {servo_id} has {supply_v:.1f} V, a {model.name} takes {least_v:.1f} to "
         f"{most_v:.1f} V"

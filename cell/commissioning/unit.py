@@ -127,6 +127,10 @@ class UnitStep(Step):
                 for _ in range(_FRAMES):
                     sensor.read()
                 forces = len(sensor.take_forces())
+        for key in ("bitrate", "node_id"):
+            was, now = getattr(bench.base.tactile, key), found[key]
+            if was != now:
+                notes.fact(f"tactile.{key} was {was}, is now {now}", corrected=True)
         notes.fact(f"The unit boots, keeps its set-up and sends frames ({forces} force messages).")
         identity = unit.identity
         notes.values |= {

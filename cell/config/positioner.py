@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from cell.config.section import SIMULATED, OneOf, Section
 from cell.config.sequence import Range, SequenceConfig
-from gripper.dynamixel.models import MODELS, PULSES_PER_TURN
+from gripper.dynamixel.models import MODELS, XM430_W350
 
 Moves = Literal["x", "y", "rotation", "roll"]
 """Part of a pose that one axis moves; mm for x and y, degrees for the two turns."""
@@ -89,7 +89,7 @@ class ServoAxisConfig(Section):
     """ID of the servo, 0 to 252."""
     model: Annotated[str, OneOf(tuple(MODELS))] = "XM430-W350"
     """Model of the servo."""
-    increments: float = PULSES_PER_TURN / 360.0
+    increments: float = XM430_W350.pulses_per_turn / 360.0
     """Pulses in one degree or mm: 11.3778 without a gear; negative where it turns the other way."""
     zero_pulse: int = Field(default=0, ge=0, le=4095)
     """Present Position at 0 of the axis in pulses, 0 to 4095."""
@@ -114,7 +114,7 @@ class ServoAxisConfig(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         check_axis(self.moves, self.increments, self.low, self.high)
-        if abs(self.increments) * (self.high - self.low) > PULSES_PER_TURN:
+        if abs(self.increments) * (self.high - self.low) > MODELS[self.model].pulses_per_turn:
             raise ValueError(
                 f"axis {self.moves} goes from {self.low:g} to {self.high:g}, more than a turn of "
                 "its servo, which counts within one turn after a loss of power: narrow the limits"

@@ -10,11 +10,6 @@ from cell.control.plan import Pose
 from cell.control.positioner import Destination, unwatched
 from cell.errors import PositionerError, PositionerFault
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import (
-    RAD_PER_PULSE,
-    RAD_S2_PER_ACCELERATION_UNIT,
-    RAD_S_PER_VELOCITY_UNIT,
-)
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.values.state import GripperPhase
@@ -129,14 +124,15 @@ def _drive_settings(config: DriveAxisConfig) -> DriveSettings:
 
 def _servo_settings(config: ServoAxisConfig) -> ServoAxisSettings:
     low, high = _limits(config)
-    rad = abs(config.increments) * RAD_PER_PULSE
+    model = MODELS[config.model]
+    rad = abs(config.increments) * model.rad_per_pulse
     return ServoAxisSettings(
-        model=MODELS[config.model],
+        model=model,
         low=low,
         high=high,
         zero=config.zero_pulse,
-        velocity=max(1, round(config.velocity * rad / RAD_S_PER_VELOCITY_UNIT)),
-        acceleration=max(1, round(config.acceleration * rad / RAD_S2_PER_ACCELERATION_UNIT)),
+        velocity=max(1, round(config.velocity * rad / model.velocity_unit_rad_s)),
+        acceleration=max(1, round(config.acceleration * rad / model.acceleration_unit_rad_s2)),
         window=_count(config, config.window),
         lag=_count(config, config.lag),
         current_a=config.current_max_a,

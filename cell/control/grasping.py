@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
 from cell.control.journal import Journal
@@ -32,11 +33,11 @@ from cell.control.self_zero import (
     unsound,
     zero_text,
 )
-from cell.data.dataset import text_refused
+from cell.data.grasp_limits import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, OnPeriod
 from gripper.clock import Clock
-from gripper.dynamixel.control_table import RAD_PER_PULSE
+from gripper.dynamixel.models import MODELS
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import Linkage
@@ -90,7 +91,7 @@ class Grasper:
         self._gripper, self._sequence = self.config.gripper, self.config.sequence
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._last_start_ms = 0
-        self._opening_step_m = _opening_step_m(self.config.linkage)
+        self._opening_step_m = _opening_step_m(self.config.linkage, self._gripper)
         self._patient = PatientCaller(self.clock, self.hand.period_s)
         self.pads: PadArray = pad_array(self.hand.layout)
 
@@ -213,7 +214,9 @@ class Grasper:
                     self.hand.end_ramp()
 
         most_n = min(_ZERO_FORCE_N, self.config.largest_ramp_n)
-        outcome = self.hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
+        outcome = self.hand.press_pads_together(
+            ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch
+        )
         if part_between(outcome):
             return outcome, None, ""
         try:
@@ -283,7 +286,7 @@ class Grasper:
             if judge.keeps:
                 held = (zero, self._look_at_held(zero))
             else:
-                self.hand.carry(self._sequence.carry_force_n, 0.0, self.watch)
+                self.hand.hold_at(self._sequence.carry_force_n, 0.0, self.watch)
             verdict = judge.decide()
             self.life.check_cancelled()
             if verdict.further is None:
@@ -298,7 +301,7 @@ class Grasper:
         """Back off and follow a further ramp in the same grip; return its record."""
         from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
         from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
-        self.hand.carry(from_n, 0.0, self.watch)
+        self.hand.hold_at(from_n, 0.0, self.watch)
         collector, watch = self._collecting(self.zeros.newest)
         outcome = self.hand.squeeze(self._ramp(step), watch)
         self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
@@ -316,9 +319,9 @@ class Grasper:
     def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
         """Hold the part with the force of a carry, and measure it for a comparison."""
         carry_n = self._sequence.carry_force_n
-        self.hand.carry(carry_n, 0.0, self.watch)
+        self.hand.hold_at(carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
-        self.hand.carry(carry_n, HELD_LOOK_S, watch)
+        self.hand.hold_at(carry_n, HELD_LOOK_S, watch)
         return measured(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
@@ -360,7 +363,9 @@ class Grasper:
         return reached
 
 
-def _opening_step_m(linkage: Linkage) -> float:
+def _opening_step_m(linkage: Linkage, gripper: GripperConfig) -> float:
     """Return the step in m in which the servos read the opening of closed fingers."""
-    closed_rad = linkage.angles_rad(0.0)
-    return sum(map(linkage.opening_per_rad_m, closed_rad)) * RAD_PER_PULSE
+    return sum(
+        linkage.opening_per_rad_m(closed_rad) * MODELS[servo.model].rad_per_pulse
+        for closed_rad, servo in zip(linkage.angles_rad(0.0), gripper.servos, strict=True)
+    )

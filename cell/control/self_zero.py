@@ -205,8 +205,8 @@ class SelfZeros:
 def part_between(outcome: GraspOutcome, found: ZeroMeasurement | None = None) -> str:
     """Return as text that something else than their pads has stopped the empty fingers, else "".
 
-    The outcome of `Hand.meet` ends early where the opening or the first footprints show a part;
-    ``found`` is what the pads have shown at the end.
+    The outcome of `Hand.press_pads_together` ends early where the opening or the first footprints
+    show a part; ``found`` is what the pads have shown at the end.
     """
     lost = outcome.result is GraspResult.PART_LOST
     if not (outcome.ended_early or lost or (found is not None and not found.pads_met)):

@@ -37,6 +37,15 @@ from numpy.typing import NDArray
 
 from cell.data.files import read_npz, savez, write_atomically
 from cell.data.formats import DATASET
+from cell.data.grasp_limits import (
+    MAX_TEXT,
+    RANGES,
+    beyond_range,
+    openings_too_small,
+    pads_too_small,
+    text_refused,
+    times_refused,
+)
 from cell.errors import DatasetError
 from recognition.grasp import (
     COMMAND_COLUMNS,
@@ -46,90 +55,6 @@ from recognition.grasp import (
     PadArray,
     SelfZero,
 )
-from recognition.recognizer import UNKNOWN
-
-RANGES = {
-    "aperture_mm": (-100.0, 1000.0, "openings stand in mm"),
-    "force_n": (-100.0, 10_000.0, "grip forces stand in N"),
-    "taxel_xy_mm": (-1000.0, 1000.0, "places stand in mm"),
-    "thickness_mm": (0.0, 1000.0, "thicknesses stand in mm"),
-    "pose": (-0.5, 0.5, "offsets stand in m"),
-    "start_ms": (-1e15, 1e15, "times stand in ms since 1970"),
-}
-"""Smallest and largest number of an array, and its unit: far from any gripper's numbers, and near
-enough to show a wrong unit, a factor of 1000."""
-
-LEAST_OPENING_MM = 0.2
-"""No fingers stay below it in all grasps of a data set, rest before the contact included."""
-LEAST_PAD_MM = 0.1
-"""No pad of several taxels is smaller."""
-FRAME_PERIOD_S = (1e-5, 2.0)
-"""Shortest and longest mean period of a grasp's frames."""
-
-
-def beyond_range(name: str, values: NDArray[Any]) -> str | None:
-    """Return which number of an array is beyond its range, None if none is; NaN is within."""
-    low, high, unit = RANGES[name]
-    flat = values.ravel()
-    beyond = np.flatnonzero((flat < low) | (flat > high))
-    if not beyond.size:
-        return None
-    where = int(beyond[0])
-    return f"is {flat[where]:g} at {where}, must be from {low:g} to {high:g}: {unit}"
-
-
-def openings_too_small(aperture_mm: NDArray[np.float64]) -> str | None:
-    """Say that fingers never open as far as any do; unknown openings are none."""
-    known = aperture_mm[~np.isnan(aperture_mm)]
-    if not known.size or known.max() >= LEAST_OPENING_MM:
-        return None
-    return (
-        f"never exceeds {known.max():g}, expected {LEAST_OPENING_MM:g} or more somewhere: openings "
-        "stand in mm, not in m; write NaN where they are unknown"
-    )
-
-
-def pads_too_small(pads: PadArray) -> str | None:
-    """Say which pad has all its taxels in one place."""
-    for pad in range(len(pads.pad_shape)):
-        places_mm = pads.taxel_xy_m[pads.taxel_pad == pad] * 1e3
-        extent_mm = float(np.ptp(places_mm, axis=0).max())
-        if len(places_mm) > 1 and extent_mm < LEAST_PAD_MM:
-            return (
-                f"spreads the {len(places_mm)} taxels of pad {pad} over {extent_mm:g}, expected "
-                f"{LEAST_PAD_MM:g} or more: places stand in mm, not in m"
-            )
-    return None
-
-
-def text_refused(name: str, text: str) -> str | None:
-    """Return why a text of a grasp, as its label, is refused; None where it is not."""
-    if not text.isprintable() or len(text) > _MAX_TEXT:
-        return f"is {text!a:.60}: not printable, or longer than {_MAX_TEXT} characters"
-    if name == "label" and text == UNKNOWN:
-        return f"is {UNKNOWN}, the answer for what was not taught: write a name, or leave it empty"
-    return None
-
-
-def frames_ill_timed(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> str | None:
-    """Say which grasp's frames follow each other faster or slower than any sensor's.
-
-    Times (n_frames,) in s count from the first frame of each grasp; offsets (n_grasps + 1,) are its
-    number, and the end.
-    """
-    steps = np.diff(offsets) - 1
-    several = np.flatnonzero(steps > 0)
-    period_s = t_s[offsets[1:] - 1][several] / steps[several]
-    shortest_s, longest_s = FRAME_PERIOD_S
-    ill = np.flatnonzero((period_s < shortest_s) | (period_s > longest_s))
-    if not ill.size:
-        return None
-    grasp, found_s = int(several[ill[0]]), float(period_s[ill[0]])
-    return (
-        f"has a frame each {found_s:g} s in the mean of grasp {grasp}, expected {shortest_s:g} to "
-        f"{longest_s:g} s: times stand in s since the grasp's first frame"
-    )
-
 
 DATASET_LIMIT_BYTES = 1 << 30
 """Unpacked size of a data set that is read without being asked for more."""
@@ -148,8 +73,6 @@ _REQUIRED = (
     "start_ms",
 )
 _OPTIONAL = ("force_n", "shape", "source", "thickness_mm", "pose", "self_zero")
-_MAX_TEXT = 200
-"""Characters of a text in a data set."""
 _MAX_TAXELS = 1 << 16
 """Taxels of a grasp, far more than any sensor here has."""
 
@@ -308,8 +231,8 @@ class _Checker:
         if name not in self._arrays:
             return [""] * n_grasps
         array = self._take(name, "U", (n_grasps,))
-        if array.dtype.itemsize > 4 * _MAX_TEXT:
-            raise self._refuse(name, f"has texts of type {array.dtype}, limit {_MAX_TEXT}")
+        if array.dtype.itemsize > 4 * MAX_TEXT:
+            raise self._refuse(name, f"has texts of type {array.dtype}, limit {MAX_TEXT}")
         texts: list[str] = array.tolist()
         for i, text in enumerate(texts):
             if wrong := text_refused(name, text):
@@ -385,10 +308,7 @@ class _Checker:
         offsets = self._offsets(n_frames)
         n_grasps = len(offsets) - 1
         t_s = self._floats("t_s", (n_frames,), nan=False)
-        falls = np.flatnonzero(np.diff(t_s) < 0) + 1
-        if np.any(t_s[offsets[:-1]] != 0) or not np.all(np.isin(falls, offsets)):
-            raise self._refuse("t_s", "must start at 0 in each grasp and never fall within one")
-        self._allow("t_s", frames_ill_timed(t_s, offsets))
+        self._allow("t_s", times_refused(t_s, offsets))
         aperture_mm = self._in_range("aperture_mm", (n_frames,), nan=True)
         self._allow("aperture_mm", openings_too_small(aperture_mm))
         aperture_m = aperture_mm * 1e-3

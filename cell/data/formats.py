@@ -27,23 +27,23 @@ class Format:
 
     what: str
     """What such a file is, for messages."""
-    name: str
-    version: int
-    """Together what such a file names: ``grasp-dataset/1``."""
+    text: str
+    """What such a file names: the format and its version."""
     remedy: str
     """What a person does with such a file that cannot be read."""
-    unnamed: frozenset[str] = frozenset()
-    """Keys of a JSON file that names no format, and is read; empty: it is refused."""
+    unnamed: frozenset[str] | None = None
+    """Keys of a JSON file that names no format, and is read; None: it is refused."""
 
     def __str__(self) -> str:
-        return f"{self.name}/{self.version}"
+        return self.text
 
     def check(self, found: object, source: object, error: type[CellError]) -> None:
         """Raise ``error`` where the format that a file names is not this one."""
-        if found == str(self):
+        if found == self.text:
             return
-        later = re.fullmatch(rf"{re.escape(self.name)}/(\d{{1,9}})", str(found))
-        if later and int(later[1]) > self.version:
+        name, version = self.text.split("/")
+        later = re.fullmatch(rf"{name}/(\d{{1,9}})", str(found))
+        if later and int(later[1]) > int(version):
             raise error(
                 f"{source} has the format {found}; this program reads up to {self}: update "
                 "tactile-cell"
@@ -76,38 +76,31 @@ def present_config(values: dict[str, Any], way: str = "") -> dict[str, Any]:
 
 CONFIG = Format(
     what="config",
-    name="tactile-cell-config",
-    version=1,
+    text="tactile-cell-config/1",
     remedy="write that, or leave the key out",
 )
-DATASET = Format(what="grasp data set", name="grasp-dataset", version=1, remedy="check the path")
-RECORDING = Format(
-    what="recording", name="tactile-cell-recording", version=1, remedy="check the path"
-)
+DATASET = Format(what="grasp data set", text="grasp-dataset/1", remedy="check the path")
+RECORDING = Format(what="recording", text="tactile-cell-recording/1", remedy="check the path")
 MODEL = Format(
     what="model",
-    name="tactile-cell-model",
-    version=1,
+    text="tactile-cell-model/1",
     remedy="train it again: `tactile-cell train DATASETS -o MODEL`",
 )
 COMMISSIONING = Format(
     what="commissioning",
-    name="tactile-cell-commissioning",
-    version=1,
+    text="tactile-cell-commissioning/1",
     remedy="move it away to commission anew",
     unnamed=frozenset({"version", "steps", "approved"}),
 )
 SERVO_BACKUP = Format(
     what="backup of a servo",
-    name="tactile-cell-servo-backup",
-    version=1,
+    text="tactile-cell-servo-backup/1",
     remedy="take another copy of it",
     unnamed=frozenset({"servo_id", "baud_rate", "found"}),
 )
 SELF_ZERO = Format(
     what="self-zero",
-    name="tactile-cell-self-zero",
-    version=1,
+    text="tactile-cell-self-zero/1",
     remedy="`tactile-cell zero` measures it anew",
 )
 

@@ -1,5 +1,8 @@
-"""The recorder: writes everything that a sequence sees and does into one MCAP file."""
+"""The recorder: writes everything that a sequence sees and does into MCAP files."""
 
+import itertools
+import math
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -9,12 +12,11 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
 
 from cell.data import recording_schema as schema
-from cell.data.recorder_sink import BackgroundFile, DirectFile
+from cell.data.recorder_sink import ROOM_BYTES, has_room
+from cell.data.recording_file import RecordingFile
 from cell.data.recording_values import (
-    begin,
     cycle_values,
     grasp_values,
     metadata_values,
@@ -29,21 +31,28 @@ if TYPE_CHECKING:
     from gripper.values.state import Cycle
     from tactile.source import TactileFrame
 
-CHUNK_BYTES = 64 << 10
-"""Size of a chunk before compression: what a killed program loses at most."""
+CONTINUES = "continues"
+"""Entry of the metadata: the recording that stopped before this one."""
 
 _NEWEST_FRAMES = 65536
 """Frames that a grasp can name; 20 minutes at 50 frames a second."""
 _TIME_TOLERANCE_S = 1e-6
 """Difference in s between a frame's time in the recording and in its grasp: rounding only."""
+_LOOK_S = 1.0
+"""Time in s from one look at a full disk to the next, in real time."""
+_LONGEST_RETRY_S = 600.0
+"""Longest time in s from one new file to the next where each stops at once: it doubles."""
+_CLOSE_TIMEOUT_S = 10.0
+"""Time in s that the end waits for a disk that does not answer."""
 
 
 class Recorder:
     """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
 
-    A disk that is full, gone or too slow never raises into the force loop: the recording stops for
-    good, `fault` gives the reason and how many frames can be read, and `close` raises it. Raises
-    RecordingError if the file cannot be made.
+    A disk that is full, gone or too slow never raises into the force loop: the recording stops,
+    `fault` gives the reason and how many frames can be read. It goes on in a new file beside the
+    first, ``-2`` behind its name, as soon as the disk has `ROOM_BYTES` free. Raises RecordingError
+    if the first file cannot be made.
 
     Parameters
     ----------
@@ -56,10 +65,13 @@ class Recorder:
     metadata
         Further facts to keep with the recording, for instance hashes of config and model.
     background
-        Write from a thread of its own, for real time; in virtual time leave it off.
+        Write, and look after a full disk, from threads of their own, for real time; in virtual time
+        leave it off.
     vital
         Whether a grasp must not go on without its recording; `cell.control.journal` looks after
         that.
+    note
+        Gets a message for the operator where the recording stops, and where it goes on.
     wall_clock_ns
         Wall clock in ns since 1970, read at the start and with each change of state; it is kept
         for people and orders nothing.
@@ -74,52 +86,45 @@ class Recorder:
         metadata: Mapping[str, str] | None = None,
         background: bool = False,
         vital: bool = False,
+        note: Callable[[str], None] = lambda _text: None,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self.path = Path(path)
         self.vital = vital
+        self._first_path = Path(path)
         self._clock = clock
         self._pads = pads
+        self._metadata = dict(metadata or {})
+        self._background = background
+        self._note = note
         self.wall_clock_ns = wall_clock_ns
-        self._fault: RecordingError | None = None
-        self._closed = False
-        self._n_frames = 0
-        self._sequence: dict[str, int] = {}
-        self._marks: list[tuple[int, int]] = []
+        self._over = threading.Event()
+        self._n_frames = self._n_lost = 0
         self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
-        try:
-            self._sink = (BackgroundFile if background else DirectFile)(self.path)
-        except FileExistsError as cause:
-            raise RecordingError(
-                f"{path} is there already; recordings are never overwritten, choose another name"
-            ) from cause
-        except OSError as cause:
-            raise RecordingError(
-                f"cannot record to {path}: {cause.strerror}; check folder and rights"
-            ) from cause
-        self._writer = writer = Writer(
-            _Marked(self._sink, self._mark),  # type: ignore[arg-type]
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
-        started = metadata_values(pads, wall_clock_ns(), to_ns(clock.monotonic()))
-        entries = dict(metadata or {}) | started
-        self._channels: dict[str, int] = {}
-        self._guarded(lambda: self._channels.update(begin(writer, entries)))
-        if self._fault is None:
-            self._marks.append((self._sink.tell(), 0))
+        self._state: tuple[int, bytes] | None = None
+        self.gap = ""
+        """Where the recording has gone on after it stopped; empty where it is in one piece."""
+        self._next: RecordingFile | None = None
+        self._retry_s, self._retry_at_s = 0.0, 0.0
+        self._waiter: threading.Thread | None = None
+        self._file = self._new_file(self._first_path)
+        self._notice(self._file)
+
+    @property
+    def path(self) -> Path:
+        """The file that is written, or was last."""
+        return (self._next or self._file).path
 
     @property
     def fault(self) -> RecordingError | None:
-        """Why the recording stopped before its end; None while all is well."""
-        return self._fault
+        """Why the recording has stopped; None while it is written."""
+        return None if self._next is not None else self._file.fault
 
     def frame(self, frame: "TactileFrame") -> None:
         """Record a whole tactile frame of raw counts."""
         counts = frame.counts
         if counts.shape != (self._pads.n_taxels,):
             raise ValueError(f"frame of shape {counts.shape}, the pads have {self._pads.n_taxels}")
+        self._go_on()
         self._n_frames += 1
         self._put(
             schema.FRAME,
@@ -144,9 +149,11 @@ class Recorder:
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames make up this grasp.
 
-        The frames themselves are those given to `frame` before; ValueError if they are others.
+        The frames themselves are those given to `frame` before; ValueError if they are others. A
+        grasp that began before the recording went on is in no file.
         """
-        if self._fault is not None:
+        self._go_on()
+        if self.fault is not None or (self.gap and self._n_frames < grasp.n_frames):
             return
         newest = list(self._newest)[-grasp.n_frames :]
         stamps_s = np.array([t_s for t_s, _ in newest])
@@ -162,19 +169,27 @@ class Recorder:
         values = grasp_values(grasp, first_frame=self._n_frames - grasp.n_frames)
         self._put(schema.GRASP, float(stamps_s[0]), values)
 
+    def look(self) -> None:
+        """Look after the file while nothing is recorded; to be called now and then."""
+        if self._file.fault is None:
+            self._file.check()
+            self._notice(self._file)
+        self._go_on()
+
     def close(self) -> None:
-        """Finish the file. Raises the RecordingError of a recording that stopped early."""
-        if self._closed:
+        """Finish the file. Raises RecordingError where the recording has stopped, or has a gap."""
+        if self._over.is_set():
             return
-        self._guarded(self._writer.finish)
-        self._closed = True
-        if self._fault is None:
-            self._guarded(self._sink.close)
-        else:
-            with suppress(OSError):  # the fault is already known, and raised below
-                self._sink.close()
-        if self._fault is not None:
-            raise self._fault
+        self._over.set()
+        if self._waiter is not None:
+            self._waiter.join(_CLOSE_TIMEOUT_S)
+        self._retry_at_s = math.inf  # what comes too late to be written to needs no file
+        self._go_on()
+        self._file.close()
+        if self._file.fault is not None:
+            raise self._file.fault
+        if self.gap:
+            raise RecordingError(self.gap)
 
     def __enter__(self) -> Self:
         return self
@@ -193,63 +208,97 @@ class Recorder:
             error.add_note(str(fault))
 
     def _put(self, topic: str, t_s: float, values: dict[str, Any]) -> None:
-        if self._closed:
+        if self._over.is_set():
             raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
-        if self._fault is not None:
+        self._go_on()
+        stopped = self._file.fault is not None
+        if stopped and topic != schema.STATE:
             return
-        stamp_ns = to_ns(t_s)
-        data = to_json({"t_s": round(float(t_s), 9), **values}).encode()
-        number = self._sequence.get(topic, 0)
-        self._sequence[topic] = number + 1
-        channel = self._channels[topic]
-        self._guarded(
-            lambda: self._writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
+        message = (to_ns(t_s), _json(t_s, values))
+        if topic == schema.STATE:
+            self._state = message
+        if not stopped:
+            self._file.add(topic, *message)
+            self._notice(self._file)
+
+    # -- a disk that fails, and has room again -------------------------------------------------
+
+    def _new_file(self, path: Path, **entries: str) -> RecordingFile:
+        clocks_and_pads = metadata_values(
+            self._pads, self.wall_clock_ns(), to_ns(self._clock.monotonic())
         )
+        described = self._metadata | entries | clocks_and_pads
+        return RecordingFile(path, described, background=self._background)
 
-    def _mark(self) -> None:
-        """Keep how long the file is with all frames so far, where a chunk has just been written.
-
-        The first mark is the description of the recording, without which nothing can be read.
-        """
-        length = self._sink.tell()
-        if self._marks and self._fault is None and length > self._marks[-1][0]:
-            self._marks.append((length, self._n_frames))
-
-    def _what_is_left(self) -> str:
-        """Return what can be read of a recording that has stopped."""
-        written = self._sink.written_bytes()
-        frames = [n_frames for length, n_frames in self._marks if length <= written]
-        if not frames:
-            return "Nothing of it can be read"
-        if not frames[-1]:
-            return "No frame of it can be read"
-        return f"{frames[-1]} frames of it can be read"
-
-    def _guarded(self, act: Callable[[], object]) -> None:
-        if self._fault is not None:
+    def _notice(self, file: RecordingFile) -> None:
+        """Where a file has just stopped: wait for room on its disk."""
+        if file.fault is None:
             return
-        try:
-            act()
-        except OSError as cause:
-            reason = cause.strerror or str(cause)
-            self._fault = RecordingError(
-                f"the recording {self.path} stopped after {self._n_frames} frames: {reason}. "
-                f"{self._what_is_left()}; free space or choose another disk, then repeat"
+        if file.n_bytes >= ROOM_BYTES:
+            self._retry_s = 0.0
+        self._retry_at_s = self._clock.monotonic() + self._retry_s
+        if self._background:
+            self._waiter = threading.Thread(
+                target=self._wait_for_room, args=(file,), name="recording-room", daemon=True
             )
-            self._fault.__cause__ = cause
+            self._waiter.start()
+        else:
+            self._give_up(file)
+
+    def _give_up(self, file: RecordingFile) -> None:
+        needed = f"as soon as {ROOM_BYTES >> 20} MB are free there"
+        self._note(f"{file.fault}; it goes on in a new file {needed}")
+        file.close()
+
+    def _wait_for_room(self, file: RecordingFile) -> None:
+        self._give_up(file)
+        while self._next is None and not self._over.wait(max(_LOOK_S, self._retry_s)):
+            self._retry(file)
+
+    def _retry(self, stopped: RecordingFile) -> None:
+        """Make the next file where the disk has room again."""
+        first = self._first_path
+        names = (first.with_stem(f"{first.stem}-{number}") for number in itertools.count(2))
+        try:
+            if not has_room(first.parent):
+                return
+            path = next(path for path in names if not path.exists())
+            file = self._new_file(path, **{CONTINUES: stopped.path.name})
+        except (OSError, RecordingError):
+            return
+        self._retry_s = min(max(_LOOK_S, 2.0 * self._retry_s), _LONGEST_RETRY_S)
+        self._retry_at_s = self._clock.monotonic() + self._retry_s
+        if file.fault is None:
+            self._note(f"the recording goes on in {path}")
+            self._next = file
+            return
+        file.close()
+        with suppress(OSError):
+            path.unlink()
+
+    def _go_on(self) -> None:
+        """Write to the next file, where the one before has stopped and there is a next one."""
+        stopped = self._file
+        if stopped.fault is None:
+            return
+        if not self._background and self._clock.monotonic() >= self._retry_at_s:
+            self._retry(stopped)
+        if (file := self._next) is None:
+            return
+        self._n_lost += self._n_frames - stopped.n_readable
+        names = f"{stopped.path.name} stopped, {file.path} goes on"
+        self.gap = f"the recording has a gap of {self._n_lost} frames: {names}"
+        now_s = self._clock.monotonic()
+        self._n_frames = 0
+        self._newest.clear()
+        if self._state is not None:
+            file.add(schema.STATE, *self._state)
+        file.add(schema.EVENT, to_ns(now_s), _json(now_s, {"kind": "recording", "text": self.gap}))
+        # In this order: other threads ask for the fault.
+        self._file = file
+        self._next = None
+        self._notice(file)
 
 
-class _Marked:
-    """The file as its writer sees it; calls ``mark`` after each write.
-
-    The index that follows a chunk is a write of its own: a chunk without it can be read.
-    """
-
-    def __init__(self, sink: DirectFile, mark: Callable[[], None]) -> None:
-        self.tell, self.flush = sink.tell, sink.flush
-        self._sink, self._mark = sink, mark
-
-    def write(self, data: bytes, /) -> int:
-        n_bytes = self._sink.write(data)
-        self._mark()
-        return n_bytes
+def _json(t_s: float, values: Mapping[str, Any]) -> bytes:
+    return to_json({"t_s": round(float(t_s), 9), **values}).encode()

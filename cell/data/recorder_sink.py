@@ -11,6 +11,15 @@ from cell.fault_catalogue import error_text
 MAX_WAITING_BYTES = 16 << 20
 """Bytes that may wait for a slow disk before the recording is given up."""
 
+ROOM_BYTES = 16 << 20
+"""Free bytes of a disk from which on a recording goes on: seven minutes of grasping."""
+
+
+def has_room(folder: Path) -> bool:
+    """Return whether the disk of a folder has `ROOM_BYTES` free; OSError where it is gone."""
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize >= ROOM_BYTES
+
 
 class DirectFile:
     """What the MCAP writer writes whole records to, in the caller's thread.
@@ -48,6 +57,9 @@ class DirectFile:
 
     def flush(self) -> None:
         """Nothing is held back."""
+
+    def check(self) -> None:
+        """Raise the OSError of a write that failed since the last call."""
 
     def close(self) -> None:
         """Bring the file to the disk and close it; once closed, nothing happens.
@@ -94,8 +106,7 @@ class BackgroundFile(DirectFile):
     def write(self, data: bytes, /) -> int:
         """Queue the bytes. Raises OSError if the disk has failed since, or is too slow."""
         with self._changed:
-            if self._error is not None:
-                raise self._error
+            self.check()
             if self._waiting_bytes + len(data) > self._max_waiting_bytes:
                 raise OSError(
                     f"the disk is too slow: {self._waiting_bytes} bytes wait to be written, "
@@ -106,6 +117,11 @@ class BackgroundFile(DirectFile):
             self._taken_bytes += len(data)
             self._changed.notify()
         return len(data)
+
+    def check(self) -> None:
+        """Raise the OSError with which the thread has ended, if it has."""
+        if self._error is not None:
+            raise self._error
 
     def tell(self) -> int:
         """Return the number of bytes taken."""
@@ -119,8 +135,7 @@ class BackgroundFile(DirectFile):
         self._thread.join(self._close_timeout_s)
         if self._thread.is_alive():
             raise OSError(f"the disk did not take the rest within {self._close_timeout_s} s")
-        if self._error is not None:
-            raise self._error
+        self.check()
 
     def _run(self) -> None:
         try:

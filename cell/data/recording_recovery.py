@@ -1,15 +1,17 @@
 """From a recording that was cut off or damaged to a whole one, of what can be read of it."""
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
 from cell.data import recording_schema as schema
 from cell.data.files import write_atomically
-from cell.data.recording_reader import Recording, read_raw, read_recording
-from cell.data.recording_values import begin, to_json, to_ns
+from cell.data.recording_messages import RecordedMessages
+from cell.data.recording_reader import Recording, read_recording
+from cell.data.recording_values import CHUNK_BYTES, begin, to_ns
 from cell.errors import RecordingError
 
 RECOVERED = "recovered"
@@ -42,16 +44,8 @@ def recover_recording(path: Path | str, target: Path | str) -> Recovered:
     if target.exists():
         raise RecordingError(f"{target} exists; recordings are never overwritten, choose another")
     recording = read_recording(path)
-    messages = [
-        (topic, content)
-        for topic, content in read_raw(path).messages
-        if topic in schema.SCHEMAS and (topic != schema.GRASP or content in recording.whole_grasps)
-    ]
     write_atomically(
-        target,
-        lambda file: _write(file, recording, messages),
-        error=RecordingError,
-        what="recording",
+        target, lambda file: _write(file, recording), error=RecordingError, what="recording"
     )
     return Recovered(
         recording=target,
@@ -63,16 +57,17 @@ def recover_recording(path: Path | str, target: Path | str) -> Recovered:
     )
 
 
-def _write(
-    file: BinaryIO, recording: Recording, messages: list[tuple[str, dict[str, Any]]]
-) -> None:
-    writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
+def _write(file: BinaryIO, recording: Recording) -> None:
+    writer = Writer(
+        file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
+    )
     entries = {key: value for key, value in recording.metadata.items() if key != "crc32"}
     if recording.lost_reason:
         entries[RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
     channels = begin(writer, entries)
-    for sequence, (topic, content) in enumerate(messages):
-        stamp_ns = to_ns(content["t_s"])
-        data = to_json(content).encode()
-        writer.add_message(channels[topic], stamp_ns, data, stamp_ns, sequence=sequence)
+    whole, grasp_numbers = set(recording.grasp_numbers), itertools.count()
+    for sequence, (topic, content, data) in enumerate(RecordedMessages(recording.path)):
+        if topic != schema.GRASP or next(grasp_numbers) in whole:
+            stamp_ns = to_ns(content["t_s"])
+            writer.add_message(channels[topic], stamp_ns, data, stamp_ns, sequence=sequence)
     writer.finish()  # type: ignore[no-untyped-call]

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from recognition.grasp import Grasp, PadArray
     from recognition.shape.answer import ShapeAnswer
 
+CHUNK_BYTES = 64 << 10
+"""Size of a chunk before compression: what a killed program loses at most."""
 _AS_IT_IS = (int, str)
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 

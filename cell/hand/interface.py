@@ -129,11 +129,11 @@ class Hand(Protocol):
     def grasp(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close until both pads touch, follow the ramp; return while holding."""
 
-    def meet(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
+    def press_pads_together(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp; return while they press."""
         ...
 
-    def carry(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
+    def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force for a time, and control it on between commands."""
 
     def squeeze(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:

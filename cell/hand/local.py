@@ -56,7 +56,7 @@ class LocalHand:
     @property
     def phase(self) -> GripperPhase:
         """What the gripper is doing."""
-        return self.gripper.state
+        return self.gripper.phase
 
     @property
     def statistics(self) -> HandStatistics:
@@ -85,16 +85,16 @@ class LocalHand:
         self._force.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
-    def meet(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
+    def press_pads_together(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other; see `Hand`."""
         self._check_zero()
         self._force.take()
-        return self.gripper.meet(ramp, observer=self._observer(watch))
+        return self.gripper.press_pads_together(ramp, observer=self._observer(watch))
 
-    def carry(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
+    def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force; see `Hand`."""
         self._force.take()
-        self.gripper.carry(force_n, duration_s, self._observer(watch))
+        self.gripper.hold_at(force_n, duration_s, self._observer(watch))
 
     def squeeze(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Hand`."""

@@ -214,7 +214,7 @@ class HandServer:
         value: Any = None
         failure: BaseException | None = None
         dropped = self._outbox.dropped
-        self._ramp = request.number if request.method in ("grasp", "meet") else 0
+        self._ramp = request.number if request.method in ("grasp", "press_pads_together") else 0
         try:
             value = request.run(self._hand, self._watch)
         except GraspStopped as stop:

@@ -9,6 +9,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from inspect import Parameter, Signature
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from cell.errors import ConfigError, NotMeasured, RequestRefused
@@ -154,7 +155,7 @@ class Calls:
 
 
 def _reader(value: Value) -> Callable[..., Any]:
-    """Return the method of a value: of the cell, or of a job by its number."""
+    """Return the method of a value: of the cell, or of a job or part by its number."""
 
     def checked(shown: Any) -> Any:
         found = value.of(shown)
@@ -167,19 +168,18 @@ def _reader(value: Value) -> Callable[..., Any]:
         return checked(service if value in PLATE else service.snapshot())
 
     def of_job(self: Calls, job: int) -> Any:
-        return checked(_OneJob(self._service.job(job)))
+        return checked(SimpleNamespace(job=self._service.job(job)))
 
-    method: Callable[..., Any] = of_job if value.source.startswith("job.") else of_cell
+    def of_part(self: Calls, part: int) -> Any:
+        return checked(SimpleNamespace(part=self._service.part(part)))
+
+    of_one = {"job": of_job, "part": of_part}
+    numbered = not value.source.endswith(".number")
+    method: Callable[..., Any] = of_one.get(value.source.split(".")[0] * numbered, of_cell)
     unmeasured = "; -516 where it is not measured" if ".live." in value.source else ""
     method.__doc__ = f"{value.text}{unmeasured}."
     method.__annotations__["return"] = value.kind
     return method
-
-
-class _OneJob(NamedTuple):
-    """A job in the place of the newest one of a snapshot."""
-
-    job: Any
 
 
 def _starter(command: HostCommand) -> Callable[..., Any]:

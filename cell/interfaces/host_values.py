@@ -8,6 +8,9 @@ from typing import Any, NamedTuple
 
 from cell.control.plan import Pose
 
+N_TEXT = 16
+"""Registers of a text, two characters each."""
+
 
 class Value(NamedTuple):
     """One value of a `Snapshot`, or of what else a door shows."""
@@ -21,9 +24,10 @@ class Value(NamedTuple):
     source: str
     """Path of attributes that leads to it."""
     method: str = ""
-    """Method of XML-RPC that returns it; those of a job take its number."""
+    """Method of XML-RPC that returns it; those of a job or a part take its number."""
     register: int = 0
-    """Input register of Modbus; 0: none, or one of its own making."""
+    """Input register of Modbus, for a text the first of `N_TEXT`; 0: none, or one of its own
+    making."""
     unit: float = 1.0
     """Unit of that register."""
 
@@ -86,10 +90,29 @@ VALUES = (
           "last_answer.probability", "", 11, 1e-4),
     Value("LastAnswer.Size", float, "Size in mm; 0: not felt", "last_answer.size_mm", "", 15, 0.01),
     Value("LastAnswer.Kept", bool, "Whether the part was kept", "last_answer.kept"),
+    Value("Part.Number", int,
+          "Number of the newest part of an identification or sort; 0: none since the start",
+          "part.number", "part", 96),
+    Value("Part.Label", str, "What it was named", "part.answer.label", "part_label", 104),
+    Value("Part.LabelId", int, "Id of the label, from 1; 0: UNKNOWN",
+          "part.label_id", "part_label_id", 97),
+    Value("Part.Probability", float, "Probability of the label, 0 to 1",
+          "part.answer.probability", "part_probability", 98, 1e-4),
+    Value("Part.Size", float, "Size in mm; 0: not felt",
+          "part.answer.size_mm", "part_size", 99, 0.01),
+    Value("Part.Place", str, "Where a sort has let it go; empty: not sorted",
+          "part.place", "part_place", 120),
+    Value("Part.PlaceId", int, "Number of that place, from 1, the last for rejects; 0: not sorted",
+          "part.place_id", "part_place_id", 100),
+    Value("Part.Grasps", int, "Grasps of its identification",
+          "part.answer.n_grasps", "", 101),
     Value("Pose.Number", int, "Number of the pose that is waited for; 0: none",
           "pose_seq", "pose_seq", 16),
     Value("FrameAge", float, "Age in s of the newest frame of the taxels",
           "status.live.frame_age_s", "frame_age", 21, 1e-3),
+    Value("RecordingFault", str,
+          "Why the recording has stopped; empty: it is written, or none is made",
+          "status.recording_fault", "recording_fault"),
     Value("FaultNumber", int, "Number of the latched fault; 0: none",
           "status.fault_number", "fault_number"),
     Value("FaultText", str, "Text of the latched fault; empty: none",

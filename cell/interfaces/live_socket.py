@@ -1,8 +1,10 @@
 """The WebSocket of the web door: each message is the newest one, however slow its client is."""
 
 import asyncio
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from fastapi import WebSocket
 
@@ -18,6 +20,8 @@ class LiveMessage:
     """The state as JSON."""
     frame: Callable[[str], bytes | None] = lambda _kind: None
     """Returns the newest frame as a client has asked for it; None where there is none."""
+    parts: tuple[dict[str, Any], ...] = ()
+    """The newest parts by their ``number``, oldest first."""
 
 
 class LiveFeed:
@@ -34,9 +38,10 @@ class LiveFeed:
         self._looking: asyncio.Task[None] | None = None
         self._next: asyncio.Future[LiveMessage]
 
-    async def send_to(self, link: WebSocket, frames: str) -> None:
+    async def send_to(self, link: WebSocket, frames: str, after: int | None = None) -> None:
         """Send the newest moment and its frame, again and again until the client is gone.
 
+        With ``after`` each part with a higher number is sent once, before the state that shows it.
         What goes wrong with the look at the cell is raised.
         """
         self._listeners += 1
@@ -52,6 +57,13 @@ class LiveFeed:
                     return
                 moment = coming.result()
                 async with asyncio.timeout(self._limit_s):
+                    if after is not None and moment.parts:
+                        newest = moment.parts[-1]["number"]
+                        seen = 0 if after > newest else after  # higher: of an earlier start
+                        for part in moment.parts:
+                            if part["number"] > seen:
+                                await link.send_text(json.dumps({"event": "part", "part": part}))
+                        after = newest
                     await link.send_text(moment.text)
                     if (frame := moment.frame(frames)) is not None:
                         await link.send_bytes(frame)

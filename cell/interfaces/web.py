@@ -115,7 +115,8 @@ def state_moment(service: Service) -> LiveMessage:
         counts = service.status().live.counts if kind == "1" else None
         return None if counts is None else counts.astype("<u2").tobytes()
 
-    return LiveMessage(json.dumps(state_values(service), allow_nan=False), frame)
+    state = state_values(service)
+    return LiveMessage(json.dumps(state, allow_nan=False), frame, tuple(state["shift"]["answers"]))
 
 
 class WebDoor(WebServer):
@@ -172,14 +173,14 @@ class WebDoor(WebServer):
         return [asdict(fault) for fault in sorted(CATALOGUE.values(), key=lambda one: one.number)]
 
     def grasp(self, number: int) -> dict[str, Any]:
-        """Return the curves of the last grasp of an answer by its id in ``shift.answers``.
+        """Return the curves of the last grasp of a part by its number in ``shift.answers``.
 
         ``frame`` has the force in N on each taxel under the highest load.
         """
-        found = self._service.shift.grasp(number)
-        if found is None:
-            raise HTTPException(404, f"grasp {number} is not kept; GET /api/state has the ids")
-        return found
+        part = self._service.shift.part(number)
+        if part is None or part.curves is None:
+            raise HTTPException(404, f"grasp {number} is not kept; GET /api/state has the numbers")
+        return part.curves
 
     def jobs(self) -> list[dict[str, Any]]:
         """List the newest jobs, oldest first."""

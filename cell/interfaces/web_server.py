@@ -177,6 +177,7 @@ class WebServer(HttpServer):
         """Send the state as JSON, with ``?frames=1`` the newest counts too, uint16, little-endian.
 
         ``?frames=newtons``: the force on each taxel in N, float32, little-endian.
+        ``?parts_after=N``: each part with a higher number, once, as ``{"event": "part", ...}``.
 
         The token is a subprotocol ``token.TOKEN`` beside ``tactile-cell``, or ``?token=``, or the
         first message ``{"token": TOKEN}``. Each message is the newest there is when the client can
@@ -197,7 +198,12 @@ class WebServer(HttpServer):
                 if not same_secret(_token_of(first), self.token):
                     await link.close(1008, "wrong token")
                     return
-            await self._feed.send_to(link, link.query_params.get("frames", ""))
+            after = link.query_params.get("parts_after", "")
+            if after and not after.isdecimal():
+                await link.close(1008, "parts_after is no part number")
+                return
+            frames = link.query_params.get("frames", "")
+            await self._feed.send_to(link, frames, int(after) if after else None)
         except (WebSocketDisconnect, TimeoutError, RuntimeError, KeyError):
             return  # the client is gone, takes nothing, or has not named its token
 

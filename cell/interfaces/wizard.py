@@ -161,6 +161,7 @@ class Wizard(Dialog):
                 "writes": [asdict(write) for write in self._writes],
                 "error": None if self._refusal is None else asdict(self._refusal),
                 "files": list(self._files),
+                "corrected": self.engine.corrected,
             }
 
     # -- the dialog, in the engine's thread ----------------------------------------------------
@@ -181,7 +182,8 @@ class Wizard(Dialog):
         """Show a text."""
         with self._changed:
             self._look()
-            self._said = [*self._said, text][-_SAID_MAX:]
+            # What is said again moves to the end: the page has no copies.
+            self._said = [*(one for one in self._said if one != text), text][-_SAID_MAX:]
 
     def live(self, name: str, value_text: str) -> None:
         """Show a value in the place of its previous one."""

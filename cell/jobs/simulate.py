@@ -89,7 +89,7 @@ def serve_simulated_cell(
 
         def announce_with_config(found: dict[str, Any]) -> None:
             path = place / "cell.yaml"
-            text = config_text(_client_config(config, found), comments=False)
+            text = config_text(client_config(config, found), comments=False)
             write_text(path, text.removeprefix(SCHEMA_LINE), error=CellError, what="config")
             announce(found | {"config": str(path)})
 
@@ -130,8 +130,11 @@ def _alone_in(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
-    """Return the config with which another process reaches the simulated cell."""
+def client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
+    """Return the config with which another process reaches the simulated cell.
+
+    ``found`` is what the cell announces; see `simulator.realtime.process.serve`.
+    """
     timeouts = {
         f"{section}.{key}": max(getattr(getattr(config, section), key), least)
         for section, key, least in _LEAST_LIMITS

@@ -225,7 +225,7 @@ def sort_parts(
         part = SortedPart(
             number=turn + 1,
             label=found.label,
-            probability=found.probability,
+            probability=found.probabilities[found.label],
             place=destination.place,
             n_grasps=len(found.records),
             truth=truth,

@@ -17,9 +17,9 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.data.dataset import text_refused
 from cell.data.files import read_npz, savez, write_atomically
 from cell.data.formats import MODEL
+from cell.data.grasp_limits import text_refused
 from cell.errors import ModelError, reason_text
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
@@ -84,8 +84,9 @@ _UNSUITABLE = (
 """Errors of arrays that have not the shapes, types or values that a recogniser expects."""
 _LARGEST = np.float64(1e12)
 """Largest number of a model, far beyond all that training gives: its square is finite, too."""
-_UNKNOWN_ALLOWED = ".drawn_m"
-"""End of the name of the array that has NaN where an object was not drawn."""
+_UNKNOWN_ALLOWED = (".drawn_m", ".mean", ".spread", ".low", ".high")
+"""Ends of the names of arrays that have NaN for an object: one that was not drawn, or one whose
+grasps have no level (`recognition.recognizers.level_check`)."""
 _FARTHEST_M = 10.0
 """Largest coordinate of a taxel in m that is taken for one: far beyond any gripper."""
 _HEADER = "model"

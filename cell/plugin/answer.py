@@ -88,6 +88,11 @@ class Answer:
         return self.probabilities[self.label]
 
     @property
+    def size_mm(self) -> float:
+        """Size in mm; 0 where it was not felt."""
+        return 0.0 if self.shape is None else self.shape.size_mm
+
+    @property
     def unknown(self) -> float:
         """Probability that the object was never taught."""
         return self.probabilities[UNKNOWN]
@@ -114,6 +119,8 @@ class HostStatus(CellStatus):
 
     live: "LiveValues" = field(compare=False)
     """Force, opening, temperature and taxels as they are measured at the moment."""
+    recording_fault: str = ""
+    """Why the recording has stopped; empty while it is written, or where none is made."""
     last_answer: Answer | None
     """Answer of the last identification, whatever jobs came after it; None from the beginning of
     the next identification or sort on, until the identification has succeeded."""

@@ -80,8 +80,9 @@ def _drift(grid: DriftGrid | None) -> dict[str, Any] | None:
 
 
 def _recording(cell: Cell, *, vital: bool) -> dict[str, Any]:
-    path, fault = cell.recording_path, cell.recording_fault
-    return _level(watch=fault is not None, bad=vital and fault is not None) | {
+    path, loss = cell.recording_path, cell.recording_loss
+    stopped = cell.recording_fault is not None
+    return _level(watch=loss is not None, bad=vital and stopped) | {
         "path": None if path is None else str(path),
-        "text": fault or "",
+        "text": loss or "",
     }

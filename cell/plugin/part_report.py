@@ -27,12 +27,20 @@ POINTS_MAX = 300
 class PartReport:
     """One part that was identified or sorted, or one turn in which none was found."""
 
+    number: int = 0
+    """Its number since the program began, from 1; 0 for a turn without a part."""
+    time_s: float = 0.0
+    """Unix time in s at which it was counted."""
     task: str
     """``identify`` or ``sort``."""
     answer: Answer | None
     """None where no part was found."""
+    label_id: int = 0
+    """Id of its label, from 1; 0 for UNKNOWN."""
     place: str | None = None
     """Where it was let go; None outside of a sort."""
+    place_id: int = 0
+    """Number of that place, from 1, in the order of `Places.names`; 0 outside of a sort."""
     rejected: bool = False
     """Whether it has no name, or was let go at the place of the rejects."""
     seconds: float
@@ -40,6 +48,31 @@ class PartReport:
     curves: dict[str, Any] | None = None
     """The last grasp: ``t_s``, ``force_n``, ``setpoint_n``, ``opening_mm``, each a list with at
     most `POINTS_MAX` values, and ``frame``, the newtons of each taxel under the highest load."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return a part as plain data, without its curves; lengths in mm."""
+        answer = self.answer
+        if answer is None:
+            raise ValueError("a turn without a part has no data")
+        others = [(p, label) for label, p in answer.probabilities.items() if label != answer.label]
+        second = max(others, default=None)
+        shape = answer.shape
+        return {
+            "number": self.number,
+            "time_s": self.time_s,
+            "task": self.task,
+            "label": answer.label,
+            "label_id": self.label_id,
+            "probability": answer.probability,
+            "runner_up": second and {"label": second[1], "probability": second[0]},
+            "shape": None if shape is None else shape.kind,
+            "size_mm": None if shape is None else shape.size_mm,
+            "interval_mm": None if shape is None else shape.interval_mm,
+            "n_grasps": answer.n_grasps,
+            "seconds": self.seconds,
+            "place": self.place,
+            "place_id": self.place_id,
+        }
 
 
 OnPart = Callable[[PartReport], None]

@@ -114,6 +114,7 @@ class TactileCellPlugin:
         gauge_shape: str | None = None,
         folder: Path | None = None,
         save: Path | str | None = None,
+        note: Callable[[str], None] = lambda _text: None,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -145,6 +146,8 @@ class TactileCellPlugin:
             Model file that each teaching writes before its job succeeds, as `save` does. One that
             cannot be written aborts the job, though what was taught is in use, and is tried again
             after each job that leaves the grip empty, and by `close`. None writes none.
+        note
+            Gets messages for the operator, as that the recording has stopped, from any thread.
 
         Raises
         ------
@@ -182,7 +185,7 @@ class TactileCellPlugin:
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
-        self._cell = build_cell(checked, folder=folder, mover=mover, places=places)
+        self._cell = build_cell(checked, folder=folder, mover=mover, places=places, note=note)
         controller, file = self._cell.controller, self._file
         listeners: list[OnPart] = []
         newtons = TaxelNewtons(checked, controller)
@@ -283,6 +286,7 @@ class TactileCellPlugin:
             return HostStatus(
                 **asdict(controller.status),
                 live=controller.live,
+                recording_fault=self._cell.recording_fault or "",
                 last_answer=next(iter(self._last_answer), None),
             )
 
@@ -597,8 +601,9 @@ class TactileCellPlugin:
         TimeoutError
             If the running job does not end in time, as while the mover has not returned. Jobs are
             refused from then on; call this again to disconnect.
-        ModelError, DatasetError
-            If what was taught cannot be written to ``save``. Everything else has ended.
+        ModelError, DatasetError, RecordingError
+            If what was taught cannot be written to ``save``, or something is lost of the recording.
+            Everything else has ended.
         """
         self._worker.check_outside()
         with self._ending:
@@ -609,11 +614,13 @@ class TactileCellPlugin:
             self._stop_jobs()
             self._worker.close(timeout_s)
             _write_remarks(self._cell.controller, self._remarks)
-            self._cell.close()
             self._closed = True
-            if self._reading is not None:
-                self._reading.join()
-            self._file.write()
+            try:
+                self._cell.close()
+            finally:
+                if self._reading is not None:
+                    self._reading.join()
+                self._file.write()
 
     def __del__(self) -> None:
         if self._closed or sys.is_finalizing():

@@ -251,7 +251,12 @@ class Tasks:
             report(now)
 
         def sorted_part(part: SortedPart, found: Identification) -> None:
-            seen(found, place=part.place, rejected=part.place == places.reject.place)
+            seen(
+                found,
+                place=part.place,
+                place_id=places.names.index(part.place) + 1,
+                rejected=part.place == places.reject.place,
+            )
             progress(part)
 
         progress()

@@ -35,7 +35,7 @@ def open_service(
     ------
     As `TactileCellPlugin`.
     """
-    plugin, poses = open_plugin(config, **cell)
+    plugin, poses = open_plugin(config, note=note, **cell)
     beside = cell.get("save") or cell.get("model")
     photos_beside = None if beside is None else Path(beside)
     return Service(plugin, config, poses=poses, photos_beside=photos_beside, note=note, clock=clock)

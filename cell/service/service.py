@@ -35,11 +35,12 @@ from cell.plugin.goals import (
     goal_of,
 )
 from cell.plugin.lease import Lease
+from cell.plugin.part_report import PartReport
 from cell.plugin.plugin import TactileCellPlugin
 from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.service.photos import Photos
 from cell.service.pose_handshake import PoseHandshake
-from cell.service.shift import Shift
+from cell.service.shift import KEPT_ANSWERS, Shift
 from gripper.clock import Clock
 
 RELEASE_KEY = 0x4F50
@@ -48,6 +49,8 @@ _HOLDERS_MAX = 100
 """Clients that keep the cell on hold at once; further ones are refused, the cell is held anyway."""
 _UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
 """Commands that move nothing and are obeyed while a client keeps the cell on hold."""
+_KEEPING = (*_UNMOVING, Command.RESET.value, "verify", "forget", "forget_drift")
+"""Tasks and commands that leave what is in the grip there."""
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
 _HEALTH_S = 0.5
@@ -81,7 +84,8 @@ class JobView:
     label_id: int = 0
     probability: float = 0.0
     n_grasps: int = 0
-    """Answer of an identification; before its end the answer so far, with label id 0."""
+    """Answer of an identification; before its end the answer so far, with label id 0. Of a sort
+    the answer of its newest part."""
     shape: str = ""
     size_mm: float = 0.0
     """Shape of the part, empty where it is not known, and its size in mm, 0 then."""
@@ -114,6 +118,10 @@ class Snapshot:
     """Name of the client with the lease; empty for none."""
     held_by: tuple[str, ...]
     """Clients that keep the cell on hold; "(gone)" stands after one that is gone."""
+    part: PartReport | None
+    """The newest part of an identification or sort; None before the first."""
+    held_part: int | None
+    """Number of the part in the grip; None where nothing is held, or what is held has no name."""
     pose_seq: int
     pose: Pose | None
     """The pose that the host shall reach and its number; 0 and None where none is waited for."""
@@ -164,7 +172,7 @@ class Service:
         start."""
         self.shift = Shift()
         """The ledger of the parts."""
-        plugin.watch_parts(self.shift.add)
+        plugin.watch_parts(self._count)
         self.photos = Photos(photos_beside)
         """Photos of taught objects."""
         self._plugin = plugin
@@ -181,7 +189,7 @@ class Service:
         """Without it nobody commands; whoever loses it has the job that runs held."""
         self._holders: dict[Hashable, _Holder] = {}
         self._jobs: dict[int, tuple[Job, str, int, float]] = {}
-        self._newest = 0
+        self._newest = self._gripped_by = 0
         self._health: tuple[float, dict[str, Any]] = (-inf, {})
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self.lease.watch(note)
@@ -206,12 +214,17 @@ class Service:
             job = self.job()
             status = self.status()
             seq, pose = self._poses.awaited
+            last = self._answered(status)
+            part = next(iter(self.shift.parts[-1:]), None)
+            named = last is not None and last.kept and last.number >= self._gripped_by
             return Snapshot(
                 status=status,
                 job=job,
-                last_answer=self._answered(status),
+                last_answer=last,
                 commander=self.lease.name,
                 held_by=self.held_by,
+                part=part,
+                held_part=part.number if part and named and status.holding else None,
                 pose_seq=seq,
                 pose=pose,
             )
@@ -233,6 +246,15 @@ class Service:
                 raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
             job, task, _, since_s = self._jobs[wanted]
             return self._view(wanted, task, self._plugin.feedback(job), since_s)
+
+    def part(self, number: int) -> PartReport:
+        """Return a part by its number. Raises RequestRefused for one that is not kept."""
+        if (found := self.shift.part(number)) is None:
+            newest = self.shift.parts[-1].number if self.shift.parts else 0
+            raise RequestRefused(
+                f"part {number} is not kept; the newest is {newest}, and {KEPT_ANSWERS} are kept"
+            )
+        return found
 
     def jobs(self) -> tuple[JobView, ...]:
         """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
@@ -548,6 +570,8 @@ class Service:
             self._jobs[job.number] = (job, task, lease, time.time())
             self._jobs.pop(job.number - KEPT_JOBS, None)
             self._newest = job.number
+            if task not in _KEEPING:
+                self._gripped_by = job.number
             return job.number
 
     @property
@@ -581,6 +605,11 @@ class Service:
         self.lease.close()
         self._plugin.close(timeout_s)
 
+    def _count(self, report: PartReport) -> None:
+        """Count a part with the id that its label has now."""
+        label = "" if report.answer is None else report.answer.label
+        self.shift.add(replace(report, label_id=self.label_id(label)))
+
     def _answered(self, status: HostStatus) -> JobView | None:
         """Return the job of the last answer, also where it is no longer among those kept."""
         answer = status.last_answer
@@ -606,6 +635,13 @@ class Service:
             progress=status.progress,
         )
         answer = status.value
+        if task == "sort" and (label := str(status.progress.get("label", ""))):
+            return replace(
+                view,
+                label=label,
+                label_id=self.label_id(label),
+                probability=float(status.progress["probability"]),
+            )
         if isinstance(answer, Answer):
             return replace(
                 view,
@@ -614,7 +650,7 @@ class Service:
                 probability=answer.probability,
                 n_grasps=answer.n_grasps,
                 shape="" if answer.shape is None else answer.shape.kind,
-                size_mm=0.0 if answer.shape is None else answer.shape.size_mm,
+                size_mm=answer.size_mm,
                 kept=answer.kept,
             )
         if isinstance(answer, Verification):

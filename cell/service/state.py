@@ -25,6 +25,7 @@ def state_values(service: Service) -> dict[str, Any]:
             "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
             "commander": now.commander,
             "held_by": now.held_by,
+            "held_part": now.held_part,
             "pose_seq": now.pose_seq,
             "pose": None if now.pose is None else now.pose.as_dict(),
             "allowed": {

@@ -1,13 +1,13 @@
 """The tables of the Modbus registers and commands, made from those of all doors."""
 
 from cell.interfaces.host_calls import COMMANDS
-from cell.interfaces.host_values import PLATE, VALUES
+from cell.interfaces.host_values import N_TEXT, PLATE, VALUES, Value
 
 
 def registers_page() -> str:
-    """Return one row for each input register that has one value."""
+    """Return one row for each value and its input registers."""
     rows = {
-        value.register: f"| {value.register} | `{value.node}` | {value.text}"
+        value.register: f"| {_registers(value)} | `{value.node}` | {value.text}"
         + (f"; unit {value.unit:g}" if value.kind is float and value.unit != 1.0 else "")
         + " |"
         for value in (*VALUES, *PLATE)
@@ -16,6 +16,12 @@ def registers_page() -> str:
     return "\n".join(
         ("| register | as in OPC UA | |", "| --- | --- | --- |", *(rows[n] for n in sorted(rows)))
     )
+
+
+def _registers(value: Value) -> str:
+    """Return the registers of a value as text."""
+    last = value.register + N_TEXT - 1
+    return f"{value.register} to {last}" if value.kind is str else str(value.register)
 
 
 def commands_page() -> str:

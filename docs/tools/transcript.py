@@ -1,40 +1,45 @@
 """The transcript of a commissioning in the tutorial; `make pictures` writes it anew.
 
-The wizard's own terminal asks, on a simulated cell of wrong hardware in virtual time; the hands are
-those of the tests. Of a value that runs the last one is shown.
+The wizard's own terminal asks, at the cell that the commands of the tutorial make, in virtual time;
+the hands are those of `tactile-cell simulate --ask`, moved by the person of the tests. What people
+type in a terminal is tested with the transcript as it stands there
+(`tests/cell/commissioning/test_practice.py`).
 """
 
 import contextlib
 import io
 import re
+import shlex
 import tempfile
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Engine, Finding, Question, Step, Write
+from cell.commissioning.engine import Engine, Question
 from cell.commissioning.record import write_record
 from cell.commissioning.walk import all_steps
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
 from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.terminal import print_line
-from simulator.cell import SimulatedCell
-from simulator.settings import SimulatorSettings
-from simulator.world.taxels import NoiseModel
-from tactile.layout import pinch_layout
+from cell.jobs.simulate import client_config
+from cell.simulation import simulation_of
 from tests.cell.commissioning.hands import Person
 from tests.cell.commissioning.script import SimulatedLines
 
 TUTORIAL = Path(__file__).parents[1] / "tutorials" / "hardware.md"
 _PLACE = re.compile(r"(<!-- transcript: commission -->\n).*?(<!-- end: commission -->)", flags=re.S)
-_WRONG = (
-    "servo1.factory",
-    "servo2.factory",
-    "servo2.turned",
-    "servo1.horn=164",
-    "unit.pads_swapped",
-    "taxels.force_gain=0.8",
-)
+_COMMANDS = re.compile(r"(?<=<!-- practice -->\n\n```sh\n).*?(?=```)", flags=re.S)
+_FOUND = {
+    "servo_port": ".../sim/servos",
+    "can_interface": "slcan",
+    "can_channel": ".../sim/can",
+    "positioner_socket": ".../sim/positioner.sock",
+    "axes_can_channel": None,
+    "axes_ports": {},
+}
+"""What the simulated cell announces, as the tutorial shows it."""
 _WIDTH = 96
 """Characters of a line of the page."""
 _BOOT_S = 1.0
@@ -42,82 +47,70 @@ _BOOT_S = 1.0
 
 
 class _Typing(TerminalDialog):
-    """The terminal, with a person of the tests who answers."""
+    """The terminal, with a person of the tests who types."""
 
     def __init__(self, person: Person) -> None:
         super().__init__()
-        self._script = person.script
-        self._watched = ""
-
-    def begin(self, step: Step, number: int, count: int) -> None:
-        self._script.begin(step, number, count)
-        super().begin(step, number, count)
-
-    def found(self, step: Step, finding: Finding) -> None:
-        self._script.found(step, finding)
-        super().found(step, finding)
+        self._person = person
+        self._asked = ""
+        person.show = lambda words: print_line(f"hands> {words}")
 
     def say(self, text: str) -> None:
-        self._script.said.append(text)
+        """Print a text; the hands do what it says."""
         super().say(text)
-
-    def live(self, name: str, value_text: str) -> None:
-        self._watched = f"{name} {value_text}"
-        self._script.live(name, value_text)
+        self._person.heard(text)
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
-        """Print what a terminal prints, and what the person types behind the prompt."""
-        self.say(question.text)
-        for number, choice in enumerate(question.choices or (), start=1):
-            mark = " (Enter)" if choice.key == question.default else ""
-            print_line(f"  {number}  {choice.text}{mark}")
-        shown = self._script.watched
-        answer = self._script.ask(question, watch=watch)
+        """Ask, and keep what is asked."""
+        self._asked = question.text
+        return super().ask(question, watch=watch)
+
+    def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
+        typed = "y" if prompt.startswith("Do this") else self._person.typed(self._asked)
+        print_line(f"{prompt}{typed}".rstrip())
         if watch is not None:
-            print_line(shown[-1])
-        typed = "" if answer == question.default else f"{answer:.0f}" if question.number else answer
-        keys = [choice.key for choice in question.choices or ()]
-        if typed in keys:
-            typed = keys.index(str(typed)) + 1
-        unit = f" in {question.number.unit}" if question.number is not None else ""
-        print_line(f"q leaves{unit}> {typed}".rstrip())
-        return answer
+            watch()
+        return typed
 
-    def approve(self, writes: Sequence[Write]) -> None:
-        """Approve."""
-        self._script.approve(writes)
-        super().approve(writes)
 
-    def _typed(self, prompt: str, _watch: Callable[[], str] | None = None) -> str:
-        print_line(f"{prompt}y")
-        return "y"
+def practice_commands() -> list[list[str]]:
+    """Return the commands of the practice in the tutorial: the cell, the wizard, the hands."""
+    found = _COMMANDS.search(TUTORIAL.read_text(encoding="utf-8"))
+    assert found is not None
+    return [shlex.split(line) for line in found[0].splitlines()]
 
 
 def transcript() -> str:
     """Return what the terminal shows from the box to the gauge object."""
-    settings = SimulatorSettings(
-        layout=pinch_layout(), noise=NoiseModel(level=0.4), faults=_WRONG, aperture_m=0.03
-    )
+    simulate, *_ = practice_commands()
+    faults = [simulate[at + 1] for at, word in enumerate(simulate) if word == "--fault"]
+    config = changed_config(CellConfig(), {"simulator.faults": faults})
+    base = client_config(config, _FOUND)
+    given = {
+        "gripper.port": base.gripper.port,
+        "tactile.interface": base.tactile.interface,
+        "tactile.channel": base.tactile.channel,
+    }
     printed = io.StringIO()
     with (
-        SimulatedCell(settings) as cell,
+        simulation_of(config) as cell,
         tempfile.TemporaryDirectory() as folder,
         contextlib.redirect_stdout(printed),
     ):
         cell.clock.sleep(_BOOT_S)
-        home = Path(folder) / "my-cell"
-        given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
-        engine = Engine(
-            all_steps(), Bench(home, SimulatedLines(cell), given=given), finish=write_record
-        )
-        files = engine.run(_Typing(Person(cell)))
-        print_line(f"commissioned: {', '.join(map(str, files))}")
+        lines = SimulatedLines(cell, ports=(base.gripper.port,))
+        bench = Bench(Path(folder) / "my-cell", lines, given=given, base=base)
+        engine = Engine(all_steps(), bench, finish=write_record)
+        dialog = _Typing(Person(cell))
+        dialog.finished(engine, engine.run(dialog))
         text = printed.getvalue().replace(f"{folder}/", "")
     return text
 
 
 def _wrapped(line: str) -> str:
     indent = " " * (len(line) - len(line.lstrip()))
+    if len(line) <= _WIDTH:
+        return line
     return textwrap.fill(
         line, _WIDTH, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
     )
@@ -127,7 +120,8 @@ def main() -> None:
     """Write the transcript into the tutorial."""
     page = TUTORIAL.read_text(encoding="utf-8")
     shown = "\n".join(_wrapped(line) for line in transcript().strip().splitlines())
-    block = f"```text\n$ tactile-cell commission my-cell --can socketcan:can0\n{shown}\n```\n"
+    command = shlex.join(practice_commands()[1])
+    block = f"```text\n$ {command}\n{shown}\n```\n"
     TUTORIAL.write_text(_PLACE.sub(lambda m: f"{m[1]}\n{block}\n{m[2]}", page), encoding="utf-8")
 
 

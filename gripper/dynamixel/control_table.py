@@ -1,4 +1,4 @@
-"""Control table of the DYNAMIXEL X series as data: address, size and sign; units of the counts.
+"""Control table of the DYNAMIXEL X series as data: address, size and sign.
 
 Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-M288, section
 "Control Table". The addresses are the same on all four.
@@ -8,20 +8,10 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import tau
 from types import MappingProxyType
 
-from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import LimitExceeded
 
-RAD_PER_PULSE = tau / PULSES_PER_TURN
-"""Angle in rad of one count of the position items."""
-RAD_S_PER_VELOCITY_UNIT = 0.229 * tau / 60.0
-"""Speed in rad/s of one count of the velocity items: 0.229 rev/min."""
-RAD_S2_PER_ACCELERATION_UNIT = 214.577 * tau / 3600.0
-"""Acceleration in rad/s² of one count of Profile Acceleration: 214.577 rev/min²."""
-VOLTAGE_UNIT_V = 0.1
-"""Voltage in V of one count of the voltage items."""
 WATCHDOG_UNIT_S = 0.02
 """Time in s of one count of Bus Watchdog (register 98)."""
 RETURN_DELAY_UNIT_S = 2e-6

@@ -7,14 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
-from math import pi
+from math import tau
 from types import MappingProxyType
 from typing import Any
 
 from gripper.errors import LimitExceeded
-
-PULSES_PER_TURN = 4096
-"""Counts of the position items in one turn."""
 
 
 class OperatingMode(IntEnum):
@@ -37,6 +34,18 @@ class ServoModel:
     """Name and content of Model Number (register 0)."""
     current_unit_a: float
     """A for one count of the current items."""
+    pulses_per_turn: int = 4096
+    """Counts of the position items in one turn."""
+    velocity_unit_rad_s: float = 0.229 * tau / 60.0
+    acceleration_unit_rad_s2: float = 214.577 * tau / 3600.0
+    """rad/s for one count of the velocity items (0.229 rev/min), and rad/s² for one of Profile
+    Acceleration (214.577 rev/min²)."""
+    voltage_unit_v: float = 0.1
+    """V for one count of the voltage items."""
+    whole_pwm_raw: int = 885
+    """PWM Limit (register 36) at which the whole supply reaches the motor."""
+    error_per_pwm: float = 128.0
+    """Position error in counts times Position P Gain that makes one count of PWM."""
     current_limit_raw: int
     velocity_limit_raw: int
     """Factory values and upper bounds of registers 38 and 44 (the latter: factory value)."""
@@ -73,6 +82,11 @@ class ServoModel:
         return raw * self.current_unit_a
 
     @property
+    def rad_per_pulse(self) -> float:
+        """Angle in rad of one count of the position items."""
+        return tau / self.pulses_per_turn
+
+    @property
     def factory_defaults(self) -> Mapping[str, int]:
         """Factory values by register name, of the items that differ from 0 or between models."""
         position_d, position_i, position_p = self.position_gains
@@ -90,10 +104,10 @@ class ServoModel:
                 "temperature_limit": self.temperature_limit_c,
                 "max_voltage_limit": self.max_voltage_raw,
                 "min_voltage_limit": self.min_voltage_raw,
-                "pwm_limit": 885,
+                "pwm_limit": self.whole_pwm_raw,
                 "current_limit": self.current_limit_raw,
                 "velocity_limit": self.velocity_limit_raw,
-                "max_position_limit": PULSES_PER_TURN - 1,
+                "max_position_limit": self.pulses_per_turn - 1,
                 "shutdown": self.shutdown_raw,
                 "status_return_level": 2,
                 "velocity_i_gain": velocity_i,
@@ -105,8 +119,8 @@ class ServoModel:
         )
 
 
-_RPM = pi / 30.0
-"""Speed in rad/s of one rev/min."""
+_RPM = tau / 60.0
+"""Speed in rad/s of one rev/min, as data sheets give it."""
 _ESTIMATE = (
     "stall point of the data sheet and a no-load friction of 5.4 % of the stall torque, as "
     "measured on the XM430-W350; measure before relying on it"

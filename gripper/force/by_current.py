@@ -97,7 +97,7 @@ class ForceByCurrent:
 
     def latest_force(self) -> ForceSample | None:
         """Return the force at the last feedback of the servos, None before one."""
-        state = self._servos.last_read
+        state = self._servos.feedback.last
         if state is not None and (self._sample is None or state.t_s > self._sample.t_s):
             self._sample = self._by_current(state)
         return self._sample
@@ -109,7 +109,7 @@ class ForceByCurrent:
             for servo, path in zip(state.servos, paths, strict=True)
         )
         # The square wave on the drive is over in two periods.
-        drive_n = tuple(map(_mean, now_n, self._drive_n or now_n))
+        drive_n = tuple(0.5 * sum(two) for two in zip(now_n, self._drive_n or now_n, strict=True))
         self._drive_n = now_n
         closing_m_s = -state.aperture_velocity_m_s
         self._pace_m_s += (closing_m_s - self._pace_m_s) / _EVEN_PERIODS
@@ -145,7 +145,3 @@ class ForceByCurrent:
             lag_s=0.5 * self._settings.period_s,
             noise_n=force_noise_n(max(drive_n), max(friction_n)),
         )
-
-
-def _mean(first: float, second: float) -> float:
-    return 0.5 * (first + second)

@@ -1,11 +1,11 @@
 """One grasp: approach, contact, ramp, settling; then holding, backing off and further ramps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
 
 from gripper.errors import GripContradicted, PartLost
-from gripper.force.approach.approach import Approach, ApproachEvent
+from gripper.force.approach.approach import Approach, ApproachEvent, Reached
 from gripper.force.approach.contact import ContactRest
 from gripper.force.approach.mechanics_proof import (
     ZERO_RANGE_M,
@@ -67,7 +67,7 @@ class GraspRun:
         self._linkage = linkage
         self._settings = settings
         self._end = RampEnd()
-        self._ramp_step: RampStep | None = None
+        self._ramp_step: ContactStep | None = None
         self._closed_is_proven = False
         self._widest_m, self._touched = 0.0, 0
         self._friction_share = 1.0
@@ -104,13 +104,15 @@ class GraspRun:
                 self._confirm_empty(contact, ran=closed or closing, approached=True)
                 self._set_phase(GripperPhase.APPROACHING)
                 self._prove_closed(contact)
-                return _without_contact(contact)
+                return GraspOutcome(
+                    result=GraspResult.NO_CONTACT, final_aperture_m=contact.aperture_m
+                )
             self._widest_m = max(self._widest_m, reached.touch_m)
             self._touched += 1
             return self._press(ramp, reached, slip=LevelSlip(self._settings))
 
-    def meet(self, ramp: ForceRamp) -> GraspOutcome:
-        """Close the empty fingers onto each other and follow a ramp; see `Gripper.meet`."""
+    def press_pads_together(self, ramp: ForceRamp) -> GraspOutcome:
+        """Close the empty fingers onto each other and follow a ramp, see `Gripper`."""
         self.forget()
         reached = self._closed()
         contact = reached.state
@@ -122,15 +124,13 @@ class GraspRun:
                 self._end.request()
             return self._press(ramp, reached, slip=None)
 
-    def _press(
-        self, ramp: ForceRamp, reached: "Reached", *, slip: LevelSlip | None
-    ) -> GraspOutcome:
+    def _press(self, ramp: ForceRamp, reached: Reached, *, slip: LevelSlip | None) -> GraspOutcome:
         """Follow a ramp on what was touched; a part that was lost on it is forgotten."""
         self._set_phase(GripperPhase.RAMPING)
-        self._ramp_step = step = RampStep(self._linkage, ramp, reached, self._end, slip=slip)
+        self._ramp_step = step = ContactStep(self._linkage, ramp, reached, self._end, slip=slip)
         final = self._runner.run(step.step)
         if step.lost:
-            ran = step.control is not None and step.control.ran
+            ran = step.control is not None and step.control.watch.ran
             self._confirm_empty(final, ran=ran, stiffness_n_m=reached.stiffness.stiffness_n_m)
             self.forget()
         return step.outcome(final)
@@ -165,14 +165,15 @@ class GraspRun:
 
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
-        step = SqueezeStep(self._settings, control, ramp.starting_from(control.setpoint_n))
+        begun = ramp.starting_from(control.grip.setpoint_n)
+        step = GripStep(self._settings, control, begun, slip=LevelSlip(self._settings))
         return step.outcome(self._runner.run(step.step))
 
     def follow(self, control: GripControl, ramp: ForceRamp) -> GripperState:
         """Follow a change of the held force to its end and until the force has settled."""
-        return self._runner.run(BackOffStep(self._settings, control, ramp).step)
+        return self._runner.run(GripStep(self._settings, control, ramp).step)
 
-    def _approach(self, settings: GripperSettings) -> "Reached":
+    def _approach(self, settings: GripperSettings) -> Reached:
         """Close until the contact, or the end of the way, and feed the estimates."""
         # Fingers that are to meet find no part on their way.
         known = settings is self._settings and self._touched > 0
@@ -208,7 +209,7 @@ class GraspRun:
         """Opening in m at which the next part may begin, by those touched so far."""
         return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
-    def _closed(self) -> "Reached":
+    def _closed(self) -> Reached:
         """Close until the pads meet; MechanicsContradicted where nothing stops the fingers."""
         reached = self._approach(meeting_settings(self._settings))
         if reached.event is ApproachEvent.LIMIT:
@@ -220,24 +221,6 @@ class GraspRun:
         if not self._closed_is_proven and closes_farther(self._settings, state):
             self._closed()
             self._closed_is_proven = True
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reached:
-    """End of an approach, and what it has shown of the part."""
-
-    settings: GripperSettings
-    """Those of the gripper, or those with which empty fingers meet."""
-    event: ApproachEvent
-    state: GripperState
-    """What has ended it, and the feedback then."""
-    braked_s: float
-    """Monotonic time in s at which a finger was braked at its first touch."""
-    touch_m: float
-    """Opening in m at which both pads were first loaded."""
-    stiffness: StiffnessEstimate
-    friction_share: float
-    """Stiffness of the part so far, and friction as a share of the model's."""
 
 
 class RampTime:
@@ -306,8 +289,90 @@ class RampTime:
         )
 
 
-class RampStep:
-    """Step of control along a ramp: rest at the contact, ramp, settling.
+class GripStep:
+    """Step of control of a grip along a ramp, from its present set-point until it has settled.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    control
+        Control of the held part; None where a contact is to come first.
+    ramp
+        The way down or up.
+    slip
+        Watches over what is held at the levels of the ramp; None where the force only changes, or
+        nothing could slip.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        control: GripControl | None,
+        ramp: ForceRamp,
+        *,
+        slip: LevelSlip | None = None,
+    ) -> None:
+        self.control = control
+        """Control of the grip force; None before it began."""
+        self.lost = False
+        """True when the part was lost; then the fingers hold their positions."""
+        self._settings = settings
+        self._time = RampTime(settings, ramp)
+        self._slip = slip
+        self._peak_n = 0.0
+        self._contact: GripperState | None = None
+        self._ended = False
+        if control is not None:
+            control.resume()
+
+    def step(self, moment: Moment) -> Action:
+        """Return the action of one period; PartLost, PartSlipped when the part goes."""
+        assert self.control is not None
+        _check_part(self.control, moment)
+        self._time.pass_by(moment.dt_s, self.control.force_n, moment.state.aperture_m)
+        action = self._action(moment, self.control)
+        return action if self._slip is not None else replace(action, level=None)
+
+    def _action(self, moment: Moment, control: GripControl) -> Action:
+        """Return the action of one period at the present time on the ramp."""
+        setpoint_n, level = self._time.setpoint_n, self._time.level
+        arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
+        goals = control.goals(moment, setpoint_n, arrival_n=arrival_n)
+        self._peak_n = max(self._peak_n, control.force_n)
+        if self.lost:
+            goals = tuple(
+                replace(goal, angle_rad=angle_rad)
+                for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
+            )
+        elif self._slip is not None and not control.watch.doubts:
+            self._slip.check(moment, level, setpoint_n=setpoint_n)
+        done = self.lost or self._time.settled(control.force_n)
+        return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
+
+    def outcome(self, final: GripperState) -> GraspOutcome:
+        """Return the outcome of the ramp, of which ``final`` is the last feedback."""
+        contact = self._contact
+        final_n = 0.0 if self.control is None else self.control.force_n
+        asked_n, ended_n = self._time.asked_n, self._time.ramp.final_n
+        reached = abs(final_n - asked_n) <= self._settings.settle_tolerance_at_n(asked_n)
+        held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
+        closed = ended_n < asked_n and not (reached or self.lost)
+        short = _too_small(self._settings, asked_n, final_n, final.aperture_m) if closed else ""
+        return GraspOutcome(
+            result=GraspResult.PART_LOST if self.lost else held,
+            contact_t_s=None if contact is None else contact.t_s,
+            contact_aperture_m=None if contact is None else contact.aperture_m,
+            final_aperture_m=final.aperture_m,
+            final_force_n=final_n,
+            overshoot_n=max(0.0, self._peak_n - ended_n),
+            ended_early=self._ended,
+            short=short,
+        )
+
+
+class ContactStep(GripStep):
+    """Step of control from a contact along a ramp: rest, ramp, settling.
 
     Parameters
     ----------
@@ -320,7 +385,7 @@ class RampStep:
     end
         Request to end the ramp early.
     slip
-        Watches over what is held; None where nothing is that could slip.
+        As `GripStep`.
     """
 
     def __init__(
@@ -332,23 +397,15 @@ class RampStep:
         *,
         slip: LevelSlip | None,
     ) -> None:
-        self.control: GripControl | None = None
-        """Control of the grip force; None during the rest at the contact."""
-        self.lost = False
-        """True when the part was lost; then the fingers hold their positions."""
-        self._settings = reached.settings
+        super().__init__(reached.settings, None, ramp, slip=slip)
         self._linkage = linkage
-        self._time = RampTime(reached.settings, ramp)
-        self._reached = reached
+        self._reached, self._contact = reached, reached.state
         self._end = end
         self._rest = ContactRest(
             reached.state.t_s + _REST_S,
             hard_n=reached.settings.contact_force_n,
             hard_until_s=reached.braked_s + _TOUCH_S,
         )
-        self._slip = slip
-        self._peak_n = 0.0
-        self._ended = False
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartSlipped when a held part slips."""
@@ -356,39 +413,8 @@ class RampStep:
         if self._rest.goes_on(moment):
             return Action()
         control = self._advance(moment)
-        setpoint_n, level = self._time.setpoint_n, self._time.level
-        self.lost = control.part_lost(moment)
-        arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
-        goals = control.goals(moment, setpoint_n, arrival_n=arrival_n)
-        self._peak_n = max(self._peak_n, control.force_n)
-        if self.lost:
-            goals = tuple(
-                replace(goal, angle_rad=angle_rad)
-                for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
-            )
-        elif self._slip is not None and not control.doubts:
-            self._slip.check(moment, level, setpoint_n=setpoint_n)
-        done = self.lost or self._time.settled(control.force_n)
-        return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
-
-    def outcome(self, final: GripperState) -> GraspOutcome:
-        """Return the outcome of the grasp.
-
-        Parameters
-        ----------
-        final
-            Feedback of the last period.
-        """
-        return _outcome(
-            self._settings,
-            self.control,
-            self._time,
-            final,
-            contact=self._reached.state,
-            peak_n=self._peak_n,
-            lost=self.lost,
-            ended_early=self._ended,
-        )
+        self.lost = control.watch.lost(moment)
+        return self._action(moment, control)
 
     def _advance(self, moment: Moment) -> GripControl:
         """Advance the time on the ramp: begin it, end it early, or go on."""
@@ -415,15 +441,7 @@ class RampStep:
         if force_n > self._time.ramp.final_n:
             drive_n = min(drive_n, max(force_n, driving_n(moment.state, paths)))
         return GripControl(
-            self._settings,
-            self._linkage,
-            reached.state,
-            touch_m=reached.touch_m,
-            force_n=force_n,
-            drive_n=drive_n,
-            now_s=moment.now_s,
-            stiffness=reached.stiffness,
-            friction_share=reached.friction_share,
+            self._linkage, reached, force_n=force_n, drive_n=drive_n, now_s=moment.now_s
         )
 
     def _ends_early(self) -> bool:
@@ -452,7 +470,7 @@ class HoldStep:
         self._settings = settings
         self._control = control
         self._duration_s = duration_s
-        self._setpoint_n = control.setpoint_n
+        self._setpoint_n = control.grip.setpoint_n
         self._slip = LevelSlip(settings)
         self._elapsed_s = 0.0
         control.resume()
@@ -461,7 +479,7 @@ class HoldStep:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
         self._elapsed_s += moment.dt_s
         _check_part(self._control, moment)
-        if not self._control.doubts:
+        if not self._control.watch.doubts:
             self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
         taper = self._elapsed_s > self._settings.taper_after_s
         goals = self._control.goals(moment, self._setpoint_n, taper=taper)
@@ -469,108 +487,13 @@ class HoldStep:
         return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
 
 
-class BackOffStep:
-    """Step of control that follows a change of the held force until it has settled.
-
-    Parameters
-    ----------
-    settings
-        Of the gripper.
-    control
-        Control of the held part.
-    ramp
-        The way down or up, from the present set-point.
-    """
-
-    def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
-        self._settings = settings
-        self._control = control
-        self._time = RampTime(settings, ramp)
-        control.resume()
-
-    def step(self, moment: Moment) -> Action:
-        """Return the action of one period; PartLost when the part goes."""
-        _check_part(self._control, moment)
-        self._time.pass_by(moment.dt_s, self._control.force_n, moment.state.aperture_m)
-        setpoint_n = self._time.setpoint_n
-        arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
-        goals = self._control.goals(moment, setpoint_n, arrival_n=arrival_n)
-        return Action(
-            goals=goals, setpoint_n=setpoint_n, done=self._time.settled(self._control.force_n)
-        )
-
-
-class SqueezeStep(BackOffStep):
-    """Step of control along a further ramp in the same grip, with its levels.
-
-    Parameters
-    ----------
-    settings, control, ramp
-        As `BackOffStep`; the ramp goes up.
-    """
-
-    def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
-        super().__init__(settings, control, ramp)
-        self._slip = LevelSlip(settings)
-        self._peak_n = 0.0
-
-    def step(self, moment: Moment) -> Action:
-        """Return the action of one period; PartLost, PartSlipped when the part goes."""
-        action = super().step(moment)
-        level = self._time.level
-        self._peak_n = max(self._peak_n, self._control.force_n)
-        if not self._control.doubts:
-            self._slip.check(moment, level, setpoint_n=action.setpoint_n)
-        return replace(action, level=level)
-
-    def outcome(self, final: GripperState) -> GraspOutcome:
-        """Return the outcome of the ramp, of which ``final`` is the last feedback."""
-        return _outcome(
-            self._settings,
-            self._control,
-            self._time,
-            final,
-            contact=None,
-            peak_n=self._peak_n,
-        )
-
-
 def _check_part(control: GripControl, moment: Moment) -> None:
-    if control.part_lost(moment):
+    if control.watch.lost(moment):
         raise PartLost(
             f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
             f"fingers apart any more, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
             f"fingers stand still"
         )
-
-
-def _outcome(
-    settings: GripperSettings,
-    control: GripControl | None,
-    time: RampTime,
-    final: GripperState,
-    *,
-    contact: GripperState | None,
-    peak_n: float,
-    lost: bool = False,
-    ended_early: bool = False,
-) -> GraspOutcome:
-    """Return the outcome of a ramp on a part, from its last feedback and its highest force."""
-    final_n = 0.0 if control is None else control.force_n
-    asked_n, ended_n = time.asked_n, time.ramp.final_n
-    reached = abs(final_n - asked_n) <= settings.settle_tolerance_at_n(asked_n)
-    held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
-    closed = ended_n < asked_n and not (reached or lost)
-    return GraspOutcome(
-        result=GraspResult.PART_LOST if lost else held,
-        contact_t_s=None if contact is None else contact.t_s,
-        contact_aperture_m=None if contact is None else contact.aperture_m,
-        final_aperture_m=final.aperture_m,
-        final_force_n=final_n,
-        overshoot_n=max(0.0, peak_n - ended_n),
-        ended_early=ended_early,
-        short=_too_small(settings, asked_n, final_n, final.aperture_m) if closed else "",
-    )
 
 
 def _too_small(settings: GripperSettings, asked_n: float, force_n: float, aperture_m: float) -> str:
@@ -579,17 +502,6 @@ def _too_small(settings: GripperSettings, asked_n: float, force_n: float, apertu
         f"and an opening of {1e3 * aperture_m:.1f} mm (gripper.aperture_min_mm is "
         f"{1e3 * settings.least_pressed_m:g}). Ask for less force, or lower that key as far as the "
         f"foam of the pads yields"
-    )
-
-
-def _without_contact(state: GripperState) -> GraspOutcome:
-    return GraspOutcome(
-        result=GraspResult.NO_CONTACT,
-        contact_t_s=None,
-        contact_aperture_m=None,
-        final_aperture_m=state.aperture_m,
-        final_force_n=0.0,
-        overshoot_n=0.0,
     )
 
 

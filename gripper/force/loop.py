@@ -154,7 +154,7 @@ class LoopRunner:
             self._timer.missed_reads += 1
             self._bus_loss.missed(error, asked_s, self._clock.monotonic())
             return None
-        self._timer.transaction(state.t_s - asked_s)
+        self._timer.transaction.add(state.t_s - asked_s)
         self._bus_loss.answered()
         return state
 
@@ -230,7 +230,7 @@ class LoopRunner:
         sample = self._sensor.latest_force()
         if sample is not None and sample.valid:
             running.fresh_s = max(running.fresh_s, sample.t_s)
-            self._servos.note_force(sample)
+            self._servos.guard.note_force(sample)
         if running.needs_force:
             now_s = self._clock.monotonic() if state is None else state.t_s
             self._check_force(now_s, running.fresh_s, sample)
@@ -242,7 +242,7 @@ class LoopRunner:
             action = running.step(Moment(now_s=state.t_s, dt_s=dt_s, state=state, sample=sample))
         except LimitExceeded:
             # More force than can be is above the cap first of all, where it is beyond that too.
-            self._servos.check_force(noise_excluded=True)
+            self._servos.guard.check_force(noise_excluded=True)
             raise
         if action.goals is not None:
             self._servos.write_goals(action.goals, state)
@@ -262,7 +262,7 @@ class LoopRunner:
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         if sample is not None:
-            self._timer.sensor_age(self._clock.monotonic() - sample.t_s)
+            self._timer.sensor_age.add(self._clock.monotonic() - sample.t_s)
         age_s = now_s - fresh_s
         if age_s > self._settings.force_stale_s:
             why = f" ({sample.reason})" if sample is not None and sample.reason else ""
@@ -271,7 +271,7 @@ class LoopRunner:
                 f"{self._settings.force_stale_s} s: the goals are frozen; check the tactile "
                 f"sensor, then clear the fault"
             )
-        self._servos.check_force()
+        self._servos.guard.check_force()
 
     def _check_health(self, state: GripperState) -> None:
         self._cycles += 1
@@ -289,32 +289,24 @@ class LoopRunner:
         now_s = self._clock.monotonic()
         late_s = max(0.0, now_s - deadline_s)
         timer.work_done(late_s, counts=answered)
+        in_time = late_s <= 0.0
+        if in_time:
+            self._clock.sleep(deadline_s - now_s)
+            late_s = max(0.0, self._clock.monotonic() - deadline_s)
+        timer.began(late_s)
         if late_s > settings.stall_max_s:
-            timer.began(late_s)
-            raise self._stalled(late_s)
+            raise LimitExceeded(
+                f"the loop was {late_s:.3f} s late, stall_max_s is {settings.stall_max_s} s: the "
+                f"goals are frozen, the grip is kept; find out what stopped its process, or take "
+                f"slow work out of its observer and its process, then clear the fault"
+            )
         if timer.overruns_in_row >= settings.overruns_max:
-            timer.began(late_s)
             raise LimitExceeded(
                 f"the work of {timer.overruns_in_row} periods in a row took longer than "
                 f"{1e3 * settings.period_s:.1f} ms, overruns_max is {settings.overruns_max}: the "
                 f"loop does not keep its rate; lower loop_rate_hz, or free the processor"
             )
-        if late_s > 0.0:
-            timer.began(late_s)
-            return now_s
-        self._clock.sleep(deadline_s - now_s)
-        late_s = max(0.0, self._clock.monotonic() - deadline_s)
-        timer.began(late_s)
-        if late_s > settings.stall_max_s:
-            raise self._stalled(late_s)
-        return deadline_s
-
-    def _stalled(self, late_s: float) -> LimitExceeded:
-        return LimitExceeded(
-            f"the loop was {late_s:.3f} s late, stall_max_s is {self._settings.stall_max_s} s: the "
-            f"goals are frozen, the grip is kept; find out what stopped its process, or take slow "
-            f"work out of its observer and its process, then clear the fault"
-        )
+        return deadline_s if in_time else now_s
 
 
 class BusLossMonitor:

@@ -4,12 +4,12 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import cos, inf, isfinite, pi
+from math import cos, inf, pi
 
 from gripper.errors import LimitExceeded
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
-from gripper.settings import GripperSettings
+from gripper.settings import GripperSettings, check_number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,15 +60,15 @@ class ForceRamp:
         force_n = self.segments[0].start_n
         signs: set[bool] = set()
         for segment in self.segments:
-            _checked("duration_s of a segment", segment.duration_s, 0.0)
-            _checked("start_n of a segment", segment.start_n, 0.0)
-            _checked("end_n of a segment", segment.end_n, 0.0)
+            check_number("duration_s of a segment", segment.duration_s, low=0.0)
+            check_number("start_n of a segment", segment.start_n, low=0.0)
+            check_number("end_n of a segment", segment.end_n, low=0.0)
             if segment.start_n != force_n:
                 raise LimitExceeded(
                     f"a segment starts at {segment.start_n} N, the one before ends at {force_n} N"
                 )
             if segment.end_n != segment.start_n:
-                _positive("duration_s of a change of force", segment.duration_s)
+                check_number("duration_s of a change of force", segment.duration_s, above=0.0)
                 signs.add(segment.end_n > segment.start_n)
             force_n = segment.end_n
         if len(signs) > 1:
@@ -79,13 +79,13 @@ class ForceRamp:
         cls, force_n: float, rate_n_s: float, hold_s: float = 0.0, start_n: float = 0.0
     ) -> "ForceRamp":
         """Return a straight line from start_n to force_n at rate_n_s (a magnitude), then a hold."""
-        _checked("force_n", force_n, 0.0)
-        _checked("start_n", start_n, 0.0)
-        rise_s = abs(force_n - start_n) / _positive("rate_n_s", rate_n_s)
+        check_number("force_n", force_n, low=0.0)
+        check_number("start_n", start_n, low=0.0)
+        rise_s = abs(force_n - start_n) / check_number("rate_n_s", rate_n_s, above=0.0)
         return cls(
             segments=(
                 RampSegment(duration_s=rise_s, start_n=start_n, end_n=force_n),
-                _hold(force_n, _checked("hold_s", hold_s, 0.0), 0),
+                _hold(force_n, check_number("hold_s", hold_s, low=0.0), 0),
             )
         )
 
@@ -96,12 +96,12 @@ class ForceRamp:
         """Return straight lines between levels at rate_n_s, each level held for hold_s s."""
         if not levels_n:
             raise LimitExceeded("levels_n is empty, a staircase needs at least one level")
-        _positive("rate_n_s", rate_n_s)
-        _checked("hold_s", hold_s, 0.0)
+        check_number("rate_n_s", rate_n_s, above=0.0)
+        check_number("hold_s", hold_s, low=0.0)
         segments: list[RampSegment] = []
-        force_n = _checked("start_n", start_n, 0.0)
+        force_n = check_number("start_n", start_n, low=0.0)
         for index, level_n in enumerate(levels_n):
-            rise_s = abs(_checked(f"levels_n[{index}]", level_n, 0.0) - force_n) / rate_n_s
+            rise_s = abs(check_number(f"levels_n[{index}]", level_n, low=0.0) - force_n) / rate_n_s
             segments.append(RampSegment(duration_s=rise_s, start_n=force_n, end_n=level_n))
             segments.append(_hold(level_n, hold_s, index))
             force_n = level_n
@@ -115,12 +115,12 @@ class ForceRamp:
         return cls(
             segments=(
                 RampSegment(
-                    duration_s=_positive("duration_s", duration_s),
-                    start_n=_checked("start_n", start_n, 0.0),
-                    end_n=_checked("force_n", force_n, 0.0),
+                    duration_s=check_number("duration_s", duration_s, above=0.0),
+                    start_n=check_number("start_n", start_n, low=0.0),
+                    end_n=check_number("force_n", force_n, low=0.0),
                     smooth=True,
                 ),
-                _hold(force_n, _checked("hold_s", hold_s, 0.0), 0),
+                _hold(force_n, check_number("hold_s", hold_s, low=0.0), 0),
             )
         )
 
@@ -180,7 +180,7 @@ class ForceRamp:
         force_n
             Grip force now in N; a negative reading counts as 0.
         """
-        force_n = max(0.0, _checked("force_n", force_n, -inf))
+        force_n = max(0.0, check_number("force_n", force_n))
         rising = self.final_n >= self.start_n
         if (force_n < self.start_n) if rising else (force_n > self.start_n):
             return ForceRamp(segments=(self._lead_in(force_n, self.start_n), *self.segments))
@@ -296,15 +296,3 @@ def _from_force(segment: RampSegment, force_n: float) -> RampSegment:
         end_n=segment.end_n,
         smooth=segment.smooth,
     )
-
-
-def _checked(name: str, value: float, low: float, high: float = inf) -> float:
-    if not (isfinite(value) and low <= value <= high):
-        raise LimitExceeded(f"{name} is {value}, must be finite and from {low} to {high}")
-    return value
-
-
-def _positive(name: str, value: float) -> float:
-    if not (isfinite(value) and value > 0.0):
-        raise LimitExceeded(f"{name} is {value}, must be finite and above 0")
-    return value

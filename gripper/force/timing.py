@@ -106,24 +106,14 @@ class LoopTimer:
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._lateness = Histogram()
-        self._transaction = Histogram()
-        self._sensor_age = Histogram()
-        self._cycles = 0
-        self._overruns = 0
-        self._late = 0
-        self._worst_s = 0.0
-        self.missed_reads = 0
-        self.derated = 0
+        self.transaction = Histogram()
+        """How long it took to read the feedback, in s."""
+        self.sensor_age = Histogram()
+        """How old the force sample was that a step used, in s."""
+        self._overruns = self._late = 0
+        self.missed_reads = self.derated = 0
         self.overruns_in_row = 0
         """Overruns since the last period whose work was done in time."""
-
-    def transaction(self, duration_s: float) -> None:
-        """Count how long it took to read the feedback, in s."""
-        self._transaction.add(duration_s)
-
-    def sensor_age(self, age_s: float) -> None:
-        """Count how old the force sample was that a step used, in s."""
-        self._sensor_age.add(age_s)
 
     def work_done(self, late_s: float, *, counts: bool) -> None:
         """Count a period whose work ended ``late_s`` s after the next was due; 0 is in time.
@@ -144,21 +134,20 @@ class LoopTimer:
 
     def began(self, late_s: float) -> None:
         """Count a period that began so late, in s."""
-        self._cycles += 1
         self._lateness.add(late_s)
         self._late += late_s > LATE_SHARE * self._period_s
-        self._worst_s = max(self._worst_s, late_s)
 
     def statistics(self) -> LoopStatistics:
         """Return what was counted."""
+        lateness = self._lateness.distribution()
         return LoopStatistics(
-            cycles=self._cycles,
+            cycles=lateness.n,
             overruns=self._overruns,
             late=self._late,
             missed_reads=self.missed_reads,
             derated=self.derated,
-            worst_lateness_s=self._worst_s,
-            lateness=self._lateness.distribution(),
-            transaction=self._transaction.distribution(),
-            sensor_age=self._sensor_age.distribution(),
+            worst_lateness_s=lateness.max_s,
+            lateness=lateness,
+            transaction=self.transaction.distribution(),
+            sensor_age=self.sensor_age.distribution(),
         )

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import LimitExceeded
-from gripper.settings import GripperSettings
+from gripper.settings import GripperSettings, check_number
 from gripper.values.state import GripperState
 
 
@@ -47,11 +47,6 @@ def _check_count(n_servos: int, angles_rad: Sequence[float]) -> None:
         raise LimitExceeded(f"got {len(angles_rad)} angles for a linkage with {n_servos} servos")
 
 
-def _check_positive(name: str, value: float) -> None:
-    if not (isfinite(value) and value > 0.0):
-        raise LimitExceeded(f"{name} is {value}, must be finite and above 0")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParallelLinkage:
     """Rotary fingers on a parallelogram, so that the pads stay parallel.
@@ -68,10 +63,9 @@ class ParallelLinkage:
     """1 or 2."""
 
     def __post_init__(self) -> None:
-        _check_positive("link_m", self.link_m)
+        check_number("link_m", self.link_m, above=0.0)
         _check_n_servos(self.n_servos)
-        if not isfinite(self.offset_m):
-            raise LimitExceeded(f"offset_m is {self.offset_m}, must be finite")
+        check_number("offset_m", self.offset_m)
 
     def __str__(self) -> str:
         return f"link_mm {self.link_m * 1e3:g}, offset_mm {self.offset_m * 1e3:g}"
@@ -118,10 +112,9 @@ class RackPinion:
     """1 (one pinion between two racks) or 2."""
 
     def __post_init__(self) -> None:
-        _check_positive("pinion_radius_m", self.pinion_radius_m)
+        check_number("pinion_radius_m", self.pinion_radius_m, above=0.0)
         _check_n_servos(self.n_servos)
-        if not isfinite(self.offset_m):
-            raise LimitExceeded(f"offset_m is {self.offset_m}, must be finite")
+        check_number("offset_m", self.offset_m)
 
     def __str__(self) -> str:
         radius_mm = self.pinion_radius_m * 1e3

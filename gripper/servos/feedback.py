@@ -12,13 +12,9 @@ from gripper.dynamixel.control_table import (
     PRESENT_POSITION,
     PRESENT_TEMPERATURE,
     PRESENT_VELOCITY,
-    RAD_PER_PULSE,
-    RAD_S_PER_VELOCITY_UNIT,
     REALTIME_TICK,
     TICK_MODULO,
-    VOLTAGE_UNIT_V,
 )
-from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
@@ -144,21 +140,21 @@ class Feedback:
         self._plausible.forget()
 
     def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
-        position_raw = raw[PRESENT_POSITION.name]
+        model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
         turned_raw = position_raw - servo.zero_raw
         # A multi-turn count may be off by whole turns; fingers move by less than half a turn. Under
         # torque it cannot lose or gain one: what does is no motion, and must show.
-        turns = self._turns.setdefault(servo.servo_id, round(turned_raw / PULSES_PER_TURN))
-        turned_rad = (turned_raw - turns * PULSES_PER_TURN) * RAD_PER_PULSE
-        velocity_rad_s = raw[PRESENT_VELOCITY.name] * RAD_S_PER_VELOCITY_UNIT
+        turns = self._turns.setdefault(servo.servo_id, round(turned_raw / model.pulses_per_turn))
+        turned_rad = (turned_raw - turns * model.pulses_per_turn) * model.rad_per_pulse
+        velocity_rad_s = raw[PRESENT_VELOCITY.name] * model.velocity_unit_rad_s
         return ServoState(
             servo_id=servo.servo_id,
             angle_rad=turned_rad * servo.direction,
             velocity_rad_s=velocity_rad_s * servo.direction,
-            current_a=servo.servo_model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction,
+            current_a=model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction,
             position_raw=position_raw,
             temperature_c=float(raw[PRESENT_TEMPERATURE.name]),
-            voltage_v=raw[PRESENT_INPUT_VOLTAGE.name] * VOLTAGE_UNIT_V,
+            voltage_v=raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v,
             tick_ms=raw[REALTIME_TICK.name],
             alert=self._bus.alert(servo.servo_id),
         )

@@ -14,8 +14,6 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     GOAL_CURRENT,
     GOAL_POSITION,
-    RAD_PER_PULSE,
-    RAD_S_PER_VELOCITY_UNIT,
     RegisterBlock,
 )
 from gripper.dynamixel.models import ServoModel
@@ -38,12 +36,6 @@ _EQUAL = 1e-9
 """Difference, in A or rad, that counts as equal."""
 _EQUAL_ANGLE_RAD = 1e-6
 """Difference of angles in rad that counts as inside of the range; a pulse is 1.5e-3 rad."""
-_SPEED_GRAIN_RAD_S = RAD_S_PER_VELOCITY_UNIT
-"""Resolution of Present Velocity in rad/s (e-Manual)."""
-_WHOLE_PWM = 885.0
-"""Counts of PWM that are the whole supply (e-Manual, PWM Limit)."""
-_ERROR_PER_PWM = 128.0
-"""Position error in pulses times Position P Gain that makes one count of PWM (e-Manual)."""
 _MOTION_RESERVE, _MOTION_PULSES = 1.5, 8.0
 """Factor and pulses by which a goal lies farther than at rest, to make up for the motion."""
 _OVER_FORCE = {
@@ -148,7 +140,7 @@ class GoalGuard:
             )
         fastest_rad_s = fastest_m_s / reach_m
         over_rad_s = -servo.velocity_rad_s - fastest_rad_s
-        if over_rad_s > _SPEED_GRAIN_RAD_S:
+        if over_rad_s > model.velocity_unit_rad_s:
             # No more momentum is taken than it has too much, or the finger would swing.
             drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
             current_a = min(abs(drive_n) * path.radius_m / path.kt_nm_a, most_a)
@@ -191,7 +183,12 @@ class GoalGuard:
 
         Raises LimitExceeded when a limit is against the goals; it is named.
         """
-        self._check_age(state, now_s)
+        settings, age_s = self._settings, now_s - state.t_s
+        if age_s > settings.bus_loss_s:
+            raise LimitExceeded(
+                f"the servos' feedback is {age_s:.3f} s old, at most {settings.bus_loss_s} s are "
+                f"allowed: check the servo bus"
+            )
         lowering = len(goals) == len(self._previous_a) and all(
             goal.current_a <= before_a + _EQUAL
             for goal, before_a in zip(goals, self._previous_a, strict=True)
@@ -205,9 +202,13 @@ class GoalGuard:
         if not lowering and not opening:
             for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
                 self._check_current_force(index, goal, servo.angle_rad)
-            self._check_temperature(state)
+            if state.temperature_c > settings.temperature_max_c:
+                raise LimitExceeded(
+                    f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
+                    f"{settings.temperature_max_c:g}: let it cool down"
+                )
             newest = self.newest_force
-            if newest is not None and now_s - newest.t_s <= self._settings.force_stale_s:
+            if newest is not None and now_s - newest.t_s <= settings.force_stale_s:
                 self.check_force()
         self._previous_a = tuple(goal.current_a for goal in goals)
 
@@ -227,22 +228,6 @@ class GoalGuard:
             times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / QUIET_N) if few else 1.0
             most_n = max(most_n, max(first_n, second_n) / n - times * settings.force_noise_n)
         return most_n - settings.force_max_n
-
-    def _check_age(self, state: GripperState, now_s: float) -> None:
-        settings = self._settings
-        if now_s - state.t_s > settings.bus_loss_s:
-            raise LimitExceeded(
-                f"the servos' feedback is {now_s - state.t_s:.3f} s old, at most "
-                f"{settings.bus_loss_s} s are allowed: check the servo bus"
-            )
-
-    def _check_temperature(self, state: GripperState) -> None:
-        settings = self._settings
-        if state.temperature_c > settings.temperature_max_c:
-            raise LimitExceeded(
-                f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
-                f"{settings.temperature_max_c:g}: let it cool down"
-            )
 
     def _check_goal(self, index: int, goal: ServoGoal, angle_rad: float) -> None:
         settings = self._settings
@@ -305,9 +290,9 @@ def closing_margin_rad(model: ServoModel, current_a: float) -> float:
     """
     _, _, position_p_gain = model.position_gains
     current_share = current_a / model.stall_current_a
-    pwm = _MOTION_RESERVE * current_share * _WHOLE_PWM
-    pulses = pwm * _ERROR_PER_PWM / position_p_gain + _MOTION_PULSES
-    return pulses * RAD_PER_PULSE
+    pwm = _MOTION_RESERVE * current_share * model.whole_pwm_raw
+    pulses = pwm * model.error_per_pwm / position_p_gain + _MOTION_PULSES
+    return pulses * model.rad_per_pulse
 
 
 def lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
@@ -323,7 +308,8 @@ def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) ->
     """
     _, _, position_p_gain = model.position_gains
     share = current_a / model.stall_current_a + speed_rad_s / model.no_load_rad_s
-    return _WHOLE_PWM * share * _ERROR_PER_PWM / position_p_gain * RAD_PER_PULSE
+    pulses = model.whole_pwm_raw * share * model.error_per_pwm / position_p_gain
+    return pulses * model.rad_per_pulse
 
 
 class GoalWriter:
@@ -346,7 +332,7 @@ class GoalWriter:
         self.last = ()
 
     def write(
-        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_velocity_raw: int = 0
+        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_rad_s: float = 0.0
     ) -> None:
         """Write goal current and goal position of all servos at once, if no limit is against it.
 
@@ -356,23 +342,24 @@ class GoalWriter:
         ----------
         state
             Newest feedback: the goals are reached from there.
-        profile_velocity_raw
-            Profile Velocity (register 112) in raw units; 0 is no limit.
+        profile_rad_s
+            Profile Velocity (register 112) in rad/s; 0 is no limit.
         """
         goals = self._guard.bounded(goals, state)
         self._guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}
         for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):
             # Relative to the present position: whole turns of the count do not matter.
+            model = settings.servo_model
             delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
-            goal_current = settings.servo_model.current_raw(goal.current_a)
+            goal_current = model.current_raw(goal.current_a)
             goal_velocity = profile_acceleration = 0
-            goal_position = servo.position_raw + round(delta_rad / RAD_PER_PULSE)
+            goal_position = servo.position_raw + round(delta_rad / model.rad_per_pulse)
             values[servo.servo_id] = [
                 goal_current,
                 goal_velocity,
                 profile_acceleration,
-                profile_velocity_raw,
+                round(profile_rad_s / model.velocity_unit_rad_s),
                 goal_position,
             ]
         self._bus.sync_write(values, GOAL_BLOCK)

@@ -12,11 +12,10 @@ from gripper.dynamixel.control_table import (
     GOAL_PWM,
     OPERATING_MODE,
     PWM_LIMIT,
-    RAD_PER_PULSE,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
 )
-from gripper.dynamixel.models import OperatingMode
+from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import (
     BusCorrupt,
     BusTimeout,
@@ -31,7 +30,7 @@ from gripper.servos.goals import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import GripperState
+from gripper.values.state import GripperState, ServoState
 
 _PATIENT_READS = 3
 """Readings between commands before a lost answer is an error."""
@@ -69,15 +68,17 @@ class ServoGroup:
         self._clock = clock
         self._health = health
         self._ids = [servo.servo_id for servo in settings.servos]
-        self._guard = GoalGuard(settings, linkage)
-        self._goals = GoalWriter(bus, settings, clock, self._guard)
-        self._feedback = Feedback(bus, linkage, settings, clock, health)
+        self.guard = GoalGuard(settings, linkage)
+        """Limits of the goals, by the force that it is told of."""
+        self._goals = GoalWriter(bus, settings, clock, self.guard)
+        self.feedback = Feedback(bus, linkage, settings, clock, health)
+        """What was read last."""
 
     # Feedback
 
     def read(self) -> GripperState:
         """Read the feedback of all servos in one transaction; errors as in `Feedback.read`."""
-        return self._feedback.read(under_torque=bool(self._goals.last))
+        return self.feedback.read(under_torque=bool(self._goals.last))
 
     def read_patiently(self) -> GripperState:
         """Read as `read` does, again where an answer was lost or old; for use between commands."""
@@ -85,21 +86,6 @@ class ServoGroup:
             with suppress(BusTimeout, BusCorrupt):
                 return self.read()
         return self.read()
-
-    @property
-    def last_read(self) -> GripperState | None:
-        """The last feedback; None before the first reading."""
-        return self._feedback.last
-
-    @property
-    def off_by_turns(self) -> bool:
-        """Whether a servo counts in another turn than that of its zero."""
-        return self._feedback.off_by_turns
-
-    @property
-    def strayed(self) -> dict[int, str]:
-        """Servos whose position is not to be used until a restart, and why; see `Feedback`."""
-        return self._feedback.strayed
 
     def silent_and_living(self) -> tuple[list[int], list[int]]:
         """Return the IDs of the servos that did not answer last, and of those that did."""
@@ -113,15 +99,15 @@ class ServoGroup:
     def forget(self) -> None:
         """Discard the last goals and feedback: the servos were restarted or switched off."""
         self._goals.forget()
-        self._feedback.forget()
+        self.feedback.forget()
 
     # Goals
 
     def write_goals(
-        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_velocity_raw: int = 0
+        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_rad_s: float = 0.0
     ) -> None:
         """Write the goals of all servos at once, if no limit is against it; see `GoalWriter`."""
-        self._goals.write(goals, state, profile_velocity_raw=profile_velocity_raw)
+        self._goals.write(goals, state, profile_rad_s=profile_rad_s)
 
     @property
     def goals_in_force(self) -> bool:
@@ -134,38 +120,26 @@ class ServoGroup:
         goals = self._goals.last
         return sum(goal.current_a for goal in goals) / max(1, len(goals))
 
-    def note_force(self, sample: ForceSample) -> None:
-        """Take the newest valid force sample into account in the limits of the next goals."""
-        self._guard.note_force(sample)
-
-    def check_force(self, *, noise_excluded: bool = False) -> None:
-        """Raise ForceAboveCap while the measured force is above the cap; see `GoalGuard`."""
-        self._guard.check_force(noise_excluded=noise_excluded)
-
     @property
     def fresh_force(self) -> ForceSample | None:
         """The newest valid force sample; None where it is older than ``force_stale_s``."""
-        sample = self._guard.newest_force
+        sample = self.guard.newest_force
         if sample is None:
             return None
         fresh = self._clock.monotonic() - sample.t_s <= self._settings.force_stale_s
         return sample if fresh else None
 
-    def force_is_too_high(self) -> bool:
-        """Return whether the measured force is above the cap by more than noise."""
-        return self._guard.force_is_too_high()
-
     # Stop goals; nothing is written where no goal is in force or nothing was read before
 
     def freeze(self) -> None:
         """Keep the last goals, without the crest of the square wave on the drive."""
-        state, last, earlier = self._feedback.last, self._goals.last, self._goals.earlier
+        state, last, earlier = self.feedback.last, self._goals.last, self._goals.earlier
         if state is not None and len(earlier) == len(last) > 0:
             self._goals.write(stop_goals.frozen(last, earlier, state), state)
 
     def hold_position(self) -> None:
         """Set the goals to the last read positions."""
-        state, last, earlier = self._feedback.last, self._goals.last, self._goals.earlier
+        state, last, earlier = self.feedback.last, self._goals.last, self._goals.earlier
         if state is not None and last:
             earlier = earlier if len(earlier) == len(last) else last
             self._goals.write(stop_goals.holding_position(last, earlier, state), state)
@@ -175,7 +149,7 @@ class ServoGroup:
 
         No servo answers to the write of all goals at once, so that they are read back.
         """
-        state = self._feedback.last
+        state = self.feedback.last
         age_s = 0.0 if state is None else self._clock.monotonic() - state.t_s
         late = age_s > _STALE_PERIODS * self._settings.period_s
         if late and not any(map(self._bus.misses, self._ids)):
@@ -195,13 +169,13 @@ class ServoGroup:
 
     def lower_currents(self) -> None:
         """Write the last goals with ``over_force_share`` of their currents, in one step."""
-        if self._feedback.last is not None and self._goals.last:
+        if self.feedback.last is not None and self._goals.last:
             goals = stop_goals.lowered(self._goals.last, self._settings.over_force_share)
-            self._goals.write(goals, self._feedback.last)
+            self._goals.write(goals, self.feedback.last)
 
     def open_a_step(self) -> None:
         """Open by ``over_force_open_m`` from the last read positions, once."""
-        state = self._feedback.last
+        state = self.feedback.last
         if state is not None and self._goals.last:
             goals = stop_goals.opened_a_step(state, self._settings, self._linkage)
             self._goals.write(goals, state)
@@ -299,7 +273,7 @@ class ServoGroup:
         """
         for servo_id in ids:
             self._bus.reboot(servo_id)
-            self.strayed.pop(servo_id, None)
+            self.feedback.strayed.pop(servo_id, None)
             self._clock.sleep(_BOOT_S)
             deadline_s = self._clock.monotonic() + _BOOT_TIMEOUT_S
             while True:
@@ -339,16 +313,17 @@ class ServoGroup:
             self._bus.write(servo_id, TORQUE_ENABLE, 1)
         self._arm_watchdog()
 
-    def _check_goal_is_near(self, servo_id: int, position_raw: int) -> None:
+    def _check_goal_is_near(self, servo: ServoState, model: ServoModel) -> None:
         """Raise FeedbackImplausible where a servo under torque is too far from its goal.
 
         A count that is farther than a gripping program sets its goals is not the one that the
         servo goes by; a goal made of it would move the finger there.
         """
+        servo_id, position_raw = servo.servo_id, servo.position_raw
         if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
             return
         goal_raw = self._bus.read(servo_id, GOAL_POSITION)
-        away_rad = abs(position_raw - goal_raw) * RAD_PER_PULSE
+        away_rad = abs(position_raw - goal_raw) * model.rad_per_pulse
         if away_rad > _FARTHEST_GOAL_RAD:
             raise FeedbackImplausible(
                 f"servo {servo_id}: it reports the position {position_raw} while it holds the goal "
@@ -378,8 +353,8 @@ class ServoGroup:
         """
         for tries_left in reversed(range(_GOAL_TRIES)):
             state = self.read_patiently()
-            for servo in state.servos:
-                self._check_goal_is_near(servo.servo_id, servo.position_raw)
+            for servo, settings in zip(state.servos, self._settings.servos, strict=True):
+                self._check_goal_is_near(servo, settings.servo_model)
             self._goals.write(
                 [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad],
                 state,
@@ -417,12 +392,12 @@ class ServoGroup:
 
         A servo that did not answer last is not waited for.
         """
-        if self._feedback.last is None or not self._goals.last:
+        if self.feedback.last is None or not self._goals.last:
             return True
         if self._bus.misses(servo_id):
             return False
         with suppress(GripperError):
-            wanted_raw = self._feedback.last.servos[self._ids.index(servo_id)].position_raw
+            wanted_raw = self.feedback.last.servos[self._ids.index(servo_id)].position_raw
             if self._bus.read(servo_id, GOAL_POSITION) == wanted_raw:
                 return True
             if self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:

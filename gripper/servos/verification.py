@@ -33,8 +33,6 @@ _DRIVE_MODE_MASK = 0b1101
 """Bits of Drive Mode (register 10) that must be 0: reverse, time-based profile, torque by goal."""
 _STARTUP_MASK = 0b11
 """Bits of Startup Configuration (register 60) that must be 0: torque on, RAM restored."""
-_WHOLE_PWM = 885
-"""PWM Limit (register 36) at which the whole supply reaches the motor."""
 _PWM_RESERVE = 1.2
 """PWM that a current needs at rest is its share of the stall current; the rest is for motion."""
 _NO_SECOND_ID = 255
@@ -103,9 +101,9 @@ def _requirements(
             f"{model.current_a(model.current_limit_raw):.3f} A"
         )
     needed_raw = model.current_raw(current_max_a)
-    needed_pwm = min(
-        _WHOLE_PWM, ceil(_PWM_RESERVE * _WHOLE_PWM * current_max_a / model.stall_current_a)
-    )
+    whole_pwm = model.whole_pwm_raw
+    share = _PWM_RESERVE * whole_pwm * current_max_a / model.stall_current_a
+    needed_pwm = min(whole_pwm, ceil(share))
     protection = int(HardwareError.OVERHEATING | HardwareError.OVERLOAD)
     return (
         _exactly(MODEL_NUMBER.name, model.number),
@@ -130,7 +128,7 @@ def _requirements(
             low=model.min_voltage_raw,
             high=model.max_voltage_raw,
         ),
-        _between(PWM_LIMIT.name, needed_pwm, _WHOLE_PWM),
+        _between(PWM_LIMIT.name, needed_pwm, whole_pwm),
         _exactly(SECONDARY_ID.name, _NO_SECOND_ID),
         _exactly(RETURN_DELAY_TIME.name, 0),
         _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gripper.clock import Clock
-from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
 from gripper.errors import LimitExceeded, WatchdogUnproven
 from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
@@ -96,14 +95,13 @@ def prove_watchdog(
     move. Raises LimitExceeded as `proof_travel_m`.
     """
     begin = servos.read()
-    speed_raw, goals_rad = _motion(settings, linkage, begin.angles_rad)
-    speed_rad_s = speed_raw * RAD_S_PER_VELOCITY_UNIT
+    speed_rad_s, goals_rad = _motion(settings, linkage, begin.angles_rad)
     paths = transmissions(settings, linkage, begin.angles_rad)
     current_a = motion_current_a(settings, paths, _FORCE_N)
     servos.write_goals(
         [ServoGoal(angle_rad=angle, current_a=current_a) for angle in goals_rad],
         begin,
-        profile_velocity_raw=speed_raw,
+        profile_rad_s=speed_rad_s,
     )
     # Against friction the motors start late; until then each reading feeds the watchdog.
     before = begin
@@ -117,16 +115,17 @@ def prove_watchdog(
     tripped = health.watchdogs_tripped()
     servos.restart_watchdog(current_a)
     farthest_rad = _FARTHEST_SHARE * speed_rad_s * settings.watchdog_s
+    pulses_rad = [servo.servo_model.rad_per_pulse for servo in settings.servos]
     proofs = tuple(
         WatchdogProof(
             servo_id=servo.servo_id,
             tripped=servo.servo_id in tripped,
             moved_pulses=_pulses(before, stopped, index),
             after_pulses=_pulses(stopped, later, index),
-            farthest_pulses=round(farthest_rad / RAD_PER_PULSE) + _FARTHEST_MORE_PULSES,
-            left_pulses=round((later.servos[index].angle_rad - goals_rad[index]) / RAD_PER_PULSE),
+            farthest_pulses=round(farthest_rad / pulse_rad) + _FARTHEST_MORE_PULSES,
+            left_pulses=round((later.servos[index].angle_rad - goals_rad[index]) / pulse_rad),
         )
-        for index, servo in enumerate(before.servos)
+        for index, (servo, pulse_rad) in enumerate(zip(before.servos, pulses_rad, strict=True))
     )
     if not all(proof.ok for proof in proofs):
         raise WatchdogUnproven(
@@ -149,11 +148,12 @@ def proof_travel_m(settings: GripperSettings, linkage: Linkage, aperture_m: floa
 
 def _motion(
     settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
-) -> tuple[int, list[float]]:
-    """Return Profile Velocity and goal angles in rad of the test motion from these angles."""
-    wanted_raw = round(_SILENT_RAD / settings.watchdog_s / RAD_S_PER_VELOCITY_UNIT)
-    speed_raw = min(max(wanted_raw, 1), _FASTEST_RAW)
-    way_rad = _START_RAD + _WAY_SHARE * settings.watchdog_s * speed_raw * RAD_S_PER_VELOCITY_UNIT
+) -> tuple[float, list[float]]:
+    """Return speed in rad/s and goal angles in rad of the test motion from these angles."""
+    unit_rad_s = max(servo.servo_model.velocity_unit_rad_s for servo in settings.servos)
+    wanted_raw = round(_SILENT_RAD / settings.watchdog_s / unit_rad_s)
+    speed_rad_s = min(max(wanted_raw, 1), _FASTEST_RAW) * unit_rad_s
+    way_rad = _START_RAD + _WAY_SHARE * settings.watchdog_s * speed_rad_s
     if way_rad > _LONGEST_RAD:
         raise LimitExceeded(
             f"the self-test of a watchdog of {settings.watchdog_s:g} s would move the fingers by "
@@ -168,7 +168,7 @@ def _motion(
             f"fingers by {(open_m - closed_m) * 1e3:.1f} mm: open them further first "
             "(gripper.aperture_open_mm), or shorten gripper.watchdog_ms"
         )
-    return speed_raw, goals_rad
+    return speed_rad_s, goals_rad
 
 
 def _pulses(first: GripperState, second: GripperState, index: int) -> int:

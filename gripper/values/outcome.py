@@ -22,15 +22,15 @@ class GraspOutcome:
 
     result: GraspResult
     """The end."""
-    contact_t_s: float | None
-    contact_aperture_m: float | None
+    contact_t_s: float | None = None
+    contact_aperture_m: float | None = None
     """When and where both pads touched; None without contact."""
     final_aperture_m: float
     """Opening at the end in m."""
-    final_force_n: float
+    final_force_n: float = 0.0
     """Grip force at the end in N, mean of the last samples: as many as their noise asks for, three
     frames; 0 without contact."""
-    overshoot_n: float
+    overshoot_n: float = 0.0
     """Largest mean of the last samples, as in ``final_force_n``, minus the end of the ramp in N, at
     least 0."""
     ended_early: bool = False

@@ -122,12 +122,12 @@ class Cycle:
     """Phase of the gripper."""
     state: GripperState
     """Feedback of this period."""
-    force: ForceSample | None
-    """Newest force sample, None where there is none."""
-    setpoint_n: float
-    """Force that is asked for in N; 0 while no force is controlled."""
     goal_current_a: float
     """Mean magnitude of the goal currents in A."""
+    force: ForceSample | None = None
+    """Newest force sample, None where there is none."""
+    setpoint_n: float = 0.0
+    """Force that is asked for in N; 0 while no force is controlled."""
     level: int | None = None
     """Level of the ramp that is held, None while the force changes."""
 

@@ -102,6 +102,18 @@ class Evaluation:
     shift: ShiftFigures | None = None
     """The same grasps in a mixed order; None for a recogniser that does not follow the drift."""
 
+    @property
+    def confused(self) -> tuple[tuple[str, str, int], ...]:
+        """What each confused object was, what it was taken for, and how often; most often first."""
+        counts = self.confusion.tolist()
+        pairs = [
+            (truth, answer, counts[row][column])
+            for row, truth in enumerate(self.labels)
+            for column, answer in enumerate(self.labels)
+            if row != column and counts[row][column]
+        ]
+        return tuple(sorted(pairs, key=lambda pair: -pair[2]))
+
 
 def evaluate(
     parts: Sequence[TrainTest],

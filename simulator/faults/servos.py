@@ -1,7 +1,6 @@
 """Named faults of the servo bus and of single servos."""
 
-from gripper.dynamixel.control_table import RAD_PER_PULSE, REGISTERS
-from gripper.dynamixel.models import PULSES_PER_TURN
+from gripper.dynamixel.control_table import REGISTERS
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
@@ -98,13 +97,13 @@ def _jump(target: Target) -> None:
 
 
 def _turns(target: Target) -> Effect:
-    report_raw = int(target.number) * PULSES_PER_TURN
+    report_raw = int(target.number) * _motor(target).model.pulses_per_turn
     return Effect(undo=turned(_core(target).position, _REPORT, report_raw))
 
 
 def _remount(target: Target, sign: int) -> None:
     """Put the horn of a servo on so many pulses farther open, or back."""
-    off_rad = sign * target.number * RAD_PER_PULSE
+    off_rad = sign * target.number * _motor(target).model.rad_per_pulse
     target.devices.mechanics.remount(target.servo, off_rad=off_rad)
 
 
@@ -119,11 +118,11 @@ def _factory(target: Target) -> None:
 
 
 def _drift(target: Target) -> Effect:
-    position = _core(target).position
+    position, pulse_rad = _core(target).position, _motor(target).model.rad_per_pulse
 
     def act(now_s: float) -> None:
         drifted_rad = target.number * (now_s - target.now_s)
-        position.reported_offset_raw = round(drifted_rad / RAD_PER_PULSE)
+        position.reported_offset_raw = round(drifted_rad / pulse_rad)
 
     return Effect(undo=turned(position, _REPORT, 0), act=act)
 

@@ -21,9 +21,6 @@ from gripper.dynamixel.control_table import (
     POSITION_D_GAIN,
     PRESENT_TEMPERATURE,
     PWM_LIMIT,
-    RAD_PER_PULSE,
-    RAD_S2_PER_ACCELERATION_UNIT,
-    RAD_S_PER_VELOCITY_UNIT,
     REALTIME_TICK,
     SHUTDOWN,
     TEMPERATURE_LIMIT,
@@ -32,12 +29,11 @@ from gripper.dynamixel.control_table import (
     WATCHDOG_TRIPPED_RAW,
     WATCHDOG_UNIT_S,
 )
-from gripper.dynamixel.models import PULSES_PER_TURN, OperatingMode, ServoModel
+from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.values.servo_checks import HardwareError
 from simulator.servo.control_table import ServoRegisters, is_x330
 from simulator.servo.motor import (
     OVERLOAD_BUDGET_S,
-    PWM_COUNTS,
     DriveCommand,
     DriveMode,
     ServoMotor,
@@ -100,6 +96,7 @@ class ServoPosition:
         self._registers = registers
         self._plant = plant
         self._turn_offset = 0
+        self._model = registers.model
 
     @property
     def sign(self) -> int:
@@ -112,16 +109,16 @@ class ServoPosition:
 
     def fold_turns(self) -> None:
         """Fall back to one turn: actual position 0 to 4095 before Homing Offset."""
-        actual = self.sign * _counts(self._plant.sensed_rad)
-        self._turn_offset = -(actual // PULSES_PER_TURN) * PULSES_PER_TURN
+        actual, turn = self.sign * self._counts(self._plant.sensed_rad), self._model.pulses_per_turn
+        self._turn_offset = -(actual // turn) * turn
 
     def to_raw(self, angle_rad: float) -> int:
         """Return the position in counts of a motor angle in rad."""
-        return self.sign * _counts(angle_rad) + self._offset()
+        return self.sign * self._counts(angle_rad) + self._offset()
 
     def to_rad(self, raw: int) -> float:
         """Return the motor angle in rad of a position in counts."""
-        return self.sign * (raw - self._offset()) * RAD_PER_PULSE
+        return self.sign * (raw - self._offset()) * self._model.rad_per_pulse
 
     def _offset(self) -> int:
         """Return the counts that turns and Homing Offset add."""
@@ -141,9 +138,9 @@ class ServoPosition:
         """
         plant, sign, offset = self._plant, self.sign, self._offset()
         data = self._registers.table.data
-        velocity_raw = round(sign * plant.sensed_velocity_rad_s / RAD_S_PER_VELOCITY_UNIT)
-        position_raw = sign * _counts(plant.sensed_rad) + offset
-        trajectory_raw = sign * _counts(plant.reference_rad) + offset
+        velocity_raw = round(sign * plant.sensed_velocity_rad_s / self._model.velocity_unit_rad_s)
+        position_raw = sign * self._counts(plant.sensed_rad) + offset
+        trajectory_raw = sign * self._counts(plant.reference_rad) + offset
         _, _, _, _, profile, goal_raw = _GOALS.unpack_from(data, GOAL_START)
         status = _ARRIVED if abs(position_raw - goal_raw) <= IN_POSITION_PULSES else 0
         if following:
@@ -156,24 +153,23 @@ class ServoPosition:
             math.floor(uptime_s * _TICKS_PER_S + _ROUNDING_TICKS) % TICK_MODULO,
             abs(velocity_raw) > threshold,
             status,
-            round(sign * plant.duty * PWM_COUNTS),
-            round(sign * plant.current_a / self._registers.model.current_unit_a),
+            round(sign * plant.duty * self._model.whole_pwm_raw),
+            round(sign * plant.current_a / self._model.current_unit_a),
             velocity_raw,
             position_raw + self.reported_offset_raw,
-            round(sign * plant.reference_velocity_rad_s / RAD_S_PER_VELOCITY_UNIT),
+            round(sign * plant.reference_velocity_rad_s / self._model.velocity_unit_rad_s),
             trajectory_raw,
-            max(0, round(plant.voltage_v * 10.0)),
+            max(0, round(plant.voltage_v / self._model.voltage_unit_v)),
             min(max(round(plant.temperature_c), 0), 255),
         )
 
-
-def _counts(angle_rad: float) -> int:
-    return math.floor(angle_rad / RAD_PER_PULSE + 0.5)
+    def _counts(self, angle_rad: float) -> int:
+        return math.floor(angle_rad / self._model.rad_per_pulse + 0.5)
 
 
 def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCommand:
     """Return the command to the motor by Operating Mode, goals, limits and gains."""
-    data = registers.table.data
+    data, model = registers.table.data, registers.model
     mode, sign = data[_MODE], position.sign
     pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
     # A limit that was lowered after the goal was written still holds.
@@ -181,17 +177,17 @@ def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCom
     pwm = _bounded(pwm, pwm_limit)
     current = _bounded(current, current_limit)
     velocity = _bounded(velocity, velocity_limit)
-    duty = abs(pwm) / PWM_COUNTS
-    current_a = current * registers.model.current_unit_a
+    duty = abs(pwm) / model.whole_pwm_raw
+    current_a = current * model.current_unit_a
     if mode == OperatingMode.CURRENT:
         return DriveCommand(DriveMode.CURRENT, current_a=sign * current_a, duty=duty)
     if mode == OperatingMode.VELOCITY:
-        speed = sign * velocity * RAD_S_PER_VELOCITY_UNIT
+        speed = sign * velocity * model.velocity_unit_rad_s
         return DriveCommand(DriveMode.VELOCITY, velocity_rad_s=speed, duty=duty)
     if mode == OperatingMode.PWM:
-        return DriveCommand(DriveMode.PWM, duty=sign * pwm / PWM_COUNTS)
+        return DriveCommand(DriveMode.PWM, duty=sign * pwm / model.whole_pwm_raw)
     limited = mode == OperatingMode.CURRENT_BASED_POSITION
-    if profile == 0 or (limited and is_x330(registers.model)):
+    if profile == 0 or (limited and is_x330(model)):
         # No profile is asked for, or the 330 size has none in current-based position mode.
         profile = acceleration = 0
     d_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
@@ -202,8 +198,8 @@ def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCom
         duty=duty,
         p_gain=p_gain,
         d_gain=d_gain,
-        profile_velocity_rad_s=profile * RAD_S_PER_VELOCITY_UNIT,
-        profile_acceleration_rad_s2=acceleration * RAD_S2_PER_ACCELERATION_UNIT,
+        profile_velocity_rad_s=profile * model.velocity_unit_rad_s,
+        profile_acceleration_rad_s2=acceleration * model.acceleration_unit_rad_s2,
     )
 
 
@@ -213,7 +209,7 @@ def hold_command(registers: ServoRegisters, angle_rad: float) -> DriveCommand:
         DriveMode.CURRENT_POSITION,
         current_a=abs(registers.get("goal_current")) * registers.model.current_unit_a,
         position_rad=angle_rad,
-        duty=abs(registers.get("goal_pwm")) / PWM_COUNTS,
+        duty=abs(registers.get("goal_pwm")) / registers.model.whole_pwm_raw,
         p_gain=registers.get("position_p_gain"),
         d_gain=registers.get("position_d_gain"),
     )
@@ -353,7 +349,8 @@ class ServoCore:
         if plant.load_excess_s > OVERLOAD_BUDGET_S:
             bits |= HardwareError.OVERLOAD
         highest_raw, lowest_raw = _VOLTAGE_LIMITS.unpack_from(data, _VOLTAGE)
-        if not lowest_raw <= plant.voltage_v * 10.0 <= highest_raw:
+        supply_raw = plant.voltage_v / plant.model.voltage_unit_v
+        if not lowest_raw <= supply_raw <= highest_raw:
             bits |= HardwareError.INPUT_VOLTAGE
         if bits and bits & ~data[_HARDWARE_ERROR]:
             data[_HARDWARE_ERROR] |= bits

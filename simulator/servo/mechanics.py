@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gripper.dynamixel.control_table import RAD_PER_PULSE
 from simulator.errors import SimulatorSettingsError, require_positive
 from simulator.servo.motor import DriveMode, ServoMotor
 
@@ -165,7 +164,10 @@ class FingerMechanics:
             )
         self.motors = tuple(motors)
         self._linkage = linkage
-        self._axes = tuple((m.direction, m.zero_raw * RAD_PER_PULSE) for m in mounts)
+        self._axes = tuple(
+            (mount.direction, mount.zero_raw * motor.model.rad_per_pulse)
+            for mount, motor in zip(mounts, motors, strict=True)
+        )
         self._lower_m = half_opening_min_m
         self._lower_rad = linkage.angle_rad(half_opening_min_m)
         self._upper_rad = linkage.angle_rad(linkage.half_opening_max_m)

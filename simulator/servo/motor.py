@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.errors import SimulatorSettingsError
 
@@ -32,10 +31,8 @@ OVERLOAD_BUDGET_S = 0.55
 
 941 mA at stall trips an XM430-W350 after about 5 s; a fifth of the stall current never does.
 """
-PWM_COUNTS = 885.0
-"""Goal and present PWM at the full supply voltage in counts (e-Manual, PWM Limit)."""
-_P_GAIN_DIVISOR, _D_GAIN_DIVISOR = 128.0, 16.0
-"""Raw position gains over the gains that act (e-Manual, Position PID Gain)."""
+_D_GAIN_DIVISOR = 16.0
+"""Raw D gain of the position over the gain that acts (e-Manual, Position PID Gain)."""
 _D_GAIN_PERIOD_S = 1e-3
 """Period in s of the position loop whose differences the D gain multiplies; an assumption."""
 _VELOCITY_LOOP_A_S_RAD = 1.0
@@ -160,8 +157,8 @@ class ServoMotor:
         self._back_emf = (
             model.nominal_voltage_v - idle_a * self._resistance_ohm
         ) / model.no_load_rad_s
-        count_a = model.stall_current_a / PWM_COUNTS / RAD_PER_PULSE
-        self._p_current = count_a / _P_GAIN_DIVISOR
+        count_a = model.stall_current_a / model.whole_pwm_raw / model.rad_per_pulse
+        self._p_current = count_a / model.error_per_pwm
         self._d_current = count_a / _D_GAIN_DIVISOR * _D_GAIN_PERIOD_S
         self._heat = RISE_AT_FIFTH_OF_STALL_C / (0.2 * model.stall_current_a) ** 2
         self._alpha_dt_s = 0.0

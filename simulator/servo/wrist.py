@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
@@ -38,7 +37,7 @@ class SimulatedWrist:
 
     def __init__(self, mount: WristMount, *, start_s: float = 0.0) -> None:
         self.mount = mount
-        angle_rad = (mount.zero + mount.start * mount.increments) * RAD_PER_PULSE
+        angle_rad = (mount.zero + mount.start * mount.increments) * mount.model.rad_per_pulse
         self._motor = ServoMotor(mount.model, angle_rad=angle_rad)
         rate = {"baud_rate": BAUD_RATES.index(mount.baud_rate), "return_delay_time": 0}
         self.servo = SimulatedServo(mount.servo_id, mount.model, self._motor, settings=rate)
@@ -52,7 +51,7 @@ class SimulatedWrist:
     @property
     def position(self) -> float:
         """True position of the axis in m or rad."""
-        pulses = self._motor.angle_rad / RAD_PER_PULSE - self.mount.zero
+        pulses = self._motor.angle_rad / self.mount.model.rad_per_pulse - self.mount.zero
         return pulses / self.mount.increments + self.slipped
 
     @property

@@ -118,6 +118,10 @@ class StubPlugin:
         """Have these live values until the next change of state."""
         self._status = replace(self._status, live=live)
 
+    def stop_recording(self, why: str) -> None:
+        """Have a recording that has stopped, until the next change of state."""
+        self._status = replace(self._status, recording_fault=why)
+
     # -- what the service asks -----------------------------------------------------------------
 
     def info(self) -> dict[str, Any]:

@@ -60,15 +60,16 @@ def test_grasps_models_and_recordings_are_read(files: Path) -> None:
         said = call("identify", "-m", model, "grasps.npz", "-c", "small.yaml")
         named = [line.split()[2] for line in said.splitlines()]
         assert named == ["ball"] * 4 + ["box"] * 4
-        assert call("identify", "-m", model, "recording.mcap", "-c", "small.yaml").split()[2:3] == [
-            "ball"
-        ]
+        said = call("identify", "-m", model, "recording.mcap", "-c", "small.yaml")
+        assert said.split()[2] == "ball"
         call("train", "grasps.npz", "--no-early", "-o", "again.npz")
     said = call("identify", "-m", "force_ramp.npz", "-c", "small.yaml", "--object", "ball")
     assert "(it was ball)" in said
     with pytest.raises(CellError, match="the model was taught on 18 taxels in 2 pads"):
         call("identify", "-m", "level_check.npz", "grasps.npz", "-c", "small.yaml")
     assert "bit for bit the same" in call("replay", "recording.mcap", "-c", "small.yaml")
+    assert call("report", "recording.mcap") == "report: report.html\n"
+    assert "ball" in (files / "report.html").read_text()
     call("teach", "egg", "--from", "recording.mcap", "-o", "grasps.npz")
     assert "complete, nothing is lost" in call("recover", "recording.mcap", "-o", "whole.mcap")
     assert len(read_recording("whole.mcap").grasps) == 1
@@ -116,6 +117,12 @@ def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
     assert "does not count" not in said
 
 
+def later(kind: Format) -> str:
+    """Return what a file of the next version names."""
+    name, version = kind.text.split("/")
+    return f"{name}/{int(version) + 1}"
+
+
 def later_arrays(path: Path, name: str, change: Callable[[str], str]) -> None:
     """Change a text among the arrays of an archive."""
     with np.load(path) as archive:
@@ -126,8 +133,7 @@ def later_arrays(path: Path, name: str, change: Callable[[str], str]) -> None:
 def later_text(path: Path, kind: Format) -> None:
     """Write a text of the next version, with a key that is not known here."""
     path.parent.mkdir(exist_ok=True)
-    next_one = f"{kind.name}/{kind.version + 1}"
-    path.write_text(json.dumps({"format": next_one, "colour": "blue"}) + "\n")
+    path.write_text(json.dumps({"format": later(kind), "colour": "blue"}) + "\n")
 
 
 LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
@@ -138,20 +144,20 @@ LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
     ),
     "data set": (
         formats.DATASET,
-        lambda kind: later_arrays(Path("grasps.npz"), "format", lambda old: f"{old[:-1]}2"),
+        lambda kind: later_arrays(Path("grasps.npz"), "format", lambda _: later(kind)),
         ("train", "grasps.npz", "-o", "new.npz"),
     ),
     "model": (
         formats.MODEL,
         lambda kind: later_arrays(
-            Path("force_ramp.npz"), "model", lambda old: old.replace(f"{kind}", f"{kind.name}/2")
+            Path("force_ramp.npz"), "model", lambda old: old.replace(kind.text, later(kind))
         ),
         ("identify", "-m", "force_ramp.npz", "grasps.npz"),
     ),
     "recording": (
         formats.RECORDING,
         lambda kind: foreign(
-            Path("recording.mcap"), metadata=GOOD | {"format": f"{kind.name}/2"}, content=b"{}"
+            Path("recording.mcap"), metadata=GOOD | {"format": later(kind)}, content=b"{}"
         ),
         ("recover", "recording.mcap"),
     ),
@@ -174,8 +180,7 @@ def test_a_file_of_a_later_version_is_refused_with_the_way_to_read_it(
 ) -> None:
     kind, write, command = LATER[what]
     write(kind)
-    found = f"{kind.name}/{kind.version + 1}"
-    with pytest.raises(CellError, match=rf"{found}; this program reads up to {kind}: update"):
+    with pytest.raises(CellError, match=rf"{later(kind)}; this program reads up to {kind}: update"):
         call(*command)
 
 

@@ -2,11 +2,13 @@
 
 import itertools
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 
+from gripper.dynamixel import models
 from gripper.dynamixel.control_table import BUS_WATCHDOG, TORQUE_ENABLE
-from gripper.dynamixel.models import XL330_M288
+from gripper.dynamixel.models import XL330_M288, XM430_W350
 from gripper.errors import (
     GripContradicted,
     GripperStateError,
@@ -32,7 +34,7 @@ def test_start_corrects_the_mode_and_moves_nothing(cell) -> None:
         ("return_delay_time", False),
         ("model_number", False),
     }
-    assert cell.gripper.state is GripperPhase.OFF
+    assert cell.gripper.phase is GripperPhase.OFF
     assert cell.mechanics.aperture_m == before_m
     assert cell.register(0, "torque_enable") == 0
     assert cell.register(1, "operating_mode") == 5
@@ -46,7 +48,7 @@ def test_inspecting_reports_what_start_would_correct_and_writes_nothing(cell) ->
         (2, "operating_mode"),
     ]
     assert cell.register(1, "operating_mode") == 3
-    assert cell.gripper.state is GripperPhase.OFF
+    assert cell.gripper.phase is GripperPhase.OFF
 
 
 def test_another_model_is_named_and_nothing_of_it_is_rewritten(make_cell) -> None:
@@ -73,7 +75,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     gripper.start()
     opened = gripper.open()
     assert opened.aperture_m == pytest.approx(0.03, abs=0.0008)
-    assert gripper.values.state is GripperPhase.IDLE
+    assert gripper.phase is GripperPhase.IDLE
     assert cell.register(0, "bus_watchdog") == 10
     cycles: list[Cycle] = []
     outcome = gripper.grasp(RAMP, cycles.append)
@@ -81,7 +83,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     assert outcome.contact_aperture_m == pytest.approx(0.012, abs=0.0006)
     assert outcome.final_force_n == pytest.approx(8.0, abs=0.6)
     assert cell.force_n == pytest.approx(8.0, abs=0.5)
-    assert gripper.values.state is GripperPhase.HOLDING
+    assert gripper.phase is GripperPhase.HOLDING
     phases = [c.phase for c in cycles]
     assert phases == sorted(phases, key=[GripperPhase.APPROACHING, GripperPhase.RAMPING].index)
     setpoints = [c.setpoint_n for c in cycles if c.phase is GripperPhase.RAMPING]
@@ -91,10 +93,10 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     gripper.hold(0.5)
     released = gripper.release().state
     assert released.aperture_m == pytest.approx(0.03, abs=0.0008)
-    assert gripper.values.state is GripperPhase.IDLE
+    assert gripper.phase is GripperPhase.IDLE
     gripper.close()
     gripper.close()
-    assert gripper.values.state is GripperPhase.OFF
+    assert gripper.phase is GripperPhase.OFF
     assert cell.register(0, "torque_enable") == 0
     assert cell.register(0, "bus_watchdog") == 0
     assert gripper.statistics.late == 0
@@ -173,9 +175,9 @@ def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
 def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None:
     cell.hold_part(RAMP)
     cell.least_n = 99.0
-    cell.gripper.carry(force_n, 0.2)
+    cell.gripper.hold_at(force_n, 0.2)
     assert cell.least_n > min(force_n, 8.0) - 1.0
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING
     assert cell.register(0, "bus_watchdog") == 0
     ticks(cell, 3.0, creep_m_s=2e-4)
     assert cell.force_n == pytest.approx(force_n, abs=0.6)
@@ -188,7 +190,7 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
 
 def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
     cell.hold_part(RAMP)
-    cell.gripper.carry(4.0)
+    cell.gripper.hold_at(4.0)
     cell.gripper.request_stop()
     ticks(cell, 0.5)
     assert cell.force_n == pytest.approx(4.0, abs=0.6)
@@ -201,7 +203,7 @@ def test_a_part_is_squeezed_again_in_the_same_grip(cell) -> None:
     cell.gripper.grasp(RAMP)
     with pytest.raises(LimitExceeded, match="carry it with less force first"):
         cell.gripper.squeeze(RAMP)
-    cell.gripper.carry(2.0)
+    cell.gripper.hold_at(2.0)
     cell.least_n = 99.0
     setpoints_n: list[float] = []
     outcome = cell.gripper.squeeze(RAMP, lambda c: setpoints_n.append(c.setpoint_n))
@@ -210,7 +212,7 @@ def test_a_part_is_squeezed_again_in_the_same_grip(cell) -> None:
     assert setpoints_n[0] == pytest.approx(2.0, abs=0.1)
     assert setpoints_n == sorted(setpoints_n)
     assert cell.least_n > 1.0
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING
 
 
 def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
@@ -220,7 +222,7 @@ def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
     assert outcome.result is GraspResult.NO_CONTACT
     assert outcome.contact_t_s is None
     assert 0.003 < outcome.final_aperture_m <= 0.004
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
     cell.gripper.open()
 
 
@@ -232,7 +234,7 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> 
         cell.gripper.grasp(RAMP)
     assert 0.5 < cell.peak_n < 8.0
     cell.clock.sleep(1.0)
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     cell.gripper.clear_fault()
     cell.gripper.release()
 
@@ -314,7 +316,7 @@ def test_torque_found_on_in_another_mode_changes_nothing_before_the_release(cell
     assert cell.register(0, "torque_enable") == 1
     cell.gripper.release()
     assert cell.register(0, "operating_mode") == 5
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
 
 
 def test_ticks_feed_the_watchdog_between_commands(cell) -> None:
@@ -400,3 +402,30 @@ def test_servo_settings_out_of_range_cannot_exist() -> None:
         ServoSettings(servo_id=1, zero_raw=4096)
     with pytest.raises(LimitExceeded, match=r"\[1, 1\]"):
         GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=1)))
+
+
+def test_a_servo_with_other_units_is_data(make_cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice the counts in a turn, other counts of current, speed and voltage; the same motor."""
+    other = replace(
+        XM430_W350,
+        name="other units",
+        number=4321,
+        current_unit_a=4.02e-3,
+        current_limit_raw=800,
+        pulses_per_turn=8192,
+        velocity_unit_rad_s=0.01,
+        voltage_unit_v=0.2,
+        position_gains=(0, 0, 400),
+    )
+    monkeypatch.setattr(models, "MODELS", {other.name: other})
+    cell = make_cell(model=other, zero_raw=4096)
+    assert cell.gripper.start().ok
+    assert cell.gripper.open(0.02).aperture_m == pytest.approx(0.02, abs=5e-4)
+    seen: list[Cycle] = []
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.2), seen.append)
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(4.0, abs=0.4)
+    fastest_m_s = min(cycle.state.aperture_velocity_m_s for cycle in seen)
+    assert fastest_m_s == pytest.approx(-cell.settings.approach_speed_m_s, rel=0.3)
+    assert seen[-1].state.servos[0].current_a == pytest.approx(cell.motors[0].current_a, abs=0.02)
+    cell.gripper.release()

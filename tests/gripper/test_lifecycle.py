@@ -177,7 +177,7 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
         assert said_mm == pytest.approx(stood_m * 1e3, abs=1.0)
     if how == "stop":
         expected = GripperPhase.HELD_AFTER_FAULT if command == "release" else GripperPhase.IDLE
-        assert cell.gripper.state is expected
+        assert cell.gripper.phase is expected
         getattr(cell.gripper, command)()
         assert cell.mechanics.aperture_m == pytest.approx(0.04, abs=1e-3)
 
@@ -207,11 +207,11 @@ def test_a_stop_in_the_approach_goes_no_farther(make_cell, make_part) -> None:
     assert "closing, at an opening of 1" in fingers_left(caught.value)
     cell.clock.sleep(1.0)
     assert cell.mechanics.aperture_m > 0.0115
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     with pytest.raises(GripperStateError):
         cell.gripper.hold(1.0)
     cell.gripper.release()
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
 
 
 def test_no_note_is_made_where_fingers_hold(cell) -> None:

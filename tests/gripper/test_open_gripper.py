@@ -39,7 +39,7 @@ def test_leaving_the_block_closes_the_port_and_keeps_the_part(
         sim.clock.sleep(3.0)
         assert gripped_n(sim) > 4.0
         with open_gripper(sim.servo_port) as gripper:
-            assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT
+            assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
             assert gripped_n(sim) > 4.0
             gripper.release()
             assert gripped_n(sim) == 0.0

@@ -46,7 +46,7 @@ def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
     # The limp finger gives way to the elastic part, and is not moved by more.
     assert abs(after_m[limp] - before_m[limp]) < 0.001
     assert cell.torques == [0, 0]
-    assert gripper.values.state is GripperPhase.OFF
+    assert gripper.phase is GripperPhase.OFF
     gripper.clear_fault(reboot=True)
     assert gripper.start().ok
     gripper.open()
@@ -85,12 +85,12 @@ def test_a_started_gripper_lets_go_after_a_clear_too(cell) -> None:
         cell.gripper.hold(1.0, lambda _: cell.bus.write(1, TORQUE_ENABLE, 0))
     assert "may still be gripped (the pads measured" in fingers_left(fault.value)
     cell.gripper.clear_fault()
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     for _ in range(8):
         cell.gripper.tick()
     assert cell.gripper.release().opened == (1, 2)
     assert cell.force_n == 0.0
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
 
 
 def test_an_error_that_leaves_the_torque_on_hinders_no_release(cell) -> None:
@@ -135,7 +135,7 @@ def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> No
     with pytest.raises(GraspStopped) as stopped:
         gripper.release(stop)
     assert "stopped while letting go" in fingers_left(stopped.value)
-    assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT
+    assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
     gripper.keep_grip()
     stood_m = cell.mechanics.finger_position_m[1]
     assert stood_m < 0.015
@@ -160,7 +160,7 @@ def test_a_fault_of_the_finger_that_opens_is_latched(make_cell) -> None:
         gripper.release(silence)
     assert "were seen last while letting go" in fingers_left(lost.value)
     assert gripper.fault is lost.value
-    assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT
+    assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
     gripper.keep_grip()
     cell.clock.sleep(1.0)
     # Its watchdog was left armed, and has stopped it.

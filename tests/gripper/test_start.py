@@ -21,7 +21,7 @@ def test_a_servo_with_another_id_is_named_in_the_table(make_cell) -> None:
         cell.gripper.start()
     (row,) = bad.value.report.failed
     assert (row.servo_id, row.item, row.expected) == (2, "ping", "an answer at 1000000 baud")
-    assert cell.gripper.state is GripperPhase.OFF
+    assert cell.gripper.phase is GripperPhase.OFF
     assert cell.servos[0].core.torque_on is False
 
 
@@ -77,7 +77,7 @@ def test_an_adapter_with_a_latency_of_16_ms_is_refused_with_the_remedy(make_cell
     late(cell, 0.016)
     with pytest.raises(LinkTooSlow, match=r"latency timer.*loop_rate_hz to 4\d"):
         cell.gripper.start()
-    assert cell.gripper.state is GripperPhase.OFF
+    assert cell.gripper.phase is GripperPhase.OFF
 
 
 def late(cell, delay_s: float) -> None:

@@ -13,6 +13,11 @@ def counts_of(value: float) -> np.ndarray:
     return Grasp(pads=PADS, counts=counts, t_s=np.arange(3.0)).counts
 
 
+def test_counts_of_one_pad_alone_are_refused_with_the_pads_that_they_lack() -> None:
+    with pytest.raises(ValueError, match=r"expected \(3, 8\): .* of the 2 pads, 4 \+ 4"):
+        Grasp(pads=PADS, counts=np.zeros((3, 4)), t_s=np.arange(3.0))
+
+
 @pytest.mark.parametrize(("value", "kept"), [(0, 0), (-0.4, 0), (6.7, 7), (4095.4, 4095)])
 def test_counts_are_rounded(value: float, kept: int) -> None:
     assert set(counts_of(value).ravel().tolist()) == {kept}

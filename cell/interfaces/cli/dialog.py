@@ -3,8 +3,9 @@
 import select
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
-from cell.commissioning.engine import Dialog, Finding, Question, Step, Verdict, Write, leave
+from cell.commissioning.engine import Dialog, Engine, Finding, Question, Step, Verdict, Write, leave
 from cell.interfaces.cli.terminal import ask, out, plain_text, print_line
 
 _LEAVE = "q"
@@ -15,6 +16,24 @@ _LINE_START = "\r\x1b[2K"
 """Back to the start of an emptied line (ECMA-48: CR, EL)."""
 _LINE_UP, _SAVE, _RESTORE = "\x1b[1A", "\x1b7", "\x1b8"
 """One line up (ECMA-48: CUU); the place of the cursor kept and taken up again (DECSC, DECRC)."""
+SKETCHES = {
+    "linkage-parallel": r"""
+         ## ##          ##      ##
+         ## ##          ##      ##
+        | | | |        / /      \ \
+        o o o o       o o        o o""",
+    "linkage-pinion": r"""
+         ## ##          ##      ##
+         ## ##          ##      ##
+        =======       =====    =====
+          (O)              (O)""",
+    "linkage-swinging": r"""
+         ## ##         ##        ##
+         ## ##          ##      ##
+          | |             \    /
+          o o              o  o""",
+}
+"""Pictures of the wizard for a terminal, by their names: closed on the left, open on the right."""
 _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
 
 
@@ -56,6 +75,8 @@ class TerminalDialog(Dialog):
         for number, choice in enumerate(question.choices or (), start=1):
             mark = " (Enter)" if choice.key == question.default else ""
             print_line(f"  {number}  {choice.text}{mark}")
+            if choice.picture:
+                print_line(SKETCHES[choice.picture].strip("\n"))
         while True:
             answer = self._answer(question, self._line(question, watch))
             if answer is not None:
@@ -74,6 +95,13 @@ class TerminalDialog(Dialog):
                 return
             if typed in {"n", "no"}:
                 leave("refused, nothing of it was done")
+
+    def finished(self, engine: Engine, files: Sequence[Path]) -> None:
+        """Print what was wrong with the cell, and what was written."""
+        print_line("Was wrong, and is set right now:" if engine.corrected else "Nothing was wrong.")
+        for line in engine.corrected:
+            print_line(f"  {line}")
+        print_line(f"commissioned: {', '.join(map(str, files))}")
 
     def _line(self, question: Question, watch: Callable[[], str] | None) -> str:
         unit = f" in {question.number.unit}" if question.number is not None else ""

@@ -13,7 +13,15 @@ from cell.config.tactile import layout_from_config
 from cell.control.journal import loop_line
 from cell.control.lifecycle import NO_GRIP
 from cell.control.records import pad_array
-from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGrip, PositionerFault
+from cell.errors import (
+    CellError,
+    CellStopped,
+    ConfigError,
+    HandLost,
+    PartInGrip,
+    PositionerFault,
+    RecordingError,
+)
 from cell.fault_catalogue import fault_number
 from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import (
@@ -135,7 +143,8 @@ def running_cell(
 
     Prints how punctual the force loop was. A run that ends early raises CellError with what became
     of the grip, where the recording lies and, on real ports, the command that lets go; it writes
-    the same, and the health of loop and links, to ``json_file``.
+    the same, and the health of loop and links, to ``json_file``. A job that is done has an answer
+    although its recording failed: the caller shows it, then calls `Cell.check_recording`.
 
     Parameters
     ----------
@@ -155,9 +164,10 @@ def running_cell(
         What ended the run early, or that the folder cannot be made.
     """
     folder = job_folder(out_folder or Path(config.recording.directory), job)
-    cell = build_cell(config, folder=folder, ask=ask, capture=capture)
+    cell = build_cell(config, folder=folder, ask=ask, capture=capture, note=print_note)
     for note in cell.notes:
         print_note(note)
+    done = False
     try:
         with (
             stopping(cell.controller.cancel, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
@@ -168,7 +178,10 @@ def running_cell(
                 print_note(cell.controller.zero_note)
             with progress_bar() as progress:
                 yield cell, progress
+            done = True
     except (CellError, GripperError, TactileError, OSError) as error:
+        if done and isinstance(error, RecordingError) and error.__context__ is None:
+            return
         if isinstance(error, CellStopped):
             text = f"{error}. Recording so far: {cell.recording_path}"
         else:

@@ -18,7 +18,7 @@ from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
 from cell.interfaces.access import may_connect, read_secret, same_secret
 from cell.interfaces.host_calls import COMMANDS
-from cell.interfaces.host_values import PLATE, VALUES, Value
+from cell.interfaces.host_values import N_TEXT, PLATE, VALUES, Value
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
     ILLEGAL_ADDRESS,
@@ -34,11 +34,11 @@ SIGNATURE = 0x5443
 
 LIFE, COMMAND, OBJECT, FORCE, GRASPS, OPTIONS, KEY, HOLD, COMMAND_SEQ = range(9)
 """Holding registers. `OBJECT`: also the number of the pose (40, 41) and the parts to sort (24)."""
-N_HOLDING, N_INPUT = 9, 96
+N_HOLDING, N_INPUT = 9, 136
 SECRET_AT, N_SECRET = 32, 32
 """Holding registers of the secret: written and never read."""
-TEXT_AT, REFUSAL_AT, N_TEXT = 32, 64, 32
-"""First input registers of the fault's text and of the last refusal's; registers of a text."""
+TEXT_AT, REFUSAL_AT, N_LONG_TEXT = 32, 64, 32
+"""First input registers of the fault's text and of the last refusal's; registers of each."""
 KEEP_ALWAYS, KEEP_NAMED = 1, 2
 """Bits of `OPTIONS`: keep the part; keep it only where it was named."""
 REBOOT = 4
@@ -49,9 +49,10 @@ _REGISTERS = {"grasps": GRASPS, "max_grasps": GRASPS, "parts": OBJECT, "key": KE
 READY, REMOTE, RUNNING, DONE, REFUSED, FAULT, HOLDING, NO_PART, LOST, UNNAMED, NEEDS_RESET = (
     1 << bit for bit in range(11)
 )
-ON_HOLD = 1 << 11
+ON_HOLD, NOT_RECORDED = 1 << 11, 1 << 12
 """Bits of the third input register; `REMOTE`: the lease is with Modbus, `ON_HOLD`: some client
-keeps the cell on hold, `HOLDING`: a part may be in the grip."""
+keeps the cell on hold, `HOLDING`: a part may be in the grip, `NOT_RECORDED`: the recording has
+stopped."""
 
 
 NOT_MEASURED = 0x8000
@@ -78,10 +79,10 @@ def _word(value: Value, found: Any) -> int:
     return NOT_MEASURED if found is None else _two(found, value.unit)
 
 
-def _text(text: str) -> list[int]:
+def _text(text: str, n_registers: int = N_LONG_TEXT) -> list[int]:
     """Return the beginning of a text, two characters a register."""
-    shown = text.encode("ascii", "replace")[: 2 * N_TEXT].ljust(2 * N_TEXT, b"\0")
-    return list(struct.unpack(f">{N_TEXT}H", shown))
+    shown = text.encode("ascii", "replace")[: 2 * n_registers].ljust(2 * n_registers, b"\0")
+    return list(struct.unpack(f">{n_registers}H", shown))
 
 
 def input_registers(
@@ -109,11 +110,15 @@ def input_registers(
         (UNNAMED, job.label == UNKNOWN or job.same is False),
         (NEEDS_RESET, status.needs_reset),
         (ON_HOLD, bool(now.held_by)),
+        (NOT_RECORDED, bool(status.recording_fault)),
     )
-    words = [0] * TEXT_AT
+    words = [0] * N_INPUT
     for value in (*VALUES, *PLATE):
-        if value.register:
-            words[value.register] = _word(value, value.of(service if value in PLATE else now))
+        found = value.of(service if value in PLATE else now)
+        if value.register and value.kind is str:
+            words[value.register : value.register + N_TEXT] = _text(found or "", N_TEXT)
+        elif value.register:
+            words[value.register] = _word(value, found)
     words[:3] = SIGNATURE, life, sum(bit for bit, on in bits if on)
     words[5:8] = seq, result, status.fault_number or job.fault_number
     words[17:21] = (
@@ -128,7 +133,9 @@ def input_registers(
         shown = for_display(status.fault_number, status.fault)
     else:
         shown = on_hold or for_display(job.fault_number, job.error)
-    return [*words, *_text(shown), *_text(for_display(refusal.number, refusal.text))]
+    words[TEXT_AT:REFUSAL_AT] = _text(shown)
+    words[REFUSAL_AT : REFUSAL_AT + N_LONG_TEXT] = _text(for_display(refusal.number, refusal.text))
+    return words
 
 
 class ModbusDoor:

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from math import inf
 
-from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
 from gripper.force.approach.contact import LOADED_SHARE, ContactDetector, FirstTouch
 from gripper.force.estimates.history import History
+from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
 from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
@@ -37,8 +37,9 @@ _RUNNING_SHARE = 0.8
 _SLOWED_SHARE = 0.6
 """Share of the nominal speed below which a running finger has been slowed down by something.
 [tuned]"""
-_SLOWEST_RAD_S = 4.0 * RAD_S_PER_VELOCITY_UNIT
-"""Nominal speed in rad/s below which a slowed finger does not stand out of the grain of 0.024."""
+_SLOWEST_COUNTS = 4.0
+"""Nominal speed in counts of a velocity below which a slowed finger does not stand out.
+[resolution]"""
 _PAUSE_S = 0.15
 """Time in s for which a slowed finger waits for the pads: their delay and three samples. [tuned]"""
 BOOST_PER_S = 2.0
@@ -61,8 +62,9 @@ _LEAD_SHARE = 0.75
 [tuned]"""
 _CREEP_START_N = 0.2
 """Drive in N with which a braked finger begins: less than the pad pushes back with. [tuned]"""
-_CREEP_RAD_S = 1.5 * RAD_S_PER_VELOCITY_UNIT
-"""Speed in rad/s above which a braked finger has lost what it touched, and is stopped again."""
+_CREEP_COUNTS = 1.5
+"""Speed in counts of its velocity above which a braked finger has lost what it touched, and is
+stopped again. [resolution]"""
 _FREE_TIME_S = 0.05
 """Time constant in s of the current that moves an empty finger. [tuned]"""
 
@@ -307,7 +309,9 @@ class Approach:
     def _slow_goal(self, moment: Moment, finger: int, brake: "_Brake") -> ServoGoal:
         """Return the goal of a braked finger: at rest first, then pressing ever harder."""
         servo, settings = moment.state.servos[finger], self._settings
-        if moment.now_s - brake.since_s < _BRAKED_S or -servo.velocity_rad_s > _CREEP_RAD_S:
+        model = settings.servos[finger].servo_model
+        creeps_rad_s = _CREEP_COUNTS * model.velocity_unit_rad_s
+        if moment.now_s - brake.since_s < _BRAKED_S or -servo.velocity_rad_s > creeps_rad_s:
             return ServoGoal(angle_rad=servo.angle_rad, current_a=self.current_a)
         path = transmissions(settings, self._linkage, moment.state.angles_rad)[finger]
         most_n = settings.contact_force_n + _CREEP_RESERVE_N
@@ -318,7 +322,7 @@ class Approach:
             MOST_FRICTION * self._closing_a,
             self._current_max_a,
         )
-        margin_rad = closing_margin_rad(settings.servos[finger].servo_model, current_a)
+        margin_rad = closing_margin_rad(model, current_a)
         return ServoGoal(angle_rad=servo.angle_rad - margin_rad, current_a=current_a)
 
     def _nominal_rad_s(self, state: GripperState) -> float:
@@ -353,6 +357,7 @@ class Approach:
         """
         nominal_rad_s = self._nominal_rad_s(state)
         for finger, servo in enumerate(state.servos):
+            unit_rad_s = self._settings.servos[finger].servo_model.velocity_unit_rad_s
             closing_rad_s = -servo.velocity_rad_s
             pause = self._pauses[finger]
             if pause is not None and now_s >= pause[1]:
@@ -363,7 +368,7 @@ class Approach:
             elif (
                 pause is None
                 and self._was_running[finger]
-                and nominal_rad_s >= _SLOWEST_RAD_S
+                and nominal_rad_s >= _SLOWEST_COUNTS * unit_rad_s
                 and closing_rad_s < _SLOWED_SHARE * nominal_rad_s
             ):
                 self._was_running[finger] = False
@@ -387,6 +392,24 @@ class Approach:
         if now_s >= self._deadline_s:
             return ApproachEvent.LIMIT
         return ApproachEvent.CLOSING
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reached:
+    """End of an approach, and what it has shown of the part."""
+
+    settings: GripperSettings
+    """Those of the gripper, or those with which empty fingers meet."""
+    event: ApproachEvent
+    state: GripperState
+    """What has ended it, and the feedback then."""
+    braked_s: float
+    """Monotonic time in s at which a finger was braked at its first touch."""
+    touch_m: float
+    """Opening in m at which both pads were first loaded."""
+    stiffness: StiffnessEstimate
+    friction_share: float
+    """Stiffness of the part so far, and friction as a share of the model's."""
 
 
 @dataclass(slots=True)

@@ -4,7 +4,7 @@ from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.approach.mechanics_proof import (
     OVERRUN_RAD,
     PATIENCE_S,
-    REACHED_RAD,
+    REACHED_PULSES,
     ForceRise,
     mechanics_text,
 )
@@ -146,11 +146,16 @@ class MoveTo:
             current_a = min(current_a, self._least_a + more * (current_a - self._least_a))
         goals = []
         arrived = True
-        for servo, start_rad, target_rad in zip(
-            moment.state.servos, self._start_rad, self._target_rad, strict=True
+        for settings, servo, start_rad, target_rad in zip(
+            self._settings.servos,
+            moment.state.servos,
+            self._start_rad,
+            self._target_rad,
+            strict=True,
         ):
             sign = 1.0 if target_rad >= start_rad else -1.0
-            there = sign * (target_rad - servo.angle_rad) <= REACHED_RAD
+            reached_rad = REACHED_PULSES * settings.servo_model.rad_per_pulse
+            there = sign * (target_rad - servo.angle_rad) <= reached_rad
             there = there or (self._only_open and start_rad >= target_rad)
             arrived = arrived and there
             end_rad = target_rad + sign * OVERRUN_RAD

@@ -42,8 +42,7 @@ length with o = 0             not by motion: opening and force   that of the for
 from collections.abc import Sequence
 from dataclasses import replace
 
-from gripper.dynamixel.control_table import RAD_PER_PULSE
-from gripper.dynamixel.models import PULSES_PER_TURN
+from gripper.dynamixel.models import ServoModel
 from gripper.errors import GripperError, LimitExceeded, MechanicsContradicted
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.kinematics import (
@@ -70,12 +69,12 @@ _LEAST_FORCE_N = 0.5
 _LEAD_RAD = 0.04
 """How far in rad a goal is ahead of its finger at most: enough that the current is at its limit.
 [resolution]"""
-REACHED_RAD = 2.0 * RAD_PER_PULSE
-"""Distance in rad at which a finger has reached its goal: two counts of the encoder."""
+REACHED_PULSES = 2.0
+"""Distance in counts of the encoder at which a finger has reached its goal. [resolution]"""
 OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
 """How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
-_STILL_RAD_S = 0.06
-"""Speed in rad/s below which a finger stands: two counts of its velocity and some noise. [tuned]"""
+_STILL_COUNTS = 2.5
+"""Speed in counts of its velocity below which a finger stands: two, and some noise. [tuned]"""
 PATIENCE_S = 2.0
 """Time in s beyond that of the motion after which the fingers have not arrived. [chosen]"""
 _BLOCKED_S = 0.05
@@ -135,8 +134,10 @@ def standing_rows(
     """
     halves_m: list[float | None] = []
     for index, (servo, raw) in enumerate(zip(settings.servos, positions_raw, strict=True)):
-        turn = (raw - servo.zero_raw + PULSES_PER_TURN // 2) % PULSES_PER_TURN
-        angle_rad = (turn - PULSES_PER_TURN // 2) * RAD_PER_PULSE * servo.direction
+        model = servo.servo_model
+        half = model.pulses_per_turn // 2
+        turn = (raw - servo.zero_raw + half) % model.pulses_per_turn
+        angle_rad = (turn - half) * model.rad_per_pulse * servo.direction
         halves_m.append(_half_m(linkage, index, angle_rad))
     opening_m = sum(half_m for half_m in halves_m if half_m is not None) * (2.0 / len(halves_m))
     closed = opening_m < -BEYOND_CLOSED_M
@@ -237,9 +238,13 @@ class FirstMotion:
         speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
         per_rad_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._fingers = [
-            _Finger(start_rad, end_rad, speed_m_s / per_rad_m, least_rad)
-            for start_rad, end_rad, least_rad in zip(
-                state.angles_rad, target_rad, most_closed_rad(settings, linkage), strict=True
+            _Finger(servo.servo_model, start_rad, end_rad, speed_m_s / per_rad_m, least_rad)
+            for servo, start_rad, end_rad, least_rad in zip(
+                settings.servos,
+                state.angles_rad,
+                target_rad,
+                most_closed_rad(settings, linkage),
+                strict=True,
             )
         ]
         travel_m = abs(linkage.aperture_m(target_rad) - state.aperture_m)
@@ -302,8 +307,15 @@ class _Finger:
     """One finger on its way: its goal, ahead by a little only, and how long it has stood."""
 
     def __init__(
-        self, start_rad: float, target_rad: float, rate_rad_s: float, least_rad: float
+        self,
+        model: ServoModel,
+        start_rad: float,
+        target_rad: float,
+        rate_rad_s: float,
+        least_rad: float,
     ) -> None:
+        self._reached_rad = REACHED_PULSES * model.rad_per_pulse
+        self._still_rad_s = _STILL_COUNTS * model.velocity_unit_rad_s
         self._least_rad = min(least_rad, start_rad)
         self._sign = 1.0 if target_rad >= start_rad else -1.0
         self._target_rad = target_rad
@@ -340,7 +352,7 @@ class _Finger:
     def goal_rad(self, servo: ServoState, dt_s: float, *, back: bool) -> float:
         """Return the goal of one period in rad."""
         left_rad = self._sign * (self._target_rad - servo.angle_rad)
-        self.there = not back and left_rad <= REACHED_RAD
+        self.there = not back and left_rad <= self._reached_rad
         if self.there:
             self._still_s = 0.0
             self._goal_rad = servo.angle_rad
@@ -350,7 +362,7 @@ class _Finger:
         ahead_rad = sign * (self._goal_rad - servo.angle_rad) + self._rate_rad_s * dt_s
         if back:
             ahead_rad = most_rad
-        stands = abs(servo.velocity_rad_s) < _STILL_RAD_S and ahead_rad >= most_rad
+        stands = abs(servo.velocity_rad_s) < self._still_rad_s and ahead_rad >= most_rad
         self._still_s = self._still_s + dt_s if stands else 0.0
         goal_rad = servo.angle_rad + sign * min(ahead_rad, most_rad)
         self._goal_rad = max(goal_rad, min(self._least_rad, servo.angle_rad))

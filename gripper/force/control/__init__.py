@@ -2,6 +2,6 @@
 
 `grip_control` runs one period. `modes` holds the three laws and the table of their transitions:
 `band_mode` (slow changes and holds), `motion_mode` (fast changes and corrections as a planned
-motion, with the observer `contact_observer`), and a wait where no sample can be used. `drive_goals`
+motion), and a wait where no sample can be used. `drive_goals`
 makes goals of the driving force.
 """

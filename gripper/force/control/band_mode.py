@@ -21,7 +21,7 @@ and a mass with little damping: a step of the drive would swing the force to twi
 from collections import deque
 
 from gripper.force.control.motion_mode import MotionMode
-from gripper.force.control.period import Period
+from gripper.force.control.period import Mode, Period
 from gripper.force.estimates.grip import Grip
 from gripper.force.loop import YOUNG_S
 from gripper.values.force_sensor import ForceSample
@@ -59,7 +59,7 @@ _STANDING_M = 2 * GRAIN_M
 encoder."""
 
 
-class BandMode:
+class BandMode(Mode):
     """Mode of control that drives the force along the edges of the friction band.
 
     Parameters
@@ -84,14 +84,11 @@ class BandMode:
         self._quick_n, self._quick_s = grip.estimate.model_n, now_s
         self._damping_n_s_m = grip.swing_n_s_m(0.5 * self._tuning.damping_n_s_m)
 
-    def enter(self, _period: Period, before: object) -> None:
+    def enter(self, period: Period, before: Mode) -> None:
         """Go on from where a motion has left the force; after a wait, from where it was."""
         if isinstance(before, MotionMode):
             self._setpoint_n, self._rising, self._dither = before.setpoint_n, True, 0.0
             self._held_since_s = self._breaking_since_s = before.moved_s
-
-    def exit(self, _period: Period) -> None:
-        """Keep all: what follows moves the estimate alone."""
 
     def step(self, period: Period) -> float:
         """Return the driving force in N of one period.

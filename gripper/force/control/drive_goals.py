@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from math import inf
 
-from gripper.mechanics.kinematics import Linkage, Transmission
+from gripper.force.estimates.grip import Grip
+from gripper.mechanics.kinematics import Transmission
 from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
-from gripper.settings import GripperSettings
 from gripper.values.state import GripperState
 
 GIVE_RAD = 0.03
@@ -18,8 +18,8 @@ class DriveGoals:
 
     Parameters
     ----------
-    settings, linkage
-        Of the gripper.
+    grip
+        What is known and asked of the grip.
     contact
         Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
         thickness.
@@ -28,12 +28,10 @@ class DriveGoals:
         it, however much force the pads report.
     """
 
-    def __init__(
-        self, settings: GripperSettings, linkage: Linkage, contact: GripperState, touch_m: float
-    ) -> None:
-        self._settings = settings
+    def __init__(self, grip: Grip, contact: GripperState, touch_m: float) -> None:
+        self._grip = grip
         self._contact_rad = self._deepest_rad = contact.angles_rad
-        self._least_rad = most_closed_rad(settings, linkage)
+        self._least_rad = most_closed_rad(grip.settings, grip.linkage)
         self._touch_m = touch_m
         self._stop_rad: tuple[float, ...] | None = None
 
@@ -42,26 +40,15 @@ class DriveGoals:
         """Whether the fingers may open farther."""
         return self._stop_rad is None
 
-    def goals(
-        self,
-        drive_n: float,
-        state: GripperState,
-        paths: Sequence[Transmission],
-        *,
-        setpoint_n: float,
-        friction_share: float,
-    ) -> tuple[ServoGoal, ...]:
-        """Return the goals that make a driving force in N.
+    def goals(self, state: GripperState, paths: Sequence[Transmission]) -> tuple[ServoGoal, ...]:
+        """Return the goals that make the driving force of the grip.
 
         Parameters
         ----------
-        drive_n
-            Below 0 it pushes the fingers open.
         state, paths
             Feedback, and the transmission of each servo there.
-        setpoint_n, friction_share
-            As `ServoGoal`.
         """
+        grip, drive_n = self._grip, self._grip.drive_n
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
         if state.aperture_m < self._touch_m:
@@ -72,16 +59,15 @@ class DriveGoals:
         for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
             state.servos,
             paths,
-            self._settings.servos,
+            grip.settings.servos,
             self._contact_rad,
             self._deepest_rad,
             stop_rad,
             self._least_rad,
             strict=True,
         ):
-            current_a = min(
-                abs(drive_n) * path.radius_m / path.kt_nm_a, self._settings.current_max_a
-            )
+            wanted_a = abs(drive_n) * path.radius_m / path.kt_nm_a
+            current_a = min(wanted_a, grip.settings.current_max_a)
             margin_rad = closing_margin_rad(settings.servo_model, current_a)
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             # A position that drifts open must not take a closing goal to the open side with it.
@@ -93,8 +79,8 @@ class DriveGoals:
                 ServoGoal(
                     angle_rad=angle_rad,
                     current_a=current_a,
-                    setpoint_n=setpoint_n,
-                    friction_share=friction_share,
+                    setpoint_n=grip.setpoint_n,
+                    friction_share=grip.friction_share,
                 )
             )
         return tuple(goals)

@@ -2,19 +2,19 @@
 
 from collections.abc import Sequence
 
+from gripper.force.approach.approach import Reached
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.force.control.modes import GripModes
 from gripper.force.control.period import Period
 from gripper.force.estimates.force_estimate import ForceEstimate
 from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
-from gripper.force.estimates.stiffness import KNOWN_N, StiffnessEstimate
+from gripper.force.estimates.stiffness import KNOWN_N
 from gripper.force.loop import Moment
 from gripper.force.supervision.pad_checks import PadChecks
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goals import ServoGoal
-from gripper.settings import GripperSettings
 from gripper.values.state import GRAIN_M, GripperState
 
 _TORQUE_DOUBT = 0.03
@@ -33,45 +33,34 @@ class GripControl:
 
     Parameters
     ----------
-    settings, linkage
+    linkage
         Of the gripper.
-    state
-        Feedback at the contact.
-    touch_m
-        Opening in m at which both pads were first loaded.
-    force_n
-        Grip force at the contact in N.
-    drive_n
-        Driving force at the contact in N.
+    reached
+        End of the approach, at the contact.
+    force_n, drive_n
+        Grip force and driving force at the contact in N.
     now_s
         Monotonic time in s.
-    stiffness
-        Stiffness of the part.
-    friction_share
-        Friction of the gearing as a share of the model's.
     """
 
     def __init__(
         self,
-        settings: GripperSettings,
         linkage: Linkage,
-        state: GripperState,
+        reached: Reached,
         *,
-        touch_m: float,
         force_n: float,
         drive_n: float,
         now_s: float,
-        stiffness: StiffnessEstimate,
-        friction_share: float,
     ) -> None:
+        settings, state = reached.settings, reached.state
         self._settings = settings
         self._linkage = linkage
-        self._grip = grip = Grip(
+        self.grip = grip = Grip(
             settings=settings,
             linkage=linkage,
             estimate=ForceEstimate(settings.force_loop, force_n=force_n, now_s=now_s),
-            stiffness=stiffness,
-            friction_share=friction_share,
+            stiffness=reached.stiffness,
+            friction_share=reached.friction_share,
             apertures=History(),
             setpoint_n=force_n,
             asked_n=force_n,
@@ -79,46 +68,28 @@ class GripControl:
             quiet_n=drive_n,
         )
         grip.apertures.add(now_s, state.aperture_m)
-        yielded_m = max(touch_m - state.aperture_m, 0.0)
+        yielded_m = max(reached.touch_m - state.aperture_m, 0.0)
         # Loaded so much at the first touch: stiff, or no part at all.
         contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
-        self._watch = PartWatch(grip, contact_n_m)
+        self.watch = PartWatch(grip, contact_n_m)
+        """Decides whether the part is gone; asked before `goals` in each period."""
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._checks = PadChecks(settings, state, now_s, widest_m=state.aperture_m + given_m)
         # Both pads yield by what the opening shrinks.
-        pad_n_m = 2.0 * _HARDENS * max(force_n, self._watch.pads.empty_n) / (yielded_m + GRAIN_M)
+        pad_n_m = 2.0 * _HARDENS * max(force_n, self.watch.pads.empty_n) / (yielded_m + GRAIN_M)
         self._modes = GripModes(grip, now_s, pad_n_m)
-        self._goals = DriveGoals(settings, linkage, state, touch_m)
-
-    @property
-    def setpoint_n(self) -> float:
-        """Last set-point of the grip force in N."""
-        return self._grip.setpoint_n
+        self._goals = DriveGoals(grip, state, reached.touch_m)
 
     @property
     def force_n(self) -> float:
         """Mean of the last samples of the grip force in N."""
-        samples = self._watch.pads.recent
-        return samples.grip_n if samples else self._grip.estimate.model_n
-
-    @property
-    def doubts(self) -> bool:
-        """Whether the samples show a part as gone and no other witness does yet."""
-        return self._watch.doubts
-
-    @property
-    def ran(self) -> bool:
-        """Whether the fingers have run together as they do on no part."""
-        return self._watch.ran
+        samples = self.watch.pads.recent
+        return samples.grip_n if samples else self.grip.estimate.model_n
 
     def resume(self) -> None:
         """Begin again after a pause: samples from before it are discarded."""
-        self._watch.resume()
+        self.watch.resume()
         self._checks.resume()
-
-    def part_lost(self, moment: Moment) -> bool:
-        """Return whether the part is gone; see `PartWatch.lost`. Comes before `goals`."""
-        return self._watch.lost(moment)
 
     def goals(
         self,
@@ -148,14 +119,14 @@ class GripControl:
         LimitExceeded
             When sensor and model disagree, see `ForceEstimate`.
         """
-        grip, state, sample = self._grip, moment.state, moment.sample
+        grip, state, sample = self.grip, moment.state, moment.sample
         rises_n = setpoint_n - grip.setpoint_n
         grip.setpoint_n = setpoint_n
         grip.apertures.add(moment.now_s, state.aperture_m)
-        usable = sample is not None and sample.valid and not self._watch.doubts
+        usable = sample is not None and sample.valid and not self.watch.doubts
         if sample is not None and usable:
-            self._watch.pads.take(sample)
-            self._checks.check(moment, self._watch.pads, rises=rises_n > 0.0)
+            self.watch.pads.take(sample)
+            self._checks.check(moment, self.watch.pads, rises=rises_n > 0.0)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         grip.drive_n = self._modes.step(
             Period(
@@ -172,13 +143,7 @@ class GripControl:
                 may_open=self._goals.may_open,
             )
         )
-        return self._goals.goals(
-            grip.drive_n,
-            state,
-            paths,
-            setpoint_n=setpoint_n,
-            friction_share=grip.friction_share,
-        )
+        return self._goals.goals(state, paths)
 
     def _drive_max_n(self, state: GripperState, paths: Sequence[Transmission]) -> float:
         """Return the largest driving force in N that the caps of current and force allow.
@@ -187,7 +152,7 @@ class GripControl:
         """
         cap_a = self._settings.current_cap_a(state.temperature_c)
         cap_n = self._settings.force_max_n * (1.0 - _TORQUE_DOUBT)
-        friction_share = min(1.0, self._grip.friction_share)
+        friction_share = min(1.0, self.grip.friction_share)
         return min(
             min(cap_a * path.kt_nm_a / path.radius_m, cap_n + friction_share * path.friction_n)
             for path in paths

@@ -1,11 +1,10 @@
 """Modes of the control of a grip, and the table of their transitions."""
 
 from collections.abc import Callable
-from typing import Protocol
 
 from gripper.force.control.band_mode import BandMode
 from gripper.force.control.motion_mode import SPEED_S, MotionMode
-from gripper.force.control.period import Period
+from gripper.force.control.period import Mode, Period
 from gripper.force.estimates.grip import Grip
 
 _FAST_N_S = 6.0
@@ -24,20 +23,7 @@ _PAUSE_S = 0.05
 """Least time in s between two such motions. [tuned]"""
 
 
-class Mode(Protocol):
-    """One law of control; it alone changes its own state."""
-
-    def enter(self, period: Period, before: object, /) -> None:
-        """Begin where another mode has left the grip."""
-
-    def exit(self, period: Period, /) -> None:
-        """End, before another mode begins."""
-
-    def step(self, period: Period, /) -> float:
-        """Return the driving force in N of one period."""
-
-
-class WaitMode:
+class WaitMode(Mode):
     """Mode of control that waits: nothing new is there to go by.
 
     A sample that is young enough was there before, or the samples show a part as gone and no other
@@ -47,13 +33,7 @@ class WaitMode:
     def __init__(self, grip: Grip) -> None:
         self._grip = grip
 
-    def enter(self, _period: Period, _before: object) -> None:
-        """Begin: the drive stays."""
-
-    def exit(self, _period: Period) -> None:
-        """End: nothing was learnt."""
-
-    def step(self, _period: Period) -> float:
+    def step(self, period: Period) -> float:
         """Return the driving force in N of one period."""
         return min(self._grip.drive_n, self._grip.quiet_n)
 
@@ -75,7 +55,7 @@ class GripModes:
         self.grip = grip
         self.band = BandMode(grip, now_s)
         self.motion = MotionMode(grip, now_s, pad_n_m)
-        self._modes: dict[type, Mode] = {
+        self._modes: dict[type[Mode], Mode] = {
             BandMode: self.band,
             MotionMode: self.motion,
             WaitMode: WaitMode(grip),
@@ -97,14 +77,6 @@ class GripModes:
             if isinstance(self.active, source) and condition(self, period):
                 return self._modes[target]
         return None
-
-
-def _seen(_modes: GripModes, period: Period) -> bool:
-    return period.usable
-
-
-def _unseen(_modes: GripModes, period: Period) -> bool:
-    return not period.usable
 
 
 def _quick(modes: GripModes, period: Period) -> bool:
@@ -140,10 +112,10 @@ def _may_move(modes: GripModes, period: Period) -> bool:
     return _quick(modes, period) and period.moment.young and period.moment.dt_s > 0.0
 
 
-TRANSITIONS: tuple[tuple[type, Callable[[GripModes, Period], bool], type], ...] = (
+TRANSITIONS: tuple[tuple[type[Mode], Callable[[GripModes, Period], bool], type[Mode]], ...] = (
     (MotionMode, _ended, BandMode),
-    (BandMode, _unseen, WaitMode),
-    (WaitMode, _seen, BandMode),
+    (BandMode, lambda _, period: not period.usable, WaitMode),
+    (WaitMode, lambda _, period: period.usable, BandMode),
     (BandMode, _rises_fast, MotionMode),
     (BandMode, _strays, MotionMode),
 )

@@ -10,8 +10,8 @@ A small error of a hold is made up for by a motion too.
 from collections import deque
 from math import sqrt
 
-from gripper.force.control.contact_observer import ContactObserver
-from gripper.force.control.period import Period
+from gripper.force.control.period import Mode, Period
+from gripper.force.estimates.contact_observer import ContactObserver
 from gripper.force.estimates.grip import Grip
 from gripper.mechanics.impact import CURRENT_S, impact_limit
 from gripper.mechanics.kinematics import driving_n
@@ -46,7 +46,7 @@ _BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
 missing is added slowly, and the way back costs twice the friction. [tuned]"""
 
 
-class MotionMode:
+class MotionMode(Mode):
     """Mode of control that moves the fingers so that the force follows a plan to its end.
 
     Parameters
@@ -74,7 +74,7 @@ class MotionMode:
         self._pad_n_m = pad_n_m
         self._lacking_n: dict[bool, float] = {}
 
-    def enter(self, period: Period, _before: object) -> None:
+    def enter(self, period: Period, before: Mode) -> None:
         """Begin a motion from the force that is there now: of the set-point, or of a correction."""
         grip, estimate = self._grip, self._grip.estimate
         force_n = estimate.force_n
@@ -88,15 +88,12 @@ class MotionMode:
         self._measured_n = driving_n(period.state, period.paths)
         other_n = self._lacking_n.get(not falls, -estimate.bias_n)
         self.observer = ContactObserver(
-            mass_kg=grip.mass_kg,
-            now_s=period.moment.now_s - period.moment.dt_s,
-            force_n=max(0.0, force_n),
-            doubt_n=estimate.doubt_n,
-            drive_n=grip.drive_n,
-            lacking_n=self._lacking_n.get(falls, other_n),
+            grip,
+            period.moment.now_s - period.moment.dt_s,
             stiffness_n_m=self._pad_n_m,
+            lacking_n=self._lacking_n.get(falls, other_n),
         )
-        self.plan = ForcePlan(self.observer.force_n)
+        self.plan = ForcePlan(self.observer.force_n, self._sign)
 
     def exit(self, period: Period) -> None:
         """End the motion, and keep what it has shown of part and friction."""
@@ -120,25 +117,13 @@ class MotionMode:
         moment, setpoint_n = period.moment, period.setpoint_n
         measured_n = driving_n(period.state, period.paths)
         jumped = estimate.jumps(sample, observer.unexplained_n(sample), setpoint_n, friction_n)
-        observer.step(
-            moment.now_s,
-            moment.dt_s,
-            drive_n=0.5 * (self._measured_n + measured_n),
-            friction_n=friction_n,
-            speed_m_s=-0.5 * period.state.aperture_velocity_m_s,
-            sample=None if jumped else sample,
-        )
+        mean_n, seen = 0.5 * (self._measured_n + measured_n), None if jumped else sample
+        observer.step(moment, drive_n=mean_n, friction_n=friction_n, sample=seen)
         self._measured_n = measured_n
         grip.quiet_n = self._planned_drive_n(period)
         grip.asked_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
         self.moved_s = moment.now_s
-        estimate.follow(
-            moment.now_s,
-            sample,
-            force_n=observer.force_n,
-            doubt_n=observer.doubt_n,
-            lacking_n=observer.lacking_n,
-        )
+        estimate.follow(moment.now_s, sample, observer)
         estimate.check(moment.now_s, sample, setpoint_n, friction_n)
         return grip.quiet_n
 
@@ -160,15 +145,8 @@ class MotionMode:
             max(ramp_n_s, _LEAST_RATE_N_S) / _RATE_S, _INERTIA_N * stiffness / observer.mass_kg
         )
         plan = self.plan
-        plan.step(
-            dt_s,
-            sign,
-            setpoint_n,
-            end_n,
-            ramp_n_s=ramp_n_s,
-            change_n_s2=change_n_s2,
-            most_n_s=speed_max_m_s * stiffness,
-        )
+        most_n_s = speed_max_m_s * stiffness
+        plan.step(dt_s, setpoint_n, end_n, rates_n_s=(ramp_n_s, most_n_s), change_n_s2=change_n_s2)
         # The new drive acts a little later; until then the last one does.
         ahead_s = _WRITE_S + CURRENT_S
         speed = observer.speed_after_m_s(ahead_s, grip.drive_n, friction_n)
@@ -211,23 +189,24 @@ class ForcePlan:
     ----------
     force_n
         Force at the beginning in N.
+    sign
+        1 where the force rises, -1 where it falls: then rates count downwards.
     """
 
-    def __init__(self, force_n: float) -> None:
+    def __init__(self, force_n: float, sign: float) -> None:
         self.force_n = force_n
+        self._sign = sign
         self.rate_n_s = 0.0
         self.rate_change_n_s2 = 0.0
 
     def step(
         self,
         dt_s: float,
-        sign: float,
         setpoint_n: float,
         end_n: float,
         *,
-        ramp_n_s: float,
+        rates_n_s: tuple[float, float],
         change_n_s2: float,
-        most_n_s: float,
     ) -> None:
         """Advance by ``dt_s`` s.
 
@@ -235,21 +214,18 @@ class ForcePlan:
         ----------
         dt_s
             Time since the last step in s.
-        sign
-            1 where the force rises, -1 where it falls: then rates count downwards.
         setpoint_n
             Set-point of the ramp now in N.
         end_n
             Force in N at which the present change ends.
-        ramp_n_s
-            Rate of the ramp in N/s.
+        rates_n_s
+            Rate of the ramp, and largest rate, in N/s.
         change_n_s2
             Largest change of the rate in N/s².
-        most_n_s
-            Largest rate in N/s.
         """
         if dt_s <= 0.0:
             return
+        (ramp_n_s, most_n_s), sign = rates_n_s, self._sign
         left_n = max(0.0, sign * (end_n - self.force_n))
         behind_n = sign * (setpoint_n - self.force_n)
         # The rate from which the rest is just enough to come to rest.

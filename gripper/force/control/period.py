@@ -1,4 +1,4 @@
-"""One period of the control of a grip, as its modes see it."""
+"""One period of the control of a grip, and what a mode of control does with it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,3 +48,17 @@ class Period:
     def end_n(self) -> float:
         """Force in N at which the present change of force ends."""
         return self.setpoint_n if self.arrival_n is None else self.arrival_n
+
+
+class Mode:
+    """One law of control; it alone changes its own state."""
+
+    def enter(self, period: Period, before: "Mode") -> None:
+        """Begin where another mode has left the grip."""
+
+    def exit(self, period: Period) -> None:
+        """End, before another mode begins."""
+
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period."""
+        raise NotImplementedError

@@ -5,6 +5,7 @@ compared with the model at the time of the measurement, so that its delay does n
 """
 
 from math import sqrt
+from typing import Protocol
 
 from gripper.errors import LimitExceeded
 from gripper.force.estimates.history import History
@@ -26,6 +27,18 @@ friction differs from the model's by a third at most, and that at both edges. [a
 _MOTION_S = FRAME_S
 """Time in s for which the motion of the fingers makes the model equally wrong: faster samples do
 not tell more."""
+
+
+class Observer(Protocol):
+    """Observer of a motion, see `gripper.force.estimates.contact_observer.ContactObserver`."""
+
+    force_n: float
+    lacking_n: float
+    """Grip force in N, and by how much the drive makes less of it than the model has."""
+
+    @property
+    def doubt_n(self) -> float:
+        """Standard deviation of the force in N."""
 
 
 class ForceEstimate:
@@ -77,23 +90,17 @@ class ForceEstimate:
         self.model_n += shift_n
         self.bias_n = bias_n
 
-    def follow(
-        self, now_s: float, sample: ForceSample, *, force_n: float, doubt_n: float, lacking_n: float
-    ) -> None:
+    def follow(self, now_s: float, sample: ForceSample, observer: Observer) -> None:
         """Take over what an observer of the motion has found.
 
         Parameters
         ----------
         now_s, sample
             Monotonic time in s, and the newest sample, which the observer has taken in.
-        force_n, doubt_n
-            Grip force and its standard deviation in N.
-        lacking_n
-            By how much in N the drive makes less force than the model has it.
         """
-        self._history.shift(self.bias_n + lacking_n)
-        self.bias_n, self._doubt_n2 = -lacking_n, doubt_n**2
-        self.move(now_s, force_n + lacking_n)
+        self._history.shift(self.bias_n + observer.lacking_n)
+        self.bias_n, self._doubt_n2 = -observer.lacking_n, observer.doubt_n**2
+        self.move(now_s, observer.force_n + observer.lacking_n)
         self.sample_s = sample.t_s
 
     def unexplained_n(self, sample: ForceSample) -> float:

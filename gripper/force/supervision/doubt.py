@@ -6,7 +6,6 @@ frame that was scanned since. Where a frame still shows load, or the motors pres
 stand, the witnesses contradict each other: that is a fault, and the grip is kept.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from gripper.errors import GripContradicted
@@ -53,8 +52,7 @@ class Motion(NamedTuple):
     drive_n: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class Evidence(NamedTuple):
     """One period of supervision."""
 
     moment: Moment
@@ -84,6 +82,11 @@ class Sure:
 
     def lost(self, _evidence: Evidence) -> bool:
         """Return whether the part is gone, by all that this period shows."""
+        return False
+
+    @property
+    def lasts(self) -> bool:
+        """Whether what the stage looks at has lasted for long enough."""
         return False
 
 

@@ -37,7 +37,7 @@ class PartWatch:
         self._contact_n_m = contact_n_m
         self._motions: deque[Motion] = deque()
         self._runaway = Runaway(grip, self.pads)
-        self._stages: dict[type, Sure] = {one: one() for one in (Sure, Suspected, Doubted)}
+        self._stages: dict[type[Sure], Sure] = {one: one() for one in (Sure, Suspected, Doubted)}
         self._stage = self._stages[Sure]
         self._was_held = self._ran = False
 
@@ -84,15 +84,12 @@ class PartWatch:
         paths = transmissions(grip.settings, grip.linkage, state.angles_rad)
         breakaway_n = (1.0 + BREAKAWAY_SHARE) * grip.friction_share * mean_friction_n(paths)
         stiffness_n_m = grip.stiffness.stiffness_n_m
+        if stiffness_n_m is None:
+            stiffness_n_m = self._contact_n_m
+        empty, sudden = seen and pads.empty, seen and pads.suddenly_empty(grip.asked_n)
+        pressing_n, motions = driving_n(state, paths) - breakaway_n, tuple(self._motions)
         evidence = Evidence(
-            moment=moment,
-            pads=pads,
-            empty=seen and pads.empty,
-            sudden=seen and pads.suddenly_empty(grip.asked_n),
-            motions=tuple(self._motions),
-            apertures=grip.apertures,
-            stiffness_n_m=self._contact_n_m if stiffness_n_m is None else stiffness_n_m,
-            pressing_n=driving_n(state, paths) - breakaway_n,
+            moment, pads, empty, sudden, motions, grip.apertures, stiffness_n_m, pressing_n
         )
         if seen:
             self._stage.step(evidence)
@@ -100,33 +97,21 @@ class PartWatch:
                 before, self._stage = self._stage, self._stages[target]
                 self._stage.enter(evidence, before)
         closed = state.aperture_m < grip.settings.aperture_min_m and not pads.loaded
-        runs_away = self._runaway.found(moment, evidence.stiffness_n_m)
+        runs_away = self._runaway.found(moment, stiffness_n_m)
         self._ran = closed or runs_away
         return self._ran or self._stage.lost(evidence)
 
-    def _due(self, evidence: Evidence) -> type | None:
+    def _due(self, evidence: Evidence) -> type[Sure] | None:
         for source, condition, target in TRANSITIONS:
             if type(self._stage) is source and condition(self._stage, evidence):
                 return target
         return None
 
 
-def _looks_empty(_stage: Sure, evidence: Evidence) -> bool:
-    return evidence.empty or evidence.sudden
-
-
-def _looks_held(_stage: Sure, evidence: Evidence) -> bool:
-    return not (evidence.empty or evidence.sudden)
-
-
-def _lasts(stage: Sure, evidence: Evidence) -> bool:
-    return evidence.sudden or (isinstance(stage, Suspected) and stage.lasts)
-
-
-TRANSITIONS: tuple[tuple[type, Callable[[Sure, Evidence], bool], type], ...] = (
-    (Sure, _looks_empty, Suspected),
-    (Suspected, _looks_held, Sure),
-    (Suspected, _lasts, Doubted),
+TRANSITIONS: tuple[tuple[type[Sure], Callable[[Sure, Evidence], bool], type[Sure]], ...] = (
+    (Sure, lambda _, seen: seen.empty or seen.sudden, Suspected),
+    (Suspected, lambda _, seen: not (seen.empty or seen.sudden), Sure),
+    (Suspected, lambda suspected, seen: seen.sudden or suspected.lasts, Doubted),
 )
-"""Sure of the doubt, what ends it, and the stage that follows. The last one ends with the loss of
+"""Stage of the doubt, what ends it, and the stage that follows. The last one ends with the loss of
 the part, or as a contradiction: a fault."""

@@ -61,11 +61,9 @@ def practised(text: str, *, said: bool, otherwise: Practice) -> tuple[list[str],
     return [], ""
 
 
-def hands_at(cell: SimulatedCell | CellProcess) -> Hands:
-    """Return hands at a cell of this or another process."""
-    if isinstance(cell, CellProcess):
-        return Hands(lambda request: cell.ask(**request), time.sleep)
-    return Hands(CellRequests(cell.devices, cell.injector), cell.clock.sleep)
+def hands_at(cell: CellProcess) -> Hands:
+    """Return hands at a cell of another process."""
+    return Hands(lambda request: cell.ask(**request), time.sleep)
 
 
 class Person:
@@ -85,40 +83,47 @@ class Person:
         self, cell: SimulatedCell, practice: Practice | None = None, **replies: Any
     ) -> None:
         self._cell = cell
-        self.hands = hands_at(cell)
+        self.ask = CellRequests(cell.devices, cell.injector)
+        self._hands = Hands(self.ask, cell.clock.sleep)
         self.pressed_n = 0.0
         """Largest force on the soft part in N."""
         self.practice = dict(practice or {})
         named = {key.replace("__", "."): reply for key, reply in replies.items()}
-        self.script = Script(named, moment=self.moment, otherwise=self._answer)
-        self.did: list[str] = []
-        """Words of the hands at the last question."""
-        self._said = 0
+        self.script = Script(named, heard=self.heard, moment=self.moment, otherwise=self._answer)
+        self.show: Callable[[str], object] = lambda _words: None
+        """Called with the words of the hands before they act."""
 
     def does(self, *words: str) -> Callable[[], None]:
         """Return hands that do something, as a reply."""
 
         def act() -> None:
             for one in words:
-                self.hands.do(one)
+                self.show(one)
+                self._hands.do(one)
 
         return act
 
+    def typed(self, text: str) -> str:
+        """Do what the wizard asks for; return what is typed."""
+        words, typed = practised(text, said=False, otherwise=self.practice)
+        self.does(*words)()
+        return typed
+
     def _answer(self, question: Question) -> str | float | None:
-        self.did, typed = practised(question.text, said=False, otherwise=self.practice)
-        self.does(*self.did)()
+        typed = self.typed(question.text)
         if question.number is not None and typed:
             return float(typed)
         if question.choices is not None and typed:
             return question.choices[int(typed) - 1].key
         return typed or None
 
+    def heard(self, text: str) -> None:
+        """Do what the wizard says."""
+        words, _ = practised(text, said=True, otherwise=self.practice)
+        self.does(*words)()
+
     def moment(self) -> None:
-        """Do what the last sentence asked for, once."""
+        """Feel the force on the soft part."""
         asked = self.script.asked
         if "first_force.part" in asked and "first_force.empty_again" not in asked:
             self.pressed_n = max(self.pressed_n, *self._cell.world.contact_force_n())
-        fresh, self._said = self.script.said[self._said :], len(self.script.said)
-        for text in fresh:
-            words, _ = practised(text, said=True, otherwise=self.practice)
-            self.does(*words)()

@@ -27,12 +27,15 @@ class Script(Dialog):
     replies: Mapping[str, Reply | list[Reply]] = field(default_factory=dict)
     leave_at: list[str] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
+    questions: list[Question] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     writes: list[Write] = field(default_factory=list)
     findings: dict[str, Finding] = field(default_factory=dict)
     watched: list[str] = field(default_factory=list)
     began: list[str] = field(default_factory=list)
     otherwise: Callable[[Question], str | float | None] = lambda _question: None
+    heard: Callable[[str], None] = lambda _text: None
+    """Called with each text that is said, and is no question."""
     moment: Callable[[], None] = lambda: None
     """Called at each `live`: time that passes, hands that move."""
 
@@ -45,6 +48,7 @@ class Script(Dialog):
 
     def say(self, text: str) -> None:
         self.said.append(text)
+        self.heard(text)
 
     def live(self, name: str, value_text: str) -> None:
         self.watched.append(f"{name} {value_text}")
@@ -52,6 +56,7 @@ class Script(Dialog):
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
         self.asked.append(question.key)
+        self.questions.append(question)
         self.said.append(question.text)
         if question.key in self.leave_at:
             self.leave_at.remove(question.key)

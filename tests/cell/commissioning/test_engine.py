@@ -53,6 +53,8 @@ class Asking(Step):
         notes.values["answer"] = answer
         notes.settings |= self.settings
         notes.figures |= self.figures
+        if self.settings:
+            notes.fact(f"{self.key} was wrong", corrected=True)
 
 
 def steps() -> list[Asking]:
@@ -80,6 +82,36 @@ def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: P
     assert (config.gripper.port, config.gripper.baud_rate) == ("/dev/ttyUSB0", 57600)
     assert Engine(steps(), Bench(tmp_path)).run(third := Script())
     assert third.asked == []
+
+
+def test_a_step_that_is_left_keeps_the_values_that_it_has_found(tmp_path: Path) -> None:
+    class Typing(Asking):
+        def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
+            typed = list(bench.found.get(self.key, {}).get("typed", ()))
+            notes.settings |= REAL
+            while len(typed) < 3:
+                dialog.ask(Question(key=f"load{len(typed)}", text="?", default=1.0))
+                typed.append(1.0)
+                notes.values["typed"] = typed
+
+    first = Script(leave_at=["load2"])
+    with pytest.raises(Left):
+        Engine([Typing("law")], Bench(tmp_path)).run(first)
+    engine = Engine([Typing("law")], bench := Bench(tmp_path))
+    assert not engine.done(engine.steps[0])
+    assert (bench.found, bench.settings) == ({"law": {"typed": [1.0, 1.0]}}, {})
+    engine.run(again := Script())
+    assert again.asked == ["load2"]
+
+
+def test_what_was_wrong_is_one_list_of_all_steps(tmp_path: Path) -> None:
+    with pytest.raises(Left):
+        Engine(steps(), Bench(tmp_path)).run(Script(leave_at=["unit.q"]))
+    engine = Engine(steps(), Bench(tmp_path))
+    engine.run(Script())
+    assert engine.corrected == ["ports was wrong", "servos was wrong"]
+    engine.redo("servos")
+    assert engine.corrected == ["ports was wrong"]
 
 
 def test_redo_forgets_a_step_and_all_that_need_it(tmp_path: Path) -> None:

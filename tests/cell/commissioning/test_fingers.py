@@ -8,14 +8,20 @@ import pytest
 
 from cell.commissioning.engine import Left, Verdict
 from cell.commissioning.fingers import (
+    KINDS,
     BlockMeasurement,
     FingersStep,
+    decided,
     directions,
     fit_linkages,
     moved_alone,
     zero_pulse,
 )
 from cell.commissioning.servos import ServosStep
+from cell.config.file import changed_config
+from cell.interfaces.cli.dialog import SKETCHES
+from cell.interfaces.page import FOLDER
+from gripper.dynamixel.models import XM430_W350
 from gripper.mechanics.kinematics import ParallelLinkage, RackPinion
 from gripper.servos.group import ServoGroup
 from simulator.servo.mechanics import RackLinkage, ServoMount
@@ -91,8 +97,8 @@ def test_directions_and_zero_follow_from_the_hands() -> None:
     assert moved_alone((2048, 2048), (2048, 1500)) == 1
     assert moved_alone((2048, 2048), (2500, 2300)) is None
     assert moved_alone((2048, 2048), (2050, 2048)) is None
-    assert zero_pulse(2100, 1, radians(9)) == 2100 - 102
-    assert zero_pulse(2100, -1, radians(9)) == 2100 + 102
+    assert zero_pulse(XM430_W350, 2100, 1, radians(9)) == 2100 - 102
+    assert zero_pulse(XM430_W350, 2100, -1, radians(9)) == 2100 + 102
 
 
 @pytest.fixture
@@ -114,7 +120,7 @@ def test_one_servo_with_a_pinion(stand: MakeStand) -> None:
     )
     servos = one.run(ServosStep(), servos__count="1").settings
     one.bench.settings = {**one.bench.settings, **servos}
-    found = one.passes(STEP)
+    found = one.passes(STEP, fingers__kind="pinion")
     assert "fingers.open_second" not in one.person.script.asked
     assert found.settings["gripper.servos"][0]["direction"] == -1
     linkage = found.settings["gripper.linkage"]
@@ -135,10 +141,26 @@ def test_directions_zero_and_linkage_of_badly_mounted_servos(limp: MakeStand) ->
     assert linkage["kind"] == "parallel_linkage"
     assert linkage["link_mm"] == pytest.approx(60.0, rel=0.02)
     assert found.values["residual_mm"] < 0.3
-    assert "servo 1: its zero is +16" in "\n".join(found.lines)
+    inverted, mounted = found.corrected
+    assert inverted == "servo 2 turns the other way: its direction was +1, is now -1"
+    assert "servo 1: its horn sits +14.5 deg off: its zero was 2048 pulses, is now 221" in mounted
     assert "opened by" in "\n".join(found.lines)
     assert one.torques == [0, 0]
     assert one.person.script.watched
+
+
+def test_a_wrong_linkage_and_opening_of_the_config_are_named(limp: MakeStand) -> None:
+    one = limp()
+    wrong = {
+        "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
+        "gripper.aperture_open_mm": 150.0,
+    }
+    one.bench.base = changed_config(one.bench.base, wrong)
+    one.bench.settings = {k: v for k, v in one.bench.settings.items() if "aperture" not in k}
+    linkage, opening = one.passes(STEP).corrected
+    assert "the linkage was rack_pinion, pinion_radius_mm 40" in linkage
+    assert "is now parallel_linkage, link_mm 60.7" in linkage
+    assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
 
 
 def test_a_person_stops_the_first_motion_while_it_runs(limp: MakeStand) -> None:
@@ -199,20 +221,74 @@ def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(limp: Make
     assert one.torques == [0, 0]
 
 
-def test_a_finger_that_was_not_moved_is_asked_for_again(limp: MakeStand) -> None:
+def test_closed_that_was_confirmed_too_early_is_measured_again(limp: MakeStand) -> None:
     one = limp()
-    opened = [lambda: None, one.does("open 0")]
-    one.run(STEP, fingers__open_first=opened)
-    assert one.person.script.asked.count("fingers.open_first") == 2
-    assert "One finger should have moved" in one.person.script.text
+    found = one.passes(
+        STEP,
+        fingers__close=[one.does("half"), one.does("close")],
+        # Both move from half way: no finger alone, however often.
+        fingers__open_first=[one.does("close", "open 0"), "closed", one.does("open 0")],
+    )
+    script = one.person.script
+    assert script.asked[:6] == [
+        f"fingers.{key}" for key in
+        ("close", "open_first", "open_first", "close", "open_first", "open_second")
+    ]  # fmt: skip
+    assert "From closed: servo 1 by 50.4 deg, servo 2 by 29.5 deg" in script.text
+    assert found.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.02)
+    # Nobody is told what the question says by itself.
+    assert script.said.count(script.said[-1]) == 1
 
 
-def test_fingers_that_were_not_closed_are_found_out(limp: MakeStand) -> None:
+@pytest.mark.parametrize(
+    ("replies", "named"),
+    [
+        # Something was between the pads when they were to touch.
+        ({"fingers.close": "block 20"}, "finger 0 by 4.8 deg, finger 1 by 4.8 deg"),
+        # Finger 1 is pushed past the middle where it was to be opened.
+        ({"fingers.open_second": {"hand": {"2": -0.01}}}, "position: finger 1 by 4.7 deg"),
+    ],
+)
+def test_a_finger_that_stands_closer_on_a_block_than_closed_is_measured_again(
+    limp: MakeStand, replies: dict[str, Any], named: str
+) -> None:
     one = limp()
-    found = one.run(STEP, fingers__close=one.does("block 20"))
-    assert found.status is Verdict.FAIL
-    assert "something was between them" in found.lines[0]
-    assert "fingers.block2" not in one.person.script.asked
+    ((key, wrong),) = replies.items()
+    right = {"fingers.close": ("empty", "close"), "fingers.open_second": ("open 1",)}[key]
+
+    def act() -> None:
+        if isinstance(wrong, str):
+            return one.does(wrong)()
+        one.person.ask(wrong)
+        one.cell.clock.sleep(2.0)
+        return None
+
+    answers: dict[str, Any] = {
+        key: [act, one.does(*right)],
+        "fingers.on_block1": [one.does("block 10"), "closed", one.does("block 10")],
+    }
+    one.passes(STEP, **answers)
+    assert one.person.script.asked.count("fingers.close") == 2
+    assert named in one.person.script.text
+
+
+def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(limp: MakeStand) -> None:
+    one = limp()
+    with pytest.raises(AssertionError, match="no reply"):
+        one.run(STEP, practice={"How do the fingers move": ("", "")})
+    (question,) = [one for one in one.person.script.questions if one.key == "fingers.kind"]
+    assert question.default is None
+    assert question.choices is not None
+    for choice, kind in zip(question.choices, KINDS, strict=True):
+        assert choice.key == kind
+        assert choice.picture in SKETCHES
+        assert (FOLDER / f"{choice.picture}.svg").exists()
+    # Fingers that swing far fit one kind only.
+    askew = [on_parallel(m, 0.04, radians(35)) for m in (0.010, 0.030)]
+    assert decided(fit_linkages(askew))
+    assert not decided(fit_linkages([on_parallel(m, 0.06) for m in BLOCKS_M]))
+    assert not decided(fit_linkages([on_parallel(0.03, 0.03)]))
+    assert decided(fit_linkages([on_parallel(m, 0.03) for m in BLOCKS_M]))
 
 
 def test_a_thickness_that_was_typed_wrong_is_found_by_a_third_block(limp: MakeStand) -> None:

@@ -38,7 +38,31 @@ def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, felt: float)
     finding = paper(f"taxels.force_gain={felt}").run(STEP)
     assert finding.status is Verdict.WARN
     assert "The law was 2" in finding.lines[-1]
-    assert finding.settings["tactile.calibration.gain"] == pytest.approx(1.0 / felt, rel=0.06)
+    gain = finding.settings["tactile.calibration.gain"]
+    assert gain == pytest.approx(1.0 / felt, rel=0.06)
+    assert finding.corrected == [finding.lines[-1]]
+    assert f"tactile.calibration.gain was 1, is now {gain:.3g}" in finding.lines[-1]
+
+
+def test_loads_that_were_typed_outlast_an_error_of_the_unit(paper: MakeStand) -> None:
+    one = paper()
+
+    def upset() -> None:
+        one.does("load finger1.inner 510")()
+        one.cell.inject("unit.emergency=0xFF02")
+
+    failed = one.run(STEP, **{"pads_law.1.2": upset})
+    assert failed.status is Verdict.FAIL
+    assert "emergency" in failed.lines[-1]
+    one.bench.found = {"pads_law": failed.values}
+    found = one.passes(STEP)
+    assert one.person.script.asked == ["pads_law.with", "pads_law.1.2", "pads_law.1.3"]
+    assert "4 loads are kept" in one.person.script.text
+    assert [len(loads) for loads in found.values["loads_n"]] == [3, 3]
+    # A law that was judged begins anew.
+    one.bench.found = {"pads_law": found.values}
+    one.passes(STEP)
+    assert len(one.person.script.asked) == 7
 
 
 def test_a_linear_law_is_set_by_its_force_of_a_count(stand: MakeStand) -> None:

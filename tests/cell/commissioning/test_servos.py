@@ -10,12 +10,14 @@ import pytest
 
 from cell.commissioning.backup import restore
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Left
+from cell.commissioning.engine import Engine, Left
+from cell.commissioning.ports import PortsStep
 from cell.commissioning.servos import ServosStep
-from cell.errors import CellError
+from cell.errors import CellError, ConfigError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import Register
 from tests.cell.commissioning.conftest import MakeStand, Stand
+from tests.cell.commissioning.hands import Person
 from tests.cell.commissioning.script import Script
 
 STEP = ServosStep()
@@ -35,9 +37,14 @@ def eeproms(one: Stand) -> list[bytes]:
 
 
 def test_factory_new_servos_are_numbered_one_at_a_time(new: Stand, tmp_path: Path) -> None:
-    new.passes(STEP)
+    found = new.passes(STEP)
     script = new.person.script
     assert script.asked == ["servos.connect_one", "servos.connect_next"]
+    assert "servo 2: id was 1, is now 2" in found.corrected
+    assert "servo 1: baud_rate was 57600 bit/s, is now 1000000 bit/s" in found.corrected
+    assert len(found.corrected) == 7  # operating_mode and return_delay_time of both
+    # What the hands of the first run have set right stays on the list of a second one.
+    assert new.passes(STEP).corrected == found.corrected
     for name, values in {
         "id": [1, 2],
         "baud_rate": [3, 3],
@@ -52,6 +59,23 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new: Stand, tmp_path: Pat
         kept = json.loads((tmp_path / f"backup-servo{number}.json").read_text())
         assert (kept["found"]["id"], kept["found"]["baud_rate"]) == (1, 1)
         assert kept["found"]["return_delay_time"] == 250
+
+
+def test_a_step_that_goes_on_knows_that_two_servos_answered(new: Stand) -> None:
+    engine = Engine([PortsStep(), STEP], new.bench)
+    for leave_at in (["servos.connect_next"], []):
+        person = Person(new.cell)
+        person.script.leave_at = leave_at
+        # Without a control unit there is no whole config yet.
+        with suppress(Left, ConfigError):
+            engine.run(person.script)
+    assert person.script.asked == ["servos.connect_next"]
+    assert [one["id"] for one in engine.findings["servos"].values["servos"]] == [1, 2]
+
+
+def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new: Stand) -> None:
+    one = new.run(STEP, servos__connect_next="none")
+    assert [servo["id"] for servo in one.settings["gripper.servos"]] == [1]
 
 
 def test_restore_brings_the_servos_back_as_they_came(new: Stand, tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_pat
         "Bit rate 500,000 bit/s",
         "1 taxel is dead",
         "The pads of the two fingers are exchanged",
-        "tactile.calibration.gain is set from 1 to 1.2",
+        "tactile.calibration.gain was 1, is now 1.2",
         "its zero is +16",
     ):
         assert named in said

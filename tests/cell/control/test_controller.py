@@ -320,7 +320,7 @@ def test_shutting_down_twice_is_harmless_and_an_idle_cell_lets_its_servos_rest(b
     bench.controller.shutdown()
     bench.controller.shutdown()
     assert bench.controller.state is CellState.STOPPED
-    assert bench.controller.gripper.state is GripperPhase.OFF
+    assert bench.controller.gripper.phase is GripperPhase.OFF
     bench.controller.tick()
     bench.ready().grasp()
 

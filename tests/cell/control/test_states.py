@@ -124,7 +124,7 @@ class Walk:
             self.controller.state,
             self.controller.grasp_state,
             self.controller.fault,
-            self.controller.gripper.state,
+            self.controller.gripper.phase,
             self.controller._life.cancelled,
             repr(self.bench.cell.bus.statistics),
             self.bench.simulated.clock.monotonic(),

@@ -62,7 +62,7 @@ ANSWER = HandReply(
 
 
 def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
-    watched = {"open", "grasp", "meet", "carry", "squeeze", "release"}
+    watched = {"open", "grasp", "press_pads_together", "hold_at", "squeeze", "release"}
     unwatched = {"start", "start_sensor", "stop_sensor", "tare", "conditions", "inspect"}
     unwatched |= {"read_sensor", "keep_grip", "clear_fault", "shutdown"}
     assert {name for name, is_watched in HAND_COMMANDS.items() if is_watched} == watched
@@ -153,7 +153,7 @@ class FakeHand:
             watch(make_cycle(float(number)), [frame()])
         return "outcome"
 
-    meet = grasp
+    press_pads_together = grasp
 
     def inspect(self) -> Any:
         raise ServoFault(2, 4, "hot")
@@ -247,7 +247,7 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
     line.close()
 
 
-@pytest.mark.parametrize("name", ["grasp", "meet"])
+@pytest.mark.parametrize("name", ["grasp", "press_pads_together"])
 def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line: Line, name: str) -> None:
     line.hand.cycles = 3
     line.near.send(EndRamp(number=1))

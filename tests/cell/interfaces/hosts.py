@@ -9,7 +9,8 @@ from pymodbus.client import ModbusTcpClient
 from websockets.sync.client import connect as open_socket
 
 from cell.interfaces.modbus.registers import COMMAND, COMMAND_SEQ, LIFE
-from tests.cell.served import LIMIT_S
+from tests.cell.interfaces.modbus.structured_text import FunctionBlock
+from tests.cell.served import LIMIT_S, until
 
 
 class Plc:
@@ -23,6 +24,10 @@ class Plc:
 
     def inputs(self) -> list[int]:
         return self.link.read_input_registers(0, count=96).registers
+
+    def part(self) -> list[int]:
+        """Return the registers of the newest part."""
+        return self.link.read_input_registers(96, count=40).registers
 
     def refusal(self) -> tuple[int, str]:
         """Return number and text of the last refusal of this connection."""
@@ -54,6 +59,62 @@ class Plc:
         inputs = self.inputs()
         assert inputs[5] == self.seq
         return inputs[6]
+
+
+_PART = ("Number", "LabelId", "Probability", "Size", "Place")
+
+
+def _texts(part: list[int]) -> dict[str, str]:
+    """Return the names of label and place in the registers of a part."""
+    found = struct.pack(">32H", *part[8:])
+    return {
+        "Label": found[:32].rstrip(b"\0").decode("ascii"),
+        "PlaceName": found[32:].rstrip(b"\0").decode("ascii"),
+    }
+
+
+class BlockPlc:
+    """A PLC whose program is the block of the example: one exchange with the cell each cycle."""
+
+    def __init__(self, plc: Plc) -> None:
+        self.plc = plc
+        self.block = FunctionBlock()
+        self.connected = True
+        self.parts: list[dict[str, Any]] = []
+        """Each part at which the block has shown a new one."""
+
+    def __getitem__(self, name: str) -> Any:
+        return self.block[name]
+
+    def cycle(self, **inputs: Any) -> "BlockPlc":
+        """Read, call the block, write; an exception as answer is no success."""
+        wanted = {"Enable": True, "Connected": self.connected, "Execute": False, "HoldNow": False}
+        blocks = {"Inputs": self.plc.inputs()[:64], "Part": self.plc.part()}
+        written = self.block.call(**(blocks | wanted | inputs))
+        self.connected = self.plc.write(0, *written) == 0
+        if self["NewPart"]:
+            self.parts.append(
+                {name: self[f"Part{name}"] for name in _PART} | _texts(blocks["Part"])
+            )
+        return self
+
+    def ready(self) -> "BlockPlc":
+        until(lambda: self.cycle()["Ready"] and not self["Busy"])
+        return self
+
+    def begin(self, command: int, **inputs: Any) -> "BlockPlc":
+        """Give Execute an edge; return when the cell has answered."""
+        arguments = {"Command": command, "Object": 0, "Force": 0, "MaxGrasps": 0, "Options": 0}
+        self.cycle(Execute=True, **arguments | inputs)
+        until(lambda: self.cycle()["Accepted"] or self["Error"])
+        return self
+
+    def run(self, command: int, **inputs: Any) -> tuple[bool, int]:
+        """Run a command to its end; return Done and ErrorId."""
+        self.ready().begin(command, **inputs)
+        until(lambda: not self.cycle()["Busy"])
+        assert self["Done"] is not self["Error"]
+        return self["Done"], self["ErrorId"]
 
 
 class Client:

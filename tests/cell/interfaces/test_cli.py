@@ -5,6 +5,7 @@ import importlib.metadata
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import cell.jobs.doctor
@@ -23,8 +25,9 @@ from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
+from cell.data.recorder_sink import DirectFile
 from cell.data.recording_reader import read_recording
-from cell.errors import ConfigError
+from cell.errors import ConfigError, RecordingError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.run import confusion_table, print_result
@@ -44,6 +47,8 @@ from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
 from simulator.faults.injector import VOCABULARY
+from simulator.realtime.hands import Hands
+from simulator.realtime.requests import CellRequests
 from tests.cell.conftest import call, once, plain_grasp
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
@@ -237,6 +242,41 @@ def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None
     assert data["kept"] is False
     assert "the part was kept" not in text
     assert "COMPLETE" not in [state["state"] for state in recording.states]
+
+
+@pytest.mark.parametrize(
+    ("command", "answer"),
+    [
+        ("identify -m {model} --object box -c {config} --json {json}", "answer: box"),
+        ("run -c {config} --json {json}", "One grasp takes"),
+        ("teach ball -n 3 -o {out}/b.npz -c {config} --json {json}", "3 grasps of ball added"),
+        ("sort --parts 1 -m {model} -c {config} --json {json}", "1 parts sorted"),
+        ("calibrate --gauge ball -n 1 -m {model} -o {out}/c.npz -c {config}", "1 grasps of ball"),
+    ],
+)
+@pytest.mark.usefixtures("run_at_once")
+def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
+    *,
+    config: Path,
+    model: Path,
+    tmp_path: Path,
+    command: str,
+    answer: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(_file: DirectFile) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(DirectFile, "close", refuse)
+    found = tmp_path / "found.json"
+    names = {"model": model, "config": config, "out": tmp_path, "json": found}
+    result = RUNNER.invoke(app, [part.format(**names) for part in command.split()])
+    assert answer in result.stdout
+    assert isinstance(result.exception, RecordingError)
+    assert "stopped after" in str(result.exception)
+    assert "No space left" in str(result.exception)
+    if found.exists():
+        assert "No space left" in read_json(found)["health"]["recording"]
 
 
 def test_identify_keeps_the_part_where_that_is_asked_for(
@@ -480,6 +520,17 @@ def test_evaluate_writes_the_figures_of_each_recognizer(dataset: Path, tmp_path:
     assert "which takes three objects (here 2)" in text
     assert "nan" not in text
     assert "tactile only" in text
+
+
+def test_evaluate_prints_which_object_is_taken_for_which(dataset: Path, tmp_path: Path) -> None:
+    grasps = read_dataset(dataset)
+    # One grasp of the ball bears the name of the box.
+    ball = [grasp for grasp in grasps if grasp.label == "ball"]
+    named = [replace(grasp, label="box") for grasp in ball[-1:]]
+    tested = tmp_path / "tested.npz"
+    write_dataset(tested, [*ball[:-1], *named])
+    text = call("evaluate", tested, "--train", dataset, "--recognizer", "force_ramp")
+    assert "force_ramp confuses, one grasp each: 1 x box as ball" in text
 
 
 def narrowed(grasp: Grasp) -> Grasp:
@@ -811,6 +862,36 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
 
 def test_the_version_is_printed() -> None:
     assert call("--version") == f"tactile-cell {importlib.metadata.version('tactile-cell')}\n"
+
+
+def options() -> dict[str, dict[str, Any]]:
+    """Return the options of each command by the long name: all names, and the help."""
+    found: dict[str, dict[str, Any]] = {}
+
+    def add(path: str, command: Any) -> None:
+        for name, one in getattr(command, "commands", {}).items():
+            add(f"{path} {name}".strip(), one)
+        found[path] = {one.opts[0]: one for one in command.params if one.opts[0][0] == "-"}
+
+    add("", get_command(app))
+    return found
+
+
+def test_short_options_mean_the_same_in_every_command() -> None:
+    meanings: dict[str, set[str]] = {}
+    for one in (one for command in options().values() for one in command.values()):
+        for short in (name for name in one.opts if name[:2] != "--"):
+            meanings.setdefault(short, set()).add(one.opts[0])
+    assert meanings["-o"] == {"--output"}
+    assert all(len(longs) == 1 for longs in meanings.values()), meanings
+
+
+def test_the_help_of_ask_names_all_that_hands_and_programs_can_ask_for() -> None:
+    _, acts, requests = re.split("and end:|Programs send", options()["simulate"]["--ask"].help)
+    nothing: Any = None
+    assert set(Hands(nothing, nothing)._acts) <= set(re.findall(r"\w+", acts))
+    listed = set(re.findall(r"\w+", requests.partition(":")[2].partition(":")[2]))
+    assert listed == set(CellRequests(nothing, nothing)._requests)
 
 
 HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "joblib"}

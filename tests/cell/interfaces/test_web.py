@@ -229,7 +229,7 @@ def check_shift(served: Served, host: Client) -> None:
     assert ball["runner_up"]["probability"] < ball["probability"]
     low_mm, high_mm = ball["interval_mm"]
     assert low_mm < ball["size_mm"] < high_mm
-    grasp = host.get(f"/api/grasps/{ball['id']}")
+    grasp = host.get(f"/api/grasps/{ball['number']}")
     n_points = len(grasp["t_s"])
     assert 100 < n_points <= 300
     assert {len(grasp[name]) for name in ("force_n", "setpoint_n", "opening_mm")} == {n_points}

@@ -66,7 +66,9 @@ class Ports(Asking):
             self.mistakes -= 1
             raise RuntimeError("this step has a mistake")
         names = ("/dev/ttyUSB0", "/dev/serial/by-id/usb-FTDI_USB__-__Serial_Converter_FT1-if00")
-        choices = tuple(Choice(key=str(n), text=name) for n, name in enumerate(names))
+        choices = tuple(
+            Choice(key=str(n), text=name, picture="linkage-pinion") for n, name in enumerate(names)
+        )
         question = Question(
             key="ports.which", text="Which port leads to the servos?", choices=choices, default="0"
         )

@@ -74,7 +74,7 @@ class Plain:
 
 def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early: bool = False):
     outcome = SimpleNamespace(
-        result=result, ended_early=early, short="", final_force_n=5.0, final_aperture_m=0.01
+        result=result, ended_early=early, final_force_n=5.0, final_aperture_m=0.01, short=""
     )
     return SimpleNamespace(grasp=grasp, outcome=outcome, early=None)
 

@@ -8,12 +8,15 @@ import pytest
 
 from cell.control.controller import CellController
 from cell.control.states import CellState
-from cell.data.recorder_sink import DirectFile
+from cell.data.recorder_sink import ROOM_BYTES
+from cell.data.recording_reader import read_recording
 from cell.errors import RecordingError
+from cell.plugin.health import health_values
 from cell.plugin.lease import Lease
 from cell.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
 from cell.plugin.worker import JobOutcome
 from tests.cell.conftest import small_config
+from tests.cell.data.test_recording import fill_disk_after
 from tests.cell.served import LIMIT_S, until
 from tests.fuzz.harness import Clock
 
@@ -76,20 +79,23 @@ def test_each_call_of_the_host_is_heard() -> None:
             assert plugin._lease._heard_s > 0.0, call
 
 
-def test_a_lost_recording_holds_the_grasp_where_the_config_says_so(
+def test_a_lost_recording_holds_the_grasp_where_the_config_says_so_until_it_goes_on(
     make_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = make_bench(small_config(recording__when_lost="hold"), folder=tmp_path).ready()
-    write = DirectFile.write
-
-    def refuse(_self: DirectFile, _data: bytes) -> int:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(DirectFile, "write", refuse)
+    room = fill_disk_after(monkeypatch, 0)
     with pytest.raises(RecordingError, match="No space left"):
         bench.grasp(6.0)
     assert bench.controller.state is CellState.ABORTED
     assert "No space left" in bench.cell.health()["recording"]
-    monkeypatch.setattr(DirectFile, "write", write)
-    with pytest.raises(RecordingError, match="No space left"):
+    room[0] = 2 * ROOM_BYTES
+    for act in ("clear", "release_held", "reset", "start"):
+        getattr(bench.controller, act)()
+    bench.grasp(6.0)
+    assert bench.cell.recording_fault is None
+    assert "has a gap" in bench.cell.health()["recording"]
+    health = health_values(bench.config, bench.cell, None)["recording"]
+    assert (health["level"], health["path"]) == ("watch", str(tmp_path / "recording-2.mcap"))
+    with pytest.raises(RecordingError, match="has a gap"):
         bench.cell.close()
+    assert len(read_recording(tmp_path / "recording-2.mcap").grasps) == 1

@@ -15,8 +15,6 @@ from gripper.dynamixel.control_table import (
     PRESENT_POSITION,
     PRESENT_TEMPERATURE,
     PRESENT_VELOCITY,
-    RAD_PER_PULSE,
-    RAD_S_PER_VELOCITY_UNIT,
     REALTIME_TICK,
     REGISTERS,
     SHUTDOWN,
@@ -33,8 +31,8 @@ def test_addresses_sizes_and_signs_are_those_of_the_manual() -> None:
     assert (GOAL_CURRENT.address, GOAL_CURRENT.size, GOAL_CURRENT.signed) == (102, 2, True)
     assert (GOAL_POSITION.address, GOAL_POSITION.size, GOAL_POSITION.signed) == (116, 4, True)
     assert (BUS_WATCHDOG.address, BUS_WATCHDOG.signed, WATCHDOG_UNIT_S) == (98, True, 0.02)
-    assert pytest.approx(0.0239691, rel=1e-3) == RAD_S_PER_VELOCITY_UNIT
-    assert pytest.approx(0.00153398, rel=1e-5) == RAD_PER_PULSE
+    assert pytest.approx(0.0239691, rel=1e-3) == XM430_W350.velocity_unit_rad_s
+    assert pytest.approx(0.00153398, rel=1e-5) == XM430_W350.rad_per_pulse
     signed = {r.address for r in REGISTERS.values() if r.signed}
     assert signed == {20, 98, 100, 102, 104, 116, 124, 126, 128, 132, 136, 140}
     assert SHUTDOWN.eeprom

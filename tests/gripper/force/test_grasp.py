@@ -1,14 +1,20 @@
-"""A ramp that is ended on request: its force stays where it is, and all else goes on as before."""
+"""Steps of a grasp: ramps and their levels, a ramp that is ended on request, holding."""
 
 import re
 import threading
+from types import SimpleNamespace
 
 import pytest
 
 from gripper.errors import ForceSensorStale, GraspStopped, PartLost
+from gripper.force.grasp import GripStep, HoldStep, RampTime
+from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp, RampEnd
+from gripper.servos.goals import ServoGoal
+from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
+from tests.values import make_state
 
 LINEAR = ForceRamp.linear(8.0, 10.0, hold_s=0.3)
 RAMPS = {
@@ -54,7 +60,7 @@ def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_cell, kin
     at_n = asking.setpoints_after_n.pop()
     assert 3.5 <= at_n <= 4.0
     assert outcome.final_force_n == pytest.approx(at_n, abs=0.4)
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING
     cell.gripper.hold(0.5, asking)
     assert asking.setpoints_after_n == {at_n}
     assert max(asking.force_n[asking.asked_at :]) <= at_n + 0.25
@@ -133,7 +139,7 @@ def test_a_stop_comes_first(cell) -> None:
     asking = Asking(cell, 4.0, cell.gripper.request_stop)
     with pytest.raises(GraspStopped):
         cell.gripper.grasp(LINEAR, asking)
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING
     assert asking.asked_at == len(asking.cycles) - 1
 
 
@@ -147,7 +153,7 @@ def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(make_cell) -> None:
 
     outcome = cell.gripper.grasp(LINEAR, Asking(cell, 4.0, drop))
     assert outcome.result is GraspResult.PART_LOST
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
 
 
 def test_a_fault_while_the_force_settles_keeps_the_grip(make_cell) -> None:
@@ -163,7 +169,7 @@ def test_a_fault_while_the_force_settles_keeps_the_grip(make_cell) -> None:
 
     with pytest.raises(ForceSensorStale, match="goals are frozen"):
         cell.gripper.grasp(LINEAR, Asking(cell, 5.0, blind))
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     assert cell.force_n == pytest.approx(5.0, abs=0.8)
 
 
@@ -213,15 +219,15 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
         r"the part is too small or too soft for 8\.0 N: .*_min_mm is 0\.5", outcome.short
     )
     assert outcome.final_force_n == pytest.approx(3.5, abs=0.7)
-    assert gripper.values.state is GripperPhase.HOLDING
+    assert gripper.phase is GripperPhase.HOLDING
     gripper.hold(2.0)
-    gripper.carry(6.0, 1.0)
-    gripper.carry(1.5)
+    gripper.hold_at(6.0, 1.0)
+    gripper.hold_at(1.5)
     assert gripper.squeeze(LINEAR).short
     assert cell.force_n == pytest.approx(3.5, abs=1.0)
     assert cell.peak_n < 4.5
     gripper.release()
-    assert gripper.values.state is GripperPhase.IDLE
+    assert gripper.phase is GripperPhase.IDLE
 
 
 def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(
@@ -239,3 +245,112 @@ def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(
     empty = cell.gripper.grasp(LINEAR)
     assert empty.result is GraspResult.NO_CONTACT
     assert empty.final_aperture_m == pytest.approx(0.003, abs=5e-4)
+
+
+SETTINGS = GripperSettings(settle_timeout_s=0.2)
+WIDE_M = 0.01
+STAIRS = ForceRamp.staircase((2.0, 4.0), 10.0, 0.1, start_n=1.0)
+
+
+def passed(time: RampTime, seconds: float, force_n: float) -> RampTime:
+    for _ in range(round(seconds / 0.005)):
+        time.pass_by(0.005, force_n, WIDE_M)
+    return time
+
+
+def test_a_level_begins_when_the_force_has_risen_to_it() -> None:
+    time = passed(RampTime(SETTINGS, STAIRS), 0.15, 1.0)
+    assert (time.level, time.setpoint_n) == (None, pytest.approx(2.0))
+    assert passed(time, 0.005, 1.8).level == 0
+    assert passed(time, 0.1, 1.8).level is None  # on the way to the next one
+    late = passed(RampTime(SETTINGS, STAIRS), 0.1 + 0.205, 1.0)
+    assert late.level == 0  # the time for it was up
+
+
+def test_a_ramp_is_over_when_its_force_is_there_or_the_time_for_it_is_up() -> None:
+    ramp = ForceRamp.linear(4.0, 10.0, start_n=3.0)
+    time = passed(RampTime(SETTINGS, ramp), 0.11, 3.9)
+    assert time.settled(3.9)
+    assert not time.settled(3.0)
+    assert passed(time, 0.2, 3.9).settled(3.0)
+
+
+def test_a_rise_ends_where_the_fingers_are_closed() -> None:
+    time = passed(RampTime(SETTINGS, STAIRS), 0.05, 1.5)
+    time.pass_by(0.005, 1.4, SETTINGS.least_pressed_m)
+    assert (time.ramp.final_n, time.asked_n) == (pytest.approx(1.4), 4.0)
+    assert time.settled(1.4)
+
+
+class Control:
+    """A control whose force is a value, and whose part is there or not."""
+
+    def __init__(self, force_n: float, *, lost: bool = False, doubts: bool = False) -> None:
+        self.force_n = force_n
+        self.asked: list[tuple[float, float | None]] = []
+        self.watch = SimpleNamespace(lost=lambda _moment: lost, doubts=doubts)
+
+    def resume(self) -> None:
+        self.asked.clear()
+
+    def goals(self, _moment, setpoint_n: float, *, arrival_n: float | None = None):
+        self.asked.append((setpoint_n, arrival_n))
+        return (ServoGoal(angle_rad=0.0, current_a=0.3),) * 2
+
+
+class Slip:
+    """A slip watch that notes the levels which it is asked about."""
+
+    def __init__(self) -> None:
+        self.levels: list[int | None] = []
+
+    def check(self, _moment, level: int | None, *, setpoint_n: float) -> None:
+        self.levels.append(level)
+
+
+MOMENT = Moment(now_s=1.0, dt_s=0.005, state=make_state(1.0), sample=None)
+
+
+def test_a_further_ramp_is_watched_at_its_levels_and_a_change_has_none() -> None:
+    for slip in (Slip(), None):
+        control = Control(2.0)
+        step = GripStep(SETTINGS, control, STAIRS, slip=slip)
+        actions = [step.step(MOMENT) for _ in range(30)]
+        assert control.asked[0] == (pytest.approx(1.05), 2.0)
+        if slip is None:
+            assert {action.level for action in actions} == {None}
+        else:
+            assert [action.level for action in actions] == slip.levels
+            assert set(slip.levels) == {None, 0}
+
+
+def test_nothing_slips_while_the_part_is_in_doubt_and_a_lost_one_is_an_error() -> None:
+    slip = Slip()
+    GripStep(SETTINGS, Control(2.0, doubts=True), STAIRS, slip=slip).step(MOMENT)
+    assert slip.levels == []
+    with pytest.raises(PartLost, match=r"at an opening of 23\.4 mm"):
+        GripStep(SETTINGS, Control(2.0, lost=True), STAIRS).step(MOMENT)
+
+
+@pytest.mark.parametrize(
+    ("force_n", "result", "overshoot_n"),
+    [(4.1, GraspResult.FORCE_REACHED, 0.1), (3.0, GraspResult.FORCE_NOT_REACHED, 0.0)],
+)
+def test_the_outcome_is_that_of_the_last_force(force_n, result, overshoot_n) -> None:
+    step = GripStep(SETTINGS, Control(force_n), STAIRS)
+    step.step(MOMENT)
+    outcome = step.outcome(make_state(2.0))
+    assert (outcome.result, outcome.final_force_n) == (result, force_n)
+    assert outcome.overshoot_n == pytest.approx(overshoot_n)
+    assert (outcome.contact_t_s, outcome.ended_early) == (None, False)
+
+
+def test_a_hold_gives_back_drive_after_a_while_and_ends_in_time() -> None:
+    tapers: list[bool] = []
+    control = Control(2.0)
+    control.grip = SimpleNamespace(setpoint_n=2.0)
+    control.goals = lambda _moment, _setpoint_n, *, taper: tapers.append(taper)
+    step = HoldStep(GripperSettings(taper_after_s=0.05), control, 0.1)
+    done = [step.step(MOMENT).done for _ in range(20)]
+    assert done == [False] * 19 + [True]
+    assert tapers == [False] * 10 + [True] * 10

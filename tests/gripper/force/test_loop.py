@@ -59,7 +59,7 @@ def test_a_dead_bus_is_given_up_in_bounded_time_and_the_grip_stays(cell) -> None
     with pytest.raises(BusTimeout, match=r"a part may still be gripped.*no answer"):
         cell.gripper.grasp(RAMP, cell.once(silence, at_n=5.0))
     assert 0.06 < cell.clock.monotonic() - times[0] < 0.1
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     cell.clock.sleep(2.0)
     assert cell.force_n > 3.0
     transactions = cell.bus.statistics.transactions

@@ -19,7 +19,7 @@ def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
     with pytest.raises(FeedbackImplausible, match="off by"):
         cell.gripper.release()
     assert cell.register(0, "goal_position") == goal_raw
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
 def test_turns_of_a_servo_without_torque_do_not_matter(cell) -> None:
@@ -58,4 +58,4 @@ def test_a_servo_that_has_restarted_between_two_readings_is_a_fault_at_once(cell
         cell.gripper.hold(2.0, observe)
     assert error.value.servo_id == servo + 1
     assert goals_s[-1] <= cell.acted_s[0]
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT

@@ -57,7 +57,7 @@ def test_goals_that_were_lost_once_are_written_again(tripped, monkeypatch) -> No
     monkeypatch.setattr(tripped.bus, "sync_write", lose_the_first)
     tripped.gripper.release()
     assert lost
-    assert tripped.gripper.state is GripperPhase.IDLE
+    assert tripped.gripper.phase is GripperPhase.IDLE
     assert tripped.mechanics.aperture_m == pytest.approx(0.024, abs=8e-4)
 
 

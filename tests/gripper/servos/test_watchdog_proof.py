@@ -44,9 +44,9 @@ def test_a_motor_that_turns_on_is_found_and_no_grasp_is_begun(make_cell) -> None
     with pytest.raises(WatchdogUnproven, match=r"servo 2: register 98 tripped.*unattended") as bad:
         cell.gripper.open()
     assert "servo 1:" not in str(bad.value)
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     cell.gripper.clear_fault()
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
     with pytest.raises(GripperStateError, match="self-test"):
         cell.gripper.grasp(RAMP)
     with pytest.raises(WatchdogUnproven):

@@ -5,7 +5,6 @@ import math
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from simulator.errors import SimulatorSettingsError
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
@@ -72,8 +71,8 @@ def test_start_positions_and_directions():
     mechanics = fingers(aperture_m=0.04)
     theta = math.asin(0.02 / 0.06)
     first, second = mechanics.motors
-    assert first.angle_rad == pytest.approx(2048 * RAD_PER_PULSE + theta)
-    assert second.angle_rad == pytest.approx(2048 * RAD_PER_PULSE - theta)
+    assert first.angle_rad == pytest.approx(2048 * XM430_W350.rad_per_pulse + theta)
+    assert second.angle_rad == pytest.approx(2048 * XM430_W350.rad_per_pulse - theta)
     assert mechanics.finger_position_m == pytest.approx((0.02, 0.02))
     assert mechanics.aperture_m == pytest.approx(0.04)
 

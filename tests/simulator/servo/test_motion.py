@@ -5,10 +5,6 @@ from collections.abc import Callable
 
 import pytest
 
-from gripper.dynamixel.control_table import (
-    RAD_S2_PER_ACCELERATION_UNIT,
-    RAD_S_PER_VELOCITY_UNIT,
-)
 from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350
 from simulator.servo.firmware import WatchdogStop
 from simulator.servo.motor import DriveMode
@@ -117,8 +113,8 @@ def test_the_profile_reaches_the_motor_but_not_in_mode_5_of_the_330_size(
     bench.write(1, 64, 1, 1)
     bench.write(1, 116, 4, 2048)
     command = bench.motors[0].command
-    assert command.profile_velocity_rad_s == obeyed * 40 * RAD_S_PER_VELOCITY_UNIT
-    assert command.profile_acceleration_rad_s2 == obeyed * 20 * RAD_S2_PER_ACCELERATION_UNIT
+    assert command.profile_velocity_rad_s == obeyed * 40 * XM430_W350.velocity_unit_rad_s
+    assert command.profile_acceleration_rad_s2 == obeyed * 20 * XM430_W350.acceleration_unit_rad_s2
 
 
 @pytest.mark.parametrize(("threshold", "moving"), [(30, 1), (300, 0)])

@@ -16,6 +16,7 @@ from cell.interfaces.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from cell.build import Cell
     from recognition.grasp import Grasp
 
 
@@ -57,6 +58,7 @@ def calibrate(
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
     taken: dict[str, list[Grasp]] = {}
+    cell: Cell | None = None
     if dataset is not None:
         loaded = load_model(model)
         found = list(read_grasps(dataset))
@@ -100,6 +102,8 @@ def calibrate(
         f"{drift_text(corrected.grid.drift)} (+-{1e3 * corrected.grid.offset_sd_m:.1f} mm): "
         f"{output}"
     )
+    if cell is not None:
+        cell.check_recording()
 
 
 def _grasps_of(gauge: str, grasps: "list[Grasp]", dataset: Path, *, alone: bool) -> "list[Grasp]":

@@ -120,7 +120,7 @@ def commission(
     except Left as left:
         print_note(str(left))
         raise typer.Exit(1) from None
-    print_line(f"commissioned: {', '.join(map(str, files))}")
+    dialog.finished(engine, files)
 
 
 def _on_page(engine: "Engine", http_port: int | None) -> None:

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from cell.jobs.evaluate import EvaluationResult
     from recognition.drift.drift import Drift
 
+_PAIRS = 5
+"""Pairs of confused objects that are printed, those that are confused most often."""
 _MANY_GRASPS = 1000
 """From here on the processes that share the work take less time to start than they save."""
 
@@ -184,6 +186,10 @@ def _print_evaluation(result: "EvaluationResult") -> None:
             f"three objects (here {len(result.labels)}) and a split within each"
         )
     for name, figures in result.recognizers.items():
+        if pairs := figures.full.confused:
+            shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
+            rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""
+            print_line(f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}")
         shift = figures.full.shift
         if shift is not None:
             print_line(

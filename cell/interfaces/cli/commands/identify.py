@@ -90,7 +90,6 @@ def identify(
         found, truth = identify_on_cell(
             cell, checked, taught, held=held, keep=keeps, progress=progress
         )
-        recording, health = cell.recording_path, cell.health()
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
@@ -124,10 +123,11 @@ def identify(
             "ramps": [record.ramp_as_json() for record in found.records],
             "drift": None if found.drift is None else found.drift.values,
             "held": truth,
-            "recording": recording,
-            "health": health,
+            "recording": cell.recording_path,
+            "health": cell.health(),
         },
     )
+    cell.check_recording()
 
 
 def _identify_recorded(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 ObjectsOption = Annotated[
     list[str] | None,
-    typer.Option("--object", "-o", help="Object; repeat for several [default: all configured]."),
+    typer.Option("--object", help="Object; repeat for several [default: all configured]."),
 ]
 
 
@@ -48,7 +48,7 @@ def run(
 ) -> None:
     """Teach objects and identify each of them: the main job."""
     from cell.data.recording_reader import read_recording
-    from cell.errors import CellError, MissingExtraError, ReportError
+    from cell.errors import CellError, MissingExtraError, RecordingError, ReportError
     from cell.installation import missing_note
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_note, write_json
@@ -80,21 +80,22 @@ def run(
             progress=progress,
             model=taught,
         )
-        result.extra = {"health": cell.health()}
     if not no_report:
         assert result.recording is not None
         try:
             page = folder / "report.html"
             write_report(page, recorded_report(read_recording(result.recording)))
             result.report = page
-        except (ReportError, MissingExtraError) as error:
+        except (RecordingError, ReportError, MissingExtraError) as error:
             failed = error
     if config is None and seed is None and not faults:
         _keep_for_serve(result, checked)
     print_result(result)
     if no_report:
         print_note(no_report)
+    result.extra = {"health": cell.health()}
     write_json(json_file, result.as_json())
+    cell.check_recording()
     if failed is not None:
         raise failed
 

@@ -123,7 +123,12 @@ def serve(
         if untaught:
             model = cached_model(own)
         plugin, poses = open_plugin(
-            checked, model=model, training_set=training_set, save=save, folder=folder
+            checked,
+            model=model,
+            training_set=training_set,
+            save=save,
+            folder=folder,
+            note=print_note,
         )
         if zero_note := plugin.health()["zero"]["text"]:
             print_note(zero_note)

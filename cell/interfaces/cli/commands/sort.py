@@ -69,10 +69,11 @@ def sort(
                 seed=checked.seed + 1,
                 on_part=lambda part, _found: progress("sort", part.number, parts),
             )
-            recording, health = cell.recording_path, cell.health()
     finally:
         print_tally(tally)
-    write_json(json_file, tally.as_json() | {"recording": recording, "health": health})
+    made = {"recording": cell.recording_path, "health": cell.health()}
+    write_json(json_file, tally.as_json() | made)
+    cell.check_recording()
 
 
 def print_tally(tally: "Tally") -> None:

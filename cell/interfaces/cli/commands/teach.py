@@ -127,12 +127,10 @@ def _teach_grasps(
     with running_cell(
         config, "teach", out_folder, config_file=config_file, json_file=json_file
     ) as (cell, progress):
-        recording = cell.recording_path
         teach_to_dataset(
             cell, config, collection, dataset, before, progress=progress, note=print_line
         )
-        health = cell.health()
-    print_line(f"recording: {recording}")
+    print_line(f"recording: {cell.recording_path}")
     write_json(
         json_file,
         {
@@ -140,10 +138,11 @@ def _teach_grasps(
             "n_grasps": len(collection.records),
             "n_missed": collection.n_missed,
             "dataset": dataset,
-            "recording": recording,
-            "health": health,
+            "recording": cell.recording_path,
+            "health": cell.health(),
         },
     )
+    cell.check_recording()
 
 
 def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:

@@ -31,3 +31,4 @@ def zero(
     if moved_mm is not None:
         print_line(f"{moved_mm:+.2f} mm since the last one")
     write_json(json_file, zero_values(found.zero) | {"moved_mm": moved_mm})
+    cell.check_recording()

@@ -139,6 +139,8 @@ function renderNow() {
   renew(byId("now_said"), said, () => said.map(([title, text]) => make("li", {}, title, line("span", text))));
   const live = Object.entries(state.live);
   renew(byId("now_live"), live, () => live.flatMap(([name, value]) => [line("dt", name), line("dd", value)]));
+  show(byId("corrected"), state.phase === "finished" && state.corrected.length > 0);
+  renew(byId("corrected_lines"), state.corrected, () => state.corrected.map((text) => line("li", text)));
   setText(byId("files"), state.files.length ? t("wizard.files", { files: state.files.join(", ") }) : "");
   byId("main").dataset.asked = state.asked_id;
   renderQuestion();
@@ -156,6 +158,7 @@ function renderQuestion() {
   renew(byId("question_choices"), [state.asked_id, choices, reason], () => choices.map((choice) => {
     const button = make("button", { type: "button", ...(choice.key === question.default ? { class: "first" } : {}) });
     allow(button, told(choice.text).text, "", reason);
+    if (choice.picture) button.prepend(make("img", { src: `page/${choice.picture}.svg`, alt: "" }));
     button.addEventListener("click", () => isAllowed(button) && answer(choice.key));
     return button;
   }));

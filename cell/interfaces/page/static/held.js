@@ -11,7 +11,7 @@ const NAMING = ["identify", "sort"];
 export function current(state) {
   const answers = state.shift?.answers ?? [];
   const newest = answers.at(-1) ?? null;
-  const { job, last_answer: last } = state;
+  const { job, status } = state;
   if (runs(job) && NAMING.includes(job.task)) {
     const fromThisJob = newest && newest.time_s >= (job.since_s ?? Infinity);
     const best = job.progress?.best;
@@ -19,10 +19,7 @@ export function current(state) {
     if (job.task === "sort" && fromThisJob) return newest;
     return { tentative: true };
   }
-  if (last && newest && newest.label === last.label && newest.task !== "sort") {
-    return { ...last, ...newest, size_mm: newest.size_mm ?? last.size_mm, shape: newest.shape ?? last.shape };
-  }
-  return newest && !last ? newest : last;
+  return status.holding ? answers.find((one) => one.number === state.held_part) ?? null : newest;
 }
 
 export const shapeWord = (kind, size_mm) =>
@@ -85,7 +82,7 @@ export function renderHeld({ state, info, taught, photo, link }) {
   panel.classList.toggle("unsure", Boolean(found?.label) && !sure && !unknown && !found.tentative);
   const when = found?.time_s ? clockShort(found.time_s) : "";
   const where = found?.tentative ? doing(state)[0]
-    : status.holding ? t("held.in_grip") : found?.place ? t("held.at_place", { place: found.place })
+    : found?.place ? t("held.at_place", { place: found.place }) : status.holding ? t("held.in_grip")
       : found ? t("held.let_go") : t("held.empty");
   const what = when && !found.tentative ? `${where} – ${when}` : where;
   setText(byId("held_when"), link.stale ? t("held.last_known", { what }) : what);
@@ -104,11 +101,17 @@ export function renderHeld({ state, info, taught, photo, link }) {
     behind: number(100 * (found.probability - second.probability), 0),
   }) : "");
 
-  drawShape(byId("held_shape"), found?.tentative ? null : found?.shape, size_mm, found?.interval_mm);
-  setText(byId("held_size"), feels && found.interval_mm
-    ? t("held.size", { shape: feels, low: number(found.interval_mm[0], 1), high: millimetres(found.interval_mm[1]) }) : feels);
-
   const object = found?.label ? taught.find((one) => one.label === found.label) : null;
+  // The named object with the measured size; where the pads feel another shape, a line says so.
+  const clear = (shape) => shape !== "unclear" && has(`shape.${shape}`);
+  const kind = clear(object?.shape) ? object.shape : found?.shape;
+  const drawn = kind && size_mm ? shapeWord(kind, size_mm) : "";
+  drawShape(byId("held_shape"), found?.tentative ? null : kind, size_mm, found?.interval_mm);
+  const size = drawn && found.interval_mm
+    ? t("held.size", { shape: drawn, low: number(found.interval_mm[0], 1), high: millimetres(found.interval_mm[1]) }) : drawn;
+  const disagree = feels && clear(found.shape) && found.shape !== kind;
+  setText(byId("held_size"), disagree ? `${size}\n${t("held.disagree", { shape: feels })}` : size);
+
   const picture = object?.photo ? photo(object) : null;
   show(byId("held_photo_box"), Boolean(picture));
   if (picture && byId("held_photo").src !== picture) byId("held_photo").src = picture;

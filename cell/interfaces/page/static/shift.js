@@ -15,13 +15,13 @@ const kindOf = (answer, sure) =>
 export function renderShift({ state, info, open }) {
   const { shift } = state ?? {};
   const { locale } = Intl.DateTimeFormat().resolvedOptions();
-  renew(byId("figures"), shift ? [shift.parts, shift.parts_per_hour, shift.cycle_s, shift.rejected, shift.missed, shift.faults] : null, () => {
+  renew(byId("figures"), shift ? [shift.parts, shift.parts_last_hour, shift.cycle_s, shift.rejected, shift.missed, shift.faults] : null, () => {
     if (!shift) return [];
     const figure = (key, value, watch = false) => make("div", watch ? { class: "watch" } : {},
       make("dt", {}, t(`shift.${key}`)), make("dd", {}, value));
     return [
       figure("parts", number(shift.parts ?? 0)),
-      figure("per_hour", number(shift.parts_per_hour, 0)),
+      figure("last_hour", number(shift.parts_last_hour ?? 0)),
       figure("cycle", shift.cycle_s == null ? "–" : `${number(shift.cycle_s, 1)} s`),
       figure("rejected", number(shift.rejected ?? 0)),
       figure("missed", number(shift.missed ?? 0)),
@@ -65,7 +65,7 @@ export async function openGrasp({ link, info }, answer) {
   drawOpened();
   if (!dialog.open) dialog.show();
   try {
-    const grasp = await link.call("GET", `api/grasps/${encodeURIComponent(answer.id)}`, { timeout_ms: 5000 });
+    const grasp = await link.call("GET", `api/grasps/${encodeURIComponent(answer.number)}`, { timeout_ms: 5000 });
     opened = { info, grasp };
   } catch {
     setText(byId("grasp_text"), `${facts} · ${t("shift.grasp_gone")}`);

@@ -75,10 +75,12 @@ class FunctionBlock:
         head, body = text.split("VAR_INPUT", 1)[1].rsplit("END_VAR", 1)
         self.values: dict[str, Any] = {"EdgeExecute.Q": False}
         self._types: dict[str, type] = {}
+        self._sizes: dict[str, int] = {}
         for name, kind in re.findall(r"(\w+)\s*:\s*([^;]+);", head):
             size = re.match(r"ARRAY\[0\.\.(\d+)\]", kind)
             if size:
-                self.values[name] = [0] * (int(size[1]) + 1)
+                self._sizes[name] = int(size[1]) + 1
+                self.values[name] = [0] * self._sizes[name]
             elif kind in _TYPES:
                 self._types[name] = _TYPES[kind]
                 self.values[name] = _TYPES[kind]()
@@ -93,7 +95,9 @@ class FunctionBlock:
         unknown = set(inputs) - set(self.values)
         assert not unknown, unknown
         self.values |= inputs
-        self.values["Inputs"] = [Uint(value) for value in self.values["Inputs"][:64]]
+        for name in ("Inputs", "Part"):
+            self.values[name] = [Uint(value) for value in self.values[name]]
+            assert len(self.values[name]) == self._sizes[name], name
         exec(self._code, {"me": self.values, "edge": self._edge, "Word": Word})
         for name, kind in self._types.items():
             assert isinstance(self.values[name], kind), name

@@ -29,6 +29,7 @@ from cell.interfaces.modbus.registers import (
     LIFE,
     NEEDS_RESET,
     NOT_MEASURED,
+    NOT_RECORDED,
     OLDEST_MS,
     ON_HOLD,
     READY,
@@ -39,7 +40,7 @@ from cell.interfaces.modbus.registers import (
 )
 from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
-from tests.cell.interfaces.hosts import Plc
+from tests.cell.interfaces.hosts import BlockPlc, Plc
 from tests.cell.interfaces.modbus.structured_text import BLOCK, KEYWORDS, FunctionBlock
 from tests.cell.served import LIMIT_S, Served, until
 
@@ -113,6 +114,17 @@ def test_live_values_have_their_registers(connect: Any) -> None:
         served.plugin.show_live(LiveValues(**dict(zip(names, values, strict=True))))
         inputs = plc.inputs()
         assert [*inputs[13:15], *inputs[21:24]] == shown
+
+
+def test_a_recording_that_has_stopped_has_its_bit(connect: Any, block: Any) -> None:
+    served, plc = connect()
+    assert plc.inputs()[2] == READY
+    served.plugin.stop_recording("No space left on device")
+    assert plc.inputs()[2] == READY | NOT_RECORDED
+    served, plc = block()
+    assert plc.cycle()["NotRecorded"] is False
+    served.plugin.stop_recording("No space left on device")
+    assert plc.cycle()["NotRecorded"] is True
 
 
 def test_a_zeroed_stale_or_wrong_key_lets_nothing_go(connect: Any) -> None:
@@ -354,7 +366,7 @@ def test_unknown_commands_objects_and_addresses_are_refused(connect: Any) -> Non
     assert plc.command(REACHED, 1) == 513
     assert plc.write(8, 1, 1) == 2
     assert plc.write(9, 1) == 2
-    assert plc.link.read_input_registers(92, count=5).exception_code == 2
+    assert plc.link.read_input_registers(132, count=5).exception_code == 2
     assert plc.link.read_holding_registers(0, count=10).exception_code == 2
     assert plc.link.read_coils(0, count=1).exception_code == 1
     assert served.service.job().number == 0
@@ -415,43 +427,6 @@ def test_a_client_that_never_reads_holds_nobody_up(connect: Any) -> None:
         until(lambda: _full(greedy, read * 5000))
         assert plc.command(GRIP, 0, 300) == 0
         assert served.ended().kept
-
-
-class BlockPlc:
-    """A PLC whose program is the block of the example: one exchange with the cell each cycle."""
-
-    def __init__(self, plc: Plc) -> None:
-        self.plc = plc
-        self.block = FunctionBlock()
-        self.connected = True
-
-    def __getitem__(self, name: str) -> Any:
-        return self.block[name]
-
-    def cycle(self, **inputs: Any) -> "BlockPlc":
-        """Read, call the block, write; an exception as answer is no success."""
-        wanted = {"Enable": True, "Connected": self.connected, "Execute": False, "HoldNow": False}
-        written = self.block.call(Inputs=self.plc.inputs(), **(wanted | inputs))
-        self.connected = self.plc.write(0, *written) == 0
-        return self
-
-    def ready(self) -> "BlockPlc":
-        until(lambda: self.cycle()["Ready"] and not self["Busy"])
-        return self
-
-    def begin(self, command: int, **inputs: Any) -> "BlockPlc":
-        """Give Execute an edge; return when the cell has answered."""
-        arguments = {"Command": command, "Object": 0, "Force": 0, "MaxGrasps": 0, "Options": 0}
-        self.cycle(Execute=True, **arguments | inputs)
-        until(lambda: self.cycle()["Accepted"] or self["Error"])
-        return self
-
-    def run(self, command: int, **inputs: Any) -> tuple[bool, int]:
-        """Run a command to its end; return Done and ErrorId."""
-        self.ready().begin(command, **inputs)
-        until(lambda: not self.cycle()["Busy"])
-        assert self["Done"] is not self["Error"]
-        return self["Done"], self["ErrorId"]
 
 
 @pytest.fixture
@@ -580,6 +555,12 @@ def test_the_counters_of_the_function_block_begin_anew_after_65535() -> None:
     for execute in (False, False, True):
         block.call(Enable=True, Connected=True, Execute=execute, Command=VERIFY, Inputs=inputs)
     assert (block["Outputs"][0], block["Outputs"][8], block["Busy"]) == (1, 0, True)
+    # Parts: what is there at the first look is none; after 65535 comes 0, after a start 1.
+    new = []
+    for boot, number in ((1, 0), (1, 65535), (1, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 1)):
+        block.call(Inputs=[*inputs[:27], boot, *inputs[28:]], Part=[number, *[0] * 39])
+        new.append(block["NewPart"])
+    assert new == [False, True, True, False, True, False, True, False]
 
 
 @pytest.mark.long
@@ -599,7 +580,8 @@ def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:
     block = FunctionBlock()
     swapped = [(value & 0xFF) << 8 | value >> 8 for value in plc.inputs()]
     for _ in range(5):
-        block.call(Enable=True, Connected=True, Execute=True, Command=RELEASE, Inputs=swapped)
+        found = {"Inputs": swapped[:64], "Part": [0] * 40}
+        block.call(Enable=True, Connected=True, Execute=True, Command=RELEASE, **found)
     assert (block["SwappedBytes"], block["Ready"]) == (True, False)
     assert block["Outputs"][:2] == [0, 0]
 

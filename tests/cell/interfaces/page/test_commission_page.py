@@ -22,7 +22,7 @@ pytestmark = pytest.mark.long
 @pytest.fixture
 def walk() -> list[Any]:
     """Steps of the wizard."""
-    return [Ports(), Moving(), Asking("name")]
+    return [Ports(), Moving(), Asking("name", settings={"gripper.baud_rate": 57600})]
 
 
 @pytest.fixture
@@ -40,6 +40,8 @@ def first_motion(page: Any) -> None:
     """Go from the start to the first motion."""
     page.click("#run[aria-disabled=false]")
     becomes(page, "#question_text", "Which port leads to the servos")
+    drawn = "images => images.filter(image => image.naturalWidth).length"
+    until(lambda: page.locator("#question_choices img").evaluate_all(drawn) == 2)
     page.click("#question_choices button >> nth=1")
     becomes(page, "#writes li:first-child .change", "57,600 bit/s → 1,000,000 bit/s")
     page.click("#approve")
@@ -87,6 +89,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     page.click("#question_send")
     becomes(page, "#state", "Commissioned")
     becomes(page, "#files", "commissioning.html")
+    becomes(page, "#corrected", r"set right now\s*name was wrong")
     page.click("#steps summary >> nth=1")
     becomes(page, "#steps li:nth-child(2)", "A block of 12.5 mm")
     drawn = "images => images.filter(image => image.naturalWidth).length"

@@ -49,8 +49,16 @@ def test_a_part_is_named_kept_verified_and_let_go(serve: Any, open_page: OpenPag
     press(page, "#do_release", 1.3)
     becomes(page, "#state", "Ready")
     assert served.grip_n == 0.0
+    # What is gripped next has no name until it is identified.
+    served.plugin.pause()
+    page.click("#do_identify")
+    until(lambda: served.service.job().outcome_number == 2)
+    page.click("#command")
+    becomes(page, "#state", "On hold")
+    becomes(page, "#held_when", "In the grip")
+    becomes(page, "#held_name", "Not named")
     tasks = [one.task if hasattr(one, "task") else one[0] for one in served.plugin.asked]
-    assert tasks == ["identify", "verify", Command.RELEASE]
+    assert tasks == ["identify", "verify", Command.RELEASE, "identify"]
 
 
 def test_anybody_holds_from_a_second_page(serve: Any, open_page: OpenPage) -> None:

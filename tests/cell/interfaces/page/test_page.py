@@ -144,6 +144,13 @@ def test_german_words_numbers_and_faults(open_page: OpenPage, cell: FakeCell) ->
     show(page, cell, "named")
     becomes(page, "#held_size", "eine Kugel von 9,5 mm")
     becomes(page, "#held_sure", "90\\s%")
+    # The named object is drawn with the measured size, and a line says what the pads feel.
+    for taught in cell.plugin.objects.values():
+        taught["shape"] = "oval"
+    cell.plugin.taught_revision += 1
+    becomes(page, "#held_size", "ein Oval von 9,5 mm")
+    becomes(page, "#held_size", "Die Pads spüren eine Kugel von 9,5 mm: Name und Form")
+    assert page.locator("#held_shape ellipse.part").count() == 1
     show(page, cell, "faulted")
     becomes(page, "#fault_title", "Das gehaltene Teil rutscht")
     becomes(page, "#fault_grip", "Gehalten")

@@ -67,7 +67,7 @@ def told_by_motion(cell) -> str:
     assert cell.torques == [0, 0]
     assert stop.most_n < LARGEST_N
     assert "nothing is held" not in fingers_left(told.value)
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     return str(told.value)
 
 
@@ -227,7 +227,7 @@ def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(
     cell = make_cell(part=make_part(present=False), **slow)
     cell.gripper.start()
     with pytest.raises(LimitExceeded, match=r"after 3 s they have closed .*contact_timeout_s"):
-        cell.gripper.meet(ForceRamp.linear(3.0, 5.0))
+        cell.gripper.press_pads_together(ForceRamp.linear(3.0, 5.0))
     assert cell.torques == [1, 1]
 
 
@@ -243,4 +243,4 @@ def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
         gripper.release()
     assert cell.torques == [1, 1]
     assert cell.peak_n < 8.0
-    assert gripper.values.state is GripperPhase.HELD_AFTER_FAULT
+    assert gripper.phase is GripperPhase.HELD_AFTER_FAULT

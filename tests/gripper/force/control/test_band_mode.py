@@ -8,6 +8,7 @@ import pytest
 from gripper.errors import LimitExceeded
 from gripper.force.control.band_mode import BandMode, arriving_n
 from gripper.force.control.motion_mode import MotionMode
+from gripper.force.control.period import Mode
 from gripper.values.force_sensor import ForceSample
 from tests.gripper.force.grips import FRICTION_N, PERIOD_S, make_grip, make_period
 
@@ -210,7 +211,7 @@ def test_the_band_goes_on_where_a_motion_ended_and_after_a_wait_where_it_was() -
     follow(loop, Finger(FRICTION_N), ramp(5.0, 6.0, 0.2))
     follow(loop, Finger(FRICTION_N, force_n=6.0), ramp(5.0, 4.0, 0.0, start_n=6.0), start_s=2.0)
     waited = make_period(3.0, 4.0, 4.0)
-    loop.mode.enter(waited, object())
+    loop.mode.enter(waited, Mode())
     assert not loop.mode._rising
     motion = MotionMode(loop.grip, 2.9, pad_n_m=1e4)
     motion.setpoint_n = 7.0

@@ -8,7 +8,7 @@ from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.mechanics.kinematics import transmissions
 from gripper.settings import GripperSettings
 from gripper.values.state import GripperState
-from tests.gripper.force.grips import LINKAGE, STATE
+from tests.gripper.force.grips import LINKAGE, STATE, make_grip
 
 SETTINGS = GripperSettings()
 
@@ -20,14 +20,14 @@ def standing(angle_rad: float) -> GripperState:
 
 def first_goal(goals: DriveGoals, drive_n: float, angle_rad: float) -> tuple[float, float]:
     state = standing(angle_rad)
-    paths = transmissions(SETTINGS, LINKAGE, state.angles_rad)
-    made = goals.goals(drive_n, state, paths, setpoint_n=3.0, friction_share=1.0)
+    goals._grip.drive_n = drive_n
+    made = goals.goals(state, transmissions(SETTINGS, LINKAGE, state.angles_rad))
     return made[0].angle_rad, made[0].current_a
 
 
 def test_the_side_of_the_goal_is_the_sign_of_the_drive() -> None:
     contact = standing(0.1)
-    goals = DriveGoals(SETTINGS, LINKAGE, contact, contact.aperture_m)
+    goals = DriveGoals(make_grip(), contact, contact.aperture_m)
     closing_rad, closing_a = first_goal(goals, 4.0, 0.09)
     opening_rad, opening_a = first_goal(goals, -4.0, 0.09)
     assert closing_rad < 0.09 < opening_rad
@@ -36,7 +36,7 @@ def test_the_side_of_the_goal_is_the_sign_of_the_drive() -> None:
 
 
 def test_a_position_that_drifts_open_does_not_take_a_closing_goal_with_it() -> None:
-    goals = DriveGoals(SETTINGS, LINKAGE, standing(0.1), standing(0.1).aperture_m)
+    goals = DriveGoals(make_grip(), standing(0.1), standing(0.1).aperture_m)
     before_rad, _ = first_goal(goals, 4.0, 0.09)
     assert first_goal(goals, 4.0, 0.2)[0] == pytest.approx(before_rad, abs=1e-3)
 
@@ -44,7 +44,7 @@ def test_a_position_that_drifts_open_does_not_take_a_closing_goal_with_it() -> N
 def test_no_finger_is_driven_open_beyond_the_touch() -> None:
     contact = standing(0.1)
     touch_m = standing(0.1 + 0.5 * GIVE_RAD).aperture_m
-    goals = DriveGoals(SETTINGS, LINKAGE, contact, touch_m)
+    goals = DriveGoals(make_grip(), contact, touch_m)
     assert first_goal(goals, -30.0, 0.1)[0] == pytest.approx(0.1 + GIVE_RAD)
     assert goals.may_open
     beyond_rad = 0.1 + 0.6 * GIVE_RAD

@@ -198,4 +198,4 @@ def test_a_warm_servo_gets_less_current_before_it_is_too_hot(make_cell) -> None:
     outcome = cell.gripper.grasp(ramp, lambda c: currents_a.append(c.goal_current_a))
     assert outcome.result is GraspResult.FORCE_NOT_REACHED
     assert max(currents_a) < 0.3
-    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.phase is GripperPhase.HOLDING

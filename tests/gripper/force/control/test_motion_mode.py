@@ -5,6 +5,7 @@ from math import copysign
 import pytest
 
 from gripper.force.control.motion_mode import MotionMode
+from gripper.force.control.period import Mode
 from tests.gripper.force.grips import FRICTION_N, PERIOD_S, make_grip, make_period
 
 STIFFNESS_N_M = 1e4
@@ -50,7 +51,7 @@ def moved(setpoints_n: list[float], force_n: float, *, begins_n: float) -> tuple
             drive_n=grip.drive_n,
         )
         if i == 0:
-            mode.enter(period, object())
+            mode.enter(period, Mode())
         grip.drive_n = mode.step(period)
         before_n = setpoint_n
         if mode.over:
@@ -82,10 +83,10 @@ def test_an_error_of_a_hold_is_made_up_for_either_way(setpoint_n: float) -> None
 def test_what_a_motion_has_learnt_is_where_the_next_one_begins() -> None:
     mode = MotionMode(make_grip(2.0), 0.0, STIFFNESS_N_M)
     rises = make_period(0.0, 2.1, 2.0, rises_n=0.1)
-    mode.enter(rises, object())
+    mode.enter(rises, Mode())
     mode.observer.lacking_n = 0.7
     mode.exit(rises)
     assert mode.ended_s == 0.0  # it has not arrived: no pause follows
-    mode.enter(make_period(0.1, 2.3, 2.1, rises_n=0.2), object())
+    mode.enter(make_period(0.1, 2.3, 2.1, rises_n=0.2), Mode())
     assert mode.observer.lacking_n == 0.7
     assert mode.observer.stiffness_n_m == pytest.approx(STIFFNESS_N_M)

@@ -19,5 +19,5 @@ def test_a_finger_that_pushes_alone_freezes_both(cell, monkeypatch) -> None:
     with pytest.raises(ForceImbalance, match="both are frozen"):
         cell.gripper.hold(2.0)
     assert cell.clock.monotonic() - begun_s < 0.5
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     assert cell.force_n > 3.0

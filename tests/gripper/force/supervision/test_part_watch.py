@@ -256,7 +256,7 @@ def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> Non
     take = cell.once(lambda: setattr(cell.part, "present", False), at_n=3.0)
     outcome = cell.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
     assert outcome.result is GraspResult.PART_LOST
-    assert cell.gripper.state is GripperPhase.IDLE
+    assert cell.gripper.phase is GripperPhase.IDLE
     assert cell.clock.monotonic() - cell.acted_s[0] < 0.09
     stopped_m = cell.mechanics.aperture_m
     cell.clock.sleep(1.0)

@@ -84,7 +84,7 @@ def test_a_long_hold_at_a_level_of_the_ramp_is_watched_too(cell) -> None:
 
     with pytest.raises(PartSlipped):
         cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=5.0), slip)
-    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
 def test_force_beyond_the_set_point_that_is_given_back_is_no_slip() -> None:

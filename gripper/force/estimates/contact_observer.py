@@ -6,8 +6,10 @@ pushes back.
 
 from math import copysign, exp, log, sqrt
 
+from gripper.force.estimates.grip import Grip
 from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import STIFFEST_N_M
+from gripper.force.loop import Moment
 from gripper.servos.goals import STICTION
 from gripper.values.force_sensor import ForceSample
 
@@ -39,45 +41,31 @@ class ContactObserver:
 
     Parameters
     ----------
-    mass_kg
-        Moving mass of a finger, as it is at the pad.
-    now_s
+    grip
+        What is known of the grip at the start.
+    start_s
         Monotonic time in s.
-    force_n, doubt_n
-        Grip force at the start and its standard deviation in N.
-    drive_n
-        Driving force at the start in N.
-    stiffness_n_m
-        Stiffness at one pad in N/m, as far as it is known.
-    lacking_n
-        What the drive lacks in N, as far as it is known.
+    stiffness_n_m, lacking_n
+        Stiffness at one pad in N/m and what the drive lacks in N, as far as they are known.
     """
 
     def __init__(
-        self,
-        *,
-        mass_kg: float,
-        now_s: float,
-        force_n: float,
-        doubt_n: float,
-        drive_n: float,
-        stiffness_n_m: float,
-        lacking_n: float = 0.0,
+        self, grip: Grip, start_s: float, *, stiffness_n_m: float, lacking_n: float
     ) -> None:
-        self.mass_kg = mass_kg
-        self.force_n = force_n
+        self.mass_kg = grip.mass_kg
+        self.force_n = max(0.0, grip.estimate.force_n)
         self.speed_m_s = 0.0
         self.lacking_n = lacking_n
         self._log_stiffness = log(min(max(stiffness_n_m, _SOFTEST_N_M), STIFFEST_N_M))
         self._p = [
-            [doubt_n**2, 0.0, 0.0, 0.0],
+            [grip.estimate.doubt_n**2, 0.0, 0.0, 0.0],
             [0.0, _SPEED_NOISE_M_S**2, 0.0, 0.0],
-            [0.0, 0.0, (_DISTURBANCE_SHARE * max(drive_n, 1.0)) ** 2, 0.0],
+            [0.0, 0.0, (_DISTURBANCE_SHARE * max(grip.drive_n, 1.0)) ** 2, 0.0],
             [0.0, 0.0, 0.0, _LOG_STIFFNESS_SD**2],
         ]
         self._history = History()
-        self._history.add(now_s, force_n)
-        self._sample_s = now_s
+        self._history.add(start_s, self.force_n)
+        self._sample_s = start_s
 
     @property
     def stiffness_n_m(self) -> float:
@@ -101,33 +89,25 @@ class ContactObserver:
         return (push_n - copysign(friction_n, push_n)) * dt_s / self.mass_kg
 
     def step(
-        self,
-        now_s: float,
-        dt_s: float,
-        *,
-        drive_n: float,
-        friction_n: float,
-        speed_m_s: float,
-        sample: ForceSample | None,
+        self, moment: Moment, *, drive_n: float, friction_n: float, sample: ForceSample | None
     ) -> None:
         """Advance to the feedback of now and take it in.
 
         Parameters
         ----------
-        now_s, dt_s
-            Monotonic time and time since the last step in s.
+        moment
+            Feedback.
         drive_n
             Driving force in N since the last step, by the measured currents.
         friction_n
             Friction of a finger in N.
-        speed_m_s
-            Closing speed of a pad in m/s, as the servos report it.
         sample
             Newest valid force sample, which may be the same as before; None leaves it out.
         """
-        if dt_s > 0.0:
-            self._predict(dt_s, drive_n, friction_n)
-        self._history.add(now_s, self.force_n)
+        if moment.dt_s > 0.0:
+            self._predict(moment.dt_s, drive_n, friction_n)
+        speed_m_s = -0.5 * moment.state.aperture_velocity_m_s
+        self._history.add(moment.now_s, self.force_n)
         self._correct(1, speed_m_s - self.speed_m_s, _SPEED_NOISE_M_S**2)
         if sample is not None and sample.t_s > self._sample_s:
             self._sample_s = sample.t_s

@@ -1,0 +1,135 @@
+"""One MCAP file of a recording while it is written; a disk that fails stops it, and no caller."""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from mcap.writer import CompressionType, Writer
+
+from cell.data import recording_schema as schema
+from cell.data.recorder_sink import BackgroundFile, DirectFile
+from cell.data.recording_values import CHUNK_BYTES, begin
+from cell.errors import RecordingError
+
+
+class RecordingFile:
+    """A new file with its description; what fails later is kept in ``fault`` and never raised.
+
+    Raises RecordingError if the file cannot be made; an existing one is never overwritten.
+
+    Parameters
+    ----------
+    path
+        The new file.
+    entries
+        Metadata that describe the recording.
+    background
+        Write from a thread of its own.
+    """
+
+    def __init__(self, path: Path, entries: Mapping[str, str], *, background: bool) -> None:
+        self.path = path
+        self.fault: RecordingError | None = None
+        """Why the file ends before its end; None while all is well."""
+        self.n_frames = 0
+        """Frames so far."""
+        self._sequence: dict[str, int] = {}
+        self._marks: list[tuple[int, int]] = []
+        try:
+            self._sink = (BackgroundFile if background else DirectFile)(path)
+        except FileExistsError as cause:
+            raise RecordingError(
+                f"{path} is there already; recordings are never overwritten, choose another name"
+            ) from cause
+        except OSError as cause:
+            raise RecordingError(
+                f"cannot record to {path}: {cause.strerror}; check folder and rights"
+            ) from cause
+        writer = self._writer = Writer(
+            _Marked(self._sink, self._mark),  # type: ignore[arg-type]
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        self._channels: dict[str, int] = {}
+        self._guarded(lambda: self._channels.update(begin(writer, entries)))
+        if self.fault is None:
+            self._marks.append((self._sink.tell(), 0))
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes on the disk."""
+        return self._sink.written_bytes()
+
+    @property
+    def n_readable(self) -> int:
+        """Frames that can be read of a file that has stopped."""
+        return max((n for length, n in self._marks if length <= self.n_bytes), default=0)
+
+    def add(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Add a message: its topic, monotonic time in ns, and JSON; after a fault nothing."""
+        self.n_frames += topic == schema.FRAME
+        number = self._sequence.get(topic, 0)
+        self._sequence[topic] = number + 1
+        self._guarded(
+            lambda: self._writer.add_message(
+                self._channels[topic], stamp_ns, data, stamp_ns, sequence=number
+            )
+        )
+
+    def check(self) -> None:
+        """Look whether the disk has failed since the last message."""
+        self._guarded(self._sink.check)
+
+    def close(self) -> None:
+        """Finish the file, as far as its disk allows."""
+        self._guarded(self._writer.finish)
+        if self.fault is None:
+            self._guarded(self._sink.close)
+        else:
+            with suppress(OSError):  # the fault is already known
+                self._sink.close()
+
+    def _guarded(self, act: Callable[[], object]) -> None:
+        if self.fault is not None:
+            return
+        try:
+            act()
+        except OSError as cause:
+            reason = cause.strerror or str(cause)
+            self.fault = RecordingError(
+                f"the recording {self.path} stopped after {self.n_frames} frames: {reason}. "
+                f"{self._what_is_left()}; free space or choose another disk"
+            )
+            self.fault.__cause__ = cause
+
+    def _mark(self) -> None:
+        """Keep how long the file is with all frames so far, where a chunk has just been written.
+
+        The first mark is the description of the recording, without which nothing can be read.
+        """
+        length = self._sink.tell()
+        if self._marks and self.fault is None and length > self._marks[-1][0]:
+            self._marks.append((length, self.n_frames))
+
+    def _what_is_left(self) -> str:
+        """Return what can be read of a file that has stopped."""
+        if not self._marks or self._marks[0][0] > self.n_bytes:
+            return "Nothing of it can be read"
+        return f"{self.n_readable or 'No'} frames of it can be read"
+
+
+class _Marked:
+    """The file as its writer sees it; calls ``mark`` after each write.
+
+    The index that follows a chunk is a write of its own: a chunk without it can be read.
+    """
+
+    def __init__(self, sink: DirectFile, mark: Callable[[], None]) -> None:
+        self.tell, self.flush = sink.tell, sink.flush
+        self._sink, self._mark = sink, mark
+
+    def write(self, data: bytes, /) -> int:
+        n_bytes = self._sink.write(data)
+        self._mark()
+        return n_bytes
