@@ -10,6 +10,7 @@ from cell.errors import CellError, MissingExtraError
 from cell.installation import extra
 from cell.jobs.calibrate import GAUGE_GRASPS
 from cell.jobs.common import Progress
+from cell.learning import training
 from cell.learning.blas import one_blas_thread
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.grid import DriftGrid
@@ -209,10 +210,8 @@ def _gauge(
     others = [grasp for grasp in test if not any(grasp is one for one in taken)]
     if not others:
         raise CellError(f"with {len(taken)} gauge grasps of {label!r} none is left to test")
-    try:
-        found = ForceRampTrainer().fit(train).gauge(label, taken).grid
-    except ValueError as error:
-        raise CellError(f"cannot gauge: {error}") from error
+    taught = training.gaugeable(training.train(train, ForceRampTrainer.name), label)
+    found = training.gauged(taught, label, taken).grid
     return found, len(taken), tuple(found.drift.undo(grasp) for grasp in others)
 
 

@@ -20,7 +20,8 @@ from recognition.grasp import CELL_SOURCE, Grasp, SelfZero, by_label
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
-from recognition.recognizers.force_ramp.view import View, describe, fit_view
+from recognition.recognizers.force_ramp.view import View, describe
+from recognition.recognizers.force_ramp.view_training import fit_view
 from recognition.statistics.calibration import UNIFORM_SHARE
 
 MIN_GRASPS = 3

@@ -1,0 +1,78 @@
+"""Settings of a view: numbers that its teaching and its answers rest on."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from recognition.statistics.calibration import KNOWN_KEPT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewSettings:
+    """Each with unit and purpose, and its source in brackets.
+
+    Sources: "6" is decision 6 (docs/decisions), "taught part" the part that teaches of recorded
+    grasps, "time" a bound on the time of a teaching.
+    """
+
+    # Scores
+    freedom: float = 3.0
+    """Degrees of freedom of the t distribution of a grasp about its object: heavy tails [6]."""
+    beside_power: float = 0.85
+    """Power of the spread beside many classes in the unit of distances [taught part: .75 to 1]."""
+    beside_axes: float = 3.0
+    """Axes between the classes at which half of that power is reached [taught part]."""
+    least_distance: float = 0.1
+    """Added to squared distances before their logarithm: nearer is no less novel [taught part]."""
+    # Discriminant
+    touch_shrinkage: float = 0.2
+    """Least share of the target in the covariance by touch alone [taught part]."""
+    opening_target: float = 0.1
+    """Variance of the opening's features in the target, in that of touch, which repeats [6]."""
+    least_unit: float = 0.02
+    """Deviation added to that of each feature, in its unit (log, root of share, mm) [6]."""
+    # Drifts
+    log_gain_unit: float = 0.1
+    """Unit of drifts of a pad's gain (log): it drifts so far beside the others [taught part]."""
+    offset_unit_mm: float = 1.0
+    """Unit of drifts of the opening in mm [taught part]."""
+    nuisance: float = 0.15
+    """Drift, in units, that the discriminant ignores: what the steps of the grid leave over [6]."""
+    made_up: float = 0.5
+    """Standard deviation, in units, of made-up drifts of held-out grasps [taught part]."""
+    slope_offset_mm: float = 0.5
+    """Step of the opening in mm for slopes of features, a step of the grid; of gains a unit [6]."""
+    slope_grasps: int = 100
+    """About as many grasps show how a drift changes the features in the mean [time]."""
+    # Held-out grasps
+    blocks: int = 3
+    """Blocks in time, held out in turn: few and large, as grasps in use lie far in time [6]."""
+    parts: int = 4
+    """Parts of each block, each with a made-up drift of its own [time]."""
+    # Novelty
+    novelty_slope: float = 2.0
+    """Log odds of a new object for each unit of the novelty [taught part]."""
+    kept: float = KNOWN_KEPT
+    """Share of held-out grasps whose novelty is no new object's [6]."""
+    usual_novelty: float = 3.0
+    """Mean novelty that is expected of held-out grasps, without the size [6]."""
+    usual_beyond: tuple[float, float] = (0.8, 1.9)
+    """How far limits without and with the size lie beyond that mean and one sd of log chi2 [6]."""
+    prior_grasps: float = 100.0
+    """Weight of these expectations, in grasps [6]."""
+    new_quantile: float = 0.05
+    """Share of held-out grasps less likely of a taught object than of a new one [taught part]."""
+    # Opening on another day
+    placing: float = 2.5
+    """Spread of the opening between placings of other days, in that of a series [taught part]."""
+    least_placing_mm: float = 0.3
+    """Least spread of the opening between placings in mm [taught part]."""
+    doubt_grasps: int = 150
+    """About as many held-out grasps show how sure names of other days are [time]."""
+    doubt_days: int = 8
+    """Made-up days of each of them [time]."""
+    wrong: float = 0.03
+    """Largest share of wrong names among them, below 5 %: no other foam is made up [6]."""
+
+
+SETTINGS: Final = ViewSettings()
+"""Those of all views."""
