@@ -86,7 +86,7 @@ class Gripper:
         self._grasping = GraspRun(
             fingers.runner, fingers.servos, linkage, settings, fingers.life.set_phase
         )
-        fingers.on_torque = self._grasping.begin
+        fingers.on_torque = self._grasping.start_proving
         self._watchdog_proven = False
         self._carried: Running | None = None
 

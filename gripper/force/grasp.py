@@ -81,7 +81,7 @@ class GraspRun:
         """Discard the control of a part: nothing is held any more."""
         self._ramp_step = None
 
-    def begin(self) -> None:
+    def start_proving(self) -> None:
         """Prove anew where the fingers are closed, and learn anew: their torque comes on."""
         self._closed_is_proven = False
         self._widest_m, self._touched, self._friction_share = 0.0, 0, 1.0
@@ -161,7 +161,7 @@ class GraspRun:
 
     def hold_on(self, control: GripControl, now_s: float) -> Running:
         """Return the control of the force at its last set-point, without an end."""
-        return self._runner.begin(HoldStep(self._settings, control, inf).step, now_s=now_s)
+        return self._runner.start_command(HoldStep(self._settings, control, inf).step, now_s=now_s)
 
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""

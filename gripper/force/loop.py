@@ -181,7 +181,7 @@ class LoopRunner:
         if deadline_s < self._due_s:
             self._clock.sleep(self._due_s - deadline_s)
             deadline_s = self._due_s
-        running = self.begin(step, needs_force=needs_force, now_s=deadline_s)
+        running = self.start_command(step, needs_force=needs_force, now_s=deadline_s)
         while True:
             if self._stop.is_set():
                 raise GraspStopped("stopped on request")
@@ -195,14 +195,14 @@ class LoopRunner:
                 deadline_s + self._settings.period_s, answered=cycle is not None
             )
 
-    def begin(
+    def start_command(
         self, step: Callable[[Moment], Action], *, needs_force: bool = True, now_s: float
     ) -> Running:
         """Return steps whose periods the caller runs, each with `period`; arguments as in `run`.
 
         ``now_s`` is the monotonic time in s from which on the age of the force counts.
         """
-        self._bus_loss.begin()
+        self._bus_loss.start_counting()
         return Running(
             step=step,
             needs_force=needs_force,
@@ -338,7 +338,7 @@ class BusLossMonitor:
         )
         self._lost = 0
 
-    def begin(self) -> None:
+    def start_counting(self) -> None:
         """Count the periods in a row anew: the servos were not asked for a while."""
         self._in_row = self._one_sided = 0
 
@@ -348,7 +348,7 @@ class BusLossMonitor:
 
     def answered(self) -> None:
         """Count a period with feedback."""
-        self.begin()
+        self.start_counting()
         self._count(lost=False)
 
     def _count(self, *, lost: bool) -> None:
