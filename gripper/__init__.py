@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from gripper.values.state import (
         Cycle as Cycle,
         GripperPhase as GripperPhase,
-        GripperState as GripperState,
+        ServoFeedback as ServoFeedback,
     )
 
 _FACE = {
@@ -41,7 +41,7 @@ _FACE = {
     "gripper.mechanics.kinematics": "Linkage ParallelLinkage RackPinion",
     "gripper.values.outcome": "GraspOutcome GraspResult",
     "gripper.settings": "ForceLoopSettings GripperSettings OverForce ServoSettings",
-    "gripper.values.state": "Cycle GripperPhase GripperState",
+    "gripper.values.state": "Cycle GripperPhase ServoFeedback",
 }
 """Names by module, which is imported when one of them is first used."""
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}

@@ -22,7 +22,7 @@ from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSensor
 from gripper.values.outcome import ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
-from gripper.values.state import GripperPhase, GripperState, Observer
+from gripper.values.state import GripperPhase, Observer, ServoFeedback
 
 
 class Fingers:
@@ -89,7 +89,7 @@ class Fingers:
 
     def make_ready(self, *, releasing: bool = False) -> bool:
         """Make the servos ready for a command; return whether all of them were without torque."""
-        limp: GripperState | None = None
+        limp: ServoFeedback | None = None
         if not self.servos.goals_in_force and not self.health.torque_on():
             limp = self.servos.read_patiently()
             positions_raw = [servo.position_raw for servo in limp.servos]
@@ -102,7 +102,7 @@ class Fingers:
 
     def move_to(
         self, aperture_m: float, *, only_open: bool = False, first: bool = False
-    ) -> GripperState:
+    ) -> ServoFeedback:
         """Move empty fingers to an opening in m; ``first`` where their torque has just come on."""
         kind = FirstMotion if first else MoveTo
         state = self.servos.read_patiently()

@@ -34,7 +34,7 @@ from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSensor
 from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport
-from gripper.values.state import Cycle, GripperPhase, GripperState, Observer
+from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 
 HOLD_AT_RATE_N_S = 20.0
 """Rate in N/s at which a held force goes to that of the carry: a host waits for the answer."""
@@ -86,7 +86,7 @@ class Gripper:
         self._grasping = GraspRun(
             fingers.runner, fingers.servos, linkage, settings, fingers.life.set_phase
         )
-        fingers.on_torque = self._grasping.begin
+        fingers.on_torque = self._grasping.start_proving
         self._watchdog_proven = False
         self._carried: Running | None = None
 
@@ -173,7 +173,7 @@ class Gripper:
         report = self._health.verify(correct=False)
         return replace(report, rows=report.rows + self._fingers.standing_rows())
 
-    def read_state(self) -> GripperState:
+    def read_feedback(self) -> ServoFeedback:
         """Read the feedback of all servos in one transaction."""
         return self._servos.read_patiently()
 
@@ -214,7 +214,7 @@ class Gripper:
 
     def open(
         self, aperture_m: float | None = None, observer: Observer | None = None
-    ) -> GripperState:
+    ) -> ServoFeedback:
         """Move the empty fingers to an opening in m, by default aperture_open_m.
 
         Where the torque comes on for it the motion proves direction, zero and linkage, see
@@ -296,7 +296,7 @@ class Gripper:
         """
         return self._close(ramp, observer, self._grasping.press_pads_together)
 
-    def hold(self, duration_s: float, observer: Observer | None = None) -> GripperState:
+    def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
 
         After ``taper_after_s`` the motor gives back current that friction makes superfluous.
@@ -317,7 +317,7 @@ class Gripper:
 
     def hold_at(
         self, force_n: float, duration_s: float = 0.0, observer: Observer | None = None
-    ) -> GripperState:
+    ) -> ServoFeedback:
         """Bring the held force to ``force_n``, hold it for a time in s, and keep controlling it.
 
         From then on each `tick` is a period of the force loop, with all supervision of `hold`,

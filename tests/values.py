@@ -5,7 +5,7 @@ from typing import Any
 
 from cell.control.identification import Identification
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import Cycle, GripperPhase, GripperState, ServoState
+from gripper.values.state import Cycle, GripperPhase, ServoFeedback, ServoState
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
 from recognition.statistics.fusion import StopRule, decide, fuse
@@ -28,8 +28,8 @@ def make_servo(**changes: Any) -> ServoState:
     return replace(_SERVO, **changes)
 
 
-def make_state(t_s: float = 1.0, **changes: Any) -> GripperState:
-    state = GripperState(
+def make_state(t_s: float = 1.0, **changes: Any) -> ServoFeedback:
+    state = ServoFeedback(
         t_s=t_s,
         aperture_m=0.0234,
         aperture_velocity_m_s=-0.001,

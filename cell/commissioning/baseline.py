@@ -21,7 +21,7 @@ from cell.commissioning.motion import look_after, watched_hand
 from cell.commissioning.pads import taxel_names
 from cell.commissioning.servos import model_name
 from cell.config.model import CellConfig
-from cell.config.sequence import force_ramp
+from cell.config.sequence import ramp_from_config
 from cell.config.tactile import layout_from_config, make_calibration
 from cell.hand.interface import Hand
 from gripper.clock import Clock
@@ -319,7 +319,7 @@ def measure_gauge(
             f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
             watch=lambda: look_after(hand, bench.clock),
         )
-        outcome = hand.grasp(force_ramp(config.sequence.ramp, force_n), motion)
+        outcome = hand.grasp(ramp_from_config(config.sequence.ramp, force_n), motion)
         if outcome.result is not GraspResult.FORCE_REACHED:
             if outcome.result is GraspResult.FORCE_NOT_REACHED:
                 _let_go(hand, bench.clock, dialog)

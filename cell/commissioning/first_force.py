@@ -21,7 +21,7 @@ from cell.commissioning.figures import Figure, curves
 from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.config.sequence import force_ramp
+from cell.config.sequence import ramp_from_config
 from cell.control.self_zero import part_between
 from cell.hand.interface import Hand
 from gripper.clock import Clock
@@ -292,7 +292,7 @@ class _Trial:
         measured: list[list[float]] = []
         for force_n in dict.fromkeys((first_n, max(first_n, self.most_n))):
             follow = self.hand.squeeze if measured else self.hand.grasp
-            outcome = follow(force_ramp(ramp, force_n), motion)
+            outcome = follow(ramp_from_config(ramp, force_n), motion)
             if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
                 raise StepFailed(
                     f"The fingers hold nothing ({outcome.result.value}): hold the part in the "

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from cell.config.positioner import PositionerConfig
 from cell.config.section import SIMULATED, OneOf, Section, setting_of
-from cell.config.sequence import SequenceConfig, force_ramp
+from cell.config.sequence import SequenceConfig, ramp_from_config
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
@@ -206,7 +206,9 @@ class CellConfig(Section):
                     f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm: {error}"
                 ) from error
         try:
-            check_ramp(force_ramp(self.sequence.ramp, most_n), self.gripper_settings, self.linkage)
+            check_ramp(
+                ramp_from_config(self.sequence.ramp, most_n), self.gripper_settings, self.linkage
+            )
         except LimitExceeded as error:
             raise ValueError(f"gripper: {error}") from error
         gripper, tactile = self.gripper, self.tactile

@@ -137,7 +137,7 @@ class SequenceConfig(Section):
         return self.ranges["force_n"]
 
 
-def force_ramp(
+def ramp_from_config(
     config: LinearRampConfig | StaircaseRampConfig | SCurveRampConfig, force_n: float
 ) -> ForceRamp:
     """Return the ramp of the configured shape that ends at ``force_n`` N."""

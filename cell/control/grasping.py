@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cell.config.gripper import GripperConfig
 from cell.config.model import CellConfig
-from cell.config.sequence import force_ramp
+from cell.config.sequence import ramp_from_config
 from cell.control.journal import Journal
 from cell.control.keeping import (
     HELD_LOOK_S,
@@ -112,7 +112,7 @@ class Grasper:
         self.hand.check_ramp(self._ramp(step))
 
     def _ramp(self, step: GraspStep) -> ForceRamp:
-        return force_ramp(self._sequence.ramp, step.force_n)
+        return ramp_from_config(self._sequence.ramp, step.force_n)
 
     def grasp(
         self,

@@ -215,7 +215,7 @@ class _Rig:
                 last_latched_s = now_s
             new = self._source.poll().frames
             if new:
-                opening_m = self._gripper.read_state().aperture_m
+                opening_m = self._gripper.read_feedback().aperture_m
                 frames += new
                 apertures_m += [opening_m] * len(new)
             if last_latched_s is not None and (

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
-from cell.config.sequence import force_ramp
+from cell.config.sequence import ramp_from_config
 from cell.config.tactile import layout_from_config
 from cell.control.plan import plan
 from cell.control.records import pad_array
@@ -80,7 +80,7 @@ def teach_drawing(
             grasp = virtual.grasp(
                 drawing,
                 step,
-                force_ramp(config.sequence.ramp, step.force_n),
+                ramp_from_config(config.sequence.ramp, step.force_n),
                 rng,
                 label=label,
                 shape=kind,

@@ -9,7 +9,7 @@ from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings, largest_setpoint_n
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import STANDING_M_S, GripperState
+from gripper.values.state import STANDING_M_S, ServoFeedback
 
 _TORQUE_SHARE, _FRICTION_SHARE = 0.05, 0.15
 """Standard deviation of the torque constant, and of the friction once it was measured on the
@@ -102,7 +102,7 @@ class ForceByCurrent:
             self._sample = self._by_current(state)
         return self._sample
 
-    def _by_current(self, state: GripperState) -> ForceSample:
+    def _by_current(self, state: ServoFeedback) -> ForceSample:
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         now_n = tuple(
             -servo.current_a * path.kt_nm_a / path.radius_m

@@ -24,7 +24,7 @@ from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, tr
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
-from gripper.values.state import STANDING_M_S, GripperPhase, GripperState
+from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
 
 _CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact: at its rising edge, with a reserve.
@@ -81,7 +81,7 @@ class GraspRun:
         """Discard the control of a part: nothing is held any more."""
         self._ramp_step = None
 
-    def begin(self) -> None:
+    def start_proving(self) -> None:
         """Prove anew where the fingers are closed, and learn anew: their torque comes on."""
         self._closed_is_proven = False
         self._widest_m, self._touched, self._friction_share = 0.0, 0, 1.0
@@ -137,7 +137,7 @@ class GraspRun:
 
     def _confirm_empty(
         self,
-        state: GripperState,
+        state: ServoFeedback,
         *,
         ran: bool,
         stiffness_n_m: float | None = None,
@@ -155,13 +155,13 @@ class GraspRun:
         )
         self._runner.run(step.step)
 
-    def hold(self, control: GripControl, duration_s: float) -> GripperState:
+    def hold(self, control: GripControl, duration_s: float) -> ServoFeedback:
         """Control the force at its last set-point for a time in s."""
         return self._runner.run(HoldStep(self._settings, control, duration_s).step)
 
     def hold_on(self, control: GripControl, now_s: float) -> Running:
         """Return the control of the force at its last set-point, without an end."""
-        return self._runner.begin(HoldStep(self._settings, control, inf).step, now_s=now_s)
+        return self._runner.start_command(HoldStep(self._settings, control, inf).step, now_s=now_s)
 
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
@@ -169,7 +169,7 @@ class GraspRun:
         step = GripStep(self._settings, control, begun, slip=LevelSlip(self._settings))
         return step.outcome(self._runner.run(step.step))
 
-    def follow(self, control: GripControl, ramp: ForceRamp) -> GripperState:
+    def follow(self, control: GripControl, ramp: ForceRamp) -> ServoFeedback:
         """Follow a change of the held force to its end and until the force has settled."""
         return self._runner.run(GripStep(self._settings, control, ramp).step)
 
@@ -216,7 +216,7 @@ class GraspRun:
             raise not_met(self._settings, self._linkage, reached.state)
         return reached
 
-    def _prove_closed(self, state: GripperState) -> None:
+    def _prove_closed(self, state: ServoFeedback) -> None:
         """Look once whether the pads of fingers that have found nothing stop each other."""
         if not self._closed_is_proven and closes_farther(self._settings, state):
             self._closed()
@@ -321,7 +321,7 @@ class GripStep:
         self._time = RampTime(settings, ramp)
         self._slip = slip
         self._peak_n = 0.0
-        self._contact: GripperState | None = None
+        self._contact: ServoFeedback | None = None
         self._ended = False
         if control is not None:
             control.resume()
@@ -350,7 +350,7 @@ class GripStep:
         done = self.lost or self._time.settled(control.force_n)
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
 
-    def outcome(self, final: GripperState) -> GraspOutcome:
+    def outcome(self, final: ServoFeedback) -> GraspOutcome:
         """Return the outcome of the ramp, of which ``final`` is the last feedback."""
         contact = self._contact
         final_n = 0.0 if self.control is None else self.control.force_n
@@ -505,7 +505,7 @@ def _too_small(settings: GripperSettings, asked_n: float, force_n: float, apertu
     )
 
 
-def _obstructed(state: GripperState) -> GripContradicted:
+def _obstructed(state: ServoFeedback) -> GripContradicted:
     return GripContradicted(
         f"the fingers were stopped at an opening of {state.aperture_m * 1e3:.1f} mm, pressing with "
         f"{state.current_a:.2f} A, and the pads feel nothing: something is between the fingers "

@@ -24,7 +24,7 @@ from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
-from gripper.values.state import Cycle, GripperPhase, GripperState, Observer
+from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 
 _FREEZE_AT = 2
 """Period without feedback, counted in a row, in which the stop goals are written. [chosen]"""
@@ -66,7 +66,7 @@ class Moment:
     dt_s: float
     """Monotonic time of the feedback and time since the last step in s; a late step counts as two
     periods at most, so that nothing catches up."""
-    state: GripperState
+    state: ServoFeedback
     sample: ForceSample | None
     """Feedback and newest force sample, checked for age where force matters."""
 
@@ -137,7 +137,7 @@ class LoopRunner:
         """Discard earlier requests to stop: a new command begins."""
         self._stop.clear()
 
-    def read(self) -> GripperState | None:
+    def read(self) -> ServoFeedback | None:
         """Read the feedback; None while a lost answer may still be passed over.
 
         Raises
@@ -158,7 +158,7 @@ class LoopRunner:
         self._bus_loss.answered()
         return state
 
-    def run(self, step: Callable[[Moment], Action], *, needs_force: bool = True) -> GripperState:
+    def run(self, step: Callable[[Moment], Action], *, needs_force: bool = True) -> ServoFeedback:
         """Run steps until one is done and return the last feedback.
 
         Parameters
@@ -181,7 +181,7 @@ class LoopRunner:
         if deadline_s < self._due_s:
             self._clock.sleep(self._due_s - deadline_s)
             deadline_s = self._due_s
-        running = self.begin(step, needs_force=needs_force, now_s=deadline_s)
+        running = self.start_command(step, needs_force=needs_force, now_s=deadline_s)
         while True:
             if self._stop.is_set():
                 raise GraspStopped("stopped on request")
@@ -195,14 +195,14 @@ class LoopRunner:
                 deadline_s + self._settings.period_s, answered=cycle is not None
             )
 
-    def begin(
+    def start_command(
         self, step: Callable[[Moment], Action], *, needs_force: bool = True, now_s: float
     ) -> Running:
         """Return steps whose periods the caller runs, each with `period`; arguments as in `run`.
 
         ``now_s`` is the monotonic time in s from which on the age of the force counts.
         """
-        self._bus_loss.begin()
+        self._bus_loss.start_counting()
         return Running(
             step=step,
             needs_force=needs_force,
@@ -273,7 +273,7 @@ class LoopRunner:
             )
         self._servos.guard.check_force()
 
-    def _check_health(self, state: GripperState) -> None:
+    def _check_health(self, state: ServoFeedback) -> None:
         self._cycles += 1
         if self._cycles % _HEALTH_EVERY == 0 or any(servo.alert for servo in state.servos):
             try:
@@ -338,7 +338,7 @@ class BusLossMonitor:
         )
         self._lost = 0
 
-    def begin(self) -> None:
+    def start_counting(self) -> None:
         """Count the periods in a row anew: the servos were not asked for a while."""
         self._in_row = self._one_sided = 0
 
@@ -348,7 +348,7 @@ class BusLossMonitor:
 
     def answered(self) -> None:
         """Count a period with feedback."""
-        self.begin()
+        self.start_counting()
         self._count(lost=False)
 
     def _count(self, *, lost: bool) -> None:

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import LimitExceeded
 from gripper.settings import GripperSettings, check_number
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 
 class Linkage(Protocol):
@@ -247,7 +247,7 @@ def mean_friction_n(paths: Sequence[Transmission]) -> float:
     return sum(path.friction_n for path in paths) / len(paths)
 
 
-def driving_n(state: GripperState, paths: Sequence[Transmission]) -> float:
+def driving_n(state: ServoFeedback, paths: Sequence[Transmission]) -> float:
     """Return the driving force in N that the measured currents make, friction left aside."""
     return sum(
         -servo.current_a * path.kt_nm_a / path.radius_m

@@ -19,7 +19,7 @@ from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.values.state import GripperState, ServoState
+from gripper.values.state import ServoFeedback, ServoState
 
 _TICK_S = 1e-3
 """One count of Realtime Tick (register 120) in s."""
@@ -80,7 +80,7 @@ class Feedback:
         clock: Clock,
         health: ServoHealth,
     ) -> None:
-        self.last: GripperState | None = None
+        self.last: ServoFeedback | None = None
         """The last feedback; None before the first reading."""
         self._bus = bus
         self._linkage = linkage
@@ -100,7 +100,7 @@ class Feedback:
         """Whether a servo counts in another turn than that of its zero; no reading, no turns."""
         return any(self._turns.values())
 
-    def read(self, *, under_torque: bool) -> GripperState:
+    def read(self, *, under_torque: bool) -> ServoFeedback:
         """Read the feedback of all servos in one transaction.
 
         Raises BusTimeout or BusCorrupt when an answer is missing, damaged or older than the
@@ -159,7 +159,7 @@ class Feedback:
             alert=self._bus.alert(servo.servo_id),
         )
 
-    def _gripper_state(self, servos: tuple[ServoState, ...], now_s: float) -> GripperState:
+    def _gripper_state(self, servos: tuple[ServoState, ...], now_s: float) -> ServoFeedback:
         angles_rad = [servo.angle_rad for servo in servos]
         forces_n = [
             path.force_band_n(abs(servo.current_a))[0]
@@ -167,7 +167,7 @@ class Feedback:
                 transmissions(self._settings, self._linkage, angles_rad), servos, strict=True
             )
         ]
-        return GripperState(
+        return ServoFeedback(
             t_s=now_s,
             aperture_m=self._linkage.aperture_m(angles_rad),
             aperture_velocity_m_s=sum(

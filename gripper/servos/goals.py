@@ -23,7 +23,7 @@ from gripper.mechanics.kinematics import Linkage, Transmission
 from gripper.settings import GripperSettings, OverForce, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import QUIET_N, RecentForce
-from gripper.values.state import GripperState, ServoState
+from gripper.values.state import ServoFeedback, ServoState
 
 _SURE_SAMPLES = 2
 """Newest samples whose mean is compared with the cap where something else excludes noise."""
@@ -93,7 +93,7 @@ class GoalGuard:
         """Add the newest force sample; the same one may come again."""
         self._forces.push(sample)
 
-    def bounded(self, goals: Sequence[ServoGoal], state: GripperState) -> tuple[ServoGoal, ...]:
+    def bounded(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
         """Return the goals with which no finger that closes presses or runs beyond its limits.
 
         No sample of the pads enters the current: whatever these show, a finger presses with no more
@@ -178,7 +178,7 @@ class GoalGuard:
                 f"{_OVER_FORCE[settings.over_force]}; clear the fault, then release the part"
             )
 
-    def check(self, goals: Sequence[ServoGoal], state: GripperState, now_s: float) -> None:
+    def check(self, goals: Sequence[ServoGoal], state: ServoFeedback, now_s: float) -> None:
         """Check goals that are to be written now; those that pass are the next ones' measure.
 
         Raises LimitExceeded when a limit is against the goals; it is named.
@@ -332,7 +332,7 @@ class GoalWriter:
         self.last = ()
 
     def write(
-        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_rad_s: float = 0.0
+        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, profile_rad_s: float = 0.0
     ) -> None:
         """Write goal current and goal position of all servos at once, if no limit is against it.
 

@@ -30,7 +30,7 @@ from gripper.servos.goals import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import GripperState, ServoState
+from gripper.values.state import ServoFeedback, ServoState
 
 _PATIENT_READS = 3
 """Readings between commands before a lost answer is an error."""
@@ -76,11 +76,11 @@ class ServoGroup:
 
     # Feedback
 
-    def read(self) -> GripperState:
+    def read(self) -> ServoFeedback:
         """Read the feedback of all servos in one transaction; errors as in `Feedback.read`."""
         return self.feedback.read(under_torque=bool(self._goals.last))
 
-    def read_patiently(self) -> GripperState:
+    def read_patiently(self) -> ServoFeedback:
         """Read as `read` does, again where an answer was lost or old; for use between commands."""
         for _ in range(_PATIENT_READS - 1):
             with suppress(BusTimeout, BusCorrupt):
@@ -104,7 +104,7 @@ class ServoGroup:
     # Goals
 
     def write_goals(
-        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_rad_s: float = 0.0
+        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, profile_rad_s: float = 0.0
     ) -> None:
         """Write the goals of all servos at once, if no limit is against it; see `GoalWriter`."""
         self._goals.write(goals, state, profile_rad_s=profile_rad_s)
@@ -183,7 +183,7 @@ class ServoGroup:
     # Torque and bus watchdog
 
     def make_ready(
-        self, *, part_possible: bool, releasing: bool, limp: GripperState | None = None
+        self, *, part_possible: bool, releasing: bool, limp: ServoFeedback | None = None
     ) -> None:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
@@ -332,7 +332,7 @@ class ServoGroup:
                 f"held part possibly dropped. Check who else writes to this servo, and its encoder"
             )
 
-    def _motion_current_a(self, state: GripperState | None = None) -> float:
+    def _motion_current_a(self, state: ServoFeedback | None = None) -> float:
         state = state or self.read_patiently()
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         return motion_current_a(self._settings, paths, self._settings.approach_force_n)
@@ -369,7 +369,7 @@ class ServoGroup:
             # The goals of the other modes limit this one too.
             self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
 
-    def _check_goals_taken(self, state: GripperState, current_a: float) -> None:
+    def _check_goals_taken(self, state: ServoFeedback, current_a: float) -> None:
         """Read the goals of the present positions back; ServoFault where one differs."""
         found = self._bus.sync_read(self._ids, GOAL_BLOCK)
         for servo, settings in zip(state.servos, self._settings.servos, strict=True):

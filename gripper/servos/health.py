@@ -18,7 +18,7 @@ from gripper.errors import BusCorrupt, BusTimeout, ServoFault, ServoMissing, Ver
 from gripper.servos.verification import compare, requirements
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 _TORQUE = RegisterBlock(TORQUE_ENABLE)
 _CHECKS = 3
@@ -192,7 +192,7 @@ class ServoHealth:
                 return compare(servo.servo_id, required[:1], found)
         return compare(servo.servo_id, required, found, frozenset(corrected))
 
-    def poll(self, state: GripperState, *, watchdog: bool = True) -> None:
+    def poll(self, state: ServoFeedback, *, watchdog: bool = True) -> None:
         """Check one more item of one servo; called now and then while the torque is on.
 
         Raises ServoFault when a servo reports a hardware error, has lost its torque or its watchdog

@@ -11,11 +11,11 @@ from dataclasses import replace
 from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 
 def frozen(
-    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: GripperState
+    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: ServoFeedback
 ) -> list[ServoGoal]:
     """Return the last goals with the lower current of the last two periods.
 
@@ -34,7 +34,7 @@ def frozen(
 
 
 def holding_position(
-    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: GripperState
+    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: ServoFeedback
 ) -> list[ServoGoal]:
     """Return goals at the present positions, with the lower current of the last two periods.
 
@@ -52,7 +52,7 @@ def lowered(last: Sequence[ServoGoal], share: float) -> list[ServoGoal]:
 
 
 def opened_a_step(
-    state: GripperState, settings: GripperSettings, linkage: Linkage
+    state: ServoFeedback, settings: GripperSettings, linkage: Linkage
 ) -> list[ServoGoal]:
     """Return goals that open by ``over_force_open_m`` from the present positions."""
     paths = transmissions(settings, linkage, state.angles_rad)

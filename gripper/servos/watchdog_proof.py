@@ -15,7 +15,7 @@ from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 _FASTEST_RAW = 4
 """Largest Profile Velocity (register 112) of the test motion: 0.1 rad/s."""
@@ -171,5 +171,5 @@ def _motion(
     return speed_rad_s, goals_rad
 
 
-def _pulses(first: GripperState, second: GripperState, index: int) -> int:
+def _pulses(first: ServoFeedback, second: ServoFeedback, index: int) -> int:
     return abs(second.servos[index].position_raw - first.servos[index].position_raw)

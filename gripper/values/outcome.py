@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gripper.values.servo_checks import ServoCondition
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 
 class GraspResult(Enum):
@@ -45,7 +45,7 @@ class GraspOutcome:
 class ReleaseReport:
     """End of a release: what was opened, and what could not be."""
 
-    state: GripperState
+    state: ServoFeedback
     """Last feedback; of the servos that were opened alone."""
     opened: tuple[int, ...]
     """IDs of the servos whose fingers are open."""

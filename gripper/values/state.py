@@ -66,7 +66,7 @@ class ServoState:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GripperState:
+class ServoFeedback:
     """Feedback of the gripper, read in one transaction."""
 
     t_s: float
@@ -93,7 +93,7 @@ class GripperState:
 
 
 def shows_nothing(
-    state: GripperState | None, force: ForceSample | None, contact_force_n: float
+    state: ServoFeedback | None, force: ForceSample | None, contact_force_n: float
 ) -> bool:
     """Return whether pads and current both show that nothing is held.
 
@@ -120,7 +120,7 @@ class Cycle:
     """Monotonic time in s."""
     phase: GripperPhase
     """Phase of the gripper."""
-    state: GripperState
+    state: ServoFeedback
     """Feedback of this period."""
     goal_current_a: float
     """Mean magnitude of the goal currents in A."""

@@ -19,7 +19,7 @@ from cell.data.recording_reader import Recording, read_recording
 from cell.data.recording_recovery import recover_recording
 from cell.errors import RecordingError
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import Cycle, GripperPhase, GripperState, ServoState
+from gripper.values.state import Cycle, GripperPhase, ServoFeedback, ServoState
 from tactile.source import TactileFrame
 from tests.fuzz.harness import (
     Clock,
@@ -67,7 +67,7 @@ def cycle(t_s: float) -> Cycle:
         Cycle,
         t_s=t_s,
         phase=GripperPhase.RAMPING,
-        state=zeros(GripperState, t_s=t_s, servos=servos),
+        state=zeros(ServoFeedback, t_s=t_s, servos=servos),
         force=ForceSample(t_s=t_s, force_n=(4.0, 4.0)),
     )
 

@@ -328,7 +328,7 @@ def test_ticks_feed_the_watchdog_between_commands(cell) -> None:
         cell.gripper.tick()
     assert cell.register(0, "bus_watchdog") == 10
     assert cell.force_n == pytest.approx(8.0, abs=0.5)
-    assert cell.gripper.read_state().aperture_m == pytest.approx(
+    assert cell.gripper.read_feedback().aperture_m == pytest.approx(
         cell.mechanics.aperture_m, abs=5e-4
     )
 

@@ -69,7 +69,7 @@ def test_a_line_that_is_cut_is_a_lost_port() -> None:
     with simulated_cell() as sim, open_gripper(sim.servo_port) as gripper:
         sim.inject("servos.unplugged")
         with pytest.raises(PortLost, match="the cable to the simulated servos is out"):
-            gripper.read_state()
+            gripper.read_feedback()
 
 
 @pytest.mark.parametrize("kind", [GroupSyncRead, GroupBulkRead])

@@ -18,7 +18,7 @@ from gripper.servos.goals import (
     running_lead_rad,
 )
 from gripper.settings import GripperSettings
-from gripper.values.state import STANDING_M_S, GripperState
+from gripper.values.state import STANDING_M_S, ServoFeedback
 
 _STALL_CURRENT_SHARE = 0.8
 """Share of the goal current from which on a servo that stands still pushes against something.
@@ -102,7 +102,7 @@ class Approach:
         self,
         settings: GripperSettings,
         linkage: Linkage,
-        state: GripperState,
+        state: ServoFeedback,
         *,
         widest_m: float | None = None,
     ) -> None:
@@ -162,7 +162,7 @@ class Approach:
             return self._apertures.newest
         return self._apertures.at(self._detector.first_s)
 
-    def runs_freely(self, state: GripperState) -> bool:
+    def runs_freely(self, state: ServoFeedback) -> bool:
         """Return whether all fingers close steadily and no pad has been touched so far."""
         nominal_rad_s = self._nominal_rad_s(state)
         return not self._was_touched and all(
@@ -213,7 +213,7 @@ class Approach:
         ]
         return Action(goals=goals, done=self.event is not ApproachEvent.CLOSING)
 
-    def _new_speed_m_s(self, state: GripperState) -> float:
+    def _new_speed_m_s(self, state: ServoFeedback) -> float:
         return approach_speed_m_s(
             self._settings, self._linkage, state.angles_rad, travelling=self._travels
         )
@@ -228,13 +228,13 @@ class Approach:
         )
         return self._begins
 
-    def _slows_down(self, state: GripperState) -> bool:
+    def _slows_down(self, state: ServoFeedback) -> bool:
         """Return whether the fingers that travelled are still to get to their new speed."""
         most_rad_s = self._nominal_rad_s(state) / _RUNNING_SHARE
         self._slows &= any(-servo.velocity_rad_s > most_rad_s for servo in state.servos)
         return self._slows
 
-    def _lead_m(self, state: GripperState) -> float:
+    def _lead_m(self, state: ServoFeedback) -> float:
         """Return how far in m the goal is ahead of fingers that run at the nominal speed."""
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         nominal_rad_s = self._nominal_rad_s(state)
@@ -246,7 +246,7 @@ class Approach:
             )
         )
 
-    def _most_lead_m(self, state: GripperState) -> float:
+    def _most_lead_m(self, state: ServoFeedback) -> float:
         """Return how far in m the goal may run ahead of the fingers.
 
         A little only: that is how far they would go on if nobody wrote a new one. Fingers that
@@ -325,13 +325,13 @@ class Approach:
         margin_rad = closing_margin_rad(model, current_a)
         return ServoGoal(angle_rad=servo.angle_rad - margin_rad, current_a=current_a)
 
-    def _nominal_rad_s(self, state: GripperState) -> float:
+    def _nominal_rad_s(self, state: ServoFeedback) -> float:
         reach_m = sum(self._linkage.opening_per_rad_m(servo.angle_rad) for servo in state.servos)
         return self._speed_m_s / reach_m
 
     def _angles_rad(
         self,
-        state: GripperState,
+        state: ServoFeedback,
         touched: tuple[bool, bool],
         paused_rad: Sequence[float | None],
     ) -> Sequence[float]:
@@ -349,7 +349,7 @@ class Approach:
                 angles_rad[finger] = still_rad
         return angles_rad
 
-    def _paused_rad(self, now_s: float, state: GripperState) -> list[float | None]:
+    def _paused_rad(self, now_s: float, state: ServoFeedback) -> list[float | None]:
         """Return where a finger waits that has just been slowed down, None while it closes.
 
         A part slows a finger down tens of milliseconds before the pads report it. Where they
@@ -376,7 +376,7 @@ class Approach:
         return [None if pause is None else pause[0] for pause in self._pauses]
 
     def _found(
-        self, now_s: float, state: GripperState, touched: tuple[bool, bool]
+        self, now_s: float, state: ServoFeedback, touched: tuple[bool, bool]
     ) -> ApproachEvent:
         if state.aperture_m <= self._settings.aperture_min_m:
             return ApproachEvent.LIMIT
@@ -401,7 +401,7 @@ class Reached:
     settings: GripperSettings
     """Those of the gripper, or those with which empty fingers meet."""
     event: ApproachEvent
-    state: GripperState
+    state: ServoFeedback
     """What has ended it, and the feedback then."""
     braked_s: float
     """Monotonic time in s at which a finger was braked at its first touch."""

@@ -13,7 +13,7 @@ from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a
 from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 _STANDING_S = 0.2
 """Time in s for which empty fingers must stand after their torque has come on: friction at rest
@@ -46,7 +46,7 @@ class StandStill:
         Feedback at the start; the goals are these positions.
     """
 
-    def __init__(self, settings: GripperSettings, state: GripperState) -> None:
+    def __init__(self, settings: GripperSettings, state: ServoFeedback) -> None:
         self._start_rad = state.angles_rad
         self._periods = round(_STANDING_S / settings.period_s)
 
@@ -85,7 +85,7 @@ class MoveTo:
         self,
         settings: GripperSettings,
         linkage: Linkage,
-        state: GripperState,
+        state: ServoFeedback,
         *,
         aperture_m: float,
         only_open: bool = False,
@@ -169,7 +169,7 @@ class MoveTo:
             raise self._stuck(moment.state)
         return Action(goals=goals, done=arrived)
 
-    def _stuck(self, state: GripperState) -> ServoFault:
+    def _stuck(self, state: ServoFeedback) -> ServoFault:
         slowest = max(
             zip(state.servos, self._target_rad, strict=True),
             key=lambda pair: abs(pair[1] - pair[0].angle_rad),

@@ -57,7 +57,7 @@ from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, most_closed_rad
 from gripper.settings import GripperSettings
 from gripper.values.recent import FRAME_S, LEAST_SAMPLES, RecentForce
 from gripper.values.servo_checks import VerificationRow
-from gripper.values.state import GripperState, ServoState
+from gripper.values.state import ServoFeedback, ServoState
 
 POSITION_ITEM = "present_position"
 """Name of the rows that `standing_rows` returns."""
@@ -105,7 +105,7 @@ _LARGEST_MIN_M = 0.002
 [chosen]"""
 
 
-def closes_farther(settings: GripperSettings, state: GripperState) -> bool:
+def closes_farther(settings: GripperSettings, state: ServoFeedback) -> bool:
     """Return whether fingers that have found nothing there may close farther."""
     return state.aperture_m <= settings.aperture_min_m <= _LARGEST_MIN_M
 
@@ -218,7 +218,7 @@ class FirstMotion:
         self,
         settings: GripperSettings,
         linkage: Linkage,
-        state: GripperState,
+        state: ServoFeedback,
         *,
         aperture_m: float,
         only_open: bool = False,
@@ -379,7 +379,7 @@ def meeting_settings(settings: GripperSettings) -> GripperSettings:
     )
 
 
-def not_met(settings: GripperSettings, linkage: Linkage, state: GripperState) -> GripperError:
+def not_met(settings: GripperSettings, linkage: Linkage, state: ServoFeedback) -> GripperError:
     """Return the error of empty fingers that nothing has stopped where their pads must meet.
 
     Where the time ended before they came so far, nothing is wrong with the mechanics.

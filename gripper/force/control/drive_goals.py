@@ -6,7 +6,7 @@ from math import inf
 from gripper.force.estimates.grip import Grip
 from gripper.mechanics.kinematics import Transmission
 from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 GIVE_RAD = 0.03
 """How far in rad a goal may open beyond the contact: pads and part are deeper there by no more.
@@ -28,7 +28,7 @@ class DriveGoals:
         it, however much force the pads report.
     """
 
-    def __init__(self, grip: Grip, contact: GripperState, touch_m: float) -> None:
+    def __init__(self, grip: Grip, contact: ServoFeedback, touch_m: float) -> None:
         self._grip = grip
         self._contact_rad = self._deepest_rad = contact.angles_rad
         self._least_rad = most_closed_rad(grip.settings, grip.linkage)
@@ -40,7 +40,7 @@ class DriveGoals:
         """Whether the fingers may open farther."""
         return self._stop_rad is None
 
-    def goals(self, state: GripperState, paths: Sequence[Transmission]) -> tuple[ServoGoal, ...]:
+    def goals(self, state: ServoFeedback, paths: Sequence[Transmission]) -> tuple[ServoGoal, ...]:
         """Return the goals that make the driving force of the grip.
 
         Parameters

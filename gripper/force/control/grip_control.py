@@ -15,7 +15,7 @@ from gripper.force.supervision.pad_checks import PadChecks
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goals import ServoGoal
-from gripper.values.state import GRAIN_M, GripperState
+from gripper.values.state import GRAIN_M, ServoFeedback
 
 _TORQUE_DOUBT = 0.03
 """Share of the cap of the force that the drive leaves free: torque of the servos, their inertia.
@@ -145,7 +145,7 @@ class GripControl:
         )
         return self._goals.goals(state, paths)
 
-    def _drive_max_n(self, state: GripperState, paths: Sequence[Transmission]) -> float:
+    def _drive_max_n(self, state: ServoFeedback, paths: Sequence[Transmission]) -> float:
         """Return the largest driving force in N that the caps of current and force allow.
 
         Where something pushes the fingers open, the cap of the force limits the drive too.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from gripper.force.loop import Moment
 from gripper.mechanics.kinematics import Transmission
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +34,7 @@ class Period:
     """Whether the fingers may open farther."""
 
     @property
-    def state(self) -> GripperState:
+    def state(self) -> ServoFeedback:
         """Feedback of the servos."""
         return self.moment.state
 

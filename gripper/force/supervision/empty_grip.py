@@ -10,7 +10,7 @@ from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.recent import LEAST_SAMPLES, RecentForce
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 _TRY_S = 0.5
 """Time in s, beyond that of the way, within which free fingers have closed. [chosen]"""
@@ -53,7 +53,7 @@ class EmptyGrip:
         self,
         settings: GripperSettings,
         linkage: Linkage,
-        state: GripperState,
+        state: ServoFeedback,
         *,
         stiffness_n_m: float | None,
         approached: bool,
@@ -111,7 +111,7 @@ class EmptyGrip:
         )
         return Action(goals=self._goals(state, self._goal_m))
 
-    def _goals(self, state: GripperState, aperture_m: float) -> tuple[ServoGoal, ...]:
+    def _goals(self, state: ServoFeedback, aperture_m: float) -> tuple[ServoGoal, ...]:
         """Return goals that close both fingers evenly to an opening, from where they stand."""
         now_rad = self._linkage.angles_rad(state.aperture_m)
         goal_rad = self._linkage.angles_rad(aperture_m)

@@ -5,7 +5,7 @@ from gripper.force.loop import Moment
 from gripper.force.supervision.pad_samples import PadSamples
 from gripper.settings import GripperSettings
 from gripper.values.recent import FRAME_S
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 
 _CONTRADICTED_S = 5 * FRAME_S
 """Time in s for which loaded pads contradict a position before that is an error: five frames."""
@@ -28,7 +28,7 @@ class PadChecks:
     """
 
     def __init__(
-        self, settings: GripperSettings, contact: GripperState, now_s: float, *, widest_m: float
+        self, settings: GripperSettings, contact: ServoFeedback, now_s: float, *, widest_m: float
     ) -> None:
         self._settings = settings
         self._widest_m = widest_m
@@ -63,7 +63,7 @@ class PadChecks:
         self._check_position(moment.dt_s, moment.state, pads)
         self._check_balance(moment.dt_s, pads)
 
-    def _check_position(self, dt_s: float, state: GripperState, pads: PadSamples) -> None:
+    def _check_position(self, dt_s: float, state: ServoFeedback, pads: PadSamples) -> None:
         """Raise PositionContradicted where loaded pads have contradicted the opening for long.
 
         No part presses on both pads where the fingers stand wider open than at the contact, or

@@ -39,7 +39,7 @@ def test_a_grasp_reaches_its_force_and_lets_go(bench: Any) -> None:
     assert record.step.force_n == 4.0
     assert bench.controller.state is CellState.IDLE
     assert bench.grip_n == 0.0
-    assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert bench.controller.gripper.read_feedback().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
 
 
 def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) -> None:
@@ -82,7 +82,7 @@ def test_an_empty_gripper_is_no_part_and_no_fault(make_bench: MakeBench, tmp_pat
     assert bench.controller.state is CellState.IDLE
     assert bench.controller.grasp_state is GraspState.NO_PART_FOUND
     assert bench.controller.fault is None
-    assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert bench.controller.gripper.read_feedback().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")
@@ -333,7 +333,7 @@ def test_an_object_that_does_not_exist_is_refused_before_anything_closes(bench: 
     with pytest.raises(PositionerError, match="unicorn cannot be placed"):
         bench.grasp()
     assert not bench.controller.holding
-    assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert bench.controller.gripper.read_feedback().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
 
 
 def test_the_cell_is_supervised_while_a_person_moves_the_object(make_bench: MakeBench) -> None:

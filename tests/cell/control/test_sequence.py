@@ -7,7 +7,7 @@ from cell.config.sequence import (
     SCurveRampConfig,
     SequenceConfig,
     StaircaseRampConfig,
-    force_ramp,
+    ramp_from_config,
 )
 from cell.control.plan import GraspStep, Pose, plan
 
@@ -71,6 +71,6 @@ def test_pose_refuses_what_is_not_finite_and_reads_well() -> None:
 def test_ramps_of_the_config_end_at_the_wanted_force(
     config: LinearRampConfig | StaircaseRampConfig | SCurveRampConfig,
 ) -> None:
-    ramp = force_ramp(config, 5.0)
+    ramp = ramp_from_config(config, 5.0)
     assert ramp.final_n == 5.0
     assert ramp.setpoint_n(ramp.duration_s) == pytest.approx(5.0)

@@ -16,7 +16,7 @@ from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 from tests.values import make_servo, make_state
 
 LINKAGE = ParallelLinkage(link_m=0.06)
@@ -99,7 +99,7 @@ FRICTION_N, ONE_N_A = 3.69, 0.06 / 1.769
 """Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
 
 
-def standing(velocity_rad_s: float) -> GripperState:
+def standing(velocity_rad_s: float) -> ServoFeedback:
     servos = (make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s),) * 2
     return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate(servos, 1)))
 

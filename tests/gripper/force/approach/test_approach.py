@@ -11,7 +11,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import Cycle, GripperPhase, GripperState
+from gripper.values.state import Cycle, GripperPhase, ServoFeedback
 from tests.values import make_servo, make_state
 
 LINKAGE = ParallelLinkage(link_m=0.06)
@@ -25,7 +25,7 @@ def sample(t_s: float, first_n: float, second_n: float, valid: bool = True) -> F
     return ForceSample(t_s=t_s, force_n=(first_n, second_n), valid=valid)
 
 
-def state(t_s: float, aperture_m: float, speed_m_s: float, current_a: float = 0.1) -> GripperState:
+def state(t_s: float, aperture_m: float, speed_m_s: float, current_a: float = 0.1) -> ServoFeedback:
     angle_rad = LINKAGE.angles_rad(aperture_m)[0]
     servo = make_servo(
         angle_rad=angle_rad, velocity_rad_s=0.5 * speed_m_s / 0.06, current_a=-current_a
@@ -44,7 +44,7 @@ def new_approach(aperture_m: float = 0.02) -> Approach:
 
 
 def step(
-    approach: Approach, t_s: float, dt_s: float, at: GripperState, seen: ForceSample | None
+    approach: Approach, t_s: float, dt_s: float, at: ServoFeedback, seen: ForceSample | None
 ) -> tuple[ApproachEvent, tuple[float, ...]]:
     action = approach.step(Moment(now_s=t_s, dt_s=dt_s, state=at, sample=seen))
     assert action.goals is not None

@@ -7,13 +7,13 @@ import pytest
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.mechanics.kinematics import transmissions
 from gripper.settings import GripperSettings
-from gripper.values.state import GripperState
+from gripper.values.state import ServoFeedback
 from tests.gripper.force.grips import LINKAGE, STATE, make_grip
 
 SETTINGS = GripperSettings()
 
 
-def standing(angle_rad: float) -> GripperState:
+def standing(angle_rad: float) -> ServoFeedback:
     servos = tuple(replace(one, angle_rad=angle_rad) for one in STATE.servos)
     return replace(STATE, servos=servos, aperture_m=LINKAGE.aperture_m((angle_rad,) * 2))
 
