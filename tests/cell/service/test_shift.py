@@ -1,11 +1,13 @@
 """The ledger of a shift: what it counts, and that it stays small."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from cell.config.model import CellConfig
 from cell.errors import NoPartFound
+from cell.jobs import sort
 from cell.plugin import tasks
 from cell.plugin.answer import Answer
 from cell.plugin.goals import IdentifyGoal, SortGoal
@@ -91,19 +93,16 @@ def test_the_ledger_stays_small() -> None:
     assert (len(shift._times_s), len(shift._cycles_s), len(shift.parts)) == (3600, 1000, 20)
 
 
-class NothingThere:
-    """A taught model whose cell finds no part."""
+def test_turns_without_a_part_are_reported_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+    nothing: Any = None
+    model: Any = SimpleNamespace(max_grasps=1)
 
-    max_grasps = 1
-
-    def identify(self, *_cell: Any, **_how: Any) -> None:
+    def no_part(*_cell: Any, **_how: Any) -> None:
         raise NoPartFound("no contact")
 
-
-def test_turns_without_a_part_are_reported_as_such() -> None:
-    seen: list[Any] = []
-    model: Any = NothingThere()
-    nothing: Any = None
+    for module in (tasks, sort):
+        monkeypatch.setattr(module, "identify", no_part)
 
     def places() -> tasks.Places:
         return tasks.Places(CellConfig(), ("ball",))
