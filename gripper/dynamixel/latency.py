@@ -6,9 +6,12 @@ otherwise show as lost answers in the middle of a grasp.
 
 from collections.abc import Sequence
 from statistics import median
+from typing import TYPE_CHECKING
 
-from gripper.dynamixel.bus import ServoBus
 from gripper.errors import BusCorrupt, BusTimeout, LinkTooSlow
+
+if TYPE_CHECKING:
+    from gripper.dynamixel.bus import ServoBus
 
 _ROUNDS = 20
 """Pings of each servo: 40 round trips with two servos, in less than 0.1 s on a good link."""
@@ -44,7 +47,7 @@ def largest_rate_hz(baud_rate: int, n_servos: int) -> float:
     return _WORK_SHARE / _wire_s(baud_rate, n_servos)
 
 
-def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> float:
+def check_link(bus: "ServoBus", ids: Sequence[int], period_s: float) -> float:
     """Fit the time-outs to the measured round trips, and refuse a link that is too slow.
 
     Returns the median of the round trips in s. Raises LinkTooSlow when the work of a period does
@@ -81,7 +84,7 @@ def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> float:
     return typical_s
 
 
-def _trip_s(bus: ServoBus, servo_id: int) -> float:
+def _trip_s(bus: "ServoBus", servo_id: int) -> float:
     try:
         return bus.round_trip_s(servo_id)
     except (BusTimeout, BusCorrupt):

@@ -46,7 +46,7 @@ def test_the_monitor_watches_every_counter_of_the_links() -> None:
         health = cell.cell.health()
         watched = sum(len(values) for values in link_counters(cell.cell))
     counted = [health[link].keys() for link in ("tactile", "servo_bus")]
-    always = {"complete", "transactions", "force_received"}
+    always = {"complete", "transactions", "force_received", "requests", "late_requests"}
     assert watched == sum(len(names - always) for names in counted) > 10
 
 

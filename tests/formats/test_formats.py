@@ -22,7 +22,7 @@ from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
 from tests.cell.commissioning.script import SimulatedLines
 from tests.cell.conftest import call
-from tests.cell.data.test_recording import GOOD, foreign
+from tests.cell.data.test_recording_messages import GOOD, foreign
 
 HERE = Path(__file__).parent
 EARLIER = sorted(path.name for path in HERE.iterdir() if (path / "small.yaml").exists())
@@ -92,7 +92,7 @@ def test_a_commissioned_cell_is_done_and_its_servos_come_back(
     files: Path, commissioned: SimulatedCell
 ) -> None:
     done = call("commission", "cell")
-    assert done.startswith("commissioned: cell/tactile-cell.yaml")
+    assert "commissioned: cell/tactile-cell.yaml" in done
     restored = CliRunner().invoke(app, ["commission", "cell", "--restore"], input="y\n")
     assert restored.exit_code == 0, restored.output
     servos = [servo.core.registers for servo in commissioned.devices.servo_bus.servos]
@@ -157,7 +157,7 @@ LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
     "recording": (
         formats.RECORDING,
         lambda kind: foreign(
-            Path("recording.mcap"), metadata=GOOD | {"format": later(kind)}, content=b"{}"
+            Path("recording.mcap"), b"{}", metadata=GOOD | {"format": later(kind)}
         ),
         ("recover", "recording.mcap"),
     ),

@@ -415,6 +415,8 @@ def test_a_servo_with_other_units_is_data(make_cell, monkeypatch: pytest.MonkeyP
         pulses_per_turn=8192,
         velocity_unit_rad_s=0.01,
         voltage_unit_v=0.2,
+        min_voltage_raw=48,
+        max_voltage_raw=80,
         position_gains=(0, 0, 400),
     )
     monkeypatch.setattr(models, "MODELS", {other.name: other})

@@ -60,7 +60,7 @@ class Asking(Step):
 def steps() -> list[Asking]:
     return [
         Asking("ports", settings=REAL),
-        Asking("servos", needs=("ports",), settings={"gripper.baud_rate": 57600}),
+        Asking("servos", needs=("ports",), settings={"gripper.baud_rate": 2000000}),
         Asking("unit", needs=("ports",)),
         Asking("force", needs=("servos", "unit")),
     ]
@@ -76,10 +76,10 @@ def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: P
     again, walk = Script(), steps()
     files = Engine(walk, Bench(tmp_path)).run(again)
     assert again.asked == ["unit.q", "force.q"]
-    assert walk[2].seen == [{**REAL, "gripper.baud_rate": 57600}]
+    assert walk[2].seen == [{**REAL, "gripper.baud_rate": 2000000}]
     assert tmp_path / CONFIG_NAME in files
     config = load_config(tmp_path / CONFIG_NAME)
-    assert (config.gripper.port, config.gripper.baud_rate) == ("/dev/ttyUSB0", 57600)
+    assert (config.gripper.port, config.gripper.baud_rate) == ("/dev/ttyUSB0", 2000000)
     assert Engine(steps(), Bench(tmp_path)).run(third := Script())
     assert third.asked == []
 
@@ -191,13 +191,13 @@ def test_what_users_wrote_into_the_config_stays(tmp_path: Path) -> None:
     found = load_config(path)
     assert (found.gripper.force_max_n, found.name) == (20.0, "cell 7")
     # What a step has found is as it was found.
-    assert found.gripper.baud_rate == 57600
+    assert found.gripper.baud_rate == 2000000
 
 
 def test_sections_are_there_before_the_config_is_whole(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.settings = {"gripper.port": "/dev/ttyUSB0", "gripper.slip.drop_n": 0.5}
-    assert bench.gripper(baud_rate=57600).slip.drop_n == 0.5
+    assert bench.gripper(baud_rate=2000000).slip.drop_n == 0.5
     assert bench.tactile(node_id=9).node_id == 9
     with pytest.raises(ConfigError, match="must both be"):
         _ = bench.config

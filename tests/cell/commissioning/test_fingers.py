@@ -154,6 +154,7 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(limp: MakeStand) ->
     wrong = {
         "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
         "gripper.aperture_open_mm": 150.0,
+        "gripper.contact_timeout_s": 11.0,
     }
     one.bench.base = changed_config(one.bench.base, wrong)
     one.bench.settings = {k: v for k, v in one.bench.settings.items() if "aperture" not in k}

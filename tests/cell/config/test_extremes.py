@@ -165,7 +165,7 @@ def test_each_frame_is_through_in_the_shortest_period_of_a_bit_rate(
     cell = build_cell(config)
     try:
         cell.controller.start()
-        assert cell.controller.hand.statistics.link.frames.lost == 0
+        assert cell.controller.hand.statistics.source.frames.lost == 0
     finally:
         cell.close()
 

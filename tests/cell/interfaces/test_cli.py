@@ -433,7 +433,7 @@ def test_the_first_line_names_the_cell(
     Path("tactile-cell.yaml").unlink()
     Path("tactile-cell.yaml").symlink_to("gone.yaml")
     result = RUNNER.invoke(app, ["doctor"])
-    assert "tactile-cell.yaml: cannot be read" in str(result.exception)
+    assert "tactile-cell.yaml: No such file" in str(result.exception)
 
 
 def test_a_terminal_obeys_no_text_of_a_file(

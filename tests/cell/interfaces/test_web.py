@@ -426,10 +426,7 @@ def page_examples(host: Client) -> list[str]:
 def openapi_paths(host: Client) -> set[str]:
     """Return the paths of the description, with labels as they are written in texts."""
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
-    return {
-        path.replace("{label:path}", "{label}").replace("grasps/{number}", "grasps/{id}")
-        for path in paths
-    }
+    return {path.replace("{label:path}", "{label}") for path in paths}
 
 
 def test_what_is_no_request_is_refused(connect: Any) -> None:

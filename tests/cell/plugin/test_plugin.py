@@ -99,7 +99,8 @@ def test_teach_then_identify(make_plugin: Any) -> None:
             "nearest": None,  # three grasps are too few to leave some out
             "mistaken_share": None,
         }
-        assert progress == {"task": "teach", "label": label, "grasps": 3, "missed": 0, "of": 3}
+        expected = {"task": "teach", "label": label, "grasps": 3, "missed": 0, "of": 3, "short": ""}
+        assert progress == expected
     assert plugin.labels == ("ball", "box")
     job = plugin.start({"task": "identify", "max_grasps": 3, "present": "box", "seed": 9})
     answer = plugin.result(job, LIMIT_S)

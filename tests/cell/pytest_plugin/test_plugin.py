@@ -64,9 +64,9 @@ def test_the_ini_option_names_the_config_and_the_command_line_overrules(
     )
     result = run(pytester, "-s")
     result.stdout.fnmatch_lines(["*FOUND a [[](7, -1), (8, 1)[]] 1000000 5 1000000"])
-    options = ("--servo-ids", "9,7", "--servo-baud-rate", "57600", "--node-id", "12")
+    options = ("--servo-ids", "9,7", "--servo-baud-rate", "2000000", "--node-id", "12")
     result = run(pytester, "-s", *options, "--can-bitrate", "500000")
-    result.stdout.fnmatch_lines(["*FOUND a [[](9, 1), (7, -1)[]] 57600 12 500000"])
+    result.stdout.fnmatch_lines(["*FOUND a [[](9, 1), (7, -1)[]] 2000000 12 500000"])
     result = run(pytester, "-s", "--cell-config", "cells/b.yaml")
     result.stdout.fnmatch_lines(["*FOUND b *"])
 
