@@ -74,7 +74,8 @@ class Hands:
         """
         word, *values = [one for one in text.split() if one not in _FILLERS] or ["help"]
         if word == "help":
-            return f"{HELP}\nThe pads here: {', '.join(self._state['pads'])}"
+            state = self._state
+            return f"{HELP}\nHere: fingers on {state['linkage']}; pads {', '.join(state['pads'])}"
         try:
             act = self._acts[word]
             signature(act).bind(*values)

@@ -34,7 +34,7 @@ class CellRequests:
     - ``{"hand": {"1": 0.02, "2": 0}}``: a person moves the fingers of these servos, without torque,
       to half openings in m: ``{"moving": true}``; "state" shows when they are left
     - ``{"state": true}``: what is placed and pressed, forces, opening, half openings, number of
-      servos, names of the pads, frames left, axes, faults
+      servos, kind of the linkage, names of the pads, frames left, axes, faults
     - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, kind, meaning,
       value (null for none), and whether it is a moment, without an end
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
@@ -150,6 +150,7 @@ class CellRequests:
             "pressed": self._pressed,
             "pads": [pad.name for pad in self._pads],
             "servos": len(devices.settings.servos),
+            "linkage": devices.settings.linkage.kind,
             "contact_force_n": list(devices.world.contact_force_n()),
             "aperture_m": devices.mechanics.aperture_m,
             "fingers_m": list(devices.mechanics.finger_position_m),

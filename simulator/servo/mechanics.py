@@ -9,6 +9,7 @@ move apart within it and go on together, without a rebound, once teeth meet.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from simulator.errors import SimulatorSettingsError, require_positive
 from simulator.servo.motor import DriveMode, ServoMotor
@@ -33,6 +34,7 @@ _LARGEST_LINK_ANGLE_RAD = math.radians(80.0)
 class ParallelogramLinkage:
     """A finger on a parallelogram: the pad stays parallel, half opening = L sin(angle) + offset."""
 
+    kind: ClassVar[str] = "parallel links"
     link_m: float = 0.06
     """Length L of the parallelogram's link in m."""
     offset_m: float = 0.0
@@ -74,6 +76,7 @@ class ParallelogramLinkage:
 class RackLinkage:
     """A finger on a rack: half opening = pinion radius x angle + offset."""
 
+    kind: ClassVar[str] = "racks with a pinion"
     pinion_radius_m: float = 0.01
     """Radius of the pinion's pitch circle in m."""
     offset_m: float = 0.0
