@@ -233,7 +233,7 @@ def test_wrong_ports_are_one_with_a_clear_message(tmp_path: Path) -> None:
         f"tactile: {{interface: slcan, channel: {tmp_path / 'can'}}}\n"
         "positioner: {kind: operator}\n"
     )
-    said = run("run", "-c", config, "-o", "box", "--out", tmp_path / "out", code=1)
+    said = run("run", "-c", config, "--object", "box", "--out", tmp_path / "out", code=1)
     assert str(tmp_path / "can") in said
     assert "Traceback" not in said
 
