@@ -76,17 +76,18 @@ class Hands:
         if word == "help":
             state = self._state
             return f"{HELP}\nHere: fingers on {state['linkage']}; pads {', '.join(state['pads'])}"
+        none_such = SimulatorSettingsError(
+            f"{text!r:.60} is nothing that a hand does: `help` prints what is"
+        )
         try:
             act = self._acts[word]
             signature(act).bind(*values)
         except (KeyError, TypeError):
-            raise SimulatorSettingsError(
-                f"{text!r:.60} is nothing that a hand does: `help` prints what is"
-            ) from None
+            raise none_such from None
         try:
             act(*values)
-        except ValueError as error:
-            raise SimulatorSettingsError(f"{text!r:.60}: {error}; see `help`") from error
+        except ValueError:
+            raise none_such from None
         return self._look()
 
     def _half(self) -> None:

@@ -93,7 +93,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     steps = findings(tmp_path / "box")
     assert not [key for key, step in steps.items() if step["status"] == "fail"]
     said = json.dumps(steps)
-    assert "servo 1: its zero is +16" in said
+    assert "servo 1: its horn sits +14" in said
     assert "The pads of the two fingers are exchanged" in said
     config = load_config(tmp_path / "box" / "tactile-cell.yaml")
     assert [servo.direction for servo in config.gripper.servos] == [1, -1]

@@ -87,7 +87,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_pat
         "1 taxel is dead",
         "The pads of the two fingers are exchanged",
         "tactile.calibration.gain was 1, is now 1.2",
-        "its zero is +16",
+        "its horn sits +14",
     ):
         assert named in said
     assert all(one.status is not Verdict.FAIL for one in found.values())

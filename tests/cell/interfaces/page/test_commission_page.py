@@ -22,7 +22,7 @@ pytestmark = pytest.mark.long
 @pytest.fixture
 def walk() -> list[Any]:
     """Steps of the wizard."""
-    return [Ports(), Moving(), Asking("name", settings={"gripper.baud_rate": 57600})]
+    return [Ports(), Moving(), Asking("name", settings={"gripper.baud_rate": 2_000_000})]
 
 
 @pytest.fixture
