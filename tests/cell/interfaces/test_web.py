@@ -1,6 +1,7 @@
 """The cell over HTTP and WebSocket, with the standard library and `websockets` as clients."""
 
 import asyncio
+import gc
 import json
 import math
 import os
@@ -25,6 +26,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 from cell.errors import CellError, ConfigError
+from cell.interfaces.http_server import HttpConnection
 from cell.interfaces.opening import open_doors, warnings
 from cell.interfaces.web import WebDoor
 from cell.plugin.goals import TASKS, checked_goal
@@ -593,6 +595,23 @@ def test_a_socket_that_takes_nothing_is_cut(serve: Any) -> None:
     until(lambda: not links)
     link.close()
     door.close()
+
+
+def test_nothing_is_left_of_sockets_that_have_ended(serve: Any) -> None:
+    with ExitStack() as undo:
+        served = serve()
+        client = Client(undo.enter_context(open_doors_with_http(served.service)))
+        before = connections_in_memory()
+        for _ in range(5):
+            with client.live() as link:
+                link.recv(timeout=20)
+        # A new connection drops those that ended; the last one may still be there.
+        until(lambda: client.get("/api/state") and connections_in_memory() <= before + 2)
+
+
+def connections_in_memory() -> int:
+    gc.collect()
+    return sum(issubclass(type(one), HttpConnection) for one in gc.get_objects())
 
 
 def test_the_end_of_the_door_ends_sockets_and_threads(serve: Any) -> None:
