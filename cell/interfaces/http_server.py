@@ -1,4 +1,4 @@
-"""The HTTP server of doors: who is let in, places, limits of time and size, TLS; refusals as JSON.
+"""The HTTP server of interfaces: access, places, limits of time and size, TLS, refusals as JSON.
 
 `cell.interfaces.web_server` and `cell.interfaces.xml_rpc` give it their ASGI applications.
 """

@@ -1,4 +1,4 @@
-"""The commissioning wizard in a browser: its engine in a thread, a person behind the web door.
+"""The commissioning wizard in a browser: its engine in a thread, a person behind the web interface.
 
 Needs the extras ``serve`` and ``report``. The page asks and shows; whoever has the lease answers,
 anybody may stop. A person who leaves, or falls silent while a step works, ends the step as a
@@ -53,8 +53,8 @@ class Phase(StrEnum):
 class Wizard(Dialog):
     """The wizard as the page sees it; implements `cell.commissioning.engine.Dialog`.
 
-    The engine's thread calls the methods of a dialog, the door's threads all others. The config has
-    the time-out of the lease.
+    The engine's thread calls the methods of a dialog, the threads of the server all others. The
+    config has the time-out of the lease.
     """
 
     def __init__(self, engine: Engine, config: ServeConfig) -> None:
@@ -319,7 +319,7 @@ class RedoBody(LeasedBody):
     key: str
 
 
-class WizardDoor(WebServer):
+class WizardServer(WebServer):
     """The wizard behind HTTP and WebSocket, below ``/api``.
 
     Raises OSError or ConfigError as `WebServer`.

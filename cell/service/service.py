@@ -67,7 +67,7 @@ OUTCOME_NUMBERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobView:
-    """A job as every door shows it."""
+    """A job as every interface shows it."""
 
     number: int = 0
     task: str = ""
@@ -106,14 +106,14 @@ class JobView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """Everything that a door shows, at one moment."""
+    """Everything that an interface shows, at one moment."""
 
     status: HostStatus
     """States, live values, last answer."""
     job: JobView
     """The newest job."""
     last_answer: JobView | None
-    """The job of the last answer of an identification, as `HostStatus.last_answer`, for doors."""
+    """The job of the last answer of an identification, as `HostStatus.last_answer`."""
     commander: str
     """Name of the client with the lease; empty for none."""
     held_by: tuple[str, ...]
@@ -208,7 +208,7 @@ class Service:
         return names.index(label) + 1 if label in names else 0
 
     def snapshot(self) -> Snapshot:
-        """Return everything that doors show."""
+        """Return everything that interfaces show."""
         with self._lock:
             # The job before the answer, which stands there before the job has succeeded.
             job = self.job()

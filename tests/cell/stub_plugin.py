@@ -246,7 +246,7 @@ class StubPlugin:
             self._jobs[job] = JobStatus(outcome=outcome, progress=progress, **end)
 
     def _show(self, state: CellState, *, holding: bool) -> None:
-        """Set the states in one assignment: doors read them in threads of their own."""
+        """Set the states in one assignment: interfaces read them in threads of their own."""
         self._cell = state
         live = LiveValues(
             force_n=GRIP_N if holding else 0.0,

@@ -1,4 +1,4 @@
-"""The commissioning wizard behind the web door, without a browser."""
+"""The commissioning wizard behind the web interface, without a browser."""
 
 import json
 import signal
@@ -28,7 +28,7 @@ from cell.commissioning.figures import curves, pads
 from cell.commissioning.record import RECORD_NAME, write_record
 from cell.config.serve import ServeConfig
 from cell.errors import NotInCommand
-from cell.interfaces.wizard import Wizard, WizardDoor
+from cell.interfaces.wizard import Wizard, WizardServer
 from tactile.layout import paper_layout
 from tests.cell.commissioning.test_engine import REAL, Asking
 from tests.cell.interfaces.hosts import Client
@@ -170,10 +170,10 @@ def wizard(tmp_path: Path, walk: list[Any]) -> Iterator[Wizard]:
 
 @pytest.fixture
 def client(wizard: Wizard) -> Iterator[Page]:
-    """A page on the door of the wizard."""
-    door = WizardDoor(wizard)
-    yield Page({"http_port": door.port, "token": door.token})
-    door.close()
+    """A page on the interface of the wizard."""
+    interface = WizardServer(wizard)
+    yield Page({"http_port": interface.port, "token": interface.token})
+    interface.close()
 
 
 @pytest.fixture

@@ -362,7 +362,7 @@ def test_the_keyboard_alone_is_enough(open_page: OpenPage, cell: FakeCell) -> No
 
 @pytest.mark.long
 def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -> None:
-    page = open_page(f"http://127.0.0.1:{cell.door.port}/#token=wrong")
+    page = open_page(f"http://127.0.0.1:{cell.interface.port}/#token=wrong")
     becomes(page, "#login_wrong", "refused")
     page.fill("#login_token", cell.url.partition("token=")[2])
     page.keyboard.press("Enter")
