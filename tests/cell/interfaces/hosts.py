@@ -216,6 +216,7 @@ SHOWN = {
     "holding": Place("Grip.Holding", "holding", "2.6", "status.holding"),
     "force_n": Place("Grip.Force", "force", "13", "live.force_n", 0.01),
     "force_age_s": Place("Grip.ForceAge", "force_age", "23", "live.force_age_s", 1e-3),
+    "setpoint_n": Place("Grip.Setpoint", "", "", "live.setpoint_n"),
     "opening_mm": Place("Grip.Opening", "opening", "14", "live.opening_mm", 0.01),
     "temperature_c": Place("Grip.Temperature", "", "22", "live.temperature_c"),
     "frame_age_s": Place("FrameAge", "frame_age", "21", "live.frame_age_s", 1e-3),
@@ -223,6 +224,7 @@ SHOWN = {
     "recording": Place("RecordingFault", "recording_fault", "2.12", ""),
     "job": Place("Job.Number", "", "8", "job.number"),
     "outcome": Place("Job.State", "job_state job", "9", "job.outcome_number"),
+    "job_fault": Place("Job.FaultNumber", "job_fault job", "", "job.fault_number"),
     "n_grasps": Place("Job.Grasps", "", "12", "job.n_grasps"),
     "answer_job": Place("LastAnswer.Job", "last_answer", "24", "last_answer.number"),
     "label": Place("LastAnswer.Label", "label last_answer", "", "last_answer.label"),
@@ -478,7 +480,7 @@ class OpcUaHost(CallingHost):
         self._bad = ua.UaStatusCodeError
         self._client = sync.Client(f"opc.tcp://127.0.0.1:{interfaces['opcua_port']}/", LIMIT_S)
         self._client.application_uri = "urn:plc"
-        folder = Path(interfaces["opcua_client"])
+        folder = Path(interfaces["opcua_folder"])
         self._client.set_security(
             SecurityPolicyBasic256Sha256,
             certificate=str(folder / "plc.der"),

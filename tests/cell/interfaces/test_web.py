@@ -49,35 +49,20 @@ def connect(serve: Any) -> Callable[..., tuple[Served, Client]]:
     return make
 
 
-def test_each_value_of_the_cell_is_in_the_state(connect: Any) -> None:
+def test_the_state_names_who_commands_and_keeps_the_last_answer(connect: Any) -> None:
     served, host = connect()
-    assert host.get("/api/info")["labels"] == ["ball", "box"]
     lease = host.post("/api/lease", name="host")["lease"]
     assert host.post(f"/api/lease/{lease}/alive") == {"lease": lease}
-    goal = {"task": "identify", "max_grasps": 1, "present": "box", "keep": "always"}
-    for _ in range(2):
-        assert host.post("/api/jobs", lease=lease, goal=goal, job=1) == {"job": 1}
-    assert len(served.plugin.asked) == 1
-    job = host.get("/api/jobs/1")
-    found = {"outcome": "SUCCEEDED", "label": "box", "label_id": 2, "kept": True, "n_grasps": 1}
-    found |= {"probability": 0.9, "shape": "sphere", "size_mm": 9.5}
-    assert job.items() >= found.items()
-    now = host.get("/api/state")
-    assert now["status"]["state"] == "COMPLETE"
-    assert now["live"] == {
-        "force_n": 3.25, "force_age_s": 0.005, "setpoint_n": 3.25, "opening_mm": 9.5,
-        "temperature_c": 31.0, "frame_age_s": 0.02,
-    }  # fmt: skip
+    host.post("/api/jobs", lease=lease, goal={"task": "identify", "present": "box"})
+    job, now = host.get("/api/jobs/1"), host.get("/api/state")
+    assert (job["outcome"], job["shape"], now["status"]["state"]) == ("SUCCEEDED", "sphere", "IDLE")
     assert (now["commander"], now["job"]) == ("host", job)
     assert now["last_answer"] == job | {"progress": {}}
-    assert host.ask("POST", "/api/commands", {"lease": lease, "command": "release"})[0] == 422
-    assert served.grip_n > 1.0
-    host.post("/api/commands", lease=lease, command="release", key=RELEASE_KEY)
-    assert served.grip_n == 0.0
-    assert host.get("/api/state")["last_answer"]["label"] == "box"
-    host.post("/api/commands", lease=lease, command="shutdown")
-    assert set(host.get("/api/state")["live"].values()) == {None}
+    assert now["live"].keys() == {
+        *("force_n", "force_age_s", "setpoint_n", "opening_mm", "temperature_c", "frame_age_s")
+    }
     assert host.ask("DELETE", f"/api/lease/{lease}") == (200, {"lease": 0})
+    assert not served.service.lease.has(lease)
 
 
 def test_an_answer_does_not_wait_for_the_acknowledgement_of_the_client(connect: Any) -> None:
@@ -103,7 +88,7 @@ def test_refusals_have_a_status_and_a_fault_number(connect: Any) -> None:
         ("/api/jobs", {"lease": lease, "goal": {"task": "dance"}}, 422, 501),
         ("/api/jobs", {"lease": lease, "goal": identify, "job": 5}, 422, 513),
         ("/api/commands", {"lease": lease, "command": "reset"}, 409, 505),
-        ("/api/commands", {"lease": lease, "command": "release", "key": 1}, 422, 513),
+        ("/api/commands", {"lease": lease, "command": "release"}, 422, 513),
         ("/api/pose", {"lease": lease, "seq": 1, "ok": True}, 422, 513),
         ("/api/pose", {"lease": lease, "seq": 1, "ok": True, "pose": {"w": 1}}, 422, 513),
     ):
@@ -357,7 +342,7 @@ def test_a_cell_with_real_ports_has_no_faults_on_request(connect: Any) -> None:
 
 
 def test_all_but_hold_needs_the_token(connect: Any) -> None:
-    served, host = connect()
+    _, host = connect()
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
     guarded = [(path, method) for path, ways in paths.items() for method in ways]
     assert len(guarded) == 21
@@ -367,12 +352,6 @@ def test_all_but_hold_needs_the_token(connect: Any) -> None:
         place = path.format(lease=1, number=1, label="ball")
         for token in (None, "wrong"):
             assert host.ask(method.upper(), place, {}, token=token)[0] == 401, path
-    served.plugin.pause()
-    lease = host.post("/api/lease", name="host")["lease"]
-    host.post("/api/jobs", lease=lease, goal={"task": "identify"})
-    assert host.ask("POST", "/api/hold", {}, token=None)[0] == 200
-    assert served.ended().outcome == "CANCELED"
-    assert served.grip_n > 1.0
 
 
 def test_a_hold_has_the_address_and_name_of_its_client(connect: Any) -> None:
