@@ -1,5 +1,6 @@
 """Values of a cell without a meaning, for tests that only pass them on."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -95,3 +96,12 @@ def make_shape(
         thicknesses=tuple(met),
     )
     return replace(answer, **changes)
+
+
+def raising(error: BaseException) -> Callable[..., Any]:
+    """Return a function that raises an error whatever it is given."""
+
+    def fail(*_given: Any, **_named: Any) -> Any:
+        raise error
+
+    return fail

@@ -228,18 +228,6 @@ def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
     assert recording.events[0]["kind"] == "fault"
 
 
-def test_wrong_ports_are_one_with_a_clear_message(tmp_path: Path) -> None:
-    config = tmp_path / "cell.yaml"
-    config.write_text(
-        f"gripper: {{port: {tmp_path / 'servos'}}}\n"
-        f"tactile: {{interface: slcan, channel: {tmp_path / 'can'}}}\n"
-        "positioner: {kind: operator}\n"
-    )
-    said = run("run", "-c", config, "--object", "box", "--out", tmp_path / "out", code=1)
-    assert str(tmp_path / "can") in said
-    assert "Traceback" not in said
-
-
 @pytest.mark.usefixtures("hurried")
 def test_a_part_is_kept_in_real_time_until_the_host_lets_it_go(
     simulator: CellProcess,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 from xmlrpc.client import ServerProxy
 
 from pymodbus.client import ModbusTcpClient
@@ -242,53 +242,25 @@ SHOWN = {
 """What all interfaces show, by our name for it."""
 
 
-class Host(Protocol):
-    """A client of one interface; all methods raise OSError where no answer comes."""
-
-    name: str
-    """Of the interface, as it stands in those of its clients."""
-
-    def acquire(self) -> int:
-        """Take command and return 0, or the fault number of the refusal."""
-
-    def send(self, request: Request, number: int) -> int:
-        """Send a request for the job of that number; return it, or a fault number, negative."""
-
-    def repeat(self) -> int:
-        """Send the last request once more; return as `send`."""
-
-    def hold(self, latch: bool | None = None) -> None:
-        """Hold over a connection of its own that has no lease: once, or begin or end it."""
-
-    def reached(self, seq: int, *, ok: bool) -> int:
-        """Answer a pose; return 0, or a fault number, negative."""
-
-    def shown(self) -> dict[str, Any]:
-        """Return what the interface shows, by the names of `SHOWN`; None: not measured."""
-
-    def refusal(self) -> tuple[int, str]:
-        """Return number and text of the last refusal."""
-
-    def close(self) -> None:
-        """End the connections."""
-
-
 class ModbusHost:
     """A PLC; a request is one block of registers with its sequence number at the end."""
 
     name = "Modbus"
+    """Of the interface, as it stands in those of its clients."""
 
     def __init__(self, interfaces: dict[str, Any]) -> None:
         self._plc, self._panel = Plc(interfaces["modbus_port"]), Plc(interfaces["modbus_port"])
         self._block: list[int] = []
 
     def acquire(self) -> int:
+        """Take command and return 0, or the fault number of the refusal."""
         if self._plc.live():
             return self._plc.refusal()[0]
         self._plc.adopt()
         return 0
 
     def send(self, request: Request, number: int) -> int:
+        """Send a request for the job of that number; return it, or a fault number, negative."""
         self._plc.seq = (self._plc.seq + 1) & 0xFFFF
         options = _KEEP_BITS[request.keep] | (REBOOT if request.reboot else 0)
         force, code = round(100 * request.force_n), _CODES[request.task]
@@ -298,19 +270,23 @@ class ModbusHost:
         return self.repeat()
 
     def repeat(self) -> int:
+        """Send the last request once more; return as `send`."""
         if self._plc.write(COMMAND, *self._block):
             return -NOT_IN_COMMAND
         inputs = self._plc.inputs()
         return -inputs[6] if inputs[6] else inputs[8]
 
     def hold(self, latch: bool | None = None) -> None:
+        """Hold without the lease: once, or begin or end it."""
         for pressed in (True, False) if latch is None else (latch,):
             self._panel.write(HOLD, int(pressed))
 
     def reached(self, seq: int, *, ok: bool) -> int:
+        """Answer a pose; return 0, or a fault number, negative."""
         return -self._plc.command(40 if ok else 41, seq)
 
     def shown(self) -> dict[str, Any]:
+        """Return what the interface shows, by the names of `SHOWN`; None: not measured."""
         inputs = self._plc.inputs() + self._plc.part()
         found: dict[str, Any] = {"fault": inputs[7] if inputs[2] & 32 else 0}
         for name, place in SHOWN.items():
@@ -323,6 +299,7 @@ class ModbusHost:
         return found
 
     def refusal(self) -> tuple[int, str]:
+        """Return number and text of the last refusal."""
         return self._plc.refusal()
 
     def close(self) -> None:
@@ -512,10 +489,12 @@ class OpcUaHost(CallingHost):
         self._client.disconnect()
 
 
+Host = ModbusHost | XmlRpcHost | HttpHost | OpcUaHost
+"""All with the methods of `ModbusHost`."""
 HOSTS: dict[str, Callable[[dict[str, Any]], Host]] = {
     "modbus": ModbusHost,
     "xmlrpc": XmlRpcHost,
     "http": HttpHost,
     "opcua": OpcUaHost,
 }
-"""Each interface and its client."""
+"""The host of each interface."""

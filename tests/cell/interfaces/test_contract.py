@@ -141,7 +141,7 @@ def test_a_second_host_is_refused_and_may_hold(connect: Connect) -> None:
     served.plugin.pause()
     assert first.send(IDENTIFY, 1) == 1
     check_shown(first, state=EXECUTE, outcome=2)
-    assert second.send(RELEASE, 2) == -NOT_IN_COMMAND
+    assert second.send(RELEASE, 2) == second.reached(1, ok=True) == -NOT_IN_COMMAND
     second.hold(False)
     assert served.service.job().outcome_number == 2
     second.hold()
@@ -183,6 +183,11 @@ def test_a_silent_host_loses_the_lease_and_nothing_resumes(connect: Connect) -> 
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)
     assert host.send(IDENTIFY, 2) == -NOT_ALLOWED
     assert host.send(RELEASE, 2) == 2
+    # Lost between two jobs it changes nothing.
+    assert host.send(GRIP, 3) == 3
+    served.pass_lease()
+    assert (served.service.snapshot().commander, served.state) == ("", "COMPLETE")
+    assert served.grip_n > 1.0
 
 
 def test_a_fault_is_a_number_until_it_is_cleared(connect: Connect) -> None:
@@ -217,4 +222,5 @@ def test_poses_are_reached_or_refused(connect: Connect) -> None:
         assert host.reached(number + 1, ok=ok) == -REFUSED
         assert host.reached(number, ok=ok) == 0
         assert found.result(LIMIT_S) is ok
+        assert host.reached(number, ok=ok) == -REFUSED  # twice is not two poses
         check_shown(host, pose_seq=0)

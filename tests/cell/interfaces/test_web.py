@@ -32,6 +32,7 @@ from cell.interfaces.web import WebInterface
 from cell.plugin.goals import TASKS, checked_goal
 from cell.service.service import RELEASE_KEY, Service
 from tactile.errors import HeartbeatLost
+from tests.cell.conftest import REAL
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served, ended, until
 
@@ -329,12 +330,7 @@ def test_faults_of_a_simulated_cell_begin_and_end_on_request(
 
 
 def test_a_cell_with_real_ports_has_no_faults_on_request(connect: Any) -> None:
-    ports = {
-        "gripper__port": "/dev/ttyUSB0",
-        "tactile__interface": "socketcan",
-        "tactile__channel": "can0",
-    }
-    served, host = connect(**ports, positioner__kind="operator")
+    served, host = connect(**REAL)
     assert not served.service.config.simulated
     for way, body in (("GET", None), ("POST", {"fault": "can.off"}), ("DELETE", None)):
         found = host.ask(way, "/api/simulation/faults?fault=can.off", body)

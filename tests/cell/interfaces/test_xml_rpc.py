@@ -7,7 +7,7 @@ import shutil
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 from xmlrpc.client import Fault, ProtocolError, ServerProxy, dumps, loads
@@ -28,16 +28,13 @@ from tests.cell.served import Served, until
 @pytest.fixture
 def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Any]]]:
     """Return the maker of a served cell and a client."""
-    made: list[ServerProxy] = []
+    with ExitStack() as undo:
 
-    def make(**changes: Any) -> tuple[Served, Any]:
-        served = serve("xmlrpc", **changes)
-        made.append(ServerProxy(address(served)))
-        return served, made[-1]
+        def make(**changes: Any) -> tuple[Served, Any]:
+            served = serve("xmlrpc", **changes)
+            return served, undo.enter_context(ServerProxy(address(served)))
 
-    yield make
-    for client in made:
-        client("close")()
+        yield make
 
 
 def address(served: Served) -> str:
@@ -156,16 +153,13 @@ def test_a_rotation_vector_rolls_first_then_turns(rotation: float, roll: float) 
 @pytest.fixture
 def robot(serve: Any) -> Iterator[Callable[..., tuple[Served, Robot]]]:
     """Return the maker of a served cell and a robot with the program of the example."""
-    made: list[Robot] = []
+    with ExitStack() as undo:
 
-    def make(**changes: Any) -> tuple[Served, Robot]:
-        served = serve("xmlrpc", **changes)
-        made.append(Robot(address(served)))
-        return served, made[-1]
+        def make(**changes: Any) -> tuple[Served, Robot]:
+            served = serve("xmlrpc", **changes)
+            return served, undo.enter_context(closing(Robot(address(served))))
 
-    yield make
-    for one in made:
-        one.close()
+        yield make
 
 
 def places(robot: Robot) -> list[int]:

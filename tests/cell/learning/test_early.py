@@ -24,7 +24,7 @@ from recognition.ramp.ramp import learn_rest
 from recognition.ramp.running_load import load_so_far
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.early_classifiers import EarlyClassifiers
-from tests.cell.conftest import UNSURE, MakeBench, Scripted, small_config
+from tests.cell.conftest import REAL, UNSURE, MakeBench, Scripted, small_config
 
 STEP = GraspStep(pose=Pose(), force_n=6.0)
 LIKELY = (0.999, 0.01)
@@ -235,16 +235,9 @@ def resaved(model: LoadedModel, path: Path, sections: Any) -> Path:
 
 
 def test_ramps_are_whole_where_the_loop_would_wait_for_answers() -> None:
-    ports = {
-        "gripper__port": "/dev/ttyUSB0",
-        "tactile__interface": "socketcan",
-        "tactile__channel": "can0",
-        "positioner__kind": "operator",
-        "loop__own_process": False,
-    }
     assert small_config().decides_early
-    assert not small_config(**ports).decides_early
-    assert small_config(**{**ports, "loop__own_process": True}).decides_early
+    assert not small_config(**REAL, loop__own_process=False).decides_early
+    assert small_config(**REAL, loop__own_process=True).decides_early
 
 
 def test_what_a_plugin_was_taught_decides_early_and_is_saved(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """The service: one lease commands, anyone holds, nothing is done twice, nothing resumes."""
 
-import math
 import socket
 import threading
 from itertools import pairwise
@@ -11,7 +10,7 @@ import pytest
 
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStateError, ConfigError, HeldByClient, NotInCommand, RequestRefused
+from cell.errors import CellStateError, ConfigError, HeldByClient, RequestRefused
 from cell.interfaces.access import is_for_this_machine, may_connect
 from cell.plugin import worker
 from cell.service import service as service_module
@@ -27,26 +26,6 @@ KEEP = IDENTIFY | {"keep": "always"}
 # -- the lease ---------------------------------------------------------------------------------
 
 
-def test_one_lease_at_a_time_commands(serve: Any) -> None:
-    service = serve().service
-    first = service.lease.acquire("first")
-    with pytest.raises(NotInCommand, match="'first' is in command"):
-        service.lease.acquire("second")
-    for wrong in (0, first + 1):
-        with pytest.raises(NotInCommand, match="'first' is in command"):
-            service.start(wrong, IDENTIFY)
-        with pytest.raises(NotInCommand):
-            service.command(wrong, Command.RELEASE, key=RELEASE_KEY)
-        with pytest.raises(NotInCommand):
-            service.pose_reached(wrong, 1)
-    assert service.job().number == 0
-    assert service.snapshot().commander == "first"
-    service.lease.give_up(first)
-    assert service.lease.acquire("second") != first
-    with pytest.raises(NotInCommand):
-        service.lease.alive(first)
-
-
 def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
     served = serve()
     lease = served.service.lease.acquire("first")
@@ -60,32 +39,6 @@ def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
     served.clock.now_s += 0.1
     assert not served.service.lease.has(lease)
     assert served.service.lease.acquire("second")
-
-
-def test_a_lost_lease_holds_the_job_and_nothing_resumes(serve: Any) -> None:
-    served = serve()
-    lease = served.service.lease.acquire("first")
-    served.plugin.pause()
-    served.service.start(lease, IDENTIFY)
-    served.pass_lease()
-    job = served.ended()
-    assert (job.outcome, job.fault_number) == ("CANCELED", 512)
-    assert "because 'first' was silent for 61.00 s" in job.error
-    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
-    # The client is back: neither its old lease nor a new one goes on with the job.
-    with pytest.raises(NotInCommand):
-        served.service.start(lease, IDENTIFY)
-    lease = served.service.lease.acquire("first")
-    with pytest.raises(CellStateError, match=r"the cell is HELD; .* 'grasp' is not allowed"):
-        served.service.start(lease, IDENTIFY)
-    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
-    served.service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-    assert (served.state, served.grip_n) == ("IDLE", 0.0)
-    # Lost between two jobs it changes nothing.
-    served.service.start(lease, KEEP)
-    served.pass_lease()
-    assert served.service.snapshot().commander == ""
-    assert (served.state, served.grip_n > 1.0) == ("COMPLETE", True)
 
 
 def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> None:
@@ -183,15 +136,9 @@ def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
     assert service.lease.has(lease)
 
 
-def test_a_person_at_the_cell_holds_the_job_and_takes_the_lease(serve: Any) -> None:
+def test_a_person_at_the_cell_takes_the_lease_and_holds_the_job(serve: Any) -> None:
     served = serve()
     first = served.service.lease.acquire("first")
-    served.plugin.pause()
-    served.service.start(first, IDENTIFY)
-    served.service.hold("by the operator")
-    assert "stopped by the operator" in served.ended().error
-    assert served.service.lease.has(first)
-    served.service.command(first, Command.RELEASE, key=RELEASE_KEY)
     served.plugin.pause()
     served.service.start(first, IDENTIFY)
     second = served.service.lease.acquire("operator", take=True)
@@ -345,30 +292,6 @@ def test_each_command_is_remarked_with_its_client(serve: Any) -> None:
 
 
 # -- the pose handshake ------------------------------------------------------------------------
-
-
-def test_the_host_reaches_poses_or_refuses_them(serve: Any) -> None:
-    served = serve(cell={}, positioner__kind="callback")
-    service, lease = served.service, served.service.lease.acquire("robot")
-    goal = IDENTIFY | {"max_grasps": 2, "seed": 5}
-    service.start(lease, goal)
-    now = until(lambda: (found := service.snapshot()).pose_seq and found)
-    assert now.pose_seq == 1
-    assert math.isfinite(now.pose.x_m)
-    with pytest.raises(RequestRefused, match="pose 2 is not waited for, but 1"):
-        service.pose_reached(lease, 2)
-    service.pose_reached(lease, 1)
-    with pytest.raises(RequestRefused, match="pose 1 is not waited for"):
-        service.pose_reached(lease, 1)  # twice is not two poses
-    until(lambda: service.snapshot().pose_seq == 2 or service.job().outcome_number >= 4)
-    if service.job().outcome_number < 4:
-        service.pose_reached(lease, 2)
-    assert served.ended().outcome == "SUCCEEDED"
-    service.start(lease, goal)
-    seq = until(lambda: service.snapshot().pose_seq)
-    service.pose_reached(lease, seq, ok=False)
-    job = served.ended()
-    assert (job.outcome, job.fault_number, served.state) == ("ABORTED", 510, "IDLE")
 
 
 def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any) -> None:

@@ -41,6 +41,7 @@ from tactile.errors import FrameTimeout
 from tests.cell.interfaces.hosts import BlockPlc, Plc
 from tests.cell.interfaces.modbus.structured_text import BLOCK, KEYWORDS, FunctionBlock
 from tests.cell.served import Served, until
+from tests.values import raising
 
 TEACH, IDENTIFY, GRIP, VERIFY, SORT = 20, 21, 22, 23, 24
 RELEASE, REACHED, REFUSE = 30, 40, 41
@@ -61,13 +62,6 @@ def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Plc]]]:
     yield make
     for plc in made:
         plc.link.close()
-
-
-def raising(error: Exception) -> Callable[..., Any]:
-    def refuse(*_arguments: Any) -> Any:
-        raise error
-
-    return refuse
 
 
 def text_of(inputs: list[int]) -> str:
