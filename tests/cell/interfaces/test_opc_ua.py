@@ -44,6 +44,7 @@ from cell.interfaces.opening import open_interfaces
 from tactile.errors import FrameTimeout
 from tests.cell.interfaces.certificates import Identity, identity, trusting
 from tests.cell.served import LIMIT_S, Served, serving
+from tests.values import raising
 
 pytestmark = pytest.mark.anyio
 ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt
@@ -354,15 +355,14 @@ async def test_values_are_bad_while_the_cell_cannot_be_asked(
     opened: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
 
-    def silent() -> None:
-        raise CellError("the process of the loop is gone")
-
     async def bad(link: Link) -> bool:
         data = await link.node("State.Name").read_data_value(raise_on_bad_status=False)
         return data.StatusCode.value == ua.StatusCodes.BadNoCommunication
 
     async with linked(opened) as link, asyncio.timeout(LIMIT_S):
-        monkeypatch.setattr(opened.service, "snapshot", silent)
+        monkeypatch.setattr(
+            opened.service, "snapshot", raising(CellError("the process of the loop is gone"))
+        )
         while not await bad(link):
             await asyncio.sleep(0.02)
         monkeypatch.undo()

@@ -35,6 +35,7 @@ from tactile.errors import HeartbeatLost
 from tests.cell.conftest import REAL
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served, ended, until
+from tests.values import raising
 
 PAGE = Path("docs/how-to/use-it-over-http.md")
 
@@ -418,10 +419,7 @@ def test_a_defect_is_answered_in_the_same_shape(
 ) -> None:
     served, host = connect()
 
-    def broken() -> Any:
-        raise ZeroDivisionError("a defect")
-
-    served.plugin.info = broken
+    served.plugin.info = raising(ZeroDivisionError("a defect"))
     status, found = host.ask("GET", "/api/info")
     check_refusal(status, found, status=500)
     assert (found["fault_number"], found["error"]) == (
