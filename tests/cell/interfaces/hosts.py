@@ -261,12 +261,14 @@ class ModbusHost:
 
     def send(self, request: Request, number: int) -> int:
         """Send a request for the job of that number; return it, or a fault number, negative."""
-        self._plc.seq = (self._plc.seq + 1) & 0xFFFF
         options = _KEEP_BITS[request.keep] | (REBOOT if request.reboot else 0)
         force, code = round(100 * request.force_n), _CODES[request.task]
         object_id = ("", "ball", "box").index(request.label)
-        grasps, key = request.max_grasps, request.key
-        self._block = [code, object_id, force, grasps, options, key, 0, self._plc.seq]
+        return self._run(code, object_id, force, request.max_grasps, options, request.key)
+
+    def _run(self, *registers: int) -> int:
+        self._plc.seq = (self._plc.seq + 1) & 0xFFFF
+        self._block = [*registers, *[0] * (7 - len(registers)), self._plc.seq]
         return self.repeat()
 
     def repeat(self) -> int:
@@ -283,7 +285,7 @@ class ModbusHost:
 
     def reached(self, seq: int, *, ok: bool) -> int:
         """Answer a pose; return 0, or a fault number, negative."""
-        return -self._plc.command(40 if ok else 41, seq)
+        return min(0, self._run(40 if ok else 41, seq))
 
     def shown(self) -> dict[str, Any]:
         """Return what the interface shows, by the names of `SHOWN`; None: not measured."""
