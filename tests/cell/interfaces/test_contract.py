@@ -197,7 +197,8 @@ def test_a_fault_is_a_number_until_it_is_cleared(connect: Connect) -> None:
     assert host.send(GRIP, 1) == 1
     for number, reboot in ((2, False), (3, True)):
         served.plugin.fail(ServoFault(1, 0x20, "overload"))
-        check_shown(host, state=ABORTED, fault=109, job=number - 1, holding=True, force_n=None)
+        shown = {"state": ABORTED, "fault": 109, "needs_reset": False, "holding": True}
+        check_shown(host, job=number - 1, force_n=None, **shown)
         if number == 2:
             check_shown(host, outcome=FAILED, job_fault=109)
         assert host.send(IDENTIFY, number) == -NOT_ALLOWED
