@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Question, Step, StepFailed, Write
+from cell.commissioning.engine import Dialog, Finding, ProposedChange, Question, Step, StepFailed
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.motion import look_after, watched_hand
 from cell.commissioning.pads import taxel_names
@@ -278,7 +278,7 @@ def measure_gauge(
 
     Raises
     ------
-    Left
+    WizardAborted
         When the person leaves; a part that is held then stays held.
     StepFailed
         When nothing is held.
@@ -300,7 +300,7 @@ def measure_gauge(
     opening = f"{config.gripper.aperture_open_mm:g} mm open"
     dialog.approve(
         [
-            Write(
+            ProposedChange(
                 where="both fingers",
                 what=f"open, then grasp {gauge}",
                 before="where they stand",

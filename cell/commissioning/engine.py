@@ -32,7 +32,7 @@ class StepFailed(CellError):
     """A step cannot be done as things are; the message has the cause, and what to do next."""
 
 
-class Left(CellError):
+class WizardAborted(CellError):
     """The person left the wizard, or refused a write; what was found before is kept."""
 
 
@@ -80,7 +80,7 @@ class Question:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Write:
+class ProposedChange:
     """A write to a device, or a motion, as it is shown before it is done."""
 
     where: str
@@ -138,7 +138,7 @@ class Finding:
 
 
 class Dialog(Protocol):
-    """The face of the wizard: terminal, page or script. Every call may raise `Left`."""
+    """The face of the wizard: terminal, page or script. Every call may raise `WizardAborted`."""
 
     def begin(self, step: "Step", number: int, count: int) -> None:
         """Show which step begins: its title and purpose, as ``number`` of ``count``."""
@@ -164,8 +164,8 @@ class Dialog(Protocol):
         """
         ...
 
-    def approve(self, writes: Sequence[Write]) -> None:
-        """Show writes and motions before they are done; raises `Left` when they are refused."""
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
+        """Show changes and motions before they are done; raises `WizardAborted` at a refusal."""
         ...
 
     def choose(
@@ -211,7 +211,7 @@ class Step:
 
         Raises
         ------
-        Left
+        WizardAborted
             When the person leaves or refuses; of the step its values alone are kept then.
         CellError, GripperError, TactileError
             What ends the step; `carry_out` adds it to the notes.
@@ -222,7 +222,7 @@ class Step:
 def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = None) -> Finding:
     """Run a step and return what it found; an error of cell or lines is a failure of the step.
 
-    Raises Left when the person leaves or refuses; ``notes`` has what was found by then.
+    Raises WizardAborted when the person leaves or refuses; ``notes`` has what was found by then.
     """
     notes = notes or Finding()
     if step.needs_pads and bench.gripper_alone:
@@ -230,7 +230,7 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = 
         return notes
     try:
         step.run(bench, dialog, notes)
-    except Left:
+    except WizardAborted:
         raise
     except StepFailed as why:
         notes.fail(str(why))
@@ -251,7 +251,7 @@ class Approved:
     """Key of the step."""
     at: str
     """Wall-clock time (ISO 8601, UTC)."""
-    write: Write
+    write: ProposedChange
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,13 +268,13 @@ _STORE = TypeAdapter(_Store)
 class _Logged:
     """A dialog that logs what is approved; implements `Dialog`."""
 
-    def __init__(self, dialog: Dialog, log: Callable[[Sequence[Write]], None]) -> None:
+    def __init__(self, dialog: Dialog, log: Callable[[Sequence[ProposedChange]], None]) -> None:
         self.begin, self.found, self.say = dialog.begin, dialog.found, dialog.say
         self.live, self.ask = dialog.live, dialog.ask
         self.choose, self.confirm = dialog.choose, dialog.confirm
         self._approve, self._log = dialog.approve, log
 
-    def approve(self, writes: Sequence[Write]) -> None:
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
         """Log the writes once they are approved."""
         self._approve(writes)
         self._log(writes)
@@ -351,7 +351,7 @@ class Engine:
     def run(self, dialog: Dialog) -> tuple[Path, ...]:
         """Run the steps that are not done, then write the config; return the files written.
 
-        A step that fails is run again, or the person leaves. Raises Left when the person leaves; a
+        A step that fails is run again, or the person leaves. Raises WizardAborted then; a
         further run goes on with the same step. Raises CellError if the files cannot be written, or
         the config that was found is not valid.
         """
@@ -368,7 +368,7 @@ class Engine:
         return (config, schema, *self._finish(self))
 
     def _run(self, step: Step, dialog: Dialog) -> None:
-        def log(writes: Sequence[Write]) -> None:
+        def log(writes: Sequence[ProposedChange]) -> None:
             at = _now()
             self.approved += [Approved(step=step.key, at=at, write=write) for write in writes]
             self._store()
@@ -376,7 +376,7 @@ class Engine:
         finding = Finding(began=_now())
         try:
             carry_out(step, self.bench, _Logged(dialog, log), finding)
-        except Left:
+        except WizardAborted:
             if finding.values:
                 left = Finding(began=finding.began, values=finding.values)
                 left.fail("It was left before its end, and goes on with what it has found so far.")
@@ -421,8 +421,10 @@ def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
 
 
 def leave(why: str) -> NoReturn:
-    """Raise `Left` with the word how to go on."""
-    raise Left(f"left: {why}. What was found is kept; run `tactile-cell commission` again to go on")
+    """Raise `WizardAborted` with the word how to go on."""
+    raise WizardAborted(
+        f"left: {why}. What was found is kept; run `tactile-cell commission` again to go on"
+    )
 
 
 def _now() -> str:

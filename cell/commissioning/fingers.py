@@ -21,10 +21,10 @@ from cell.commissioning.engine import (
     Dialog,
     Finding,
     NumberRange,
+    ProposedChange,
     Question,
     Step,
     StepFailed,
-    Write,
 )
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import GripperConfig, ServoConfig, gripper_settings, linkage_of
@@ -595,7 +595,7 @@ class _Hands:
             self._dialog.confirm("fingers.free", text, watch=self._shown)
         self._dialog.approve(
             [
-                Write(
+                ProposedChange(
                     where=f"finger {number} (servo {servo.id})",
                     what="first motion",
                     before="at rest, limp",

@@ -18,7 +18,7 @@ from cell.control.keeping import (
     HeldPart,
     Judge,
     compared,
-    measured,
+    measure_held_part,
     open_counts,
     spliced,
 )
@@ -322,7 +322,7 @@ class Grasper:
         self.hand.hold_at(carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
         self.hand.hold_at(carry_n, HELD_LOOK_S, watch)
-        return measured(collector, zero)
+        return measure_held_part(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
         """Record one period of a motion, in which no frame matters; obey a stop."""

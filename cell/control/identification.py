@@ -77,7 +77,7 @@ What it raises does not end the sequence, whose answer does not depend on it; it
 _Answer = tuple[Posterior, ShapeAnswer | None, Exception | None]
 """Answer to one grasp: what it is, its shape, and why that could not be read."""
 
-Begin = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
+AnswerExecutor = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
 """Begins to compute, or not yet, and returns the function that waits for the answer."""
 
 
@@ -91,7 +91,7 @@ class SequenceAnswers:
     read_shape: ReadShape | None
     """Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`."""
     on_grasp: OnGrasp | None
-    compute: Begin
+    compute: AnswerExecutor
     """How the answers are computed."""
     posteriors: list[Posterior] = field(default_factory=list)
     records: list[GraspRecord] = field(default_factory=list)
@@ -192,7 +192,7 @@ def grasp_and_classify(
     early: EarlyClassifiers | None = None,
     read_shape: ReadShape | None = None,
     on_grasp: OnGrasp | None = None,
-    begin: Begin = lambda answer: answer,
+    begin: AnswerExecutor = lambda answer: answer,
 ) -> Identification:
     """Grasp until the stop rule is satisfied or the plan is at its end.
 

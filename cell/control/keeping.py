@@ -95,7 +95,7 @@ class HeldCheck:
     """What differs, with value and limit."""
 
 
-def measured(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
+def measure_held_part(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
     """Return the measurement of a held part from the periods of a look.
 
     ``zero`` has the counts of the open fingers, (n_taxels,) float64.

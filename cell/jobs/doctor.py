@@ -29,8 +29,8 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
 from cell.control.self_zero import kept_zeros
 from cell.errors import CellError
+from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES
-from cell.hand.lines import MISSING
 from cell.installation import EXTRAS, remedy
 from gripper.dynamixel.control_table import (
     FIRMWARE_VERSION,
@@ -123,7 +123,7 @@ def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckR
     Raises
     ------
     CellError
-        If there is no gauge object, or it was not gripped; `Left` when the person leaves.
+        If there is no gauge object, or it was not gripped; `WizardAborted` when the person leaves.
     GripperError, TactileError
         As the hand raises them.
     """

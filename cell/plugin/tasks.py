@@ -29,7 +29,7 @@ from cell.plugin.goals import (
     VerifyGoal,
     ZeroGoal,
 )
-from cell.plugin.part_report import Seen
+from cell.plugin.part_report import PartCallback
 from cell.plugin.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import SelfZero
@@ -84,7 +84,7 @@ class Tasks:
     """The model, and where it is written."""
     places: Callable[[], Places] = lambda: Places(CellConfig(), ())
     """Returns the places of a sort for what is taught now."""
-    begin: Callable[[str], Seen] = lambda _task: lambda *_, **__: None
+    begin: Callable[[str], PartCallback] = lambda _task: lambda *_, **__: None
     """Begins to report the parts of a task, as `part_reporter`; nobody counts them by default."""
 
     @property

@@ -20,9 +20,9 @@ from cell.commissioning.engine import (
     Engine,
     Finding,
     NumberRange,
+    ProposedChange,
     Question,
     StepFailed,
-    Write,
 )
 from cell.commissioning.figures import curves, pads
 from cell.commissioning.record import RECORD_NAME, write_record
@@ -35,7 +35,7 @@ from tests.cell.interfaces.hosts import Client
 from tests.cell.served import until
 
 WRITES = tuple(
-    Write(
+    ProposedChange(
         where=f"servo {number}",
         what="Baud Rate (8)",
         before="57,600 bit/s",
