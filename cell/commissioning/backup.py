@@ -146,8 +146,8 @@ def restore(
     Each servo is read back. Baud rate and ID come last; servos that shared an ID do so again.
     ``begin`` is called before the first write: from then on no servo is as it was commissioned.
     Raises WizardAborted when the changes are refused; nothing is written then. Raises
-    no backup, a value of one is none, a servo does not answer where it should, is of another model,
-    has its torque on, or does not keep a value.
+    CellError if there is no backup, a value of one is none, a servo does not answer where it
+    should, is of another model, has its torque on, or does not keep a value.
     """
     files = (backup_file(bench.folder, number) for number in range(HIGHEST_ID + 1))
     backups = [backup for path in files if (backup := _read(path)) is not None]
