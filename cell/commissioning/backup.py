@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
+from cell.checks.findings import ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, ProposedChange
+from cell.commissioning.engine import Dialog
 from cell.config.file import problem_text
 from cell.data.files import free_name
 from cell.data.formats import SERVO_BACKUP, read_json, write_json

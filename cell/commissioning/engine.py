@@ -5,25 +5,28 @@ cell's folder, and the next run begins with the first step that is not done.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import NoReturn, Protocol
 
-from pydantic import TypeAdapter, ValidationError
-
+from cell.checks.findings import (
+    STORE_NAME,
+    Approved,
+    Finding,
+    ProposedChange,
+    Verdict,
+    read_commissioned,
+)
 from cell.commissioning.bench import CONFIG_NAME, Bench
-from cell.config.file import config_text, problem_text, schema_text
+from cell.config.file import config_text, schema_text
 from cell.data.files import write_text
-from cell.data.formats import COMMISSIONING, read_json, write_json
+from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError
 from cell.fault_catalogue import error_text
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
-STORE_NAME = "commissioning.json"
-"""File in the cell's folder that keeps the entries of the steps."""
 LIVE_CALL_S = 0.05
 """Time in s between two calls of `Dialog.live` while motors move: a person may stop them there."""
 
@@ -34,14 +37,6 @@ class StepFailed(CellError):
 
 class WizardAborted(CellError):
     """The person left the wizard, or refused a write; what was found before is kept."""
-
-
-class Verdict(StrEnum):
-    """How a check or a step ended."""
-
-    PASS = "pass"
-    WARN = "warn"
-    FAIL = "fail"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,64 +72,6 @@ class Question:
     number: NumberRange | None = None
     default: str | float | None = None
     """Answer where the person just confirms; None where there is none."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProposedChange:
-    """A write to a device, or a motion, as it is shown before it is done."""
-
-    where: str
-    """Device or part that changes: ``servo 1``, ``finger 0``."""
-    what: str
-    """Item that changes, with its register or object where it has one."""
-    before: str
-    after: str
-    """Present and coming value with units; for a motion its start, and its bounds."""
-    undo: str
-    """How it is taken back."""
-
-
-@dataclass(slots=True, kw_only=True)
-class Finding:
-    """What a step has found so far; the engine keeps it, also where an error ends the step."""
-
-    status: Verdict = Verdict.PASS
-    """The worst of its lines: WARN is usable, after FAIL the step has to run again."""
-    lines: list[str] = field(default_factory=list)
-    """What a person reads: one fact a line, a failed one with what to do next."""
-    values: dict[str, Any] = field(default_factory=dict)
-    """Measured values for later steps, the record and `doctor`: anything that JSON can hold."""
-    settings: dict[str, Any] = field(default_factory=dict)
-    """Values of the config by dotted key, as ``{"gripper.baud_rate": 1000000}``."""
-    figures: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Pictures by name, as numbers: see `cell.commissioning.figures`."""
-    corrected: list[str] = field(default_factory=list)
-    """Those of its lines that say what was wrong, and what it is set to now."""
-    began: str = ""
-    ended: str = ""
-    """Wall-clock times of the step (ISO 8601, UTC), which the engine sets."""
-
-    def fact(self, line: str, *, corrected: bool = False) -> None:
-        """Add a line that is as it should be; ``corrected``: by what was set now."""
-        self.lines.append(line)
-        if corrected:
-            self.corrected.append(line)
-
-    def warn(self, line: str, *, corrected: bool = False) -> None:
-        """Add a line that is worth a word to the operator; ``corrected`` as for `fact`."""
-        self.fact(line, corrected=corrected)
-        if self.status is Verdict.PASS:
-            self.status = Verdict.WARN
-
-    def fail(self, line: str) -> None:
-        """Add a line for which the step has to run again; it sets nothing in the config then."""
-        self.lines.append(line)
-        self.status = Verdict.FAIL
-
-    @property
-    def failed(self) -> bool:
-        """Whether a line failed."""
-        return self.status is Verdict.FAIL
 
 
 class Dialog(Protocol):
@@ -243,28 +180,6 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = 
     return notes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Approved:
-    """A write or motion that a person approved; kept also where the step was left or redone."""
-
-    step: str
-    """Key of the step."""
-    at: str
-    """Wall-clock time (ISO 8601, UTC)."""
-    write: ProposedChange
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Store:
-    """Content of commissioning.json."""
-
-    steps: dict[str, Finding]
-    approved: list[Approved]
-
-
-_STORE = TypeAdapter(_Store)
-
-
 class _Logged:
     """A dialog that logs what is approved; implements `Dialog`."""
 
@@ -314,7 +229,7 @@ class Engine:
                 raise CellError(f"step {step.key} needs {', '.join(missing)} before it")
             known.append(step.key)
         self.path = bench.folder / STORE_NAME
-        kept = _read(self.path)
+        kept = read_commissioned(self.path)
         self.approved = kept.approved
         self.findings = {key: kept.steps[key] for key in known if key in kept.steps}
         self._fill_bench()
@@ -412,14 +327,6 @@ class Engine:
         self.bench.found = {key: one.values for key, one in self.findings.items()}
 
 
-def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
-    """Return the values that the steps of a folder have found, by their keys; none without a file.
-
-    Raises CellError if commissioning.json cannot be read.
-    """
-    return {key: finding.values for key, finding in _read(folder / STORE_NAME).steps.items()}
-
-
 def leave(why: str) -> NoReturn:
     """Raise `WizardAborted` with the word how to go on."""
     raise WizardAborted(
@@ -429,14 +336,3 @@ def leave(why: str) -> NoReturn:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _read(path: Path) -> _Store:
-    """Return the content of commissioning.json; an empty one where there is no such file."""
-    kept = read_json(path, COMMISSIONING, error=CellError)
-    try:
-        return _STORE.validate_python({"steps": {}, "approved": []} if kept is None else kept)
-    except ValidationError as error:
-        raise CellError(
-            f"{path} cannot be read by this program ({problem_text(error)}): {COMMISSIONING.remedy}"
-        ) from error

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     LIVE_CALL_S,
     Choice,
     Dialog,
-    Finding,
     NumberRange,
-    ProposedChange,
     Question,
     Step,
     StepFailed,

@@ -7,16 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    Dialog,
-    Finding,
-    NumberRange,
-    ProposedChange,
-    Question,
-    Step,
-    StepFailed,
-)
+from cell.commissioning.engine import Dialog, NumberRange, Question, Step, StepFailed
 from cell.commissioning.figures import Figure, curves
 from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
 from cell.config.file import changed_config

@@ -11,8 +11,9 @@ from typing import Any, get_args
 
 import numpy as np
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, ProposedChange, Step, StepFailed
+from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.config.section import SIMULATED
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.errors import ConfigError

@@ -17,15 +17,8 @@ from typing import Annotated, Any
 from fastapi import HTTPException, Query, Request
 from fastapi.responses import Response
 
-from cell.commissioning.engine import (
-    Dialog,
-    Engine,
-    Finding,
-    ProposedChange,
-    Question,
-    Step,
-    WizardAborted,
-)
+from cell.checks.findings import Finding, ProposedChange
+from cell.commissioning.engine import Dialog, Engine, Question, Step, WizardAborted
 from cell.commissioning.figures import standalone_svg
 from cell.commissioning.record import render_record
 from cell.config.serve import ServeConfig

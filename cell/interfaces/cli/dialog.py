@@ -5,16 +5,8 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cell.commissioning.engine import (
-    Dialog,
-    Engine,
-    Finding,
-    ProposedChange,
-    Question,
-    Step,
-    Verdict,
-    leave,
-)
+from cell.checks.findings import Finding, ProposedChange, Verdict
+from cell.commissioning.engine import Dialog, Engine, Question, Step, leave
 from cell.interfaces.cli.terminal import ask, out, plain_text, print_line
 
 _LEAVE = "q"

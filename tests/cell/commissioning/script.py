@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import LineOpener
-from cell.commissioning.engine import Dialog, Finding, ProposedChange, Question, Step, WizardAborted
+from cell.commissioning.engine import Dialog, Question, Step, WizardAborted
 from cell.simulation import open_can_bus, open_servo_port
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost

@@ -7,18 +7,9 @@ from typing import Any
 
 import pytest
 
+from cell.checks.findings import STORE_NAME, Finding, Verdict
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    CONFIG_NAME,
-    STORE_NAME,
-    Dialog,
-    Engine,
-    Finding,
-    Question,
-    Step,
-    Verdict,
-    WizardAborted,
-)
+from cell.commissioning.engine import CONFIG_NAME, Dialog, Engine, Question, Step, WizardAborted
 from cell.config.file import changed_config, config_text, load_config
 from cell.errors import CellError, ConfigError
 from gripper.errors import PortLost

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from cell.commissioning.engine import Verdict, WizardAborted
+from cell.checks.findings import Verdict
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.fingers import (
     KINDS,
     BlockMeasurement,

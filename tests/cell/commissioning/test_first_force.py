@@ -4,7 +4,8 @@ import re
 
 import pytest
 
-from cell.commissioning.engine import Verdict, WizardAborted
+from cell.checks.findings import Verdict
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FirstForceStep
 from simulator.world.taxels import NoiseModel
 from tests.cell.commissioning.conftest import MakeStand, Stand

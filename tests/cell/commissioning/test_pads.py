@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.commissioning.engine import Finding, Verdict, WizardAborted
+from cell.checks.findings import Finding, Verdict
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.pads import (
     PadsAtRestStep,
     PadsPressedStep,

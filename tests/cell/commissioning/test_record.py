@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Engine, Finding, ProposedChange, WizardAborted
+from cell.commissioning.engine import Dialog, Engine, WizardAborted
 from cell.commissioning.figures import curves, pads, svg
 from cell.commissioning.record import RECORD_NAME, write_record
 from tactile.layout import pinch_layout

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from cell.checks.findings import Verdict
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Verdict, WizardAborted, carry_out
+from cell.commissioning.engine import WizardAborted, carry_out
 from cell.commissioning.pads import PadsAtRestStep
 from cell.commissioning.unit import UnitStep
 from cell.config.file import changed_config

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from cell.checks.findings import Verdict
 from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import CONFIG_NAME, Engine, Step, Verdict, WizardAborted
+from cell.commissioning.engine import CONFIG_NAME, Engine, Step, WizardAborted
 from cell.commissioning.link_quality import LinkQualityStep
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config

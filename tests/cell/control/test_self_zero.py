@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from cell.commissioning.engine import Verdict
+from cell.checks.findings import Verdict
 from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose

@@ -7,15 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from cell.commissioning.engine import (
-    Choice,
-    Finding,
-    NumberRange,
-    ProposedChange,
-    Question,
-    Verdict,
-    WizardAborted,
-)
+from cell.checks.findings import Finding, ProposedChange, Verdict
+from cell.commissioning.engine import Choice, NumberRange, Question, WizardAborted
 from cell.commissioning.ports import PortsStep
 from cell.interfaces.cli import terminal
 from cell.interfaces.cli.dialog import TerminalDialog

@@ -13,17 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    Choice,
-    Dialog,
-    Engine,
-    Finding,
-    NumberRange,
-    ProposedChange,
-    Question,
-    StepFailed,
-)
+from cell.commissioning.engine import Choice, Dialog, Engine, NumberRange, Question, StepFailed
 from cell.commissioning.figures import curves, pads
 from cell.commissioning.record import RECORD_NAME, write_record
 from cell.config.serve import ServeConfig
