@@ -77,7 +77,7 @@ class Question:
 class Dialog(Protocol):
     """The face of the wizard: terminal, page or script. Every call may raise `WizardAborted`."""
 
-    def begin(self, step: "Step", number: int, count: int) -> None:
+    def start_step(self, step: "Step", number: int, count: int) -> None:
         """Show which step begins: its title and purpose, as ``number`` of ``count``."""
         ...
 
@@ -184,7 +184,7 @@ class _Logged:
     """A dialog that logs what is approved; implements `Dialog`."""
 
     def __init__(self, dialog: Dialog, log: Callable[[Sequence[ProposedChange]], None]) -> None:
-        self.begin, self.found, self.say = dialog.begin, dialog.found, dialog.say
+        self.start_step, self.found, self.say = dialog.start_step, dialog.found, dialog.say
         self.live, self.ask = dialog.live, dialog.ask
         self.choose, self.confirm = dialog.choose, dialog.confirm
         self._approve, self._log = dialog.approve, log
@@ -272,7 +272,7 @@ class Engine:
         """
         for number, step in enumerate(self.steps, start=1):
             while not self.done(step):
-                dialog.begin(step, number, len(self.steps))
+                dialog.start_step(step, number, len(self.steps))
                 self._run(step, dialog)
                 if not self.done(step):
                     self._again(step, dialog)

@@ -593,7 +593,7 @@ class CellController:
             early=early,
             read_shape=read_shape,
             on_grasp=on_grasp,
-            begin=self._begin_answer,
+            execute=self._start_answer,
         )
         self._journal.result(result)
         return result
@@ -604,7 +604,7 @@ class CellController:
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _begin_answer(self, answer: Callable[[], _T]) -> Callable[[], _T]:
+    def _start_answer(self, answer: Callable[[], _T]) -> Callable[[], _T]:
         """Begin to compute beside the motions, where that delays no force loop; else do it last."""
         return in_thread(answer, "answer").result if self.hand.own_process else answer
 

@@ -130,7 +130,7 @@ class Grasper:
         record = self._close(step, self._move_to(step.pose), label, early_checks)
         kept = False
         if judge is not None and record.outcome.result not in NOTHING_HELD:
-            judge.begin(record)
+            judge.start_answer(record)
             kept = judge.holds and self._judged(record, judge)
         if not kept:
             self.hand.release(self.watch)
@@ -292,7 +292,7 @@ class Grasper:
             if verdict.further is None:
                 break
             record = self._squeeze(first, replace(verdict.further, pose=first.step.pose))
-            judge.begin(record)
+            judge.start_answer(record)
         if verdict.keep:
             self._held = held
         return verdict.keep

@@ -54,7 +54,7 @@ class PartDecision:
 class Judge:
     """Computes the answer to a grasp, and decides what becomes of its part."""
 
-    begin: Callable[[GraspRecord], None]
+    start_answer: Callable[[GraspRecord], None]
     """Called at the end of a ramp: the answer is computed during the motion that follows, where the
     force loop has a process of its own."""
     decide: Callable[[], PartDecision]

@@ -167,7 +167,7 @@ class Wizard(Dialog):
 
     # -- the dialog, in the engine's thread ----------------------------------------------------
 
-    def begin(self, step: Step, number: int, count: int) -> None:
+    def start_step(self, step: Step, number: int, count: int) -> None:
         """Show which step begins."""
         with self._changed:
             self._look()

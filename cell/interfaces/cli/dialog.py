@@ -44,7 +44,7 @@ class TerminalDialog(Dialog):
     def __init__(self) -> None:
         self._running = False
 
-    def begin(self, step: Step, number: int, count: int) -> None:
+    def start_step(self, step: Step, number: int, count: int) -> None:
         """Print which step begins."""
         self._end_line()
         out.print(f"\n[bold]{number}/{count} {plain_text(step.title)}[/]")

@@ -40,7 +40,7 @@ class Script(Dialog):
     moment: Callable[[], None] = lambda: None
     """Called at each `live`: time that passes, hands that move."""
 
-    def begin(self, step: Step, number: int, count: int) -> None:
+    def start_step(self, step: Step, number: int, count: int) -> None:
         assert 1 <= number <= count
         self.began.append(step.key)
 

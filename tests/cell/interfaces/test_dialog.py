@@ -72,7 +72,7 @@ def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None
 def test_findings_are_printed_with_their_lines(typed, capsys) -> None:
     dialog = typed()
     step = PortsStep()
-    dialog.begin(step, 1, 3)
+    dialog.start_step(step, 1, 3)
     dialog.live("scan", "57600 bit/s")
     dialog.found(step, Finding(status=Verdict.WARN, lines=["16 ms [slow]"]))
     shown = capsys.readouterr().out
