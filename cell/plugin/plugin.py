@@ -451,7 +451,7 @@ class TactileCellPlugin:
         return self._accept(work, _COMMANDS[checked.task], checked.task)
 
     def check(self, task: str) -> None:
-        """Raise what `start` and `start_command` would raise now for a task or command, whatever its goal.
+        """Raise what `start` and `start_command` would raise now, whatever the goal.
 
         Raises
         ------
