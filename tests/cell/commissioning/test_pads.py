@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.commissioning.engine import Finding, Left, Verdict
+from cell.checks.findings import Finding, Verdict
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.pads import (
     PadsAtRestStep,
     PadsPressedStep,
@@ -119,8 +120,8 @@ def test_each_pad_is_found_by_who_follows_the_words(stand: MakeStand, layout: An
 
 
 def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: MakeStand) -> None:
-    with pytest.raises(Left):
-        stand().run(PRESSED, moment=raising(Left("left")))
+    with pytest.raises(WizardAborted):
+        stand().run(PRESSED, moment=raising(WizardAborted("left")))
 
 
 def test_corners_are_named_as_a_person_sees_them() -> None:
