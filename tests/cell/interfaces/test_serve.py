@@ -16,9 +16,7 @@ from xmlrpc.client import ServerProxy
 import pytest
 
 from cell.config.model import CellConfig
-from cell.errors import CellError
 from cell.interfaces.cli.commands import serve as serving
-from cell.interfaces.opening import open_interfaces, page_address
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
 from tests.cell.interfaces.hosts import Client
@@ -144,41 +142,6 @@ def test_without_its_extra_there_is_no_page_but_a_note(
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     assert serving.free_page_port("127.0.0.1") is None
     assert "no page: uvicorn missing" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("interface", "option"),
-    [("modbus", "--modbus"), ("xmlrpc", "--xml-rpc"), ("http", "--http"), ("opcua", "--opcua")],
-)
-def test_a_taken_port_names_the_option_that_takes_another(
-    serve: Any, interface: str, option: str
-) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http", "opcua")}
-        served = serve(**ports | {f"serve__{interface}_port": port})
-        with (
-            pytest.raises(CellError, match=f"127.0.0.1:{port} .*{option} PORT takes another one"),
-            open_interfaces(served.service),
-        ):
-            pass
-
-
-@pytest.mark.parametrize(
-    ("changes", "address"),
-    [
-        ({}, "http://127.0.0.1:7/#token=t"),
-        ({"listen": "::1", "tls_certificate": "c", "tls_key": "k"}, "https://[::1]:7/#token=t"),
-        (
-            {"listen": "0.0.0.0", "allow": ("10.0.0.0/8",)},
-            f"http://{socket.gethostname()}:7/#token=t",
-        ),
-    ],
-)
-def test_the_address_of_the_page_suits_a_browser(changes: dict[str, Any], address: str) -> None:
-    config = CellConfig(serve=changes).serve
-    assert page_address({"http_port": 7, "token": "t"}, config) == address
-    assert page_address({"modbus_port": 7}, config) is None
 
 
 def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(

@@ -4,7 +4,6 @@ import asyncio
 import gc
 import json
 import math
-import os
 import re
 import socket
 import ssl
@@ -25,9 +24,8 @@ from websockets.asyncio.client import connect as open_in_one_thread
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
-from cell.errors import CellError, ConfigError
 from cell.interfaces.http_server import HttpConnection
-from cell.interfaces.opening import open_interfaces, warnings
+from cell.interfaces.opening import open_interfaces
 from cell.interfaces.web import WebInterface
 from cell.plugin.goals import TASKS, checked_goal
 from cell.service.service import RELEASE_KEY, Service
@@ -634,37 +632,3 @@ def test_tls_by_certificate_files(connect: Any, tls: dict[str, str], tmp_path: P
 
     # OpenSSL allows one thread at a time on a connection; the other client reads and writes in two.
     asyncio.run(asyncio.wait_for(watch(), 20.0))
-
-
-# -- opening the interfaces -------------------------------------------------------------------
-
-
-def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no interface is open"), open_interfaces(serve().service):
-        pass
-    with pytest.raises(CellError, match=r"cannot read token or secret .*missing"):
-        serve("http", serve__token_file=str(tmp_path / "missing"))
-    os.mkfifo(tmp_path / "pipe")
-    keys = {"secret_file": "modbus", "token_file": "http", "tls_key": "http"}
-    for key, interface in keys.items():
-        files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
-        with pytest.raises(ConfigError, match="pipe: not a plain file"):
-            serve(interface, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
-    (tmp_path / "bad").write_bytes(b"\xff" * 20)
-    with pytest.raises(ConfigError, match="of ASCII characters"):
-        serve("xmlrpc", serve__secret_file=str(tmp_path / "bad"))
-    (tmp_path / "long").write_text("x" * 65)
-    with pytest.raises(ConfigError, match="Modbus carries 64"):
-        serve("modbus", serve__secret_file=str(tmp_path / "long"))
-    (tmp_path / "short").write_text("short")
-    with pytest.raises(ConfigError, match="at least 16 characters"):
-        serve("http", serve__token_file=str(tmp_path / "short"))
-
-
-def test_an_address_for_others_is_warned_of(serve: Any) -> None:
-    assert warnings(serve("modbus", "xmlrpc", "http").service) == ()
-    others = {"serve__listen": "0.0.0.0", "serve__allow": ["192.0.2.1"]}
-    modbus, http = warnings(serve(serve__modbus_port=0, serve__http_port=0, **others).service)
-    assert "Modbus and XML-RPC authenticate nobody: who reaches 0.0.0.0 from 192.0.2.1" in modbus
-    assert "without TLS" in http
-    assert warnings(serve(**others).service) == ()

@@ -2,7 +2,6 @@
 
 import gzip
 import http.client
-import math
 import shutil
 import socket
 import threading
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import Any
 from xmlrpc.client import Fault, ProtocolError, ServerProxy, dumps, loads
 
-import numpy as np
 import pytest
 
 from cell.control.plan import Pose
@@ -128,23 +126,6 @@ def test_the_next_pose_is_one_of_ur(connect: Any) -> None:
     pose = Pose(x_m=0.001, rotation_rad=0.4)
     served.ask_pose(pose)
     assert cell.next_pose() == pytest.approx(ur_pose(pose))
-
-
-@pytest.mark.parametrize(
-    ("rotation", "roll"), [(0.0, 0.0), (0.4, 0.0), (0.0, -2.0), (3.0, 1.0), (-3.1, 3.1)]
-)
-def test_a_rotation_vector_rolls_first_then_turns(rotation: float, roll: float) -> None:
-    found = ur_pose(Pose(x_m=0.001, y_m=-0.002, rotation_rad=rotation, roll_rad=roll))
-    assert (found["x"], found["y"], found["z"]) == (0.001, -0.002, 0.0)
-    vector = np.array([found["rx"], found["ry"], found["rz"]])
-    angle = float(np.linalg.norm(vector))
-    axis = vector / angle if angle else vector
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    turned = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-    c, s, cr, sr = math.cos(rotation), math.sin(rotation), math.cos(roll), math.sin(roll)
-    about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    np.testing.assert_allclose(turned, about_z @ about_x, atol=1e-12)
 
 
 # -- the example -------------------------------------------------------------------------------
