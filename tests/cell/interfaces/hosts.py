@@ -245,8 +245,8 @@ SHOWN = {
 class ModbusHost:
     """A PLC; a request is one block of registers with its sequence number at the end."""
 
-    name = "Modbus"
-    """Of the interface, as it stands in those of its clients."""
+    name = "Modbus 127.0.0.1"
+    """As the cell shows who holds."""
 
     def __init__(self, interfaces: dict[str, Any]) -> None:
         self._plc, self._panel = Plc(interfaces["modbus_port"]), Plc(interfaces["modbus_port"])
@@ -340,7 +340,7 @@ class CallingHost:
         return int(self.call(*self._last))
 
     def hold(self, latch: bool | None = None) -> None:
-        assert self.call("hold", -1 if latch is None else int(latch), "") == 0
+        assert self.call("hold", -1 if latch is None else int(latch), "panel") == 0
 
     def reached(self, seq: int, *, ok: bool) -> int:
         return int(self.call("pose_reached", self.lease, seq, ok))
@@ -349,7 +349,7 @@ class CallingHost:
 class XmlRpcHost(CallingHost):
     """A robot program; it keeps a part always or never."""
 
-    name = "XML-RPC"
+    name = "XML-RPC 127.0.0.1 panel"
 
     def __init__(self, interfaces: dict[str, Any]) -> None:
         super().__init__()
@@ -379,7 +379,7 @@ class XmlRpcHost(CallingHost):
 class HttpHost:
     """A host with the token."""
 
-    name = "HTTP"
+    name = "HTTP 127.0.0.1 panel"
 
     def __init__(self, interfaces: dict[str, Any]) -> None:
         self._host = Client(interfaces)
@@ -422,8 +422,8 @@ class HttpHost:
         return self._post(path, **body)
 
     def hold(self, latch: bool | None = None) -> None:
-        query = "" if latch is None else f"?latch={latch}"
-        assert self._host.ask("POST", f"/api/hold{query}", token=None)[0] == 200
+        query = "" if latch is None else f"&latch={latch}"
+        assert self._host.ask("POST", f"/api/hold?name=panel{query}", token=None)[0] == 200
 
     def reached(self, seq: int, *, ok: bool) -> int:
         return self._post("/api/pose", lease=self.lease, seq=seq, ok=ok)
@@ -448,7 +448,7 @@ class HttpHost:
 class OpcUaHost(CallingHost):
     """A trusted client; what it reads follows within a moment."""
 
-    name = "OPC UA"
+    name = "OPC UA panel"
 
     def __init__(self, interfaces: dict[str, Any]) -> None:
         super().__init__()

@@ -282,8 +282,6 @@ async def test_a_trusted_client_commands_and_reads_all(open_cell: Any, plc: Iden
         assert await link.read("Taxels") == now.status.live.counts.tolist()
         assert await link.call("release", lease) == -501  # an argument is missing
         assert served.grip_n > 1.0
-        assert await link.call("hold", 1, "panel") == 0
-        await link.until("State.HeldBy", lambda names: names == "OPC UA panel")
         served.service.command(lease, Command.SHUTDOWN)
         await link.until("State.Name", lambda name: name == "STOPPED")
         with pytest.raises(BadNoData):

@@ -349,15 +349,6 @@ def test_all_but_hold_needs_the_token(connect: Any) -> None:
             assert host.ask(method.upper(), place, {}, token=token)[0] == 401, path
 
 
-def test_a_hold_has_the_address_and_name_of_its_client(connect: Any) -> None:
-    _, host = connect()
-    gate = "HTTP 127.0.0.1 gate"
-    found = host.ask("POST", "/api/hold?latch=true&name=gate", token=None)
-    assert found == (200, {"state": "IDLE", "held_by": [gate]})
-    for query, left in (("", [gate]), ("?latch=false", [gate]), ("?latch=false&name=gate", [])):
-        assert host.ask("POST", f"/api/hold{query}", {})[1]["held_by"] == left
-
-
 def test_the_description_has_a_text_for_each_path(connect: Any) -> None:
     _, host = connect()
     described = host.ask("GET", "/openapi.json", token=None)[1]

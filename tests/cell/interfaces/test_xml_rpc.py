@@ -52,13 +52,6 @@ def post(served: Served, body: bytes, *hosts: str, **headers: str) -> tuple[int,
     return found
 
 
-def test_a_hold_has_the_address_and_name_of_its_client(connect: Any) -> None:
-    _, cell = connect()
-    assert cell.hold(1, "gate") == cell.hold(True) == 0
-    assert cell.held_by() == "XML-RPC 127.0.0.1 gate, XML-RPC 127.0.0.1"
-    assert (cell.hold(0), cell.hold(0, "gate"), cell.held_by()) == (0, 0, "")
-
-
 def test_a_verification_has_its_answer_and_a_lease_its_end(connect: Any) -> None:
     _, cell = connect()
     lease = cell.acquire("robot")

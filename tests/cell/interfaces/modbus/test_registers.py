@@ -112,14 +112,10 @@ def test_a_zeroed_or_stale_key_lets_nothing_go(connect: Any) -> None:
     assert plc.inputs()[3] == 17
 
 
-def test_a_command_runs_once_however_often_it_is_written(connect: Any) -> None:
+def test_a_command_runs_with_its_number_and_once(connect: Any) -> None:
     served, plc = connect()
     plc.adopt()
-    block = [plc.life + 1, GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1]
-    for _ in range(5):
-        assert plc.write(0, *block) == 0
-        served.ended()
-    assert plc.inputs()[5:9] == [1, 0, 0, 1]
+    assert plc.command(GRIP, 0, 300) == 0
     # Single writes, as a UR makes them: nothing runs before the number is written.
     for address, value in ((COMMAND, RELEASE), (6, RELEASE_KEY)):
         assert not plc.link.write_register(address, value).isError()
