@@ -7,15 +7,9 @@ from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from simulator.errors import SimulatorSettingsError
+from simulator.servo.gearing import IDEAL_GEARING, XM430_W350_GEARING, Gearing
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
-from simulator.servo.motor import (
-    IDEAL_GEARING,
-    XM430_W350_GEARING,
-    DriveCommand,
-    DriveMode,
-    Gearing,
-    ServoMotor,
-)
+from simulator.servo.motor import DriveCommand, DriveMode, ServoMotor
 
 STEP_S = 1e-3
 MOUNTS = (ServoMount(direction=1), ServoMount(direction=-1))

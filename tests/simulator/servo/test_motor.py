@@ -5,12 +5,12 @@ import math
 import pytest
 
 from gripper.dynamixel.models import MODELS, XM430_W350
+from simulator.servo.gearing import Gearing
 from simulator.servo.motor import (
     AMBIENT_C,
     OVERLOAD_BUDGET_S,
     DriveCommand,
     DriveMode,
-    Gearing,
     ServoMotor,
 )
 
@@ -35,7 +35,7 @@ def stall(motor: ServoMotor, command: DriveCommand, duration_s: float = 0.1) -> 
 def test_torque_with_rising_load_follows_the_fit(current_a: float, torque_nm: float):
     motor = ServoMotor(XM430_W350)
     made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=current_a))
-    assert made_nm - motor.friction_nm == pytest.approx(torque_nm, abs=0.005)
+    assert made_nm - motor.friction_nm() == pytest.approx(torque_nm, abs=0.005)
 
 
 def test_the_torque_ripples_over_a_turn_and_keeps_its_mean():
