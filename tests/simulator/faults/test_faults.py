@@ -143,6 +143,9 @@ def _knobs(cell: SimulatedCell) -> Any:
             servo.core.registers.get("current_limit"),
             round(servo.core.plant.temperature_c, 3),
             servo.core.plant.voltage_v,
+            servo.core.plant.friction_factor,
+            servo.core.plant.kt_factor,
+            servo.core.plant.wear_per_turn,
         )
         for servo in devices.servo_bus.servos
     ]
