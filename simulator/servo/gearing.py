@@ -119,11 +119,10 @@ class Drive:
 class Gearing:
     """What a gearing does to the torque of its motor; the defaults are an ideal one.
 
-    A gearing that was identified on a servo of the given model has the figures of that servo. Behind
-    a motor of another model all of them, the inertia too, have one factor. It is so that the drive
-    forward gives the torque of the vendor's graph at half the stall current and half the no-load
-    speed. Slower than that, friction that fades with speed takes more: up to a quarter less torque
-    than in the graph.
+    A gearing that was identified on a servo of the given model has its figures. Behind a motor of
+    another model one factor scales all torques and the inertia. The drive forward then gives the
+    torque of the vendor's graph at half the stall current and half the no-load speed.
+    Slower motion has more friction: up to a quarter of that torque is missing at rest.
     """
 
     load_friction: float = 0.0
