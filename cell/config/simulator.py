@@ -64,9 +64,9 @@ class SimulatedServosConfig(Section):
     gearing: Literal["ideal", "xm430_assumed", "xl330", "xl330_2", "mx64", "mx106"] = "ideal"
     """Friction law and backlash: Coulomb friction alone, what is assumed of an XM430, or what was
     identified on real servos (two data sets of an XL330-M288); scaled to the model's torque."""
-    friction: tuple[Share, Share] = (1.08, 0.94)
+    friction: tuple[Share, Share] = (1.06, 1.03)
     """Factors on the friction without load of the servo of finger 0 and finger 1, 0.1 to 10."""
-    kt: tuple[Share, Share] = (0.96, 1.03)
+    kt: tuple[Share, Share] = (0.97, 0.98)
     """Factors on torque and back-EMF of their motors, 0.1 to 10."""
     start_c: float = Field(default=25.0, ge=10.0, le=25.0)
     """Their temperature at the start, 10 to 25; below 25 they have more friction and warm up."""
