@@ -39,7 +39,7 @@ class JobRun:
     asked: int
     """Identifications with the right answer, and all that were to be made."""
     grasp_s: float
-    """Mean time of a grasp in s without the first ones; 0 without any."""
+    """Mean time in s of the grasps of the parts done, without the first ones; 0 without any."""
     true_n: float
     cap_n: float
     """Largest true force on a pad, and cap of the force, in N."""
