@@ -8,7 +8,7 @@ import sys
 
 BENCHMARKS = {
     "performance": (
-        "doors",
+        "interfaces",
         "force_cap",
         "force_messages",
         "force_ramps",
