@@ -79,30 +79,18 @@ def check_refusal(host: Host, number: int) -> None:
 
 def test_a_part_is_identified_verified_and_let_go_with_its_key_alone(connect: Connect) -> None:
     served, host = connect()
-    check_shown(
-        host,
-        **{"state": IDLE, "grip": 0, "holding": False, "needs_reset": False, "on_hold": False},
-        **{"fault": 0, "recording": False, "job": 0, "outcome": 0, "pose_seq": 0},
-        **{"force_n": 0.0, "opening_mm": 40.0},
-    )
-    shown = host.shown()
-    assert not shown["answer_job"]
-    assert not shown["part"]
+    check_shown(host, state=IDLE, grip=0, holding=False, needs_reset=False, on_hold=False, fault=0)
+    check_shown(host, recording=False, job=0, outcome=0, pose_seq=0, answer_job=False, part=False)
+    check_shown(host, force_n=0.0, opening_mm=40.0)
     assert host.acquire() == 0
     assert host.send(IDENTIFY, 1) == host.repeat() == host.repeat() == 1  # done once
     (goal,) = served.plugin.asked
     assert (goal.force_n, goal.max_grasps, goal.keep) == (6.0, 2, "always")
-    answer = {
-        **{"answer_job": 1, "label": "ball", "label_id": 1, "probability": 0.9, "size_mm": 9.5},
-        **{"kept": True, "part": 1, "part_label_id": 1},
-    }
-    check_shown(
-        host,
-        **{"state": COMPLETE, "holding": True, "job": 1, "outcome": SUCCEEDED, "n_grasps": 1},
-        **{"force_n": 3.25, "force_age_s": 0.005, "opening_mm": 9.5, "frame_age_s": 0.02},
-        **{"temperature_c": 31.0},
-        **answer,
-    )
+    named = {"label": "ball", "label_id": 1, "probability": 0.9, "size_mm": 9.5}
+    answer = named | {"answer_job": 1, "kept": True, "part": 1, "part_label_id": 1}
+    check_shown(host, state=COMPLETE, holding=True, job=1, outcome=SUCCEEDED, n_grasps=1, **answer)
+    check_shown(host, force_n=3.25, setpoint_n=3.25, opening_mm=9.5, temperature_c=31.0)
+    check_shown(host, force_age_s=0.005, frame_age_s=0.02)
     assert host.send(Request(task="verify"), 2) == 2
     for key in (0, 0x504F, 1):
         assert host.send(Request(task="release", key=key), 3) == -REFUSED
@@ -113,7 +101,12 @@ def test_a_part_is_identified_verified_and_let_go_with_its_key_alone(connect: Co
     assert served.grip_n == 0.0
     assert host.send(Request(task="teach", label="box", max_grasps=5), 4) == 4
     assert (served.plugin.asked[-1].label, served.plugin.asked[-1].grasps) == ("box", 5)
-    assert host.send(Request(task="shutdown"), 5) == 5
+    served.plugin.pause()
+    assert host.send(IDENTIFY, 5) == 5
+    check_shown(host, job=5, answer_job=False)  # until the next identification begins
+    served.plugin.go_on()
+    check_shown(host, answer_job=5)
+    assert host.send(Request(task="shutdown"), 6) == 6
     unmeasured = ("force_n", "force_age_s", "setpoint_n", "opening_mm", "frame_age_s")
     check_shown(host, state=2, temperature_c=None, **dict.fromkeys(unmeasured))
 
@@ -147,6 +140,7 @@ def test_a_second_host_is_refused_and_may_hold(connect: Connect) -> None:
     second.hold()
     assert served.ended().outcome == "CANCELED"
     check_shown(second, state=HELD, outcome=CANCELED, holding=True, on_hold=False)
+    check_shown(second, answer_job=False)  # of what was held there is no answer
     assert served.grip_n > 1.0
     assert first.send(RELEASE, 2) == 2
     assert served.ended().outcome == "SUCCEEDED"
@@ -197,8 +191,7 @@ def test_a_fault_is_a_number_until_it_is_cleared(connect: Connect) -> None:
     assert host.send(GRIP, 1) == 1
     for number, reboot in ((2, False), (3, True)):
         served.plugin.fail(ServoFault(1, 0x20, "overload"))
-        shown = {"state": ABORTED, "fault": 109, "needs_reset": False, "holding": True}
-        check_shown(host, job=number - 1, force_n=None, **shown)
+        check_shown(host, state=ABORTED, fault=109, needs_reset=False, holding=True, force_n=None)
         if number == 2:
             check_shown(host, outcome=FAILED, job_fault=109)
         assert host.send(IDENTIFY, number) == -NOT_ALLOWED

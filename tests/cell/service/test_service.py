@@ -183,38 +183,6 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
     assert recording.results[0]["label"] == "ball"
 
 
-def test_the_last_answer_stays_until_the_next_identification_begins(serve: Any) -> None:
-    served = serve()
-    service = served.service
-    assert service.snapshot().last_answer is None
-    lease = service.lease.acquire("first")
-    service.start(lease, KEEP)
-    found = served.ended()
-    for task in ("verify", "release", "grip", "release"):
-        if task == "release":
-            service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-        else:
-            service.start(lease, {"task": task} | ({"force_n": 3.0} if task == "grip" else {}))
-        assert served.ended().outcome == "SUCCEEDED"
-        last = service.snapshot().last_answer
-        assert (last.number, last.label, last.probability) == (1, "ball", found.probability)
-        assert (last.label_id, last.kept, last.size_mm) == (1, True, found.size_mm)
-    with pytest.raises(ConfigError):
-        service.start(lease, IDENTIFY | {"max_grasps": 0})
-    assert service.snapshot().last_answer is not None
-    served.plugin.pause()
-    service.start(lease, IDENTIFY | {"present": "box"})
-    assert service.snapshot().last_answer is None
-    service.hold()
-    served.ended()
-    assert service.snapshot().last_answer is None  # it was held: there is no answer
-    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-    served.ended()
-    service.start(lease, IDENTIFY | {"present": "box"})
-    assert served.ended().label == "box"
-    assert service.status().last_answer.job == service.snapshot().last_answer.number == 8
-
-
 def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch: Any) -> None:
     for module in (worker, service_module):
         monkeypatch.setattr(module, "KEPT_JOBS", 2)
