@@ -105,7 +105,8 @@ def test_a_part_is_identified_verified_and_let_go_with_its_key_alone(connect: Co
     assert host.send(IDENTIFY, 5) == 5
     check_shown(host, job=5, answer_job=False)  # until the next identification begins
     served.plugin.go_on()
-    check_shown(host, answer_job=5)
+    assert host.send(IDENTIFY, 6) == -NOT_ALLOWED
+    check_shown(host, state=COMPLETE, answer_job=5)
     assert host.send(Request(task="shutdown"), 6) == 6
     unmeasured = ("force_n", "force_age_s", "setpoint_n", "opening_mm", "frame_age_s")
     check_shown(host, state=2, temperature_c=None, **dict.fromkeys(unmeasured))
