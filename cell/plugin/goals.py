@@ -35,6 +35,9 @@ class TeachGoal(_Goal):
     """How many times it is grasped, 1 to 1000."""
     seed: int = Field(default=0, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
+    present: str | None = None
+    """Object to place where the positioner can do so (simulated cell); None: that of this label, or
+    what lies between the fingers. The label names it there from then on."""
 
 
 class GaugeGoal(_Goal):
@@ -47,6 +50,8 @@ class GaugeGoal(_Goal):
     """How many times it is grasped, 1 to 100."""
     seed: int = Field(default=0, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
+    present: str | None = None
+    """As in `TeachGoal`."""
 
 
 class ZeroGoal(_Goal):

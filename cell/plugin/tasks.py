@@ -115,7 +115,8 @@ class Tasks:
 
         shown: dict[str, Any] = {"task": "teach", "label": goal.label, "grasps": 0, "missed": 0}
         shown |= {"of": goal.grasps, "each": []}
-        collection = Collection(label=goal.label, n_planned=goal.grasps)
+        collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
+        report(dict(shown))
         self.file.due = True
         teach(self.controller, self.model, collection, seed=goal.seed, on_grasp=progress)
         self.model.train()
@@ -145,7 +146,7 @@ class Tasks:
             report(dict(shown))
 
         shown["of"] = goal.grasps
-        collection = Collection(label=goal.label, n_planned=goal.grasps)
+        collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         self.model.check_gauge(goal.label)
         sequence = self.model.config.sequence
         collection.fill(self.controller, sequence, seed=goal.seed, on_grasp=progress)
