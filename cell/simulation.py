@@ -342,7 +342,8 @@ class SimulationRequests:
         if part == NOTHING:
             raise CellStateError(
                 f"{label!r:.60} is to be grasped, and nothing lies between the fingers of the "
-                "simulated cell: choose a part first, on the page under Simulation"
+                "simulated cell: choose a part on the page under Simulation, or name one as "
+                "`present` (`--object`)"
             )
         shape = world.objects.get(part) or drawn_shape(part)
         if label not in self._cell.settings.objects:

@@ -308,12 +308,6 @@ class TaughtModel:
 
     # -- files ---------------------------------------------------------------------------------
 
-    def save_training_set(self, path: Path) -> None:
-        """Write the training set as a data set. Raises DatasetError."""
-        grasps = self.training_set
-        write_dataset(path, grasps)
-        self._written = (grasps, path)
-
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the model file, and its training set where it is at hand and not written yet.
 
@@ -325,7 +319,8 @@ class TaughtModel:
         recognizer, sections = trained.recognizer, dict(trained.sections)
         if grasps := self.training_set:
             if self._written[0] is not grasps or self._written[1].parent != path.parent:
-                self.save_training_set(path.with_name(f"{path.stem}.grasps.npz"))
+                write_dataset(beside := training_set_file(path), grasps)
+                self._written = (grasps, beside)
             sections[TRAINING_SECTION] = training_section(*self._written)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_kept())
@@ -336,3 +331,8 @@ class TaughtModel:
             pads=self._pads,
             sections=sections,
         )
+
+
+def training_set_file(model: Path) -> Path:
+    """Return the data set that `TaughtModel.save` writes beside a model file."""
+    return model.with_name(f"{model.stem}.grasps.npz")

@@ -4,7 +4,7 @@ It is made in the thread of the cell between two grasps, from what the force loo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,9 @@ class PartReport:
     """``identify`` or ``sort``."""
     answer: Answer | None
     """None where no part was found."""
+    found: Identification | None = field(default=None, repr=False, compare=False)
+    """What the answer rests on, with all frames: megabytes, for those who listen in this program.
+    None where no part was found."""
     label_id: int = 0
     """Id of its label, from 1; 0 for UNKNOWN."""
     place: str | None = None
@@ -113,6 +116,7 @@ def part_reporter(
         report = PartReport(
             task=task,
             answer=None if found is None else Answer.of(found),
+            found=found,
             seconds=since_s - before_s,
             curves=None if found is None else _curves(found.records[-1], newtons),
             **fields,

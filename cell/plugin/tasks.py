@@ -107,7 +107,7 @@ class Tasks:
         each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
 
         def progress(now: Collection) -> None:
-            if len(now.records) > shown["grasps"]:
+            if goal.train and len(now.records) > shown["grasps"]:
                 each.append(_felt(now.records[-1], self.model))
             shown.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
             shown["each"] = list(each)
@@ -117,8 +117,10 @@ class Tasks:
         shown |= {"of": goal.grasps, "each": []}
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         report(dict(shown))
-        self.file.due = True
+        self.file.due |= goal.train
         teach(self.controller, self.model, collection, seed=goal.seed, on_grasp=progress)
+        if not goal.train:
+            return len(collection.records)
         self.model.train()
         apart = self.model.told_apart(goal.label)
         n_grasps = self.model.objects()[goal.label][0]
@@ -166,8 +168,11 @@ class Tasks:
         Raises as `CellController.measure_zero`.
         """
         report({"task": "zero"})
+        before = self.controller.self_zero
         found = self.controller.measure_zero()
-        report({"task": "zero", "zero": zero_values(found.zero), "text": zero_text(found)})
+        moved_mm = None if before is None else 1e3 * (found.zero.opening_m - before.opening_m)
+        values = zero_values(found.zero) | {"moved_mm": moved_mm}
+        report({"task": "zero", "zero": values, "text": zero_text(found)})
         return found.zero
 
     def identify(self, goal: IdentifyGoal, report: Report) -> Answer:
@@ -203,6 +208,7 @@ class Tasks:
                 max_grasps=goal.max_grasps,
                 force_n=goal.force_n,
                 keep=Keep(goal.keep),
+                whole_ramps=goal.whole_ramps,
                 on_grasp=progress,
             )
         except NoPartFound:
@@ -248,7 +254,7 @@ class Tasks:
             now: dict[str, Any] = {"task": "sort", "of": goal.parts} | tally.as_json()
             now["parts"] = len(tally.parts)
             if part is not None:
-                now |= {"label": part.label, "place": part.place, "probability": part.probability}
+                now |= part.as_json()
             report(now)
 
         def sorted_part(part: SortedPart, found: Identification) -> None:

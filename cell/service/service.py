@@ -670,7 +670,7 @@ class Service:
     def _count(self, report: PartReport) -> None:
         """Count a part with the id that its label has now."""
         label = "" if report.answer is None else report.answer.label
-        self.shift.add(replace(report, label_id=self.label_id(label)))
+        self.shift.add(replace(report, found=None, label_id=self.label_id(label)))
 
     def _answered(self, status: HostStatus) -> JobView | None:
         """Return the job of the last answer, also where it is no longer among those kept."""

@@ -112,7 +112,7 @@ def copied(model: Path) -> Callable[[Path], None]:
 
     def write(folder: Path) -> None:
         shutil.copyfile(model, folder / MODEL_FILE)
-        shutil.copyfile(model.with_name("taught.npz"), folder / "taught.npz")
+        shutil.copyfile(model.with_name("model.grasps.npz"), folder / "model.grasps.npz")
 
     return write
 
