@@ -156,6 +156,8 @@ def _ranges(
 
 def load_mesh(path: Path) -> MeshShape:
     """Read an STL file, as `read_mesh`; SimulatorSettingsError if it cannot be read."""
+    import trimesh  # noqa: F401, PLC0415 (where it is missing, the file does not matter)
+
     try:
         if not path.is_file():
             raise SimulatorSettingsError(f"{path} is no file; check the path")
