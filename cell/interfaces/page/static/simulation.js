@@ -2,9 +2,9 @@
 
 import { allow, byId, isAllowed, make, renew, setText, show } from "./dom.js";
 import { runs } from "./band.js";
-import { native, number, t } from "./words.js";
+import { faultMeaning, number, t } from "./words.js";
 
-// Lengths of each shape in mm: name, least, most, at first.
+// Lengths in mm: name, least, most, at first.
 const SHAPES = {
   "cylinder": [["diameter", 2, 16, 8], ["length", 5, 40, 20]],
   "sphere": [["diameter", 3, 16, 10]],
@@ -12,23 +12,24 @@ const SHAPES = {
   "ellipsoid": [["length", 5, 40, 14], ["diameter", 3, 16, 11]],
   "dumbbell": [["length", 8, 40, 14], ["diameter", 4, 16, 10]],
 };
-const POSE = [["x_m", -6, 6, "mm", 1e-3], ["y_m", -6, 6, "mm", 1e-3],
-  ["rotation_rad", -90, 90, "°", Math.PI / 180], ["roll_rad", -90, 90, "°", Math.PI / 180]];
+const POSE = { "x_m": "mm", "y_m": "mm", "rotation_rad": "°", "roll_rad": "°" };
+const SI = { mm: 1e-3, "°": Math.PI / 180 };
 const IN_TURN = "";
 const OWN = " shape";
 let now = null; // the part, as the cell has it
 let faults = null;
 let asking = false;
 
-function slider(name, word, unit, low, high, value) {
-  const range = make("input", { type: "range", min: low, max: high, step: unit === "°" ? 5 : 0.5, value, name });
+function slider(name, unit, min, max, value) {
+  const range = make("input", { type: "range", min, max, step: unit === "mm" ? 0.5 : 5, value, name });
   const shown = make("output", {});
-  const label = make("label", {}, make("span", {}, word, " ", shown), range);
-  const tell = () => setText(shown, unit === "°" ? `${number(range.valueAsNumber, 0)}°` : `${number(range.valueAsNumber, 1)} ${unit}`);
+  const tell = () => setText(shown, `${number(range.valueAsNumber)} ${unit}`);
   range.addEventListener("input", tell);
   tell();
-  return label;
+  return make("label", {}, make("span", {}, t(`sim.${name}`), " ", shown), range);
 }
+
+const options = (pairs) => pairs.map(([value, word]) => make("option", { value }, word));
 
 const values = (id) => [...byId(id).querySelectorAll("input")].map((one) => [one.name, one.valueAsNumber]);
 
@@ -43,10 +44,10 @@ function renewLengths() {
   show(byId("sim_shape"), byId("sim_part").value === OWN);
   const kind = byId("sim_kind").value;
   renew(byId("sim_lengths"), kind, () =>
-    SHAPES[kind].map(([name, low, high, value]) => slider(name, t(`sim.${name}`), "mm", low, high, value)));
+    SHAPES[kind].map(([name, ...range]) => slider(name, "mm", ...range)));
 }
 
-// A shape as text, as cylinder:diameter=8mm,length=20mm, in words.
+// In words what is cylinder:diameter=8mm,length=20mm.
 function partWord(part) {
   if (part === null || part === "nothing") return t(part ? "sim.nothing" : "sim.in_turn");
   const [kind, lengths] = part.split(":");
@@ -69,8 +70,8 @@ export function setupSimulation(view) {
   };
   const act = (id, what) => byId(id).addEventListener("click", () => isAllowed(byId(id)) && attempt(what).then(refresh));
 
-  renew(byId("sim_kind"), Object.keys(SHAPES), () => Object.keys(SHAPES).map((kind) => make("option", { value: kind }, t(`sim.${kind}`))));
-  renew(byId("sim_pose"), POSE.map(([name]) => name), () => POSE.map(([name, low, high, unit]) => slider(name, t(`sim.${name}`), unit, low, high, 0)));
+  byId("sim_kind").append(...options(Object.keys(SHAPES).map((kind) => [kind, t(`sim.${kind}`)])));
+  byId("sim_pose").append(...Object.entries(POSE).map(([name, unit]) => slider(name, unit, ...(unit === "mm" ? [-6, 6] : [-90, 90]), 0)));
   for (const id of ["sim_part", "sim_kind"]) byId(id).addEventListener("change", renewLengths);
   byId("simulated").addEventListener("click", () => {
     if (byId("simulation").open) byId("simulation").close();
@@ -83,7 +84,7 @@ export function setupSimulation(view) {
   act("sim_put", () => send("POST", "part", {
     lease: link.lease,
     part: chosen(),
-    pose: Object.fromEntries(values("sim_pose").map(([name, value]) => [name, value * POSE.find(([one]) => one === name)[4]])),
+    pose: Object.fromEntries(values("sim_pose").map(([name, value]) => [name, value * SI[POSE[name]]])),
   }));
   act("sim_begin", () => send("POST", "faults", {
     fault: byId("sim_fault").value + (byId("sim_value").value.trim() ? `=${byId("sim_value").value.trim()}` : ""),
@@ -114,30 +115,27 @@ export function renderSimulation(view) {
   setText(byId("sim_placed"), partWord(now.placed ?? "nothing"));
   setText(byId("sim_taken"), partWord(now.part));
   const kept = byId("sim_part").value;
-  renew(byId("sim_part"), now.objects, () => [
-    [IN_TURN, t("sim.in_turn")], ["nothing", t("sim.nothing")], [OWN, t("sim.own")], ...now.objects.map((one) => [one, one]),
-  ].map(([value, word]) => make("option", { value }, word)));
+  renew(byId("sim_part"), now.objects, () => options([
+    [IN_TURN, t("sim.in_turn")], ["nothing", t("sim.nothing")], [OWN, t("sim.own")], ...now.objects.map((one) => [one, one])]));
   if (kept && byId("sim_part").value !== kept) byId("sim_part").value = kept;
   renewLengths();
   allow(byId("sim_put"), t("sim.put"), t("sim.put_hint"), held);
   byId("sim_stl").disabled = Boolean(reason);
   allow(byId("sim_reset"), t("sim.reset"), t("sim.reset_hint"), reason || (runs(state.job) ? t("why.state.EXECUTE") : ""));
 
-  renew(byId("sim_fault"), faults.kinds.map((one) => one.name), () => faults.kinds.map((one) => make("option", { value: one.name }, one.name)));
+  renew(byId("sim_fault"), faults.kinds.map((one) => one.name), () => options(faults.kinds.map(({ name }) => [name, name])));
   const kind = faults.kinds.find((one) => one.name === byId("sim_fault").value);
-  const { value = null, meaning = "" } = kind ?? {};
+  const value = kind?.value;
   show(byId("sim_value").parentNode, Boolean(value));
-  if (value) {
-    setText(byId("sim_unit"), t("sim.value", { unit: value.unit }));
-    byId("sim_value").placeholder = String(value.default);
-  }
-  setText(byId("sim_meaning"), native(meaning));
+  setText(byId("sim_unit"), value?.unit ?? "");
+  byId("sim_value").placeholder = value?.default ?? "";
+  setText(byId("sim_meaning"), kind ? faultMeaning(kind) : "");
   allow(byId("sim_begin"), t("sim.begin"), t("sim.begin_hint"), watches);
   renew(byId("sim_running"), [faults.running, watches], () => faults.running.map(({ fault, begun }) => {
     const end = make("button", { type: "button", class: "plain" }, t("sim.end"));
     end.setAttribute("aria-label", t("sim.end_of", { fault }));
     end.addEventListener("click", () => isAllowed(end) && view.endFault(fault));
     end.setAttribute("aria-disabled", String(Boolean(watches)));
-    return make("li", {}, make("span", {}, begun ? fault : t("sim.waits", { fault })), end);
+    return make("li", {}, make("span", {}, begun ? fault : `${fault} ...`), end);
   }));
 }
