@@ -18,7 +18,7 @@ from cell.control.keeping import (
     HeldPart,
     Judge,
     compared,
-    measured,
+    measure_held_part,
     open_counts,
     spliced,
 )
@@ -130,7 +130,7 @@ class Grasper:
         record = self._close(step, self._move_to(step.pose), label, early_checks)
         kept = False
         if judge is not None and record.outcome.result not in NOTHING_HELD:
-            judge.begin(record)
+            judge.start_answer(record)
             kept = judge.holds and self._judged(record, judge)
         if not kept:
             self.hand.release(self.watch)
@@ -292,7 +292,7 @@ class Grasper:
             if verdict.further is None:
                 break
             record = self._squeeze(first, replace(verdict.further, pose=first.step.pose))
-            judge.begin(record)
+            judge.start_answer(record)
         if verdict.keep:
             self._held = held
         return verdict.keep
@@ -322,7 +322,7 @@ class Grasper:
         self.hand.hold_at(carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
         self.hand.hold_at(carry_n, HELD_LOOK_S, watch)
-        return measured(collector, zero)
+        return measure_held_part(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
         """Record one period of a motion, in which no frame matters; obey a stop."""

@@ -80,7 +80,7 @@ class PartReport:
 
 OnPart = Callable[[PartReport], None]
 """Called with each part, in the thread of the cell."""
-Seen = Callable[..., None]
+PartCallback = Callable[..., None]
 """Called by a task with the `Identification` of a part, or None where none was found; further
 fields of `PartReport` by name."""
 
@@ -106,7 +106,7 @@ class TaxelNewtons:
 
 def part_reporter(
     task: str, controller: CellController, newtons: TaxelNewtons, listeners: Sequence[OnPart]
-) -> Seen:
+) -> PartCallback:
     """Return the function with which a task that begins now reports its parts to all listeners."""
     since_s = controller.now_s
 

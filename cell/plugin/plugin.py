@@ -458,12 +458,12 @@ class TactileCellPlugin:
         return self._accept(work, _COMMANDS[checked.task], checked.task)
 
     def check(self, task: str) -> None:
-        """Raise what `start` and `begin` would raise now for a task or command, whatever its goal.
+        """Raise what `start` and `start_command` would raise now, whatever the goal.
 
         Raises
         ------
         CellStateError, ConfigError
-            As `start` and `begin`.
+            As `start` and `start_command`.
         """
         self._worker.check_free()
         if task in _COMMANDS:
@@ -567,7 +567,9 @@ class TactileCellPlugin:
 
     # -- commands ------------------------------------------------------------------------------
 
-    def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job:
+    def start_command(
+        self, command: Command, *, reboot: bool = False, needless: bool = False
+    ) -> Job:
         """Start `release`, `clear`, `reset` or a shutdown as a job and return its handle at once.
 
         Parameters
@@ -615,7 +617,7 @@ class TactileCellPlugin:
         Returns what was opened: a servo that is silent or at fault is left as it is, and the other
         finger opens alone.
         """
-        report: ReleaseReport = self._finish(self.begin(Command.RELEASE), timeout_s)
+        report: ReleaseReport = self._finish(self.start_command(Command.RELEASE), timeout_s)
         return report
 
     def clear(self, timeout_s: float = 5.0, *, reboot: bool = False) -> None:
@@ -624,7 +626,7 @@ class TactileCellPlugin:
         With ``reboot`` servos that report a hardware error are restarted: what one of them still
         held would drop. A fault that is still there is raised as it is.
         """
-        self._finish(self.begin(Command.CLEAR, reboot=reboot), timeout_s)
+        self._finish(self.start_command(Command.CLEAR, reboot=reboot), timeout_s)
 
     def reset(self, timeout_s: float | None = 60.0) -> None:
         """After `clear`: verify the devices anew and be ready again.
@@ -632,7 +634,7 @@ class TactileCellPlugin:
         Raises PartInGrip where the fault left a part in the grip, and latches that: `clear` it,
         `release` the part on purpose, and `reset` again. Other faults are raised as they are.
         """
-        self._finish(self.begin(Command.RESET), timeout_s)
+        self._finish(self.start_command(Command.RESET), timeout_s)
 
     def follow_real_time(self, speed: float = 1.0, clock: "Clock" = time) -> None:
         """Have the time of a simulated cell follow a real clock, where people watch it.
@@ -738,9 +740,9 @@ class TactileCellPlugin:
 
     def forget_drift(self, timeout_s: float = 5.0) -> None:
         """Forget the followed drift, as after work on the sensors, and follow anew."""
-        self._finish(self.begin_forget_drift(), timeout_s)
+        self._finish(self.start_forget_drift(), timeout_s)
 
-    def begin_forget_drift(self) -> Job:
+    def start_forget_drift(self) -> Job:
         """Start `forget_drift` as a job and return its handle at once."""
         model = self._model
         return self._accept(lambda _report: model.forget_drift(), None, "forget_drift")

@@ -29,7 +29,7 @@ from cell.plugin.goals import (
     VerifyGoal,
     ZeroGoal,
 )
-from cell.plugin.part_report import Seen
+from cell.plugin.part_report import PartCallback
 from cell.plugin.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import SelfZero
@@ -84,7 +84,7 @@ class Tasks:
     """The model, and where it is written."""
     places: Callable[[], Places] = lambda: Places(CellConfig(), ())
     """Returns the places of a sort for what is taught now."""
-    begin: Callable[[str], Seen] = lambda _task: lambda *_, **__: None
+    reporter: Callable[[str], PartCallback] = lambda _task: lambda *_, **__: None
     """Begins to report the parts of a task, as `part_reporter`; nobody counts them by default."""
 
     @property
@@ -180,7 +180,7 @@ class Tasks:
 
         What the goal wants to be kept stays in the grip. Raises as `cell.jobs.identify.identify`.
         """
-        seen, posteriors = self.begin("identify"), list[Posterior]()
+        seen, posteriors = self.reporter("identify"), list[Posterior]()
 
         def progress(number: int, record: GraspRecord, posterior: Posterior, shape: Any) -> None:
             posteriors.append(posterior)
@@ -247,7 +247,7 @@ class Tasks:
         Raises as `cell.jobs.sort.sort_parts`; the part is kept, and the count so far is the
         progress.
         """
-        seen, places = self.begin("sort"), self.places()
+        seen, places = self.reporter("sort"), self.places()
         tally = Tally(places=places)
 
         def progress(part: SortedPart | None = None) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,20 @@ OUTCOME_NUMBERS = {
     JobOutcome.ABORTED: 6,
 }
 """Number of each outcome for hosts: GoalStatus of ROS 2 actions; 0 is no job."""
+
+
+class RequestFields(TypedDict, total=False):
+    """Fields of tasks and commands as hosts with plain numbers send them; see `Service.request`."""
+
+    label: str
+    grasps: int
+    max_grasps: int
+    force_n: float
+    keep: bool | str
+    parts: int
+    present: str
+    key: int
+    reboot: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -359,7 +373,7 @@ class Service:
         lease, number
             As `start`.
         command, reboot
-            As `TactileCellPlugin.begin`.
+            As `TactileCellPlugin.start_command`.
         key
             `RELEASE_KEY` for a release, the only way to let the part go.
 
@@ -370,9 +384,9 @@ class Service:
             if command is Command.RELEASE and key != RELEASE_KEY:
                 raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
             if command is not Command.CLEAR:
-                return self._plugin.begin(command, reboot=reboot)
+                return self._plugin.start_command(command, reboot=reboot)
             gone = self._gone
-            job = self._plugin.begin(command, reboot=reboot, needless=bool(gone))
+            job = self._plugin.start_command(command, reboot=reboot, needless=bool(gone))
             for client in gone:
                 self.end_hold(client)
             return job
@@ -380,7 +394,9 @@ class Service:
         given = {"reboot": True} if reboot else {}
         return self._begin(lease, command.value, given, number, begin)
 
-    def request(self, lease: int, name: str, *, number: int = 0, **fields: Any) -> int:
+    def request(
+        self, lease: int, name: str, *, number: int = 0, **fields: Unpack[RequestFields]
+    ) -> int:
         """Start a task or command as hosts with plain numbers ask for it; return its job.
 
         Parameters
@@ -394,7 +410,8 @@ class Service:
         Raises as `start`.
         """
         if name not in TASKS:
-            return self.command(lease, Command(name), number=number, **fields)
+            key, reboot = fields.get("key", 0), fields.get("reboot", False)
+            return self.command(lease, Command(name), key=key, reboot=reboot, number=number)
         if isinstance(keep := fields.get("keep"), bool):
             fields["keep"] = "always" if keep else "never"
         return self.start(lease, goal_of(name, **fields), number=number)
@@ -404,7 +421,7 @@ class Service:
 
         Raises as `start`.
         """
-        return self._begin(lease, "forget_drift", {}, number, self._plugin.begin_forget_drift)
+        return self._begin(lease, "forget_drift", {}, number, self._plugin.start_forget_drift)
 
     # -- taught objects ------------------------------------------------------------------------
 

@@ -391,7 +391,7 @@ class WireDriver(Driver):
             self._held = True
             if silent:
                 self.clock.now_s += LEASE_S + 1.0
-                self._service.lease.look()
+                self._service.lease.check_expiry()
             else:
                 self._wire.hold()
 

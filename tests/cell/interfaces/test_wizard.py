@@ -13,17 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    Choice,
-    Dialog,
-    Engine,
-    Finding,
-    NumberRange,
-    Question,
-    StepFailed,
-    Write,
-)
+from cell.commissioning.engine import Choice, Dialog, Engine, NumberRange, Question, StepFailed
 from cell.commissioning.figures import curves, pads
 from cell.commissioning.record import RECORD_NAME, write_record
 from cell.config.serve import ServeConfig
@@ -35,7 +27,7 @@ from tests.cell.interfaces.hosts import Client
 from tests.cell.served import until
 
 WRITES = tuple(
-    Write(
+    ProposedChange(
         where=f"servo {number}",
         what="Baud Rate (8)",
         before="57,600 bit/s",

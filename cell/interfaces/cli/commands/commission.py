@@ -69,7 +69,7 @@ def commission(
     from cell.commissioning.backup import restore as restore_servos
     from cell.commissioning.baseline import changed_hardware
     from cell.commissioning.bench import Bench
-    from cell.commissioning.engine import Engine, Left
+    from cell.commissioning.engine import Engine, WizardAborted
     from cell.commissioning.record import write_record
     from cell.commissioning.walk import all_steps
     from cell.config.file import load_config
@@ -117,7 +117,7 @@ def commission(
     except KeyboardInterrupt:
         print_note("left; what was found is kept. The same command goes on there")
         raise typer.Exit(1) from None
-    except Left as left:
+    except WizardAborted as left:
         print_note(str(left))
         raise typer.Exit(1) from None
     dialog.finished(engine, files)

@@ -221,7 +221,7 @@ def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     served.clock.now_s += 50.0
     plc.write(LIFE, plc.life)  # written, but the same: the PLC's program stands
     served.clock.now_s += 11.0
-    served.service.lease.look()
+    served.service.lease.check_expiry()
     assert "was silent for 61.00 s" in served.ended().error
     assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
     assert text_of(plc.inputs()).startswith("Release, then go on. stopped because 'Modb")

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import pytest
 
-from cell.commissioning.engine import Verdict
+from cell.checks.findings import Verdict
 from cell.commissioning.walk import all_steps
 from cell.control.states import CellState, GraspState
 from cell.fault_catalogue import CATALOGUE, RecoveryStep

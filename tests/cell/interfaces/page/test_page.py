@@ -372,7 +372,7 @@ def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -
 
 @pytest.mark.real_time
 def test_the_first_paint_is_quick(open_page: OpenPage, cell: FakeCell) -> None:
-    """Measured at the second visit: at the first one the browser itself still starts."""
+    """LatestValues at the second visit: at the first one the browser itself still starts."""
     page = open_page()
     becomes(page, "#state", "Ready")
     page.reload()
