@@ -34,9 +34,7 @@ def own_address(config: ServeConfig) -> str:
     return ""
 
 
-def page_address(
-    found: Mapping[str, Any], config: ServeConfig, token: str = "token"
-) -> str | None:
+def page_address(found: Mapping[str, Any], config: ServeConfig, token: str = "token") -> str | None:
     """Return the address of the page, with a token, for a browser; None without HTTP.
 
     Parameters
@@ -65,8 +63,8 @@ def view_note(config: ServeConfig) -> str:
     if own_address(config):
         return ""
     return (
-        f"this machine has no way to {', '.join(config.allow)} (serve.allow): set serve.hosts to the "
-        "name or address by which others reach it"
+        f"this machine has no way to {', '.join(config.allow)} (serve.allow): set serve.hosts to "
+        "the name or address by which others reach it"
     )
 
 

@@ -304,9 +304,7 @@ class WebInterface(WebServer):
     async def define_object(self, label: str, lease: int, request: Request) -> dict[str, Any]:
         """Add an object to the simulated cell, an STL file in mm of at most 10 MB as the body."""
         stl = await request.body()
-        return {
-            "objects": await asyncio.to_thread(self._service.define_object, lease, label, stl)
-        }
+        return {"objects": await asyncio.to_thread(self._service.define_object, lease, label, stl)}
 
     def reset_simulation(self, body: ResetBody) -> dict[str, int]:
         """Start to make the simulated cell ready: faults end, the part is let go and taken away."""

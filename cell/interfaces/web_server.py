@@ -166,8 +166,8 @@ class WebServer(HttpServer):
         request.state.commands = same_secret(found.credentials, self.token)
         if request.method != "GET" and not request.state.commands:
             raise NotInCommand(
-                "this token reads and does not command: open the page with the address that `serve` "
-                "prints after `page`"
+                "this token reads and does not command: open the page with the address that "
+                "`serve` prints after `page`"
             )
 
     def _may_read(self, token: str) -> bool:

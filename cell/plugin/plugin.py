@@ -437,7 +437,10 @@ class TactileCellPlugin:
         """
         checked = checked_goal(goal)
         self._check_taught(checked.task)
-        if isinstance(checked, TeachGoal | GaugeGoal) and self._config.positioner.kind != "operator":
+        if (
+            isinstance(checked, TeachGoal | GaugeGoal)
+            and self._config.positioner.kind != "operator"
+        ):
             self._worker.check_free()
             if self._simulation is not None:
                 part = self._simulation.part_for(checked.label, checked.present)

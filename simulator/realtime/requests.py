@@ -29,9 +29,9 @@ class CellRequests:
 
     Requests and their replies:
 
-    - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest; the label
-      ``nothing`` takes the object away. With ``"offset": {"x_m": ..}`` this object and all later
-      ones are placed so far beside their poses
+    - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest; the
+      label ``nothing`` takes the object away. With ``"offset": {"x_m": ..}`` this object and all
+      later ones are placed so far beside their poses
     - ``{"define": label, "shape": text}``: ``{"objects": [..]}``, with another name for a shape
     - ``{"remove": true}``: ``{"removed": true}``
     - ``{"press": "finger0.inner", "at": ["tip", "left"], "force_n": 2.0}``: ``{"pressed": pad}``, a

@@ -70,8 +70,8 @@ def pages(line: dict[str, Any]) -> list[str]:
     return [
         f"page: {at}{line['token']}",
         f"view only: {at}{line['view_token']}",
-        "  only this machine reaches 127.0.0.1: set serve.listen to 0.0.0.0, and serve.allow to the "
-        "hosts that may connect",
+        "  only this machine reaches 127.0.0.1: set serve.listen to 0.0.0.0, and serve.allow to "
+        "the hosts that may connect",
     ]
 
 

@@ -373,7 +373,7 @@ def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(
     typed: dict[str, Any] = {"lease": lease, "Path": Path}
     first, _, trainer = page_examples(host)
     exec(first.partition("\nlease =")[0], typed)
-    typed["done"] = lambda job: served.ended(job)
+    typed["done"] = served.ended
     exec(trainer, typed)
     assert "my mug" in capsys.readouterr().out
     assert "my mug" in host.get("/api/info")["labels"]

@@ -308,6 +308,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
     page.click("#sim_put")
     becomes(page, "#sim_placed", "nothing")
     page.click("#simulation_close")
+    page.click("#tab_teach")
     page.fill("#teach_name", "my cup")
     page.click("#teach_start")
     becomes(page, "#said", "nothing lies between the fingers.*choose a part on the page")
