@@ -1,6 +1,7 @@
 """`tactile-cell serve` as a process: its line, its notes, and its end with the part held."""
 
 import json
+import re
 import shutil
 import signal
 import socket
@@ -95,6 +96,17 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
         assert cell.holding()
         said = ended(process)
     assert said[1:] == pages(line)
+
+
+def test_the_command_for_a_second_person_prints_a_link_for_other_machines(start: Any) -> None:
+    page = Path("docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
+    (typed,) = re.findall(r"tactile-cell serve (--listen .*)", page)
+    process, line = start(*typed.split(), "--http", "0", "--modbus", "0", "--xml-rpc", "0")
+    host = Client(line | {"token": line["view_token"]})
+    address = host.get("/api/access")["address"]
+    assert f"view only: {address}" in ended(process)
+    assert "0.0.0.0" not in address
+    assert "127.0.0.1" not in address
 
 
 def test_a_model_is_loaded_and_saved_and_other_addresses_get_a_warning(
