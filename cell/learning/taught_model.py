@@ -25,6 +25,7 @@ from cell.learning.training_set import (
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
+from recognition.drift.self_zero import foam_change
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
@@ -291,10 +292,16 @@ class TaughtModel:
         self._trained = replace(self.check_taught(), recognizer=recognizer.with_grid(grid))
 
     def _lacks(self, records: Sequence[GraspRecord]) -> Iterator[str]:
-        """Yield what the model lacks of what the cell would use."""
+        """Yield what the model lacks of what the cell would use, and another foam than its own."""
         recognizer = self.recognizer
         if not isinstance(recognizer, ForceRampRecognizer):
             return
+        today = records[-1].grasp.zero if records else None
+        if recognizer.zero and today and (times := foam_change(recognizer.zero, today)):
+            yield (
+                f"the foam is {times:.1f} times as stiff as when the objects were taught, so that "
+                "fewer parts get a name: look at the pads, and teach again if they are new"
+            )
         if recognizer.zero is None and any(one.grasp.zero is not None for one in records):
             yield (
                 "the model was taught without a self-zero, so that today's changes nothing and "
