@@ -14,6 +14,7 @@ BENCHMARKS = {
         "force_ramps",
         "identify",
         "loop_lateness",
+        "servo_factors",
         "touch",
     ),
     "recognition": (
