@@ -1,4 +1,4 @@
-"""Opening the interfaces: what keeps one from it, where its page is, and what is warned of."""
+"""Opening the interfaces: what keeps one from it, and what is warned of."""
 
 import os
 import socket
@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from cell.config.model import CellConfig
 from cell.errors import CellError, ConfigError
-from cell.interfaces.opening import open_interfaces, page_address, warnings
+from cell.interfaces.opening import open_interfaces, warnings
 
 
 def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None:
@@ -59,20 +58,3 @@ def test_a_taken_port_names_the_option_that_takes_another(
             open_interfaces(served.service),
         ):
             pass
-
-
-@pytest.mark.parametrize(
-    ("changes", "address"),
-    [
-        ({}, "http://127.0.0.1:7/#token=t"),
-        ({"listen": "::1", "tls_certificate": "c", "tls_key": "k"}, "https://[::1]:7/#token=t"),
-        (
-            {"listen": "0.0.0.0", "allow": ("10.0.0.0/8",)},
-            f"http://{socket.gethostname()}:7/#token=t",
-        ),
-    ],
-)
-def test_the_address_of_the_page_suits_a_browser(changes: dict[str, Any], address: str) -> None:
-    config = CellConfig(serve=changes).serve
-    assert page_address({"http_port": 7, "token": "t"}, config) == address
-    assert page_address({"modbus_port": 7}, config) is None

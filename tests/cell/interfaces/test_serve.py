@@ -1,6 +1,7 @@
 """`tactile-cell serve` as a process: its line, its notes, and its end with the part held."""
 
 import json
+import re
 import shutil
 import signal
 import socket
@@ -61,6 +62,17 @@ def ended(process: subprocess.Popen[str]) -> list[str]:
     return said.splitlines()
 
 
+def pages(line: dict[str, Any]) -> list[str]:
+    """Return what is printed of the page by the line of all addresses, at this machine alone."""
+    at = f"http://127.0.0.1:{line['http_port']}/#token="
+    return [
+        f"page: {at}{line['token']}",
+        f"view only: {at}{line['view_token']}",
+        "  only this machine reaches 127.0.0.1: set serve.listen to 0.0.0.0, and serve.allow to "
+        "the hosts that may connect",
+    ]
+
+
 def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
     start: Any, tmp_path: Path
 ) -> None:
@@ -68,7 +80,7 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
     ports = ("--modbus", "0", "--xml-rpc", "0", "--http", "0", "--opcua", "0")
     process, line = start(*ports, "--opcua-folder", "pki", config=CALLBACK)
     assert set(line) == {
-        *("listen", "modbus_port", "xmlrpc_port", "http_port", "token", "opcua_port")
+        *("listen", "modbus_port", "xmlrpc_port", "http_port", "token", "view_token", "opcua_port")
     }
     assert (tmp_path / "pki" / "key.pem").exists()
     with ServerProxy(f"http://127.0.0.1:{line['xmlrpc_port']}") as cell:
@@ -80,7 +92,18 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
         until(lambda: cell.alive(lease) or cell.job_state(1) == 4)
         assert cell.holding()
         said = ended(process)
-    assert said[1:] == [f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"]
+    assert said[1:] == pages(line)
+
+
+def test_the_command_for_a_second_person_prints_a_link_for_other_machines(start: Any) -> None:
+    page = Path("docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
+    (typed,) = re.findall(r"tactile-cell serve (--listen .*)", page)
+    process, line = start(*typed.split(), "--http", "0", "--modbus", "0", "--xml-rpc", "0")
+    host = Client(line | {"token": line["view_token"]})
+    address = host.get("/api/access")["address"]
+    assert f"view only: {address}" in ended(process)
+    assert "0.0.0.0" not in address
+    assert "127.0.0.1" not in address
 
 
 def test_a_model_is_loaded_and_saved_and_other_addresses_get_a_warning(
@@ -122,8 +145,7 @@ def test_without_a_config_the_taught_cell_is_there_with_its_page(
     process, line = start("--modbus", "0", "--xml-rpc", "0", config=None)
     assert 8080 <= line["http_port"] < 8180
     assert Client(line).get("/api/info")["labels"] == ["ball", "box"]
-    page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"
-    assert ended(process)[1:] == [page]
+    assert ended(process)[1:] == pages(line)
 
 
 def test_the_page_takes_the_next_port_where_its_own_is_taken(
