@@ -19,8 +19,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
-from cell.control.journal import loop_line
-from cell.control.lifecycle import NO_GRIP
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import (
@@ -300,11 +298,15 @@ class TactileCellPlugin:
     @property
     def loop_text(self) -> str:
         """How punctual the force loop was; empty in virtual time."""
+        from cell.control.journal import loop_line  # noqa: PLC0415
+
         hand = self._cell.controller.hand
         return loop_line(hand.statistics.loop, hand.period_s) if self._cell.realtime else ""
 
     def grip_left(self, error: BaseException) -> str:
         """Return what an error has left in the grip, as far as it is known, as text."""
+        from cell.control.lifecycle import NO_GRIP  # noqa: PLC0415
+
         controller = self._cell.controller
         if left := fingers_left(error):
             return left
