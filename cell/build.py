@@ -145,7 +145,7 @@ class Cell:
         return tuple(note.removeprefix(MISSING) for note in self.notes if note.startswith(MISSING))
 
     def health(self) -> dict[str, Any]:
-        """Return the counters of both links and the loop."""
+        """Return the counters of both links, the loop and faults."""
         statistics = self.controller.hand.statistics
         links, sensor, forces = link_values(statistics), statistics.sensor, statistics.source.forces
         return {
@@ -161,6 +161,7 @@ class Cell:
             "servo_bus": links["servo_bus"],
             "loop": loop_values(statistics.loop, undelivered=statistics.undelivered),
             "recording": self.recording_loss,
+            "faults": self.controller.faults,
         }
 
     def close(self) -> None:

@@ -122,6 +122,11 @@ class CellController:
         return self._life.fault
 
     @property
+    def faults(self) -> dict[str, int]:
+        """Faults since the cell was opened, by their numbers as text."""
+        return {str(number): n for number, n in tuple(self._life.faults.items())}
+
+    @property
     def holding(self) -> bool:
         """Whether a part may be in the grip."""
         return self._life.holding
@@ -137,7 +142,7 @@ class CellController:
             fault_number=life.fault_number,
             since_s=life.state_since_s,
             fault_since_s=life.fault_since_s,
-            n_faults=life.n_faults,
+            n_faults=life.faults.total(),
         )
 
     @property

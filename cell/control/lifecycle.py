@@ -1,6 +1,7 @@
 """State, latched fault and requested stop of a cell, and what each does to the grip."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -70,8 +71,8 @@ class CellLifecycle:
     """Unix time in s of the last change of the state."""
     fault_since_s: float | None = None
     """Unix time in s at which the latched fault was; None without one."""
-    n_faults: int = 0
-    """Faults so far."""
+    faults: Counter[int] = field(default_factory=Counter)
+    """Faults so far, by their numbers."""
     cancelled: bool = False
     """Whether a stop was requested and nothing has obeyed it yet."""
     stop_reason: str = ON_REQUEST
@@ -181,7 +182,7 @@ class CellLifecycle:
         self.fault = error_text(error) + self._carried_for()
         self.fault_number = fault_number(error)
         self.fault_since_s = time.time()
-        self.n_faults += 1
+        self.faults[self.fault_number] += 1
         # A kept part that slips is no longer where the host has it.
         lost = (PartLost, PartSlipped) if self._kept else PartLost
         self._part_lost = isinstance(error, lost)

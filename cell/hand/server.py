@@ -1,8 +1,9 @@
 """The server of the hand: the process that owns both ports and runs the force loop.
 
 Between commands it ticks by itself, so that watchdog and heartbeat are served whatever the
-program does. SIGINT is the program's business; SIGTERM, and the end of the program, freeze the
-grip, and the process ends as `gripper.gripper.Gripper.close` does: a held part stays held.
+program does. SIGINT is the program's business. The end of the program freezes the grip, and the
+process ends as `gripper.gripper.Gripper.close` does: a held part stays held. So does SIGTERM, a
+second later: systemd sends it to both, and the program ends the cell in order meanwhile.
 """
 
 import gc
@@ -15,6 +16,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from math import inf
 from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any
@@ -101,6 +103,8 @@ WAITING_PERIODS = 1000
 """Periods that wait for a program that takes nothing, before the grip is frozen."""
 _LAST_WORDS_S = 0.5
 """Time in s for the other end to take the last messages."""
+_PROGRAM_ENDS_S = 1.0
+"""Time in s from SIGTERM to the freeze, in which the program can end the cell in order."""
 _ALIVE_EVERY_S = 0.5
 """Period in s of `LiveUpdate` between commands: a tenth of what the client waits."""
 _SHOW_EVERY_S = 0.02
@@ -153,12 +157,13 @@ class HandServer:
         self._requests: deque[HandRequest] = deque()
         self._ramp = 0
         self._ending = ""
+        self._asked_s = inf
         self._supervised = True
         self._alive_due_s = 0.0
 
     def terminate(self, _number: int, _frame: FrameType | None) -> None:
-        """Freeze and end: SIGTERM."""
-        self._end_because("it was asked to end (SIGTERM)")
+        """Freeze and end where the program has not ended this process in a second: SIGTERM."""
+        self._asked_s = min(self._asked_s, time.monotonic())
 
     def listen(self, stop_fd: int) -> None:
         """Stop the running command at each byte, and everything when the pipe closes."""
@@ -269,6 +274,8 @@ class HandServer:
     def _look_for_parent(self) -> None:
         if self._outbox.broken or os.getppid() != self._parent:
             self._end_because("its program is gone")
+        elif time.monotonic() - self._asked_s > _PROGRAM_ENDS_S:
+            self._end_because("it was asked to end (SIGTERM)")
 
     def _stand_by(self) -> None:
         """Keep the grip without supervision, as a fault leaves it, until the next start."""

@@ -11,8 +11,9 @@ from functools import cache
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
-from fastapi import Body, HTTPException, Query, Request
-from fastapi.responses import Response
+from fastapi import Body, Depends, HTTPException, Query, Request
+from fastapi.responses import JSONResponse, Response
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import Field, WithJsonSchema
 
 from cell.config.simulator import LONGEST_LABEL
@@ -20,6 +21,7 @@ from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import RequestRefused
 from cell.fault_catalogue import CATALOGUE
+from cell.installation import extra
 from cell.interfaces.http_server import REQUEST_BYTES, Scope
 from cell.interfaces.live_socket import LiveMessage
 from cell.interfaces.web_server import Paths, RequestBody, WebServer
@@ -174,7 +176,8 @@ class WebInterface(WebServer):
                 ("/simulation/reset", "POST", self.reset_simulation),
             )
         config = service.config.serve
-        super().__init__(service.lease, config, lambda: state_moment(service), paths)
+        public: Paths = (("/healthz", "GET", self.healthz), ("/metrics", "GET", self.metrics))
+        super().__init__(service.lease, config, lambda: state_moment(service), paths, public=public)
 
     def longest(self, scope: Scope) -> int:
         """Return the most bytes of a body: more for a photo or an STL file."""
@@ -183,6 +186,31 @@ class WebInterface(WebServer):
         if scope["path"].startswith("/api/simulation/objects/"):
             return LONGEST_STL
         return LONGEST_PHOTO if scope["path"].endswith("/photo") else REQUEST_BYTES
+
+    def healthz(self) -> JSONResponse:
+        """Whether the cell works, without token: 503 where its thread is stuck.
+
+        A fault is no reason to restart it: 200, with the number of the fault.
+        """
+        status, working = self._service.status(), self._service.working
+        shown = {
+            "working": working,
+            "state": status.state,
+            "fault_number": status.fault_number,
+            "holding": status.holding,
+        }
+        return JSONResponse(shown, 200 if working else 503)
+
+    def metrics(
+        self,
+        found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
+        request: Request,
+    ) -> Response:
+        """Metrics for Prometheus; the token is the bearer."""
+        self.authorize(found, request)
+        with extra("metrics", needed_by="/metrics"):
+            from cell.interfaces.metrics import CONTENT_TYPE, metrics_text  # noqa: PLC0415
+        return Response(metrics_text(self._service), media_type=CONTENT_TYPE)
 
     def info(self) -> dict[str, Any]:
         """Name, mode, version, pads, limits, forces, taught objects, labels by id, places."""

@@ -97,6 +97,8 @@ class WebServer(HttpServer):
         Further paths, which need the token.
     page
         File of the page.
+    public
+        Paths beside ``/api`` that need no token, or check it themselves.
     """
 
     hold: Callable[..., Any]
@@ -108,7 +110,9 @@ class WebServer(HttpServer):
         config: ServeConfig,
         look: Callable[[], LiveMessage],
         paths: Paths,
+        *,
         page: str = "index.html",
+        public: Paths = (),
     ) -> None:
         file = config.token_file
         self.token = read_secret(file) if file else secrets.token_urlsafe(24)
@@ -125,7 +129,7 @@ class WebServer(HttpServer):
         app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None, responses=refusals)
         for kind in (StarletteHTTPException, RequestValidationError, *_ERRORS, Exception):
             app.add_exception_handler(kind, _refused)
-        router = APIRouter(prefix="/api", dependencies=[Depends(self._authorize)])
+        router = APIRouter(prefix="/api", dependencies=[Depends(self.authorize)])
         leasing: Paths = (
             ("/access", "GET", self.access),
             ("/lease", "POST", self.acquire),
@@ -137,6 +141,8 @@ class WebServer(HttpServer):
         app.include_router(router)
         app.add_api_websocket_route("/api/live", self.live)
         app.add_api_route("/api/hold", self.hold, methods=["POST"])
+        for path, method, call in public:
+            app.add_api_route(path, call, methods=[method])
         mount_page(app, page)
         super().__init__(
             app,
@@ -156,11 +162,12 @@ class WebServer(HttpServer):
         """Return the most bytes of the body of a request."""
         return REQUEST_BYTES
 
-    def _authorize(
+    def authorize(
         self,
         found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
         request: Request,
     ) -> None:
+        """Raise HTTPException or NotInCommand where the token of a request does not suffice."""
         if not self._may_read(found.credentials):
             raise HTTPException(401, "wrong token")
         request.state.commands = same_secret(found.credentials, self.token)

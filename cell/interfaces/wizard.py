@@ -343,7 +343,7 @@ class WizardServer(WebServer):
             wizard.config,
             lambda: LiveMessage(json.dumps(wizard.state(), allow_nan=False)),
             paths,
-            "commission.html",
+            page="commission.html",
         )
 
     def info(self) -> dict[str, Any]:

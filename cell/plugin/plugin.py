@@ -291,6 +291,14 @@ class TactileCellPlugin:
         return self._cell.health()
 
     @property
+    def working(self) -> bool:
+        """Whether the thread of the cell runs a job, or looks after the cell in each period.
+
+        A force loop that is silent ends a job, and a look, with a fault.
+        """
+        return self._worker.working
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the operator: how the force loop runs, and why there is no self-zero."""
         return tuple(filter(None, (*self._cell.notes, self._cell.controller.zero_note)))

@@ -3,6 +3,7 @@
 import functools
 import queue
 import threading
+import time
 import uuid
 import weakref
 from collections.abc import Callable
@@ -16,6 +17,10 @@ from cell.fault_catalogue import error_text, fault_number
 
 KEPT_JOBS = 100
 """Newest jobs whose end can be asked for: a resident program must not grow with each job."""
+
+_SILENT_S = 10.0
+"""Time in s without a look after the cell from which its thread counts as stuck: twice as long as
+a force loop may be silent."""
 
 
 class JobOutcome(StrEnum):
@@ -99,6 +104,8 @@ class CellWorker:
         """
         self._idle = idle
         self.idle_period_s = idle_period_s
+        self.looked_s = time.monotonic()
+        """Monotonic time in s at which the thread was last between two turns."""
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._name = uuid.uuid4().hex
         self._refusing = False
@@ -169,6 +176,12 @@ class CellWorker:
         """Whether a job is not over yet."""
         with self._changed:
             return any(not status.outcome.terminal for status in self._status.values())
+
+    @property
+    def working(self) -> bool:
+        """Whether the thread runs a job, or looks after the cell as often as it should."""
+        late = time.monotonic() - self.looked_s > _SILENT_S
+        return self.running or self.idle_period_s is None or not late
 
     def between_jobs(self, act: Callable[[], None]) -> None:
         """Have something done on the thread, after the jobs that are accepted; it must not fail."""
@@ -242,7 +255,7 @@ def _serve(
     idle_period_s = None
     while True:
         if (owner := worker()) is not None:
-            idle_period_s = owner.idle_period_s
+            idle_period_s, owner.looked_s = owner.idle_period_s, time.monotonic()
         del owner
         try:
             item = work.get(timeout=idle_period_s)

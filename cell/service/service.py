@@ -42,6 +42,7 @@ from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.service.photos import Photos
 from cell.service.pose_handshake import PoseHandshake
 from cell.service.shift import KEPT_ANSWERS, Shift
+from cell.service.totals import Totals
 from cell.simulation import shape_of_stl
 from gripper.clock import Clock
 
@@ -188,6 +189,8 @@ class Service:
         start."""
         self.shift = Shift()
         """The ledger of the parts."""
+        self.totals = Totals()
+        """What only grows, for metrics."""
         plugin.watch_parts(self._count)
         self.photos = Photos(photos_beside)
         """Photos of taught objects."""
@@ -299,6 +302,15 @@ class Service:
     def recording_path(self) -> Path | None:
         """The recording, if one is made."""
         return self._plugin.recording_path
+
+    @property
+    def working(self) -> bool:
+        """As `TactileCellPlugin.working`."""
+        return self._plugin.working
+
+    def counters(self) -> dict[str, Any]:
+        """As `TactileCellPlugin.counters`."""
+        return self._plugin.counters()
 
     def health(self) -> dict[str, Any]:
         """Return what `TactileCellPlugin.health` does, at most `_HEALTH_S` old."""
@@ -686,6 +698,7 @@ class Service:
 
     def _count(self, report: PartReport) -> None:
         """Count a part with the id that its label has now."""
+        self.totals.add(report)
         label = "" if report.answer is None else report.answer.label
         self.shift.add(replace(report, found=None, label_id=self.label_id(label)))
 

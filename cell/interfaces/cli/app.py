@@ -15,6 +15,7 @@ from cell.interfaces.cli.commands import (
     doctor,
     evaluate,
     identify,
+    install,
     recover,
     release,
     replay,
@@ -23,6 +24,7 @@ from cell.interfaces.cli.commands import (
     serve,
     simulate,
     sort,
+    support,
     teach,
     train,
     zero,
@@ -80,6 +82,8 @@ for command in (
     serve.serve,
     simulate.simulate,
     doctor.doctor,
+    install.install,
+    support.support,
 ):
     app.command()(command)
 app.add_typer(config.app, name="config")

@@ -93,6 +93,7 @@ def serve(
     all addresses when clients can connect. What is held at the end stays held.
     """
     from cell.config.file import changed_config
+    from cell.interfaces.cli.service_manager import ServiceManager
     from cell.interfaces.cli.session import cell_config, with_faults
     from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
     from cell.interfaces.cli.terminal import print_note
@@ -139,26 +140,41 @@ def serve(
             if untaught and model is None:
                 _teach_first(service, plugin, own, over, keep=not faults)
             plugin.follow_real_time(speed)
+            manager = ServiceManager()
+            manager.ready()
             while not over.wait(SIGNAL_LOOK_S):
-                pass
+                manager.report(_status_line(service), working=service.working)
+            manager.stopping()
+
+
+def _status_line(service: "Service") -> str:
+    """Return state, grip and fault of the cell as one line."""
+    status = service.status()
+    held = ", a part is held" if status.holding else ""
+    return f"{status.state}{held}" + (f", fault {status.fault_number}" if status.fault else "")
 
 
 @contextmanager
 def _announced_interfaces(service: "Service") -> Iterator[None]:
     """Open the interfaces of a service and print their addresses; close all at the end."""
-    from cell.interfaces.cli.terminal import print_note, print_page, print_view
+    from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
     from cell.interfaces.opening import open_interfaces, warnings
     from cell.interfaces.page_address import page_address, view_note
 
     with closing(service), open_interfaces(service) as found:
         for note in warnings(service):
             print_note(note)
-        typer.echo(json.dumps(found))
-        if (page := page_address(found, service.config.serve)) is not None:
+        config = service.config.serve
+        kept = ("token", "view_token") if config.token_file else ()
+        typer.echo(json.dumps({name: found[name] for name in found if name not in kept}))
+        page, view = (page_address(found, config, which) for which in ("token", "view_token"))
+        if page and config.token_file and not err.is_terminal:
+            # A journal that others read gets no token that stays.
+            print_page(f"{page.partition('#')[0]} (its token: {config.token_file})")
+        elif page and view:
             print_page(page)
-            view = page_address(found, service.config.serve, "view_token")
-            print_view(view or "", view_note(service.config.serve))
-        elif service.config.serve.http_port is None:
+            print_view(view, view_note(config))
+        elif config.http_port is None:
             print_note("no page for a browser is open: --http 8080, or serve.http_port, opens it")
         yield
 

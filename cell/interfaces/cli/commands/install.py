@@ -1,0 +1,101 @@
+"""`install`: udev rules, user and systemd unit of a cell that runs as a service."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.interfaces.cli.options import ConfigOption, ModelOption
+
+
+def install(
+    config: ConfigOption = None,
+    model: ModelOption = None,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="Write the files; each one is asked for.")
+    ] = False,
+    remove: Annotated[
+        bool, typer.Option("--remove", help="Remove the files again; each one is asked for.")
+    ] = False,
+    root: Annotated[
+        Path, typer.Option("--root", help="Folder that stands for /, as for an image.")
+    ] = Path("/"),
+) -> None:
+    """Print udev rules, user and systemd unit of the service. Nothing is written without --apply.
+
+    The service is `tactile-cell serve` with this config and model. It starts with the machine, and
+    again when it was killed; a held part stays held.
+    """
+    from cell.interfaces.cli import system_files as system
+    from cell.interfaces.cli.session import cell_config
+    from cell.interfaces.cli.terminal import print_line
+
+    if apply and remove:
+        raise typer.BadParameter("--apply and --remove exclude each other")
+    options = () if model is None else ("--model", str(model.resolve()))
+    files = system.system_files(cell_config(config), config, options)
+    changed = False
+    if remove:
+        _print_commands("before", system.BEFORE_REMOVING)
+    for file in files:
+        path = root / file.path.relative_to("/")
+        if remove:
+            changed |= _remove(path)
+        elif apply:
+            changed |= _write(path, file.text)
+        else:
+            print_line(f"# {path}\n{file.text}")
+    if not remove and not apply:
+        print_line("# nothing was written; --apply writes these files")
+    elif changed:
+        _print_commands("now", system.AFTER_REMOVING if remove else system.AFTER_WRITING)
+
+
+def _write(path: Path, text: str) -> bool:
+    """Write a file if the person agrees; return whether it has changed."""
+    from cell.data.files import write_text
+    from cell.errors import CellError
+    from cell.interfaces.cli.terminal import print_line
+
+    before = path.read_text("utf-8") if path.exists() else None
+    if before == text:
+        print_line(f"{path}: as it is wanted already")
+        return False
+    print_line(text)
+    if not _agreed(f"{'overwrite' if before else 'write'} {path}?"):
+        return False
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text, error=CellError, what="system file")
+    path.chmod(0o644)
+    return True
+
+
+def _remove(path: Path) -> bool:
+    """Remove a file if the person agrees; return whether it is gone now."""
+    from cell.interfaces.cli.terminal import print_line
+
+    if not path.exists():
+        print_line(f"{path}: not there")
+        return False
+    if not _agreed(f"remove {path}?"):
+        return False
+    path.unlink()
+    return True
+
+
+def _agreed(question: str) -> bool:
+    """Ask a person; the end of the input is a no."""
+    from cell.interfaces.cli.terminal import ask
+
+    try:
+        return ask(f"{question} y or n: ").strip().lower() in ("y", "yes")
+    except EOFError:
+        return False
+
+
+def _print_commands(when: str, commands: tuple[str, ...]) -> None:
+    from cell.interfaces.cli.terminal import print_line
+
+    print_line(f"{when}, as root:")
+    for command in commands:
+        print_line(f"  {command}")

@@ -1,0 +1,225 @@
+"""System files of a cell that runs as a service: udev rules, its user, the systemd unit."""
+
+import shlex
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from cell.checks.ports import udev_rule
+from cell.config.model import CellConfig
+from cell.config.positioner import ServoAxisConfig
+
+NAME = "tactile-cell"
+"""Name of the service, of its user and of its folder in /var/lib."""
+STATE_FOLDER = Path("/var/lib", NAME)
+"""Where the service runs and writes."""
+RULES_FILE = Path("/etc/udev/rules.d/99-tactile-cell.rules")
+USER_FILE = Path("/etc/sysusers.d/tactile-cell.conf")
+UNIT_FILE = Path("/etc/systemd/system/tactile-cell.service")
+"""The three files."""
+AFTER_WRITING = (
+    "systemd-sysusers",
+    "udevadm control --reload && udevadm trigger",
+    "systemctl daemon-reload && systemctl enable --now tactile-cell",
+)
+"""Commands that put them into use."""
+BEFORE_REMOVING = ("systemctl disable --now tactile-cell",)
+AFTER_REMOVING = ("systemctl daemon-reload && udevadm control --reload",)
+"""Commands around their removal."""
+_CHIPS = "0403|10c4|1a86"
+"""USB vendors whose serial adapters brltty takes for braille displays: FTDI, Silicon Labs, WCH."""
+_UNIT = """\
+# A cell that names parts by touch. Made by `tactile-cell install`.
+[Unit]
+Description=tactile-cell, the robot cell that names parts by touch
+Wants=network-online.target
+After=network-online.target
+# It starts again as often as it ends: whoever supervises it looks at the fault.
+StartLimitIntervalSec=0
+
+[Service]
+Type=notify
+NotifyAccess=main
+{prepare}ExecStart={command}
+WorkingDirectory={state}
+StateDirectory={name}
+CacheDirectory={name}
+Environment=XDG_CACHE_HOME=/var/cache/{name}
+User={name}
+SupplementaryGroups=dialout
+
+# Ready when clients can command. The first start of the built-in cell teaches its objects before.
+TimeoutStartSec=180
+# Fed only while the thread of the cell works. The signal ends the cell in order, grip kept.
+WatchdogSec=30
+WatchdogSignal=SIGTERM
+
+# The force loop is a second process. It freezes the grip, and disarms the bus watchdog of the
+# servos, before it ends. So no process may be killed before it had its time for that:
+# "control-group" sends SIGTERM to both and SIGKILL after TimeoutStopSec. "mixed" would send
+# SIGKILL to the force loop at the moment in which the main process dies.
+KillMode=control-group
+KillSignal=SIGTERM
+TimeoutStopSec=45
+OOMPolicy=continue
+OOMScoreAdjust=-500
+# A start with the part in the grip moves nothing and waits for `clear` and `release`.
+Restart=on-failure
+RestartSec=2
+# 2: wrong use or a wrong config, which a further start does not mend.
+RestartPreventExitStatus=2
+
+# The force loop asks for SCHED_FIFO and locked memory.
+LimitRTPRIO=99
+LimitMEMLOCK=infinity
+
+# The line with all addresses and the token is for programs; people read the journal.
+StandardOutput=null
+StandardError=journal
+SyslogIdentifier={name}
+
+NoNewPrivileges=yes
+ProtectSystem=strict
+ProtectHome=read-only
+PrivateTmp=yes
+{writable}
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class SystemFile:
+    """A file of the system that `install` prints or writes."""
+
+    path: Path
+    text: str
+
+
+def system_files(
+    config: CellConfig, config_file: Path | None, options: tuple[str, ...] = ()
+) -> tuple[SystemFile, ...]:
+    """Return rules, user and unit of a cell.
+
+    Parameters
+    ----------
+    config, config_file
+        The cell, and its file; None is the built-in simulated cell.
+    options
+        Further options of `serve`.
+    """
+    user = f'u {NAME} - "tactile-cell" {STATE_FOLDER}\nm {NAME} dialout\n'
+    return (
+        SystemFile(RULES_FILE, "\n".join(_rules(config)) + "\n"),
+        SystemFile(USER_FILE, user),
+        SystemFile(UNIT_FILE, _unit(config, config_file, options)),
+    )
+
+
+# -- udev --------------------------------------------------------------------------------------
+
+
+def _rules(config: CellConfig) -> Iterator[str]:
+    yield "# Serial adapters of a tactile cell. Made by `tactile-cell install`."
+    yield "# The latency timer of FTDI adapters: 16 ms by default, too long for the force loop."
+    yield udev_rule().partition(" in ")[0]
+    yield "# brltty takes such adapters for braille displays, and their ports away."
+    yield (
+        f'SUBSYSTEM=="usb", ENV{{BRLTTY_BRAILLE_DRIVER}}=="?*", ATTR{{idVendor}}=="{_CHIPS}", '
+        'ENV{BRLTTY_BRAILLE_DRIVER}="", ENV{SYSTEMD_WANTS}=""'
+    )
+    for role, key, port in _serial_ports(config):
+        identity = usb_identity(port)
+        if identity is None:
+            yield f"# {key}: {port} is no USB adapter that is connected now; it gets no name."
+        else:
+            match = ", ".join(f'ENV{{{name}}}=="{value}"' for name, value in identity.items())
+            yield f"# {key}: /dev/{NAME}/{role}, whatever else is connected."
+            yield f'SUBSYSTEM=="tty", {match}, SYMLINK+="{NAME}/{role}"'
+
+
+def _serial_ports(config: CellConfig) -> Iterator[tuple[str, str, str]]:
+    """Yield the role, key and name of each serial port of a cell."""
+    if not config.simulated:
+        yield "servos", "gripper.port", config.gripper.port
+    if config.tactile.interface == "slcan":
+        yield "can", "tactile.channel", config.tactile.channel
+    for axis in config.positioner.axes:
+        if isinstance(axis, ServoAxisConfig) and axis.port.startswith("/"):
+            yield axis.moves, f"port of the axis {axis.moves}", axis.port
+
+
+def usb_identity(port: str, sys_folder: Path = Path("/sys")) -> dict[str, str] | None:
+    """Return the udev properties that identify a USB adapter; None where the port is of none.
+
+    An adapter without serial number is identified by the socket that it is plugged into.
+    """
+    tty = Path(port).resolve().name
+    device = (sys_folder / "class/tty" / tty / "device").resolve()
+    folders = (device, *device.parents)
+    usb = next((one for one in folders if (one / "idVendor").is_file()), None)
+    if usb is None:
+        return None
+
+    def value(folder: Path, name: str) -> str:
+        return (folder / name).read_text("utf-8").strip()
+
+    found = {"ID_VENDOR_ID": value(usb, "idVendor"), "ID_MODEL_ID": value(usb, "idProduct")}
+    interface = next((one for one in folders if (one / "bInterfaceNumber").is_file()), None)
+    if interface is not None:
+        found["ID_USB_INTERFACE_NUM"] = value(interface, "bInterfaceNumber")
+    if not (usb / "serial").is_file():
+        return found | {"DEVPATH": f"*/{usb.name}/*"}
+    # As udev writes it: other signs than these become underscores.
+    serial = "".join(s if s.isalnum() or s in "#+-.:=@_" else "_" for s in value(usb, "serial"))
+    return found | {"ID_SERIAL_SHORT": serial}
+
+
+# -- systemd -----------------------------------------------------------------------------------
+
+
+def _unit(config: CellConfig, config_file: Path | None, options: tuple[str, ...]) -> str:
+    folder = Path(config.recording.directory)
+    command = [*program(), "serve", *options, "--out", str(folder)]
+    if config_file is not None:
+        command += ["--config", str(config_file.resolve())]
+    prepare = "".join(f"ExecStartPre=-+{shlex.join(one)}\n" for one in _can_commands(config))
+    writable = f"ReadWritePaths=-{folder}\n" if folder.is_absolute() else ""
+    return _UNIT.format(
+        command=" ".join(map(_quoted, command)),
+        name=NAME,
+        prepare=prepare,
+        state=STATE_FOLDER,
+        writable=writable,
+    )
+
+
+def program() -> list[str]:
+    """Return the command that starts this program, with whole paths."""
+    beside = Path(sys.executable).with_name(NAME)
+    return (
+        [str(beside)]
+        if beside.exists()
+        else [
+            sys.executable,
+            "-c",
+            "from cell.interfaces.cli import main; main()",
+        ]
+    )
+
+
+def _can_commands(config: CellConfig) -> Iterator[list[str]]:
+    """Yield the commands of root that bring a SocketCAN interface up; they may be done already."""
+    if config.tactile.interface == "socketcan":
+        link = [shutil.which("ip") or "/usr/sbin/ip", "link", "set", config.tactile.channel]
+        bitrate = str(config.tactile.bitrate)
+        yield [*link, "type", "can", "bitrate", bitrate, "restart-ms", "100"]
+        yield [*link, "up"]
+
+
+def _quoted(word: str) -> str:
+    """Return a word of a command as systemd reads it back: %, $, quotes and blanks are plain."""
+    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{word}"' if any(sign in " \\\"';" for sign in word) else word
