@@ -78,6 +78,7 @@ class StubPlugin:
         self._last_answer: Answer | None = None
         self._error: Exception | None = None
         self.recording_path: Path | None = None
+        self.working = True
         self._show(CellState.IDLE, holding=False)
 
     # -- what tests do -------------------------------------------------------------------------

@@ -4,7 +4,10 @@ import contextlib
 import os
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
+from typing import Any
 
 LIMIT_S = 60.0
 """Patience in s with a program."""
@@ -31,6 +34,18 @@ def hurry(pid: int) -> None:
     """Let a process go before others, where the machine permits it: it has deadlines of 3 ms."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, pid, -10)
+
+
+def done(cell: Any, lease: int, job: int) -> int:
+    """Wait for a job over XML-RPC and return how it ended."""
+    assert job > 0, job
+    end_s = time.monotonic() + LIMIT_S
+    while cell.job_state(job) < 4:
+        assert cell.alive(lease) == 0
+        assert time.monotonic() < end_s
+        threading.Event().wait(0.05)
+    ended: int = cell.job_state(job)
+    return ended
 
 
 def start(*arguments: object) -> subprocess.Popen[str]:

@@ -13,7 +13,7 @@ import pytest
 
 from cell.service.service import RELEASE_KEY
 from tests.hil import program
-from tests.hil.program import CONFIG, LIMIT_S, first
+from tests.hil.program import CONFIG, LIMIT_S, done, first
 
 pytestmark = pytest.mark.real_time
 
@@ -51,17 +51,6 @@ def start(free_machine: None) -> Iterator[Callable[..., Program]]:
     for one in reversed(made):
         if one.process.poll() is None:
             assert one.end(signal.SIGTERM) == 0
-
-
-def done(cell: Any, lease: int, job: int) -> int:
-    """Wait for a job and return how it ended."""
-    assert job > 0, job
-    end_s = time.monotonic() + LIMIT_S
-    while cell.job_state(job) < 4:
-        assert cell.alive(lease) == 0
-        assert time.monotonic() < end_s
-        threading.Event().wait(0.05)
-    return cell.job_state(job)
 
 
 @pytest.mark.timeout(300)

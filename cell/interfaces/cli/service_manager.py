@@ -20,8 +20,9 @@ class ServiceManager:
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
         ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         limit_us = environment.get("WATCHDOG_USEC", "") if ours else ""
-        self._feed_every_s = 1e-6 * int(limit_us) / _FEEDS if limit_us else inf
-        self._fed_s, self._status = -inf, ""
+        self._feed_every_s = 1e-6 * int(limit_us or 0) / _FEEDS
+        self._due_s = -inf if limit_us else inf
+        self._status = ""
 
     def ready(self) -> None:
         """Send that the cell accepts commands."""
@@ -37,8 +38,8 @@ class ServiceManager:
             self._status = status
             self._send(f"STATUS={status}")
         now_s = time.monotonic()
-        if working and now_s - self._fed_s >= self._feed_every_s:
-            self._fed_s = now_s
+        if working and now_s >= self._due_s:
+            self._due_s = now_s + self._feed_every_s
             self._send("WATCHDOG=1")
 
     def _send(self, state: str) -> None:

@@ -31,7 +31,7 @@ REMOVED = "removed"
 """What stands in the place of a secret."""
 _SECRET_KEY = re.compile(r"token|secret|password|tls_key", re.IGNORECASE)
 """Keys whose values are removed; where they name a file, the name too."""
-_TOKEN_IN_TEXT = re.compile(r"""(token["']?[=:]\s*["']?)[\w.~+/=-]+""", re.IGNORECASE)
+_TOKEN_IN_TEXT = re.compile(r"""(token["']?[=:]\s*["']?|bearer\s+)[\w.~+/=-]+""", re.IGNORECASE)
 """A token in an address, a header or JSON."""
 _RECORDINGS = 5
 """Newest recordings whose faults are listed."""

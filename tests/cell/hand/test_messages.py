@@ -279,7 +279,10 @@ def test_between_commands_the_process_ticks_and_tells_once_what_it_found(line: L
 
 
 @pytest.mark.parametrize("cause", ["sigterm", "program", "parent"])
-def test_the_end_freezes_keeps_and_says_why(line: Line, cause: str) -> None:
+def test_the_end_freezes_keeps_and_says_why(
+    line: Line, cause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_PROGRAM_ENDS_S", 0.0)
     line.hand.cycles = 50
     reader, writer = os.pipe()
     if cause == "sigterm":
@@ -298,6 +301,15 @@ def test_the_end_freezes_keeps_and_says_why(line: Line, cause: str) -> None:
     assert isinstance(answer.error, GraspStopped)
     assert type(last.error).__name__ == "HandLost"
     assert ("SIGTERM" if cause == "sigterm" else "program is gone") in str(last.error)
+    assert line.hand.calls[-2:] == ["shutdown", "close"]
+
+
+def test_sigterm_leaves_the_program_time_to_end_the_cell_in_order(line: Line) -> None:
+    line.server.terminate(signal.SIGTERM, None)
+    line.ask(tare={"n_frames": 3}, keep_grip={})
+    answers = line.serve()
+    line.server.end()
+    assert [type(event) for event in (*answers, *line.events())] == [HandReply, HandReply]
     assert line.hand.calls[-2:] == ["shutdown", "close"]
 
 

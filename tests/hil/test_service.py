@@ -1,0 +1,133 @@
+"""The cell as a service: processes are killed in a grasp, and a supervisor starts them again."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from xmlrpc.client import ServerProxy
+
+import pytest
+
+from cell.config.file import parse_config
+from cell.pytest_plugin.process import CellProcess
+from cell.service.service import RELEASE_KEY
+from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
+
+pytestmark = pytest.mark.real_time
+
+GRIPPED_N = 1.5
+"""Force at which a process is killed, on the way to 6 N."""
+KEPT_N = 0.6
+"""Least force with which a part counts as held."""
+LOOP_GONE, PART_IN_GRIP = 508, 506
+
+
+class Service:
+    """The service of a unit, and what its supervisor has reported."""
+
+    def __init__(self, unit: Path, port: int) -> None:
+        command = [sys.executable, "-m", "tests.hil.supervisor", str(unit)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.cell: Any = ServerProxy(f"http://127.0.0.1:{port}")
+        self.events: list[dict[str, Any]] = []
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        self.events.extend(json.loads(line) for line in self.process.stdout)
+
+    @property
+    def pid(self) -> int:
+        return self.pids[-1]
+
+    @property
+    def pids(self) -> list[int]:
+        return [one["pid"] for one in self.events if one["event"] == "started"]
+
+    @property
+    def hand(self) -> int:
+        """The process of the force loop; any thread of the main process may have started it."""
+        threads = Path(f"/proc/{self.pid}/task").glob("*/children")
+        (found,) = (int(pid) for one in threads for pid in one.read_text().split())
+        return found
+
+    def sent(self, text: str, since: int = 0) -> bool:
+        """Whether a text was sent after so many events."""
+        return any(one.get("text") == text for one in self.events[since:])
+
+
+@pytest.fixture(scope="module")
+def simulator(free_machine: None) -> Iterator[CellProcess]:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    serve = f"serve: {{lease_timeout_s: 30.0, modbus_port: null, xmlrpc_port: {port}}}\n"
+    one = CellProcess(parse_config(CONFIG + serve, source="test"))
+    first(one.pid)
+    yield one
+    one.end()
+
+
+@pytest.fixture(scope="module")
+def service(simulator: CellProcess, tmp_path_factory: Any) -> Iterator[Service]:
+    folder = tmp_path_factory.mktemp("service")
+    install = (*PROGRAM, "install", "--apply", "--root", folder, "-c", simulator.config_path)
+    subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)
+    unit = folder / "etc/systemd/system/tactile-cell.service"
+    config = parse_config(simulator.config_path.read_text(), source="test")
+    found = Service(unit, config.serve.xmlrpc_port or 0)
+    wait_for(lambda: found.sent("READY=1"))
+    with found.process, found.cell:
+        yield found
+        found.process.terminate()
+        assert found.process.wait(LIMIT_S) == 0
+        found.reader.join(LIMIT_S)
+    assert found.events[-1] == {"event": "ended", "code": 0}
+
+
+def wait_for(true: Callable[[], Any]) -> None:
+    end_s = time.monotonic() + LIMIT_S
+    while not true():
+        assert time.monotonic() < end_s
+        threading.Event().wait(0.01)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("killed", ["main", "hand", "both"])
+def test_a_part_outlasts_the_processes_that_hold_it(
+    service: Service, simulator: CellProcess, killed: str
+) -> None:
+    cell = service.cell
+    lease = cell.acquire("before")
+    job = cell.grip(lease, 6.0)
+    assert job > 0
+    simulator.wait_for_grip(GRIPPED_N)
+    main, hand = service.pid, service.hand
+    for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
+        os.kill(pid, signal.SIGKILL)
+    forces_n, since = [], len(service.events)
+
+    def reported() -> bool:
+        forces_n.append(simulator.grip_n())
+        number = LOOP_GONE if killed == "hand" else PART_IN_GRIP
+        return service.sent(f"STATUS=ABORTED, a part is held, fault {number}", since)
+
+    wait_for(reported)
+    assert (service.pid == main) == (killed == "hand")
+    assert min(forces_n) > KEPT_N
+    assert (cell.state(), cell.holding()) == (9, True)
+    if killed != "hand":
+        lease = cell.acquire("after")
+    assert done(cell, lease, cell.clear(lease)) == 4
+    assert simulator.grip_n() > KEPT_N
+    assert done(cell, lease, cell.release(lease, RELEASE_KEY)) == 4
+    assert simulator.grip_n() == 0.0
+    assert done(cell, lease, cell.reset(lease)) == 4
+    assert cell.give_up(lease) == 0
