@@ -304,7 +304,10 @@ def test_the_end_freezes_keeps_and_says_why(
     assert line.hand.calls[-2:] == ["shutdown", "close"]
 
 
-def test_sigterm_leaves_the_program_time_to_end_the_cell_in_order(line: Line) -> None:
+def test_sigterm_leaves_the_program_time_to_end_the_cell_in_order(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_PROGRAM_ENDS_S", 1e6)
     line.server.terminate(signal.SIGTERM, None)
     line.ask(tare={"n_frames": 3}, keep_grip={})
     answers = line.serve()
