@@ -251,7 +251,7 @@ def test_containers_are_unprivileged_and_their_commands_are_ours() -> None:
     )
     sources = set(re.findall(r"^COPY (\w+) \w+$", image, re.MULTILINE))
     ignored = Path(".containerignore").read_text()
-    assert sources == {"gripper", "tactile", "motion", "recognition", "simulator", "cell"}
+    assert sources == {"gripper", "tactile", "motion", "recognition", "simulator", "cell", "config"}
     assert all(f"!{one}\n" in ignored for one in sources)
 
 
