@@ -1,4 +1,5 @@
 import gc
+import signal
 import threading
 import weakref
 from collections.abc import Iterator
@@ -85,3 +86,18 @@ def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
     thread.join(10.0)
     assert not thread.is_alive()
     assert gone() is None
+
+
+def test_a_wait_answers_a_signal_that_another_thread_got(worker: CellWorker) -> None:
+    answered = threading.Event()
+
+    def job(_report: object) -> bool:
+        signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
+        return answered.wait(10.0)
+
+    before = signal.signal(signal.SIGUSR1, lambda *_given: answered.set())
+    try:
+        status = worker.wait(worker.start(job), 20.0)
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    assert status.value is True
