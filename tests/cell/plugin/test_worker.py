@@ -1,5 +1,6 @@
 import gc
 import signal
+import sys
 import threading
 import weakref
 from collections.abc import Iterator
@@ -89,9 +90,12 @@ def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
 
 
 def test_a_wait_answers_a_signal_that_another_thread_got(worker: CellWorker) -> None:
-    answered = threading.Event()
+    answered, started = threading.Event(), threading.Event()
 
     def job(_report: object) -> bool:
+        main = threading.main_thread().ident or 0
+        while sys._current_frames()[main].f_code.co_filename != threading.__file__:
+            started.wait(0.001)
         signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
         return answered.wait(10.0)
 
