@@ -94,8 +94,9 @@ def test_a_wait_answers_a_signal_that_another_thread_got(worker: CellWorker) -> 
 
     def job(_report: object) -> bool:
         main = threading.main_thread().ident or 0
-        while sys._current_frames()[main].f_code.co_filename != threading.__file__:
+        while sys._current_frames()[main].f_code is not threading.Condition.wait.__code__:
             started.wait(0.001)
+        started.wait(0.01)
         signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
         return answered.wait(10.0)
 
