@@ -78,6 +78,19 @@ def test_a_job_cannot_wait_for_its_own_end(worker: CellWorker) -> None:
     assert worker.wait(worker.start(lambda _report: "goes on"), 10.0).value == "goes on"
 
 
+def test_a_thread_that_is_stuck_between_jobs_does_not_work() -> None:
+    looking, go_on = threading.Event(), threading.Event()
+    worker = CellWorker(idle=lambda: (looking.set(), go_on.wait(10.0)), idle_period_s=0.001)
+    assert looking.wait(10.0)
+    assert worker.working
+    worker.looked_s -= 60.0
+    assert not worker.working
+    worker.start(lambda _report: None)
+    assert worker.working  # it has a job
+    go_on.set()
+    worker.close(10.0)
+
+
 def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
     worker = CellWorker(idle=lambda: None, idle_period_s=0.001)
     worker.wait(worker.start(lambda _report: None), 10.0)
