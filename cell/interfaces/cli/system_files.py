@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from stat import S_IROTH, S_IXOTH
 
 from cell.checks.ports import udev_rule
 from cell.config.model import CellConfig
@@ -208,6 +209,15 @@ def program() -> list[str]:
             "from cell.interfaces.cli import main; main()",
         ]
     )
+
+
+def closed_to_others(path: Path) -> Path | None:
+    """Return the first of a file and its folders that other users may not read; None for none."""
+    path = path.resolve()
+    folders = reversed(path.parents)
+    closed = (one for one in folders if one.exists() and not one.stat().st_mode & S_IXOTH)
+    unread = path.is_file() and not path.stat().st_mode & S_IROTH
+    return next(closed, path if unread else None)
 
 
 def _can_commands(config: CellConfig) -> Iterator[list[str]]:

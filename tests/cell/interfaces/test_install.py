@@ -18,7 +18,12 @@ from cell.config.file import changed_config, load_config, parse_config
 from cell.config.model import CellConfig
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.service_manager import ServiceManager
-from cell.interfaces.cli.system_files import UNIT_FILE, system_files, usb_identity
+from cell.interfaces.cli.system_files import (
+    UNIT_FILE,
+    closed_to_others,
+    system_files,
+    usb_identity,
+)
 from tests.cell.conftest import REAL, small_config
 from tests.hil.supervisor import read_unit
 
@@ -48,7 +53,7 @@ def test_what_the_page_types_prints_writes_removes_and_packs(
 ) -> None:
     page = PAGE.read_text("utf-8")
     commands = [
-        shlex.split(line.removeprefix("sudo ").removeprefix("tactile-cell "))
+        shlex.split(line.partition("tactile-cell ")[2])
         for block in re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
         for line in block.splitlines()
     ]
@@ -122,6 +127,19 @@ def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path: Path) -> Non
     assert unit["ReadWritePaths"] == "-/srv/recordings"
     assert "link set can0 type can bitrate 1000000" in text
     assert "ExecStartPre" not in unit_of(small_config())
+
+
+def test_what_the_service_user_cannot_read_is_named(tmp_path: Path) -> None:
+    config = tmp_path / "home" / "cell.yaml"
+    config.parent.mkdir(0o755)
+    config.write_text("")
+    tmp_path.chmod(0o755)
+    assert closed_to_others(config) in (None, *tmp_path.parents)
+    config.chmod(0o640)
+    config.parent.chmod(0o750)
+    assert closed_to_others(config) in (config.parent, *tmp_path.parents)
+    found = call("install", "-c", config).stderr
+    assert f"{config}: the user tactile-cell cannot read /" in found
 
 
 # -- udev --------------------------------------------------------------------------------------

@@ -28,13 +28,19 @@ def install(
     """
     from cell.interfaces.cli import system_files as system
     from cell.interfaces.cli.session import cell_config
-    from cell.interfaces.cli.terminal import print_line
+    from cell.interfaces.cli.terminal import print_line, print_note
 
     if apply and remove:
         raise typer.BadParameter("--apply and --remove exclude each other")
     options = () if model is None else ("--model", str(model.resolve()))
     files = system.system_files(cell_config(config), config, options)
     changed = False
+    for path in () if remove else (Path(system.program()[0]), config, model):
+        if path is not None and (closed := system.closed_to_others(path)) is not None:
+            print_note(
+                f"{path}: the user {system.NAME} cannot read {closed}; move it, as to "
+                f"{system.STATE_FOLDER} or /opt, or open it: chmod o+rX"
+            )
     if remove:
         _print_commands("before", system.BEFORE_REMOVING)
     for file in files:
