@@ -103,6 +103,11 @@ SELF_ZERO = Format(
     text="tactile-cell-self-zero/1",
     remedy="`tactile-cell zero` measures it anew",
 )
+RETENTION = Format(
+    what="list of the recordings' ages",
+    text="tactile-cell-recordings/1",
+    remedy="remove it: the recordings then count as new",
+)
 
 
 def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]) -> None:

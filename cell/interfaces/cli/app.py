@@ -15,6 +15,7 @@ from cell.interfaces.cli.commands import (
     doctor,
     evaluate,
     identify,
+    recordings,
     recover,
     release,
     replay,
@@ -83,6 +84,7 @@ for command in (
 ):
     app.command()(command)
 app.add_typer(config.app, name="config")
+app.add_typer(recordings.app, name="recordings")
 
 
 def main() -> None:
