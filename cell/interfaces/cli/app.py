@@ -8,6 +8,7 @@ import typer
 
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.commands import (
+    backup,
     calibrate,
     clear,
     commission,
@@ -81,6 +82,8 @@ for command in (
     serve.serve,
     simulate.simulate,
     doctor.doctor,
+    backup.backup,
+    backup.restore,
 ):
     app.command()(command)
 app.add_typer(config.app, name="config")
