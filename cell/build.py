@@ -258,7 +258,7 @@ def build_cell(
             positioner,
             clock=clock,
             recorder=recorder,
-            zeros=kept_zeros(config, _zero_folder(config, folder)),
+            zeros=kept_zeros(config, kept_folder(config, folder)),
         )
         retention = None
         if recorder is not None and folder is not None:
@@ -285,8 +285,8 @@ def build_cell(
         )
 
 
-def _zero_folder(config: CellConfig, folder: Path | None) -> Path | None:
-    """Return where the self-zero is kept: of a real cell where its next program looks for it.
+def kept_folder(config: CellConfig, folder: Path | None) -> Path | None:
+    """Return where self-zero and history are kept: of a real cell where its next program looks.
 
     A simulated cell keeps it beside its recordings; one that records nothing leaves nothing behind.
     """

@@ -12,7 +12,7 @@ import struct
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BytesIO
@@ -32,6 +32,7 @@ from cell.commissioning.backup import (
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog
 from cell.commissioning.record import RECORD_NAME
+from cell.commissioning.unit import unit_values
 from cell.config.file import (
     MAX_BYTES,
     config_file_text,
@@ -55,7 +56,6 @@ from cell.data.formats import (
 from cell.errors import CellError, ConfigError, reason_text
 from gripper.errors import GripperError
 from tactile.errors import TactileError
-from tactile.unit.search import read_unit
 
 MANIFEST = "manifest.json"
 """First member of a backup."""
@@ -176,8 +176,7 @@ def _devices(bench: Bench, config: CellConfig) -> dict[str, Any]:
         except GripperError as error:
             missing.append(f"registers of servo {servo.id}: {error}")
     try:
-        with bench.can_bus() as can_bus:
-            unit = asdict(read_unit(can_bus, config.tactile.node_id))
+        unit = unit_values(bench)
     except TactileError as error:
         missing.append(f"objects of the control unit: {error}")
     return {"servos": servos, "control_unit": unit, "missing": missing}

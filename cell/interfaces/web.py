@@ -150,6 +150,7 @@ class WebInterface(WebServer):
         paths: Paths = (
             ("/info", "GET", self.info),
             ("/state", "GET", self.state),
+            ("/history", "GET", self.history),
             ("/faults", "GET", self.faults),
             ("/grasps/{number}", "GET", self.grasp),
             ("/jobs", "GET", self.jobs),
@@ -194,6 +195,10 @@ class WebInterface(WebServer):
         ``allowed`` has null for each task and command that is allowed to the client in command.
         """
         return state_values(self._service)
+
+    def history(self) -> dict[str, Any]:
+        """Return the sums of today, yesterday and this week, and which objects are confused."""
+        return plain_data(self._service.history.values())  # type: ignore[no-any-return]
 
     def faults(self) -> list[dict[str, Any]]:
         """List the fault catalogue: number, text, cause, remedy, what the grip does, steps."""
