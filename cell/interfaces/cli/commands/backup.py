@@ -59,6 +59,7 @@ def restore(
     from cell.commissioning.bench import Bench
     from cell.commissioning.cell_backup import UNDO, restore, restore_registers
     from cell.commissioning.engine import WizardAborted
+    from cell.errors import CellError
     from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.terminal import print_line, print_note
 
@@ -66,6 +67,8 @@ def restore(
         raise typer.BadParameter("name a backup, or --undo")
     dialog = TerminalDialog(approved=yes)
     path = folder / UNDO if file is None else file
+    if file is None and not path.exists():
+        raise CellError(f"there is nothing to take back: no {path}, as a restore leaves it")
     try:
         if servos:
             bench = Bench(folder)
