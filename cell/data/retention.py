@@ -6,6 +6,8 @@ all programs by a day at most. So no leap of the wall clock makes many recording
 
 import os
 import re
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -140,6 +142,21 @@ def thin(path: Path) -> bool:
     return bool(n_out)
 
 
+def thin_beside(path: Path) -> bool:
+    """Do as `thin` in a process of its own that gives way to all others: it takes minutes."""
+    code = (
+        "import os, pathlib, sys, cell.data.retention as r; os.nice(19); "
+        "print(int(r.thin(pathlib.Path(sys.argv[1]))))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        said = done.stderr.strip() or "its process was ended"
+        raise RecordingError(said.splitlines()[-1].split("Error: ", 1)[-1])
+    return done.stdout.strip() == "1"
+
+
 class Retention:
     """Looks after the disk of a recording; a disk that is gone or does not answer stops nobody.
 
@@ -155,6 +172,8 @@ class Retention:
         Whether a fault is open: its recording stays.
     note
         Gets messages for the operator.
+    thin
+        Thins out a recording, as `thin` does.
     monotonic_s, wall_s
         Both clocks in s.
     """
@@ -168,13 +187,14 @@ class Retention:
         keep_bytes: float | None = None,
         at_fault: Callable[[], bool] = lambda: False,
         note: Callable[[str], None] = lambda _text: None,
+        thin: Callable[[Path], bool] = thin_beside,
         monotonic_s: Callable[[], float] = time.monotonic,
         wall_s: Callable[[], float] = time.time,
     ) -> None:
         self._recorder, self._folder = recorder, folder
         self._keep_s = float("inf") if keep_s is None else keep_s
         self._keep_bytes = float("inf") if keep_bytes is None else keep_bytes
-        self._at_fault, self._note = at_fault, note
+        self._at_fault, self._note, self._thin = at_fault, note, thin
         self._monotonic_s, self._wall_s = monotonic_s, wall_s
         self.short = ""
         """What the operator should know of the space that is left; empty where there is enough."""
@@ -315,7 +335,7 @@ class Retention:
             name = _name(self._folder, one.path)
             self._ledger[name] = Kept(one.kept.age_s, thinned=True)
             try:
-                if thin(one.path):
+                if self._thin(one.path):
                     self._note(f"{one.path} is thinned out: frames of named parts are taken out")
             except RecordingError as error:
                 self._note(f"{one.path} is not thinned out: {error}")

@@ -15,7 +15,7 @@ from cell.control.states import CellState, GraspState
 from cell.data import recorder as recorder_module, recorder_sink, retention
 from cell.data.recorder import CONTINUES, Recorder
 from cell.data.recording_reader import read_recording
-from cell.data.retention import LEDGER, Retention, mark, recordings, thin, unmark
+from cell.data.retention import LEDGER, Retention, mark, recordings, thin, thin_beside, unmark
 from cell.errors import RecordingError
 from recognition.recognizer import Posterior
 from tests.cell.conftest import call
@@ -263,7 +263,10 @@ def test_thinning_takes_the_frames_of_named_parts_and_leaves_a_whole_recording(
     assert len(after.cycles) == len(before.cycles)
     assert [grasp.label for grasp in after.grasps] == ["strange", "taught"]
     assert len(after.frames) == sum(grasp.n_frames for grasp in after.grasps)
-    assert not thin(path)
+    assert not thin_beside(path)
+    path.write_bytes(b"no recording")
+    with pytest.raises(RecordingError, match="is no recording"):
+        thin_beside(path)
 
 
 def test_a_share_that_disappears_is_noted_once_and_stops_nothing(
