@@ -43,7 +43,7 @@ from cell.config.file import (
 )
 from cell.config.model import CellConfig
 from cell.control.self_zero import zero_file
-from cell.data.files import DAMAGE, open_plain, write_atomically
+from cell.data.files import DAMAGE, free_name, open_plain, write_atomically
 from cell.data.formats import (
     CELL_BACKUP,
     KEPT_BYTES,
@@ -71,9 +71,10 @@ PORTS = (
 _KEPT = (STORE_NAME, RECORD_NAME, "backup-servo*.json", "*.npz", "*.photos/*.jpg", "*.photos/*.png")
 """Files in the folder of a cell that are its own, beside its config."""
 _NAME = re.compile(
-    r"(cell|jobs)/([\w-][\w .-]*\.photos/)?[\w-][\w .-]*\.(yaml|yml|json|html|npz|jpg|png)"
+    r"cell/([\w-][\w .-]*\.photos/)?[\w-][\w .-]*\.(yaml|yml|json|html|npz|jpg|png)"
+    r"|jobs/self-zero-[\w-]*\.json"
 )
-"""Name of a member: a file in the folder of the cell, or in that of its jobs."""
+"""Name of a member: a file in the folder of the cell, or the self-zero in that of its jobs."""
 _PIECE_BYTES = 1 << 20
 _MOST_SHOWN = 40
 """Keys of the config whose differences are shown one by one."""
@@ -100,8 +101,10 @@ class Manifest(BaseModel):
     directory: str
     """Folder of the jobs, ``recording.directory``."""
     members: dict[str, Member]
+    undo: bool = False
+    """Whether it is what a restore has replaced: it is put back exactly."""
     absent: list[str] = []
-    """Files that were not there: an undo removes them."""
+    """Files that were not there then: they are removed."""
     servos: list[Backup] = []
     """Control table of each servo, as it was when the backup was made."""
     control_unit: dict[str, Any] = {}
@@ -176,7 +179,9 @@ def _devices(bench: Bench, config: CellConfig) -> dict[str, Any]:
         except GripperError as error:
             missing.append(f"registers of servo {servo.id}: {error}")
     try:
-        unit = unit_values(bench)
+        # Where another program has the servos, its requests to the unit are not disturbed.
+        unit = {} if missing else unit_values(bench)
+        missing += ["objects of the control unit: the servos come first"] if missing else []
     except TactileError as error:
         missing.append(f"objects of the control unit: {error}")
     return {"servos": servos, "control_unit": unit, "missing": missing}
@@ -291,23 +296,19 @@ def _checked(path: Path, archive: zipfile.ZipFile, n_bytes: int) -> Manifest:
 
 
 def restore(
-    path: Path,
-    folder: Path,
-    approve: Callable[[Sequence[ProposedChange]], object],
-    *,
-    exactly: bool = False,
+    path: Path, folder: Path, approve: Callable[[Sequence[ProposedChange]], object]
 ) -> list[str]:
     """Put the files of a backup back into a folder; return what was done, in lines.
 
     Nothing is written before the whole backup is read and the changes are approved. What is
-    replaced goes to `UNDO` first; to restore that ``exactly`` takes all back. Else the ports stay
-    those of the config that is there, where both are of real cells. Raises CellError as
-    `open_backup`, or if a file cannot be written.
+    replaced goes to `UNDO` first; to restore that takes all back. Else the ports stay those of the
+    config that is there, where both are of real cells. Raises CellError as `open_backup`, or if a
+    file cannot be written.
     """
     with open_backup(path) as backup:
         manifest = backup.manifest
         places = {name: _place(name, folder, manifest) for name in manifest.members}
-        config, kept = _config_for(backup, places.get(manifest.config), exactly=exactly)
+        config, kept = _config_for(backup, places.get(manifest.config))
         changes, differing = list[ProposedChange](), dict[str, Path]()
         for name, place in places.items():
             new = manifest.members[name]
@@ -385,16 +386,14 @@ def _change(place: Path, before: str, after: str, folder: Path, what: str = "") 
                           undo=undo)  # fmt: skip
 
 
-def _config_for(
-    backup: OpenBackup, place: Path | None, *, exactly: bool
-) -> tuple[bytes, list[str]]:
+def _config_for(backup: OpenBackup, place: Path | None) -> tuple[bytes, list[str]]:
     """Return the config that is to be written, and which ports of the present one it keeps."""
     name = backup.manifest.config
     if place is None:
         return b"", []
     with backup.open(name) as stream:
         data = stream.read(MAX_BYTES + 1)
-    if exactly or not place.exists():
+    if backup.manifest.undo or not place.exists():
         return data, []
     text, _ = converted_text(data.decode(), source=name)
     coming = parse_config(text, source=name)
@@ -435,10 +434,13 @@ def _config_changes(place: Path, config: bytes, folder: Path) -> list[ProposedCh
 
 
 def _keep_undo(folder: Path, manifest: Manifest, places: Mapping[str, Path]) -> None:
-    """Write what a restore is about to replace or remove to `UNDO`."""
+    """Write what a restore is about to replace or remove to `UNDO`; an earlier one stays beside."""
     there = {name: place for name, place in places.items() if place.exists()}
     absent = [name for name in places if name not in there]
     facts = {"name": manifest.name, "config": manifest.config, "directory": manifest.directory,
-             "absent": absent}  # fmt: skip
+             "undo": True, "absent": absent}  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / UNDO, there, facts)
+    path = folder / UNDO
+    if path.exists():
+        path.rename(free_name(path))
+    _write(path, there, facts)

@@ -74,7 +74,7 @@ def restore(
             bench = Bench(folder)
             lines = restore_registers(path, bench.base, bench, dialog)
         else:
-            lines = restore(path, folder, dialog.approve, exactly=undo)
+            lines = restore(path, folder, dialog.approve)
     except WizardAborted as left:
         print_note(str(left))
         raise typer.Exit(1) from None
