@@ -124,6 +124,10 @@ class History:
         """
         return self._values
 
+    def day(self, day: date) -> list[Mapping[str, Any]]:
+        """Return the rows of a day as `read_day`; none where the history is in memory."""
+        return [] if self._path is None else read_day(self._path, day)
+
     def look(self) -> None:
         """Write what has come since the last look, and make the sums; nothing is raised."""
         now = self._status()

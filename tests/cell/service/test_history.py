@@ -177,6 +177,9 @@ def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> N
     asked = Request(address, headers={"Authorization": f"Bearer {found['token']}"})
     with urlopen(asked) as answer:
         assert json.load(answer) == service.history.values()
+    asked.full_url = f"{address}?day={date.today()}"
+    with urlopen(asked) as answer:
+        assert [row["kind"] for row in json.load(answer)["rows"]] == ["start", "part"]
     service.close()
     path = history_file(tmp_path / "out", small_config().name)
     (row,) = (one for one in read_day(path, date.today()) if one["kind"] == "part")
