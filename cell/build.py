@@ -28,6 +28,7 @@ from cell.control.positioner import (
 from cell.control.records import pad_array
 from cell.control.self_zero import kept_zeros
 from cell.data.recorder import Recorder
+from cell.data.retention import Retention
 from cell.errors import ConfigError, RecordingError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
@@ -72,6 +73,7 @@ class Cell:
     axes: Axes | None
     """The axes of its positioner; None where something else moves the object."""
     _recorder: Recorder | None
+    _retention: Retention | None
     _closing: ExitStack
     _pace: Pace | None = None
 
@@ -123,6 +125,11 @@ class Cell:
         """What is lost of the recording: why it has stopped, or its gap; None where nothing is."""
         gap = "" if self._recorder is None else self._recorder.gap
         return self.recording_fault or gap or None
+
+    @property
+    def recording_short(self) -> str:
+        """What the operator should know of the space for recordings; empty where it suffices."""
+        return "" if self._retention is None else self._retention.short
 
     def check_recording(self) -> None:
         """Raise RecordingError where something is lost of the recording."""
@@ -252,8 +259,21 @@ def build_cell(
             positioner,
             clock=clock,
             recorder=recorder,
-            zeros=kept_zeros(config, _zero_folder(config, folder)),
+            zeros=kept_zeros(config, kept_folder(config, folder)),
         )
+        retention = None
+        if recorder is not None and folder is not None:
+            kept = config.recording
+            retention = Retention(
+                recorder,
+                folder.parent,
+                keep_s=None if kept.keep_days is None else 86_400.0 * kept.keep_days,
+                keep_bytes=None if kept.keep_gb is None else 1e9 * kept.keep_gb,
+                at_fault=lambda: controller.fault is not None,
+                note=note,
+            )
+            retention.start()
+            undo.callback(retention.close)
         undo.callback(controller.shutdown)
         return Cell(
             controller=controller,
@@ -261,12 +281,13 @@ def build_cell(
             simulated=simulated,
             axes=axes,
             _recorder=recorder,
+            _retention=retention,
             _closing=undo.pop_all(),
         )
 
 
-def _zero_folder(config: CellConfig, folder: Path | None) -> Path | None:
-    """Return where the self-zero is kept: of a real cell where its next program looks for it.
+def kept_folder(config: CellConfig, folder: Path | None) -> Path | None:
+    """Return where self-zero and history are kept: of a real cell where its next program looks.
 
     A simulated cell keeps it beside its recordings; one that records nothing leaves nothing behind.
     """

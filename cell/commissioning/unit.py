@@ -5,7 +5,7 @@ import os
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -78,6 +78,15 @@ def unit_sensor(
         ) as sensor,
     ):
         yield sensor
+
+
+def unit_values(bench: Bench) -> dict[str, Any]:
+    """Return identity, layout and objects of the control unit; nothing is written.
+
+    Raises TactileError where it does not answer.
+    """
+    with bench.can_bus() as bus:
+        return asdict(read_unit(bus, bench.tactile().node_id))
 
 
 class UnitStep(Step):

@@ -265,6 +265,26 @@ def converted_text(text: str, *, source: str) -> tuple[str, tuple[str, ...]]:
     return text, changes
 
 
+def text_with_values(text: str, values: Mapping[str, Any], *, source: str) -> str:
+    """Return the text of a config with other plain values, by dotted key; comments stay.
+
+    A key that the text does not have leaves no other way than to write all keys anew, without its
+    comments. Raises ConfigError if a text is no valid config.
+    """
+    wanted = changed_config(parse_config(text, source=source), values)
+    changed = text
+    for name, value in values.items():
+        node: Node | None = _parsed(changed, source)[0]
+        for step in name.split("."):
+            pairs = node.value if isinstance(node, MappingNode) else ()
+            node = next((inner for key, inner in pairs if key.value == step), None)
+        if isinstance(node, ScalarNode):
+            start, end = node.start_mark.index, node.end_mark.index
+            changed = f"{changed[:start]}{_scalar(value)}{changed[end:]}"
+    same = parse_config(changed, source=source) == wanted
+    return changed if same else config_text(wanted)
+
+
 class _Gone(NamedTuple):
     """A key of a text that is gone, or whose value is."""
 

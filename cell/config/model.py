@@ -72,6 +72,12 @@ class RecordingConfig(Section):
     """Folder of recordings, data sets and reports; made when missing."""
     when_lost: Literal["finish", "hold"] = "finish"
     """When the disk refuses the recording: finish the grasps without it, or hold (a fault)."""
+    keep_days: float | None = Field(default=90.0, ge=1.0, le=36500.0)
+    """Days after which a recording is deleted, 1 to 36500; none: never. Those that are marked
+    (`tactile-cell recordings mark`), or of an open fault, stay."""
+    keep_gb: float | None = Field(default=100.0, ge=0.1, le=1e6)
+    """Size of all recordings in GB beyond which the oldest are deleted, 0.1 to 1000000; none: any.
+    Those that are marked, or of an open fault, stay."""
 
 
 class LoopConfig(Section):

@@ -117,6 +117,11 @@ class CellController:
         return self._life.grasp_state
 
     @property
+    def brought(self) -> str | None:
+        """What the positioner has brought last; None where nobody has named it."""
+        return self._journal.brought
+
+    @property
     def fault(self) -> str | None:
         """The latched fault as text; None where there is none."""
         return self._life.fault

@@ -38,7 +38,7 @@ _ARCHIVE = b"PK"
 """First bytes of a zip archive."""
 _PLAIN_DTYPE = re.compile(r"[<>|=]?(?:[iu][1248]|f[248]|b1|\?|[US][0-9]{1,6})\Z")
 """Types of numbers, booleans and strings; others could hold Python objects."""
-_REFUSED = (
+DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
     EOFError,
@@ -52,6 +52,7 @@ _REFUSED = (
     IndexError,
     KeyError,
 )
+"""Errors of Python and its libraries where the bytes of an archive are not as they were written."""
 
 
 def open_plain(path: Path, *, error: type[CellError], what: str) -> BinaryIO:
@@ -197,7 +198,7 @@ def read_npz(
     except OSError as cause:
         reason = cause.strerror or str(cause)
         raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
-    except _REFUSED as cause:
+    except DAMAGE as cause:
         raise error(
             f"{path} is no whole {what} ({reason_text(cause)}); take another copy of it"
         ) from cause
@@ -248,7 +249,7 @@ def _read_member(
     try:
         header = ast.literal_eval(data[start:body].decode("latin-1").strip())
         descr, shape, fortran = header["descr"], header["shape"], header["fortran_order"]
-    except (*_REFUSED, RecursionError) as cause:
+    except (*DAMAGE, RecursionError) as cause:
         raise error(f"{path}, array {name}: header cannot be read ({cause})") from cause
     if not isinstance(descr, str) or not _PLAIN_DTYPE.match(descr):
         raise error(

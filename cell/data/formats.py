@@ -7,7 +7,7 @@ by tactile-cell 28346af4 or before.
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from cell.errors import CellError
 
 _CHECKSUM = "sha256"
 """Key of a JSON file that has the checksum of the others."""
-_KEPT_BYTES = 4 << 20
+KEPT_BYTES = 4 << 20
 """Largest JSON file that is read: the largest, findings of 400 taxels, have a tenth of it."""
 
 
@@ -103,13 +103,27 @@ SELF_ZERO = Format(
     text="tactile-cell-self-zero/1",
     remedy="`tactile-cell zero` measures it anew",
 )
+CELL_BACKUP = Format(
+    what="backup of a cell",
+    text="tactile-cell-backup/1",
+    remedy="take another copy of it",
+)
+RETENTION = Format(
+    what="list of the recordings' ages",
+    text="tactile-cell-recordings/1",
+    remedy="remove it: the recordings then count as new",
+)
 
 
 def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]) -> None:
     """Write a mapping or dataclass as JSON with format and checksum; see `write_text`."""
+    write_text(path, json_text(kind, content), error=error, what=kind.what)
+
+
+def json_text(kind: Format, content: Any) -> str:
+    """Return a mapping or dataclass as JSON with format and checksum."""
     values = {"format": str(kind), **json.loads(json_bytes(content))}
-    text = json.dumps(values | {_CHECKSUM: _digest(values)}, indent=2) + "\n"
-    write_text(path, text, error=error, what=kind.what)
+    return json.dumps(values | {_CHECKSUM: _digest(values)}, indent=2) + "\n"
 
 
 def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, Any] | None:
@@ -118,26 +132,41 @@ def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, 
     Raises ``error`` where it is damaged, too large, no plain file, or of another format.
     """
     try:
-        data = read_plain(path, error=error, what=kind.what, limit_bytes=_KEPT_BYTES)
+        data = read_plain(path, error=error, what=kind.what, limit_bytes=KEPT_BYTES)
     except error as refused:
         if isinstance(refused.__cause__, FileNotFoundError):
             return None
         raise
+    return parse_json(data, kind, path, error=error)
+
+
+def parse_json(
+    data: bytes, kind: Format, source: object, *, error: type[CellError]
+) -> dict[str, Any]:
+    """Return the content of what `json_text` returned. Raises ``error`` as `read_json`."""
     try:
         values = json.loads(data)
     except (ValueError, RecursionError) as cause:
-        raise error(f"{path} is damaged, it is no JSON; {kind.remedy}") from cause
+        raise error(f"{source} is damaged, it is no JSON; {kind.remedy}") from cause
     if not isinstance(values, dict):
-        raise error(f"{path} is no {kind.what}: it holds no object; {kind.remedy}")
+        raise error(f"{source} is no {kind.what}: it holds no object; {kind.remedy}")
     if values.keys() == kind.unnamed:
         return values
-    kind.check(values.get("format"), path, error)
+    kind.check(values.get("format"), source, error)
     stated = values.pop(_CHECKSUM, None)
     if stated != _digest(values):
-        raise error(f"{path} is damaged, it does not have its checksum; {kind.remedy}")
+        raise error(f"{source} is damaged, it does not have its checksum; {kind.remedy}")
     del values["format"]
     return values
 
 
+def checksum(pieces: Iterable[bytes]) -> str:
+    """Return the SHA-256 over some bytes in pieces, as hexadecimal digits."""
+    digest = hashlib.sha256()
+    for piece in pieces:
+        digest.update(piece)
+    return digest.hexdigest()
+
+
 def _digest(values: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    return checksum([json.dumps(values, sort_keys=True).encode()])

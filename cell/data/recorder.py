@@ -32,7 +32,11 @@ if TYPE_CHECKING:
     from tactile.source import TactileFrame
 
 CONTINUES = "continues"
-"""Entry of the metadata: the recording that stopped before this one."""
+"""Entry of the metadata: the file of the recording before this one."""
+PART_BYTES = 256 << 20
+"""Bytes of a file from which on the recording goes on in a new one: two hours of grasping."""
+PART_S = 86_400.0
+"""Age of a file in s from which on the recording goes on in a new one."""
 
 _NEWEST_FRAMES = 65536
 """Frames that a grasp can name; 20 minutes at 50 frames a second."""
@@ -51,8 +55,9 @@ class Recorder:
 
     A disk that is full, gone or too slow never raises into the force loop: the recording stops,
     `fault` gives the reason and how many frames can be read. It goes on in a new file beside the
-    first, ``-2`` behind its name, as soon as the disk has `ROOM_BYTES` free. Raises RecordingError
-    if the first file cannot be made.
+    first, ``-2`` behind its name, as soon as the disk has `ROOM_BYTES` free. Between two jobs or
+    answers it goes on in a new file, without a gap, after `PART_BYTES` or `PART_S`. Raises
+    RecordingError if the first file cannot be made.
 
     Parameters
     ----------
@@ -106,6 +111,13 @@ class Recorder:
         self._next: RecordingFile | None = None
         self._retry_s, self._retry_at_s = 0.0, 0.0
         self._waiter: threading.Thread | None = None
+        self.stop_reason = ""
+        """Why the file that is written is to end, as for a disk that is nearly full; set by any
+        thread, and empty once it has ended."""
+        self._earlier_bytes = 0
+        self._part: RecordingFile | None = None
+        self._part_at_s = clock.monotonic() + PART_S
+        self._parting = threading.Thread()
         self._file = self._new_file(self._first_path)
         self._notice(self._file)
 
@@ -113,6 +125,11 @@ class Recorder:
     def path(self) -> Path:
         """The file that is written, or was last."""
         return (self._next or self._file).path
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes on the disk, of all files."""
+        return self._earlier_bytes + self._file.n_bytes
 
     @property
     def fault(self) -> RecordingError | None:
@@ -145,6 +162,8 @@ class Recorder:
     def now(self, topic: str, values: Mapping[str, Any]) -> None:
         """Record a message of the present time; see `recording_schema` for its fields."""
         self._put(topic, self._clock.monotonic(), dict(values))
+        if topic == schema.RESULT:
+            self._go_on_in_part()
 
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames make up this grasp.
@@ -175,14 +194,18 @@ class Recorder:
             self._file.check()
             self._notice(self._file)
         self._go_on()
+        self._go_on_in_part()
 
     def close(self) -> None:
         """Finish the file. Raises RecordingError where the recording has stopped, or has a gap."""
         if self._over.is_set():
             return
         self._over.set()
-        if self._waiter is not None:
-            self._waiter.join(_CLOSE_TIMEOUT_S)
+        for thread in (self._waiter, self._parting):
+            if thread is not None and thread.ident is not None:
+                thread.join(_CLOSE_TIMEOUT_S)
+        if self._part is not None:
+            self._discard(self._part)
         self._retry_at_s = math.inf  # what comes too late to be written to needs no file
         self._go_on()
         self._file.close()
@@ -232,6 +255,9 @@ class Recorder:
 
     def _notice(self, file: RecordingFile) -> None:
         """Where a file has just stopped: wait for room on its disk."""
+        if file.fault is None and self.stop_reason:
+            file.stop(self.stop_reason)
+        self.stop_reason = ""
         if file.fault is None:
             return
         if file.n_bytes >= ROOM_BYTES:
@@ -255,26 +281,34 @@ class Recorder:
         while self._next is None and not self._over.wait(max(_LOOK_S, self._retry_s)):
             self._retry(file)
 
-    def _retry(self, stopped: RecordingFile) -> None:
-        """Make the next file where the disk has room again."""
+    def _following(self, before: RecordingFile) -> RecordingFile | None:
+        """Return the file after another one; None where its disk has no room or is gone."""
         first = self._first_path
         names = (first.with_stem(f"{first.stem}-{number}") for number in itertools.count(2))
         try:
             if not has_room(first.parent):
-                return
+                return None
             path = next(path for path in names if not path.exists())
-            file = self._new_file(path, **{CONTINUES: stopped.path.name})
+            return self._new_file(path, **{CONTINUES: before.path.name})
         except (OSError, RecordingError):
+            return None
+
+    def _discard(self, file: RecordingFile) -> None:
+        file.close()
+        with suppress(OSError):
+            file.path.unlink()
+
+    def _retry(self, stopped: RecordingFile) -> None:
+        """Make the next file where the disk has room again."""
+        if (file := self._following(stopped)) is None:
             return
         self._retry_s = min(max(_LOOK_S, 2.0 * self._retry_s), _LONGEST_RETRY_S)
         self._retry_at_s = self._clock.monotonic() + self._retry_s
         if file.fault is None:
-            self._note(f"the recording goes on in {path}")
+            self._note(f"the recording goes on in {file.path}")
             self._next = file
-            return
-        file.close()
-        with suppress(OSError):
-            path.unlink()
+        else:
+            self._discard(file)
 
     def _go_on(self) -> None:
         """Write to the next file, where the one before has stopped and there is a next one."""
@@ -289,15 +323,62 @@ class Recorder:
         names = f"{stopped.path.name} stopped, {file.path} goes on"
         self.gap = f"the recording has a gap of {self._n_lost} frames: {names}"
         now_s = self._clock.monotonic()
-        self._n_frames = 0
-        self._newest.clear()
-        if self._state is not None:
-            file.add(schema.STATE, *self._state)
+        self._begin(file)
         file.add(schema.EVENT, to_ns(now_s), _json(now_s, {"kind": "recording", "text": self.gap}))
         # In this order: other threads ask for the fault.
         self._file = file
         self._next = None
         self._notice(file)
+
+    def _begin(self, file: RecordingFile) -> None:
+        """Have the frames and grasps from now on be those of a new file."""
+        self._earlier_bytes += self._file.n_bytes
+        self._part_at_s = self._clock.monotonic() + PART_S
+        self._n_frames = 0
+        self._newest.clear()
+        if self._state is not None:
+            file.add(schema.STATE, *self._state)
+
+    # -- the next file of a long recording ------------------------------------------------------
+
+    def _go_on_in_part(self) -> None:
+        """Go on in a new file where the present one is long; between two grasps.
+
+        A thread of its own makes the new file and closes the old one: a disk that does not answer
+        holds up nobody.
+        """
+        file, now_s = self._file, self._clock.monotonic()
+        if file.fault is not None or self._over.is_set() or self._parting.is_alive():
+            return
+        if (part := self._part) is not None:
+            self._begin(part)
+            self._file, self._part = part, None
+            self._beside(self._end_part, file)
+        elif file.n_bytes >= PART_BYTES or now_s >= self._part_at_s:
+            self._part_at_s = now_s + _LONGEST_RETRY_S
+            self._beside(self._make_part, file)
+
+    def _beside(self, act: Callable[[RecordingFile], None], file: RecordingFile) -> None:
+        if not self._background:
+            act(file)
+            return
+        self._parting = threading.Thread(
+            target=act, args=(file,), name="recording-part", daemon=True
+        )
+        self._parting.start()
+
+    def _make_part(self, file: RecordingFile) -> None:
+        part = self._following(file)
+        if part is not None and part.fault is not None:
+            self._discard(part)
+        else:
+            self._part = part
+
+    def _end_part(self, file: RecordingFile) -> None:
+        file.close()
+        if file.fault is not None:
+            self.gap = str(file.fault)
+            self._note(self.gap)
 
 
 def _json(t_s: float, values: Mapping[str, Any]) -> bytes:

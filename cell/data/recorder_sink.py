@@ -1,9 +1,11 @@
 """Where the bytes of a recording go: a file that ends at a record's end even on a full disk."""
 
 import errno
+import fcntl
 import os
 import threading
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 
 from cell.fault_catalogue import error_text
@@ -15,10 +17,29 @@ ROOM_BYTES = 16 << 20
 """Free bytes of a disk from which on a recording goes on: seven minutes of grasping."""
 
 
+def free_bytes(folder: Path) -> int:
+    """Return the free bytes of the disk of a folder; OSError where it is gone."""
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize
+
+
 def has_room(folder: Path) -> bool:
     """Return whether the disk of a folder has `ROOM_BYTES` free; OSError where it is gone."""
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize >= ROOM_BYTES
+    return free_bytes(folder) >= ROOM_BYTES
+
+
+def in_use(path: Path) -> bool:
+    """Return whether a program still writes to a recording; OSError where it is gone."""
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False  # a file system without locks
+    finally:
+        os.close(handle)
+    return False
 
 
 class DirectFile:
@@ -32,6 +53,8 @@ class DirectFile:
     def __init__(self, path: Path) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self._handle = os.open(path, flags, 0o666)
+        with suppress(OSError):  # a file system without locks; the lock ends with the program
+            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._length = 0
         self._open = True
 

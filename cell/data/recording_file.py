@@ -81,6 +81,14 @@ class RecordingFile:
         """Look whether the disk has failed since the last message."""
         self._guarded(self._sink.check)
 
+    def stop(self, reason: str) -> None:
+        """Finish the file before its end, with a fault that names why; what it has can be read."""
+        self._guarded(self._writer.finish)
+        if self.fault is None:
+            self.fault = RecordingError(
+                f"the recording {self.path} stopped after {self.n_frames} frames: {reason}"
+            )
+
     def close(self) -> None:
         """Finish the file, as far as its disk allows."""
         self._guarded(self._writer.finish)

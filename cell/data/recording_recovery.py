@@ -1,9 +1,10 @@
 """From a recording that was cut off or damaged to a whole one, of what can be read of it."""
 
 import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
@@ -58,16 +59,31 @@ def recover_recording(path: Path | str, target: Path | str) -> Recovered:
 
 
 def _write(file: BinaryIO, recording: Recording) -> None:
+    entries = dict(recording.metadata)
+    if recording.lost_reason:
+        entries[RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
+    whole, grasp_numbers = set(recording.grasp_numbers), itertools.count()
+    write_messages(
+        file,
+        recording.path,
+        entries,
+        lambda topic, _content: topic != schema.GRASP or next(grasp_numbers) in whole,
+    )
+
+
+def write_messages(
+    file: BinaryIO,
+    path: Path,
+    entries: Mapping[str, str],
+    stays: Callable[[str, Mapping[str, Any]], bool],
+) -> None:
+    """Write those messages of a recording that stay to a new file with these metadata."""
     writer = Writer(
         file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
     )
-    entries = {key: value for key, value in recording.metadata.items() if key != "crc32"}
-    if recording.lost_reason:
-        entries[RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
-    channels = begin(writer, entries)
-    whole, grasp_numbers = set(recording.grasp_numbers), itertools.count()
-    for sequence, (topic, content, data) in enumerate(RecordedMessages(recording.path)):
-        if topic != schema.GRASP or next(grasp_numbers) in whole:
+    channels = begin(writer, {key: value for key, value in entries.items() if key != "crc32"})
+    for sequence, (topic, content, data) in enumerate(RecordedMessages(path)):
+        if stays(topic, content):
             stamp_ns = to_ns(content["t_s"])
             writer.add_message(channels[topic], stamp_ns, data, stamp_ns, sequence=sequence)
     writer.finish()  # type: ignore[no-untyped-call]

@@ -7,6 +7,7 @@ elsewhere is refused by its Origin. JSON in and out; what is refused has a fault
 import asyncio
 import json
 from dataclasses import asdict
+from datetime import date
 from functools import cache
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
@@ -152,6 +153,7 @@ class WebInterface(WebServer):
         paths: Paths = (
             ("/info", "GET", self.info),
             ("/state", "GET", self.state),
+            ("/history", "GET", self.history),
             ("/faults", "GET", self.faults),
             ("/grasps/{number}", "GET", self.grasp),
             ("/jobs", "GET", self.jobs),
@@ -222,6 +224,17 @@ class WebInterface(WebServer):
         ``allowed`` has null for each task and command that is allowed to the client in command.
         """
         return state_values(self._service)
+
+    def history(self, day: date | None = None) -> dict[str, Any]:
+        """Return the sums of today, yesterday and this week, and which objects are confused.
+
+        With a ``day``, as 2027-01-15, its ``rows``: each start, part, miss and fault.
+        """
+        kept = self._service.history
+        found: dict[str, Any] = plain_data(
+            kept.values() if day is None else {"rows": kept.day(day)}
+        )
+        return found
 
     def faults(self) -> list[dict[str, Any]]:
         """List the fault catalogue: number, text, cause, remedy, what the grip does, steps."""

@@ -80,9 +80,9 @@ def _drift(grid: DriftGrid | None) -> dict[str, Any] | None:
 
 
 def _recording(cell: Cell, *, vital: bool) -> dict[str, Any]:
-    path, loss = cell.recording_path, cell.recording_loss
+    path, loss = cell.recording_path, cell.recording_loss or cell.recording_short
     stopped = cell.recording_fault is not None
-    return _level(watch=loss is not None, bad=vital and stopped) | {
+    return _level(watch=bool(loss), bad=vital and stopped) | {
         "path": None if path is None else str(path),
-        "text": loss or "",
+        "text": loss,
     }

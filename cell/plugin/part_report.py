@@ -38,6 +38,8 @@ class PartReport:
     found: Identification | None = field(default=None, repr=False, compare=False)
     """What the answer rests on, with all frames: megabytes, for those who listen in this program.
     None where no part was found."""
+    held: str = ""
+    """What host, person or simulator said that was brought; empty where nobody did."""
     label_id: int = 0
     """Id of its label, from 1; 0 for UNKNOWN."""
     place: str | None = None
@@ -117,6 +119,7 @@ def part_reporter(
             task=task,
             answer=None if found is None else Answer.of(found),
             found=found,
+            held=controller.brought or "",
             seconds=since_s - before_s,
             curves=None if found is None else _curves(found.records[-1], newtons),
             **fields,

@@ -5,8 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from cell.build import kept_folder
 from cell.config.model import CellConfig
 from cell.plugin.plugin import TactileCellPlugin
+from cell.service.history import history_file
 from cell.service.pose_handshake import PoseHandshake
 from cell.service.service import Service
 from gripper.clock import Clock
@@ -38,7 +40,21 @@ def open_service(
     plugin, poses = open_plugin(config, note=note, **cell)
     beside = cell.get("save") or cell.get("model")
     photos_beside = None if beside is None else Path(beside)
-    return Service(plugin, config, poses=poses, photos_beside=photos_beside, note=note, clock=clock)
+    return Service(
+        plugin,
+        config,
+        poses=poses,
+        history_file=history_of(config, cell.get("folder")),
+        photos_beside=photos_beside,
+        note=note,
+        clock=clock,
+    )
+
+
+def history_of(config: CellConfig, folder: Path | None) -> Path | None:
+    """Return the file of a cell's history, None where nothing of it is to be left behind."""
+    kept = kept_folder(config, folder)
+    return None if kept is None else history_file(kept, config.name)
 
 
 def open_plugin(config: CellConfig, **cell: Any) -> tuple[TactileCellPlugin, PoseHandshake]:

@@ -39,6 +39,7 @@ from cell.plugin.lease import Lease
 from cell.plugin.part_report import PartReport
 from cell.plugin.plugin import TactileCellPlugin
 from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
+from cell.service.history import History
 from cell.service.photos import Photos
 from cell.service.pose_handshake import PoseHandshake
 from cell.service.shift import KEPT_ANSWERS, Shift
@@ -164,6 +165,8 @@ class Service:
         closed with the service.
     poses
         Mover of a cell with a positioner of kind ``callback``; other cells move by themselves.
+    history_file
+        SQLite file of the history; None keeps it in memory.
     photos_beside
         Model file beside which the photos of taught objects stand; None keeps them in memory.
     note
@@ -178,6 +181,7 @@ class Service:
         config: CellConfig,
         *,
         poses: PoseHandshake | None = None,
+        history_file: Path | None = None,
         photos_beside: Path | None = None,
         note: Callable[[str], None] = lambda _text: None,
         clock: Clock = time,
@@ -191,6 +195,9 @@ class Service:
         """The ledger of the parts."""
         self.totals = Totals()
         """What only grows, for metrics."""
+        self.history = History(history_file, plugin.status, note=note)
+        """Parts and faults of the days."""
+        self.history.start()
         plugin.watch_parts(self._count)
         self.photos = Photos(photos_beside)
         """Photos of taught objects."""
@@ -694,13 +701,16 @@ class Service:
         self.hold("because the service ends")
         self._poses.stop()
         self.lease.close()
+        self.history.close()
         self._plugin.close(timeout_s)
 
     def _count(self, report: PartReport) -> None:
         """Count a part with the id that its label has now."""
         self.totals.add(report)
         label = "" if report.answer is None else report.answer.label
-        self.shift.add(replace(report, found=None, label_id=self.label_id(label)))
+        part = replace(report, found=None, label_id=self.label_id(label))
+        self.shift.add(part)
+        self.history.add(part)
 
     def _answered(self, status: HostStatus) -> JobView | None:
         """Return the job of the last answer, also where it is no longer among those kept."""

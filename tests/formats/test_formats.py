@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -136,6 +137,12 @@ def later_text(path: Path, kind: Format) -> None:
     path.write_text(json.dumps({"format": later(kind), "colour": "blue"}) + "\n")
 
 
+def later_member(path: Path, kind: Format) -> None:
+    """Write a backup of the next version."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("manifest.json", json.dumps({"format": later(kind)}))
+
+
 LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
     "config": (
         formats.CONFIG,
@@ -170,6 +177,16 @@ LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
         formats.SERVO_BACKUP,
         lambda kind: later_text(Path("cell/backup-servo1.json"), kind),
         ("commission", "cell", "--restore"),
+    ),
+    "backup of a cell": (
+        formats.CELL_BACKUP,
+        lambda kind: later_member(Path("cell.zip"), kind),
+        ("restore", "cell.zip"),
+    ),
+    "ages of recordings": (
+        formats.RETENTION,
+        lambda kind: later_text(Path("out/recordings.json"), kind),
+        ("recordings", "list", "out"),
     ),
 }
 

@@ -8,6 +8,7 @@ import typer
 
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.commands import (
+    backup,
     calibrate,
     clear,
     commission,
@@ -16,6 +17,7 @@ from cell.interfaces.cli.commands import (
     evaluate,
     identify,
     install,
+    recordings,
     recover,
     release,
     replay,
@@ -84,9 +86,12 @@ for command in (
     doctor.doctor,
     install.install,
     support.support,
+    backup.backup,
+    backup.restore,
 ):
     app.command()(command)
 app.add_typer(config.app, name="config")
+app.add_typer(recordings.app, name="recordings")
 
 
 def main() -> None:

@@ -39,9 +39,13 @@ _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold r
 
 
 class TerminalDialog(Dialog):
-    """Implements `cell.commissioning.engine.Dialog` on standard input and output."""
+    """Implements `cell.commissioning.engine.Dialog` on standard input and output.
 
-    def __init__(self) -> None:
+    With ``approved`` no write is asked for.
+    """
+
+    def __init__(self, *, approved: bool = False) -> None:
+        self._approved = approved
         self._running = False
 
     def start_step(self, step: Step, number: int, count: int) -> None:
@@ -90,7 +94,7 @@ class TerminalDialog(Dialog):
             print_line(f"  {write.where}: {write.what}: {write.before} -> {write.after}")
         for undo in dict.fromkeys(write.undo for write in writes):
             print_line(f"  way back: {undo}")
-        while True:
+        while not self._approved:
             typed = self._typed("Do this? y, or n to leave: ").lower()
             if typed in {"y", "yes"}:
                 return

@@ -1,11 +1,15 @@
 """Health of a cell: its levels follow the limits of the config."""
 
+import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cell.data import retention
 from cell.plugin.health import health_values
 from tests.cell.conftest import small_config
+from tests.cell.served import until
 
 
 @pytest.mark.parametrize(
@@ -34,3 +38,19 @@ def test_lost_frames_are_judged_by_their_limit(make_bench: Any) -> None:
     assert can["level"] == "watch"
     strict = small_config(tactile__loss_max_share=0.001)
     assert health_values(strict, bench.cell, None)["can"]["level"] == "bad"
+
+
+def test_too_little_space_for_the_recording_is_watched(
+    make_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = retention.STOP_BYTES + (10 << 20)
+    monkeypatch.setattr(retention, "free_bytes", lambda _folder: free)
+    folder, notes = tmp_path / "run-20270115-080000", list[str]()
+    folder.mkdir()
+    config = small_config(recording__keep_days=2.0, recording__keep_gb=None)
+    cell = make_bench(config, folder=folder, note=notes.append).cell
+    until(lambda: cell.recording_short)
+    recording = health_values(config, cell, None)["recording"]
+    assert (recording["level"], recording["text"]) == ("watch", "space for 4 min")
+    assert notes[0].startswith(f"the disk of {tmp_path} has space for 4 min of recording, 18 MB")
+    assert (cell._retention._keep_s, cell._retention._keep_bytes) == (2 * 86_400.0, math.inf)

@@ -99,7 +99,7 @@ def serve(
     from cell.interfaces.cli.terminal import print_note
     from cell.jobs.common import job_folder
     from cell.jobs.taught_cache import cached_model
-    from cell.service.opening import open_plugin
+    from cell.service.opening import history_of, open_plugin
     from cell.service.service import Service
 
     own = cell_config(config)
@@ -134,7 +134,12 @@ def serve(
         if zero_note := plugin.health()["zero"]["text"]:
             print_note(zero_note)
         service = Service(
-            plugin, checked, poses=poses, photos_beside=save or model, note=print_note
+            plugin,
+            checked,
+            poses=poses,
+            history_file=history_of(checked, folder),
+            photos_beside=save or model,
+            note=print_note,
         )
         with _announced_interfaces(service):
             if untaught and model is None:

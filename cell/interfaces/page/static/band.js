@@ -32,7 +32,8 @@ const LOOKS = {
 export const runs = (job) => job?.outcome === "EXECUTING" || job?.outcome === "ACCEPTED";
 
 export function taskWord(task) {
-  return has(`task.${task}`) ? t(`task.${task}`) : task;
+  const key = [`task.${task}`, `do.${task}`].find(has);
+  return key ? t(key) : task;
 }
 
 // Name of a label for people; UNKNOWN is an answer of its own.

@@ -4,15 +4,41 @@ import { byId, make, renew, setText } from "./dom.js";
 import { labelWord, taskWord } from "./band.js";
 import { shapeWord } from "./held.js";
 import { drawChart, drawPads } from "./felt.js";
-import { clock, clockShort, duration, newtons, number, percent, t } from "./words.js";
+import { clock, clockShort, duration, language, newtons, number, percent, t } from "./words.js";
 
 const KEPT = 20;
 let opened = null;
+let days = null;
+let asked = "";
 
 const kindOf = (answer, sure) =>
   (answer.label === "UNKNOWN" ? "unknown" : answer.probability >= sure ? "sure" : "unsure");
 
-export function renderShift({ state, info, open }) {
+// The sums of the days are asked for a while after a part, once they have it, and each minute.
+function askDays({ link, changed }, shift) {
+  const due = [shift.parts, shift.missed, shift.faults, Math.floor(Date.now() / 60000)].join();
+  if (due === asked) return;
+  asked = due;
+  setTimeout(() => link.call("GET", "api/history", { timeout_ms: 5000 }).then((found) => {
+    days = found;
+    changed();
+  }).catch(() => (asked = "")), 2000);
+}
+
+function daySpans() {
+  const name = new Intl.RelativeTimeFormat(language, { numeric: "auto" });
+  const spans = [["today", 0, "day"], ["yesterday", -1, "day"], ["week", 0, "week"]].map(([key, n, unit]) => {
+    const lost = ["rejected", "missed", "faults"].filter((one) => days[key]?.[one])
+      .map((one) => `${t(`shift.${one}`)} ${number(days[key][one])}`).join(", ");
+    return make("span", { class: "count" }, `${name.format(n, unit)} `, make("b", {}, number(days[key]?.parts)), lost && ` (${lost})`);
+  });
+  const pairs = (days.week?.confused ?? []).map(({ held, named, n, confirmed }) =>
+    `${labelWord(held)} ${confirmed ? "→" : "≈"} ${labelWord(named)} ${n}×`).join(", ");
+  return pairs ? [...spans, make("span", {}, t("shift.confused", { pairs }))] : spans;
+}
+
+export function renderShift(view) {
+  const { state, info, open } = view;
   const { shift } = state ?? {};
   const { locale } = Intl.DateTimeFormat().resolvedOptions();
   renew(byId("figures"), shift ? [shift.parts, shift.parts_last_hour, shift.cycle_s, shift.rejected, shift.missed, shift.faults] : null, () => {
@@ -28,6 +54,8 @@ export function renderShift({ state, info, open }) {
       figure("faults", number(shift.faults ?? 0), shift.faults > 0),
     ];
   });
+  if (shift) askDays(view, shift);
+  renew(byId("days"), days, () => (days ? daySpans() : []));
   const answers = (shift?.answers ?? []).slice(-KEPT);
   const sure = info?.sure_probability ?? 0.9;
   renew(byId("strip"), [locale, sure, answers], () => [

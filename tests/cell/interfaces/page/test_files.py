@@ -25,8 +25,7 @@ HTML = "\n".join(path.read_text() for path in FOLDER.glob("*.html"))
 FAMILIES: dict[str, set[str]] = {
     "state.": {*CellState, "away"},
     "grip.": set(GraspState),
-    "task.": {*TASKS, "release", "clear", "reset", "shutdown", "forget", "forget_drift"}
-    | {"simulation_reset"},
+    "task.": {"gauge", "shutdown", "forget", "forget_drift", "simulation_reset"},
     "step.": set(get_args(RecoveryStep)),
     "shape.": {*SHAPE_MODELS, UNCLEAR},
     "why.state.": set(CellState),

@@ -51,6 +51,24 @@ def press(page: Any, selector: str, seconds: float) -> None:
     page.mouse.up()
 
 
+def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(
+    open_page: OpenPage, cell: FakeCell
+) -> None:
+    sums = {"parts": 400, "rejected": 3, "missed": 0, "faults": 1}
+    pairs = [
+        {"held": EVIL, "named": "nut", "n": 4, "confirmed": True},
+        {"held": "pin", "named": "bolt", "n": 2, "confirmed": False},
+    ]
+    cell.service.history.values = lambda: {
+        "today": {"parts": 0}, "yesterday": sums, "week": sums | {"confused": pairs},
+    }  # fmt: skip
+    page = open_page()
+    lost = r"400 \(Rejected 3, Faults 1\)"
+    named = re.escape(f"Confused: {EVIL} → nut 4×, pin ≈ bolt 2×")
+    becomes(page, "#days", rf"^today 0yesterday {lost}this week {lost}{named}$")
+    assert fits(page)
+
+
 def test_the_page_shows_the_state_and_commands_once(open_page: OpenPage, cell: FakeCell) -> None:
     page = open_page()
     becomes(page, "#state", "Ready")

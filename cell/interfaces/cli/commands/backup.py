@@ -1,0 +1,82 @@
+"""`backup` and `restore`: all that makes a cell, as one file."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.interfaces.cli.options import FOLDER_CONFIG, ConfigOption
+
+
+def backup(
+    file: Annotated[Path, typer.Argument(help="Backup to write (.zip).")],
+    config: ConfigOption = None,
+    model: Annotated[
+        list[Path] | None,
+        typer.Option("--model", "-m", help="Model in another folder; repeat for several."),
+    ] = None,
+    devices: Annotated[
+        bool, typer.Option(help="Read the registers of the servos and the control unit, too.")
+    ] = True,
+) -> None:
+    """Write config, zero, models, data sets, photos, findings and registers to one file.
+
+    What is in the folder of the config goes into it, and nothing is written to a device.
+    """
+    from cell.commissioning.bench import Bench
+    from cell.commissioning.cell_backup import back_up
+    from cell.config.file import load_config
+    from cell.errors import ConfigError
+    from cell.interfaces.cli.terminal import print_line, print_note
+
+    if config is None:
+        raise ConfigError(f"there is no {FOLDER_CONFIG} here; name the config with --config")
+    checked = load_config(config)
+    bench = Bench(config.parent, base=checked) if devices else None
+    made = back_up(file, config, checked, models=model or (), bench=bench)
+    for text in made.missing:
+        print_note(f"not in the backup: {text}")
+    n_bytes = sum(one.n_bytes for one in made.members.values())
+    print_line(f"{file}: {made.name}, {len(made.members)} files, {n_bytes / 1e6:.1f} MB")
+
+
+def restore(
+    file: Annotated[Path | None, typer.Argument(help="Backup to put back.")] = None,
+    folder: Annotated[Path, typer.Option("--folder", help="Folder of the cell.")] = Path(),
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    undo: Annotated[
+        bool, typer.Option("--undo", help="Take back what the last restore has changed.")
+    ] = False,
+    servos: Annotated[
+        bool,
+        typer.Option("--servos", help="Write the registers of the servos back; no file changes."),
+    ] = False,
+) -> None:
+    """Put a backup back: shows what differs, and asks before the first write.
+
+    The ports stay those of the config in the folder. End other programs of the cell before.
+    """
+    from cell.commissioning.bench import Bench
+    from cell.commissioning.cell_backup import UNDO, restore, restore_registers
+    from cell.commissioning.engine import WizardAborted
+    from cell.errors import CellError
+    from cell.interfaces.cli.dialog import TerminalDialog
+    from cell.interfaces.cli.terminal import print_line, print_note
+
+    if (file is None) is not undo or (undo and servos):
+        raise typer.BadParameter("name a backup, or --undo")
+    dialog = TerminalDialog(approved=yes)
+    path = folder / UNDO if file is None else file
+    if file is None and not path.exists():
+        raise CellError(f"there is nothing to take back: no {path}, as a restore leaves it")
+    try:
+        if servos:
+            bench = Bench(folder)
+            lines = restore_registers(path, bench.base, bench, dialog)
+        else:
+            lines = restore(path, folder, dialog.approve)
+    except WizardAborted as left:
+        print_note(str(left))
+        raise typer.Exit(1) from None
+    for line in lines:
+        print_line(line)

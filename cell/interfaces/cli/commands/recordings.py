@@ -1,0 +1,52 @@
+"""`recordings list`, `recordings mark`, `recordings unmark`: recordings that a cell keeps."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(no_args_is_help=True, help="Recordings that are kept: list, mark, unmark.")
+
+RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]
+
+
+@app.command("list")
+def list_recordings(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of all jobs, as recording.directory and --out name it.")
+    ] = Path("out"),
+) -> None:
+    """List the recordings of all jobs in a folder, oldest first."""
+    from rich.table import Table
+
+    from cell.data.retention import recordings
+    from cell.interfaces.cli.terminal import plain_text, print_table
+
+    table = Table("recording", "MB", "age / days", "marked", "thinned out")
+    for one in recordings(folder):
+        marks = ("yes" if yes else "" for yes in (one.marked, one.kept.thinned))
+        size, age = f"{one.n_bytes / 1e6:.1f}", f"{one.kept.age_s / 86_400.0:.1f}"
+        table.add_row(plain_text(str(one.path)), size, age, *marks)
+    print_table(table)
+
+
+@app.command()
+def mark(recordings: RecordingsArgument) -> None:
+    """Mark recordings: they are never deleted or thinned out."""
+    from cell.data.retention import mark as mark_one
+    from cell.interfaces.cli.terminal import print_line
+
+    for path in recordings:
+        mark_one(path)
+        print_line(f"{path}: marked")
+
+
+@app.command()
+def unmark(recordings: RecordingsArgument) -> None:
+    """Take the mark of recordings away."""
+    from cell.data.retention import unmark as unmark_one
+    from cell.interfaces.cli.terminal import print_line
+
+    for path in recordings:
+        unmark_one(path)
+        print_line(f"{path}: not marked")

@@ -1,0 +1,279 @@
+"""History of a cell: parts and faults in one SQLite table per day, beyond the end of a program.
+
+A thread of its own writes what has come each second: a slow or full disk holds up neither the force
+loop nor a client. Days are those of the local wall clock, and at most `KEPT_DAYS` have a table.
+"""
+
+import sqlite3
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
+from datetime import date, timedelta
+from pathlib import Path
+from typing import Any
+
+from cell.data.files import free_name
+from cell.errors import CellError
+from cell.plugin.answer import HostStatus
+from cell.plugin.part_report import PartReport
+from recognition.recognizer import UNKNOWN
+
+VERSION = 1
+"""Version of the tables, ``user_version`` of the file."""
+KEPT_DAYS = 400
+"""Days with a table; of more the first ones are dropped."""
+COLUMNS = {
+    "time_s": "REAL NOT NULL",
+    "kind": "TEXT NOT NULL",
+    "label": "TEXT",
+    "held": "TEXT",
+    "probability": "REAL",
+    "second": "TEXT",
+    "second_probability": "REAL",
+    "place": "TEXT",
+    "rejected": "INTEGER",
+    "n_grasps": "INTEGER",
+    "seconds": "REAL",
+    "fault_number": "INTEGER",
+    "text": "TEXT",
+}
+"""Columns of each table and their types. ``kind`` is ``start``, ``part``, ``miss`` or ``fault``;
+``held`` is what host, person or simulator said that was brought, empty where nobody did."""
+_NEAR = 0.1
+"""Probability of the second label from which on an answer that nobody confirmed counts as near."""
+_MOST_CONFUSED = 5
+"""Pairs of objects that are named."""
+_WAITING_MAX = 10_000
+"""Rows that wait for a disk that takes none; the oldest go first."""
+_LOOK_S = 1.0
+"""Time in s from one look to the next."""
+_FRESH_S = 60.0
+"""Time in s after which the sums are made again: a new day may have begun."""
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+
+
+class History:
+    """Parts and faults of a cell, for the page and for others; every method from any thread.
+
+    Parameters
+    ----------
+    path
+        SQLite file; one that is damaged is moved away. None keeps the history in memory.
+    status
+        Returns the state of the cell, with its faults.
+    note
+        Gets messages for the operator, as that the file cannot be written.
+    wall_s
+        Unix time in s.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        status: Callable[[], HostStatus],
+        *,
+        note: Callable[[str], None] = lambda _text: None,
+        wall_s: Callable[[], float] = time.time,
+    ) -> None:
+        self._path, self._status, self._note, self._wall_s = path, status, note, wall_s
+        self._n_faults = status().n_faults
+        self._waiting = deque[dict[str, Any]](maxlen=_WAITING_MAX)
+        self._link: sqlite3.Connection | None = None
+        self._refused = ""
+        self._summed_s = float("-inf")
+        self._values: dict[str, Any] = {}
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="history", daemon=True)
+        self._add(kind="start")
+
+    def start(self) -> None:
+        """Write each second, in a thread of its own, until `close`."""
+        self._thread.start()
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Write what has come, and end; a disk that does not answer is left behind."""
+        self._over.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+
+    def add(self, report: PartReport) -> None:
+        """Take a part, or a turn without one; nothing is written yet."""
+        if report.answer is None:
+            self._add(kind="miss", held=report.held)
+            return
+        values = report.as_json()
+        second = values["runner_up"] or {"label": "", "probability": 0.0}
+        self._add(
+            kind="part",
+            held=report.held,
+            rejected=report.rejected,
+            second=second["label"],
+            second_probability=second["probability"],
+            **{name: values[name] for name in COLUMNS if name in values and name != "time_s"},
+        )
+
+    def values(self) -> dict[str, Any]:
+        """Return the sums of ``today``, ``yesterday`` and this ``week``, which begins on Monday.
+
+        Each has ``parts``, ``rejected``, ``missed``, ``faults``, ``starts``, ``cycle_s``, the mean,
+        and ``confused``: pairs ``held`` and ``named`` with their number ``n``, those that happen
+        most first. In a pair that is not ``confirmed`` nobody said what was held: ``held`` is the
+        second label then. They are empty until the first look.
+        """
+        return self._values
+
+    def day(self, day: date) -> list[Mapping[str, Any]]:
+        """Return the rows of a day as `read_day`; none where the history is in memory."""
+        return [] if self._path is None else read_day(self._path, day)
+
+    def look(self) -> None:
+        """Write what has come since the last look, and make the sums; nothing is raised."""
+        now = self._status()
+        for n in range(now.n_faults - self._n_faults, 0, -1):
+            newest = n == 1 and now.fault is not None
+            number = now.fault_number if newest else 0
+            self._add(kind="fault", fault_number=number, text=now.fault if newest else "")
+        self._n_faults = now.n_faults
+        try:
+            if self._write() or not 0.0 <= self._wall_s() - self._summed_s < _FRESH_S:
+                self._sum()
+            self._refused = ""
+        except (sqlite3.Error, OSError, CellError) as error:
+            if str(error) != self._refused:
+                self._note(f"the history is not kept in {self._path}: {error}")
+            self._refused = str(error)
+            self._close_link()
+            if getattr(error, "sqlite_errorcode", 0) in _DAMAGED:
+                self._move_away()
+
+    def _run(self) -> None:
+        self.look()
+        while not self._over.wait(_LOOK_S):
+            self.look()
+        self.look()
+        self._close_link()
+
+    def _add(self, **row: Any) -> None:
+        self._waiting.append({"time_s": self._wall_s()} | row)
+
+    def _write(self) -> bool:
+        """Write all rows that wait, in one transaction; return whether there were some."""
+        rows = list(self._waiting)
+        if not rows:
+            return False
+        with self._opened() as link:
+            for row in rows:
+                table = _table(date.fromtimestamp(row["time_s"]))
+                columns = ", ".join(f"{name} {kind}" for name, kind in COLUMNS.items())
+                link.execute(f"CREATE TABLE IF NOT EXISTS {table} ({columns})")
+                names, places = ", ".join(row), ", ".join("?" * len(row))
+                link.execute(f"INSERT INTO {table} ({names}) VALUES ({places})", [*row.values()])
+            for old in sorted(_tables(link))[:-KEPT_DAYS]:
+                link.execute(f"DROP TABLE {old}")
+        for _ in rows:
+            self._waiting.popleft()
+        return True
+
+    def _sum(self) -> None:
+        today = date.fromtimestamp(self._wall_s())
+        week = [today - timedelta(days=n) for n in range(today.weekday() + 1)]
+        with self._opened() as link:
+            self._values = {
+                "today": _sums(link, [today]),
+                "yesterday": _sums(link, [today - timedelta(days=1)]),
+                "week": _sums(link, week),
+            }
+        self._summed_s = self._wall_s()
+
+    def _opened(self) -> sqlite3.Connection:
+        """Return the connection. Raises CellError where the tables are of a later version."""
+        if self._link is None:
+            if self._path is not None:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._link = _connected(":memory:" if self._path is None else str(self._path))
+            self._link.execute(f"PRAGMA user_version = {VERSION}")
+        return self._link
+
+    def _close_link(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            with suppress(sqlite3.Error):
+                link.close()
+
+    def _move_away(self) -> None:
+        assert self._path is not None
+        with suppress(OSError):
+            moved = self._path.rename(free_name(self._path))
+            self._note(f"a new history begins; the damaged one is {moved}")
+
+
+def history_file(directory: Path, cell_name: str) -> Path:
+    """Return the file of the history of a cell, beside the folders of its jobs."""
+    name = "".join(sign if sign.isalnum() else "-" for sign in cell_name)
+    return directory / f"history-{name}.sqlite3"
+
+
+def read_day(path: Path, day: date) -> list[Mapping[str, Any]]:
+    """Return the rows of a day, oldest first, with `COLUMNS`; none where it has no table.
+
+    Raises CellError if the file cannot be read.
+    """
+    try:
+        with closing(_connected(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as link:
+            if _table(day) not in _tables(link):
+                return []
+            rows = link.execute(f"SELECT * FROM {_table(day)} ORDER BY rowid").fetchall()
+            return [dict(zip(COLUMNS, row, strict=True)) for row in rows]
+    except sqlite3.Error as error:
+        raise CellError(f"cannot read the history {path}: {error}; check the path") from error
+
+
+def _connected(name: str, *, uri: bool = False) -> sqlite3.Connection:
+    link = sqlite3.connect(name, timeout=1.0, check_same_thread=False, uri=uri)
+    try:
+        (version,) = link.execute("PRAGMA user_version").fetchone()
+        if version > VERSION:
+            raise CellError(
+                f"{name} has tables of version {version}; this program reads up to {VERSION}: "
+                "update tactile-cell"
+            )
+    except BaseException:
+        link.close()
+        raise
+    return link
+
+
+def _table(day: date) -> str:
+    return f"day_{day:%Y%m%d}"
+
+
+def _tables(link: sqlite3.Connection) -> set[str]:
+    query = "SELECT name FROM sqlite_master WHERE type = 'table' AND name GLOB 'day_*'"
+    return {name for (name,) in link.execute(query)}
+
+
+def _sums(link: sqlite3.Connection, days: list[date]) -> dict[str, Any]:
+    """Return the sums of some days, as `History.values` has them."""
+    tables = [_table(day) for day in days if _table(day) in _tables(link)]
+    all_rows = " UNION ALL ".join(f"SELECT * FROM {table}" for table in tables)
+    counts: dict[str, Any] = dict.fromkeys(("parts", "rejected", "missed", "faults", "starts"), 0)
+    if not tables:
+        return counts | {"cycle_s": None, "confused": []}
+    query = f"SELECT kind, COUNT(*), SUM(rejected), AVG(seconds) FROM ({all_rows}) GROUP BY kind"
+    by_kind = {kind: found for kind, *found in link.execute(query)}
+    for name, kind in zip(counts, ("part", "", "miss", "fault", "start"), strict=True):
+        counts[name] = by_kind.get(kind, [0])[0]
+    _, rejected, cycle_s = by_kind.get("part", (0, 0, None))
+    pairs = f"""
+        SELECT held, label, COUNT(*) AS n, 1 FROM ({all_rows}) WHERE kind = 'part'
+        AND held <> '' AND held <> label AND label <> '{UNKNOWN}' GROUP BY held, label
+        UNION ALL SELECT second, label, COUNT(*) AS n, 0 FROM ({all_rows}) WHERE kind = 'part'
+        AND held = '' AND second_probability >= {_NEAR} AND label <> '{UNKNOWN}'
+        GROUP BY second, label ORDER BY n DESC, held, label LIMIT {_MOST_CONFUSED}"""
+    confused = [
+        {"held": held, "named": label, "n": n, "confirmed": bool(known)}
+        for held, label, n, known in link.execute(pairs)
+    ]
+    return counts | {"rejected": rejected or 0, "cycle_s": cycle_s, "confused": confused}

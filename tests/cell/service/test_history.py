@@ -1,0 +1,186 @@
+"""The history of a cell: a week of shifts in a table per day, and what it survives."""
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from datetime import date, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from urllib.request import Request, urlopen
+
+import pytest
+
+from cell.errors import CellError
+from cell.service import history
+from cell.service.history import History, history_file, read_day
+from tests.cell.conftest import small_config
+from tests.cell.served import until
+from tests.cell.service.test_shift import part
+
+MONDAY_S = datetime(2027, 3, 1, 6, 0).timestamp()
+DAY_S = 86_400.0
+
+
+class Kept:
+    """A history whose clock and faults the test sets; each look is a call."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path, self.now_s, self.notes = path, MONDAY_S, list[str]()
+        self.state = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
+        self.begin()
+
+    def begin(self) -> None:
+        """Start the program, which may have been killed."""
+        self.state.n_faults, self.state.fault = 0, None
+        self.history = History(
+            self.path, lambda: self.state, note=self.notes.append, wall_s=lambda: self.now_s
+        )
+
+    def fault(self, number: int, text: str) -> None:
+        self.state = SimpleNamespace(
+            n_faults=self.state.n_faults + 1, fault=text, fault_number=number
+        )
+
+    def look(self) -> dict[str, Any]:
+        self.now_s += 61.0
+        self.history.look()
+        return self.history.values()
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Iterator[Kept]:
+    found = Kept(history_file(tmp_path / "out", "press 4 / left"))
+    yield found
+    found.history.close()
+    found.history._close_link()
+
+
+def test_a_week_of_shifts_survives_kills_and_is_summed_by_day_and_week(kept: Kept) -> None:
+    for day in range(7):
+        for shift in range(3):
+            kept.now_s = MONDAY_S + day * DAY_S + shift * 3600.0
+            kept.begin()
+            for number in range(40):
+                named = "box" if number % 10 == 0 else "ball"
+                kept.history.add(part(named, held="ball", seconds=4.0 + shift))
+            kept.history.add(part("UNKNOWN", held="pin", rejected=True))
+            kept.history.add(part(answer=None))
+            kept.look()
+            kept.fault(301 + shift, "a servo is hot")
+            kept.look()
+    found = kept.history.values()
+    day = {"parts": 123, "rejected": 3, "missed": 3, "faults": 3, "starts": 3}
+    assert {name: found["today"][name] for name in day} == day
+    assert {name: found["yesterday"][name] for name in day} == day
+    assert {name: found["week"][name] for name in day} == {k: 7 * v for k, v in day.items()}
+    assert found["today"]["cycle_s"] == pytest.approx((3 * 4.0 + 40 * (4.0 + 5.0 + 6.0)) / 123)
+    assert found["today"]["confused"] == [
+        {"held": "ball", "named": "box", "n": 12, "confirmed": True}
+    ]
+    assert kept.path is not None
+    rows = read_day(kept.path, date(2027, 3, 7))
+    assert [row["fault_number"] for row in rows if row["kind"] == "fault"] == [301, 302, 303]
+    assert rows[-1]["text"] == "a servo is hot"
+    assert read_day(kept.path, date(2027, 3, 8)) == []
+    # A new week begins on Monday.
+    kept.now_s = MONDAY_S + 7 * DAY_S
+    found = kept.look()
+    assert (found["today"]["parts"], found["yesterday"]["parts"]) == (0, 123)
+    assert found["week"]["parts"] == 0
+    assert kept.notes == []
+
+
+def test_without_a_word_what_was_held_the_second_label_counts_where_it_is_near(kept: Kept) -> None:
+    for _ in range(3):
+        kept.history.add(part("pin"))  # the second has 0.1
+    assert kept.look()["today"]["confused"] == [
+        {"held": "ball", "named": "pin", "n": 3, "confirmed": False}
+    ]
+
+
+def test_a_clock_that_leaps_loses_no_day(kept: Kept) -> None:
+    kept.history.add(part())
+    kept.look()
+    for leap_s in (3650 * DAY_S, -20 * 365 * DAY_S):
+        kept.now_s += leap_s
+        kept.history.add(part())
+        assert kept.look()["today"]["parts"] == 1
+    assert kept.path is not None
+    assert len(read_day(kept.path, date(2027, 3, 1))) == 2
+
+
+def test_the_first_days_go_when_there_are_many(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(history, "KEPT_DAYS", 3)
+    for day in range(5):
+        kept.now_s = MONDAY_S + day * DAY_S
+        kept.history.add(part())
+        kept.look()
+    assert kept.path is not None
+    left = [bool(read_day(kept.path, date(2027, 3, 1 + day))) for day in range(5)]
+    assert left == [False, False, True, True, True]
+
+
+def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(
+    kept: Kept, tmp_path: Path
+) -> None:
+    (tmp_path / "out").write_text("a file in the place of the folder")
+    for _ in range(3):
+        kept.history.add(part())
+        assert kept.look() == {}
+    assert len(kept.notes) == 1
+    assert "the history is not kept" in kept.notes[0]
+    (tmp_path / "out").unlink()
+    assert kept.look()["today"]["parts"] == 3
+    assert kept.path is not None
+    with closing(sqlite3.connect(kept.path)) as other:  # a program that holds it for a while
+        other.execute("BEGIN EXCLUSIVE")
+        kept.history.add(part())
+        kept.look()
+        assert "locked" in kept.notes[-1]
+    assert kept.look()["today"]["parts"] == 4
+
+
+def test_a_damaged_file_is_moved_away_and_a_later_one_is_left(kept: Kept) -> None:
+    assert kept.path is not None
+    kept.path.parent.mkdir()
+    kept.path.write_bytes(b"no data base at all, but long enough to be looked at" * 100)
+    kept.history.add(part())
+    kept.look()
+    assert "a new history begins; the damaged one is" in kept.notes[-1]
+    assert kept.look()["today"]["parts"] == 1
+    kept.history._close_link()
+    with closing(sqlite3.connect(kept.path)) as link:
+        link.execute("PRAGMA user_version = 2")
+    before = kept.path.read_bytes()
+    kept.history.add(part())
+    kept.look()
+    assert "version 2; this program reads up to 1: update tactile-cell" in kept.notes[-1]
+    assert kept.path.read_bytes() == before
+    with pytest.raises(CellError, match="update tactile-cell"):
+        read_day(kept.path, date(2027, 3, 1))
+    with pytest.raises(CellError, match="cannot read the history"):
+        read_day(kept.path.with_name("none.sqlite3"), date(2027, 3, 1))
+
+
+def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> None:
+    folder = tmp_path / "out" / "serve-20270301-060000"
+    folder.mkdir(parents=True)
+    served = serve("http", cell={"folder": folder})
+    service, found = served.service, served.interfaces
+    lease = service.lease.acquire("test")
+    service.start(lease, {"task": "identify", "present": "box"})
+    assert served.ended().label == "box"
+    until(lambda: service.history.values().get("today", {}).get("parts"))
+    address = f"http://127.0.0.1:{found['http_port']}/api/history"
+    asked = Request(address, headers={"Authorization": f"Bearer {found['token']}"})
+    with urlopen(asked) as answer:
+        assert json.load(answer) == service.history.values()
+    asked.full_url = f"{address}?day={date.today()}"
+    with urlopen(asked) as answer:
+        assert [row["kind"] for row in json.load(answer)["rows"]] == ["start", "part"]
+    service.close()
+    path = history_file(tmp_path / "out", small_config().name)
+    (row,) = (one for one in read_day(path, date.today()) if one["kind"] == "part")
+    assert (row["label"], row["held"]) == ("box", "box")

@@ -1,0 +1,99 @@
+"""The pages on backup, update and recordings: what they print is typed here, in their order."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from cell.config.file import config_text, load_config
+from cell.interfaces.cli.app import app
+from cell.service.history import History
+from tests.cell.conftest import small_config
+
+PAGES = Path("docs/how-to").resolve()
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """Return the blocks of code of a page in a language."""
+    text = (PAGES / page).read_text("utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def typed(page: str) -> Iterator[str]:
+    """Type each of our commands on a page, and yield what each prints."""
+    for line in "".join(blocks(page, "sh")).splitlines():
+        program, *arguments = shlex.split(line, comments=True)
+        if program == "tactile-cell":
+            # A person says yes where it asks.
+            found = CliRunner().invoke(app, arguments, input="y\n", catch_exceptions=False)
+            assert found.exit_code == 0, (line, found.output)
+            yield found.output
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
+    """Go to the folder of a simulated cell with a model."""
+    monkeypatch.chdir(tmp_path)
+    config = small_config(name="press 4")
+    Path("tactile-cell.yaml").write_text(config_text(config))
+    model = Path(taught.result.model)
+    Path("parts.npz").write_bytes(model.read_bytes())
+    return tmp_path
+
+
+def test_the_page_on_updates_can_be_typed(here: Path) -> None:
+    record = Path("commissioning.html")
+    record.write_text("signed")
+    commands = typed("update.md")
+    printed = [next(commands)]
+    record.write_text("not signed")
+    printed.append(next(commands))
+    assert record.read_text() == "signed"
+    printed += commands
+    assert record.read_text() == "not signed"
+    (shown,) = blocks("update.md", "text")
+    # Names are as on the page; how many files there are and how large is another cell's.
+    name = r"before-update.zip: press 4, \d+ files, \d+\.\d MB\n"
+    assert re.search(name, printed[0])
+    assert re.fullmatch(name, shown)
+    assert "commissioning.html: file: 10 bytes" in printed[1]
+    assert "tactile-cell restore --undo` takes it back" in printed[2]
+    assert re.search(r"\b(ball|box)\b", printed[-1])
+
+
+def test_a_wheel_of_the_page_has_the_name_that_a_build_gives_it() -> None:
+    names = set(re.findall(r"\S*\.whl", (PAGES / "update.md").read_text()))
+    assert {name.strip("'").split("[")[0] for name in names} == {
+        "./tactile_cell-0.2.0-py3-none-any.whl"
+    }
+
+
+def test_the_page_on_recordings_can_be_typed(here: Path) -> None:
+    (config,) = blocks("keep-recordings.md", "yaml")
+    Path("of-the-page.yaml").write_text(config)
+    kept = load_config(Path("of-the-page.yaml")).recording
+    assert kept == type(kept)()  # the page shows the defaults
+    recording = Path("out/serve-20270115-080000/recording.mcap")
+    recording.parent.mkdir(parents=True)
+    recording.touch()
+    listed, marked, unmarked = typed("keep-recordings.md")
+    assert str(recording) in listed
+    assert (marked, unmarked) == (f"{recording}: marked\n", f"{recording}: not marked\n")
+    history = History(Path("out/history-press-4.sqlite3"), lambda: STATE)
+    history.look()
+    history._close_link()
+    found: dict[str, Any] = {}
+    (example,) = blocks("keep-recordings.md", "python")
+    exec(example, found)
+    assert [row["kind"] for row in found["rows"]] == ["start"]
+
+
+class STATE:
+    """A cell without a fault."""
+
+    n_faults = 0
+    fault = None
