@@ -20,7 +20,7 @@ from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import (
     TactileConfig,
-    check_bus_load,
+    check_sensor,
     layout_from_config,
     make_calibration,
 )
@@ -161,11 +161,11 @@ class CellConfig(Section):
         except ConfigError as error:
             raise ValueError(str(error)) from error
         self._check_full_scale(layout, most_n)
-        check_bus_load(self.tactile, layout)
-        simulated = (self.gripper.port == SIMULATED, self.tactile.interface == SIMULATED)
+        check_sensor(self.tactile, layout)
+        simulated = (self.gripper.port == SIMULATED, self.tactile.simulated)
         if simulated[0] != simulated[1]:
             raise ValueError(
-                "gripper.port and tactile.interface must both be `simulated` or both be real: "
+                "gripper.port and the sensor's (tactile.interface or tactile.sensor.ports) must both be `simulated` or both be real: "
                 "one simulated object cannot be touched by a real gripper"
             )
         if self.simulator.faults and not simulated[0]:
@@ -173,7 +173,13 @@ class CellConfig(Section):
                 "simulator.faults are for the simulated cell, and this one has real ports: "
                 "take them out"
             )
-        if not simulated[0] and self.tactile.channel == "":
+        if self.gripper.port != SIMULATED and self.gripper.port in self.tactile.serial_ports:
+            raise ValueError(
+                f"{self.gripper.port} is gripper.port and in tactile.sensor.ports: servos and "
+                "boards need ports of their own"
+            )
+        on_can = not self.tactile.serial_ports
+        if not simulated[0] and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
         if (
             self.positioner.kind == "simulated"
@@ -220,11 +226,12 @@ class CellConfig(Section):
                 f"second at most: raise the baud rate, in the servos too, or lower the loop rate"
             )
         self._check_closing()
-        if tactile.force_period_ms == 0 and gripper.force_stale_ms < 2.5 * tactile.sync_period_ms:
+        period_ms = 1e3 * tactile.frame_period_s
+        if not tactile.sends_forces and gripper.force_stale_ms < 2.5 * period_ms:
             raise ValueError(
                 f"gripper.force_stale_ms is {gripper.force_stale_ms:g}: without force messages a "
-                f"force may be 2.5 times tactile.sync_period_ms = {tactile.sync_period_ms:g} old; "
-                f"raise the one or lower the other"
+                f"force may be 2.5 periods of the frames old, and frames (tactile.sync_period_ms) "
+                f"come every {period_ms:g} ms; raise the one or lower the other"
             )
 
     def _check_closing(self) -> None:
