@@ -17,6 +17,7 @@ from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisC
 from cell.config.tactile import (
     FlexiTacConfig,
     LinearCalibrationConfig,
+    TableCalibrationConfig,
     layout_from_config,
     make_calibration,
     pad_mounts,
@@ -119,7 +120,10 @@ def simulator_settings(
                     math.radians(settings.pads.tilt_deg[0]),
                     math.radians(settings.pads.tilt_deg[1]),
                 ),
-                gains=settings.pads.gains,
+                gains=(
+                    settings.pads.gains[0] / config.tactile.pad_gains[0],
+                    settings.pads.gains[1] / config.tactile.pad_gains[1],
+                ),
                 stiffness=settings.pads.stiffness,
             ),
             law=sensor_law(config),
@@ -310,6 +314,8 @@ def sensor_law(config: CellConfig) -> SensorLaw:
     if isinstance(law, LinearCalibrationConfig):
         adc_max = layout_from_config(config.tactile).adc_max
         return SensorLaw(full_scale_n=adc_max * law.force_per_count_n)
+    if isinstance(law, TableCalibrationConfig):
+        return SensorLaw(nodes=((0.0, *law.force_n), (0.0, *law.counts)))
     return SensorLaw(gain=1.0 / law.gain)
 
 
