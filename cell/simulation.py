@@ -144,8 +144,7 @@ def simulator_settings(
 
 
 def _boards(config: CellConfig) -> FlexiTacSettings | None:
-    """Return the simulated sensor boards of a config; None where the control unit reads the pads.
-    """
+    """Return the simulated boards of a config; None where the control unit reads the pads."""
     sensor = config.tactile.sensor
     if not isinstance(sensor, FlexiTacConfig):
         return None

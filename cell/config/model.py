@@ -165,8 +165,9 @@ class CellConfig(Section):
         simulated = (self.gripper.port == SIMULATED, self.tactile.simulated)
         if simulated[0] != simulated[1]:
             raise ValueError(
-                "gripper.port and the sensor's (tactile.interface or tactile.sensor.ports) must both be `simulated` or both be real: "
-                "one simulated object cannot be touched by a real gripper"
+                "gripper.port and the port of the pads (tactile.interface or tactile.sensor.ports) "
+                "must both be `simulated` or both be real: one simulated object cannot be touched "
+                "by a real gripper"
             )
         if self.simulator.faults and not simulated[0]:
             raise ValueError(

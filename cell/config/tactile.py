@@ -118,8 +118,11 @@ class ControlUnitConfig(Section):
 
 
 class FlexiTacConfig(Section):
-    """Two FlexiTac boards, one on each finger. Of the keys beside `sensor` those of CAN, SYNC,
-    heartbeat, force messages and serial numbers are not for them."""
+    """Two FlexiTac boards, one on each finger.
+
+    Of the keys beside `sensor` those of CAN, SYNC, heartbeat, force messages and serial numbers are
+    not for them.
+    """
 
     kind: Literal["flexitac"]
     """What reads the pads."""

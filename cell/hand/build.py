@@ -66,7 +66,9 @@ def open_hand(
             else open_bus(tactile.interface, tactile.channel, bitrate=tactile.bitrate)
         ),
         partial=partial,
-        open_boards=[functools.partial(SerialStream, port, BAUD_RATE) for port in tactile.serial_ports],
+        open_boards=[
+            functools.partial(SerialStream, port, BAUD_RATE) for port in tactile.serial_ports
+        ],
     )
     try:
         return make_hand(config, lines, notes=(*notes, *lines.notes))

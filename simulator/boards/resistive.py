@@ -67,5 +67,5 @@ class ResistivePads:
             conductance[taxels] += sneak.ravel()
         counts = 1023.0 * law.gain * conductance / (1.0 + conductance) + self._rest
         counts += self._rng.normal(0.0, law.noise_counts, counts.shape)
-        digital = np.clip(np.rint(counts), 0, 1023).astype(np.uint16) >> 2
-        return self._faults.apply(digital, self._layout.adc_max)
+        digital = np.clip(np.rint(counts), 0, 1023) // 4
+        return self._faults.apply(digital.astype(np.uint16), self._layout.adc_max)

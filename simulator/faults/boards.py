@@ -55,6 +55,7 @@ def _number(
     kind: FaultKind,
     meaning: str,
     knob: str,
+    *,
     value: Number = SHARE,
     read: Callable[[float], float] = float,
 ) -> FaultEntry:
@@ -64,7 +65,7 @@ def _number(
 
 # fmt: off
 BOARD = (
-    FaultEntry("board.unplugged", FaultKind.UNPLUGGED, "the USB cable of this finger's board is out",
+    FaultEntry("board.unplugged", FaultKind.UNPLUGGED, "the cable of this finger's board is out",
                _unplugged, "board_plug", _FINGER, check=_check),
     _of_finger("off", FaultKind.OFF, "the board of this finger sends nothing", "silent"),
     _of_finger("frozen", FaultKind.STUCK, "the board of this finger sends one frame for ever",
@@ -76,9 +77,9 @@ BOARD = (
             "lost_byte"),
     _number("torn", FaultKind.INTERMITTENT, "frames of both boards end in the middle", "torn"),
     _number("late", FaultKind.DELAYED, "frames of both boards come late", "late_s",
-            Number("s", 0.0, 1.0, default=0.05)),
+            value=Number("s", 0.0, 1.0, default=0.05)),
     _number("rows", FaultKind.WRONG, "both boards send so many rows: firmware of another profile",
-            "rows", Number("rows", 1, 64, default=16, whole=True), int),
+            "rows", value=Number("rows", 1, 64, default=16, whole=True), read=int),
     FaultEntry("board.rows_swapped", FaultKind.WRONG,
                "two neighbouring rows of this finger's pad are exchanged", _swapped, "board_rows",
                _FINGER, check=_check),

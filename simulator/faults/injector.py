@@ -142,8 +142,8 @@ class FaultInjector:
     Parameters
     ----------
     plugs
-        Cables of the cell: ``can``, ``servos``, ``board0``, ``board1``; by default those of buses in memory, which are
-        knobs of the devices.
+        Cables of the cell: ``can``, ``servos``, ``board0``, ``board1``; by default those of buses
+        in memory, which are knobs of the devices.
     """
 
     def __init__(

@@ -97,7 +97,13 @@ class RealTimeCell:
     @property
     def _ptys(self) -> list[ServoPty | SlcanPty]:
         drives = [] if self._axes_can_pty is None else [self._axes_can_pty]
-        return [self._servo_pty, self._can_pty, *drives, *self._axes_ptys.values(), *self._board_ptys]
+        return [
+            self._servo_pty,
+            self._can_pty,
+            *drives,
+            *self._axes_ptys.values(),
+            *self._board_ptys,
+        ]
 
     def announcement(self) -> dict[str, Any]:
         """Return addresses and settings for clients; plain values for JSON."""
@@ -172,7 +178,8 @@ def serve(
         Called once, when clients can connect, with plain values for JSON: ``servo_port``,
         ``servo_baud_rate``, ``servo_ids``, ``can_interface``, ``can_channel``, ``can_bitrate``,
         ``node_id``, ``axes_can_channel`` (None without drives), ``axes_ports`` (of wrists, by what
-        they move), ``board_ports`` (of sensor boards, by finger), ``positioner_socket``, ``pid``, and ``config``, which is None here.
+        they move), ``board_ports`` (of sensor boards, by finger), ``positioner_socket``, ``pid``,
+        and ``config``, which is None here.
     folder
         Where links to the terminals and the socket are made; by default a temporary folder, which
         is removed at the end.

@@ -87,6 +87,7 @@ class _Board:
             data += piece
         if stalled:
             self.stream.reset()
+            self.waiting.clear()
             return
         torn = self.stream.torn
         frames = self.stream.feed(data, now_s)
@@ -220,7 +221,8 @@ class FlexiTacSource:
             self._fault = fault
             raise
         n = min(len(board.waiting) for board in self._boards)
-        pairs = list(zip(*(board.waiting[len(board.waiting) - n :] for board in self._boards)))
+        newest = (board.waiting[len(board.waiting) - n :] for board in self._boards)
+        pairs = list(zip(*newest, strict=True))
         for board in self._boards:
             # Without a frame of the other board the newest one waits for it.
             board.waiting = [] if n else board.waiting[-1:]

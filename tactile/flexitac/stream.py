@@ -126,9 +126,9 @@ class FrameStream:
         """Return why no offset has a header in each frame: another profile, or damage."""
         for name, other in PROFILES.items():
             n_frames = (len(self._bytes) - 1) // other.frame_bytes
-            if other != self._profile and n_frames > 1:
-                if _offsets(self._bytes, other.frame_bytes, n_frames):
-                    return f"its frames are {name}: set tactile.sensor.profile to that"
+            repeats = n_frames > 1 and _offsets(self._bytes, other.frame_bytes, n_frames)
+            if other != self._profile and repeats:
+                return f"its frames are {name}: set tactile.sensor.profile to that"
         return f"no header repeats every {self._size} bytes: check its cable and its firmware"
 
 
