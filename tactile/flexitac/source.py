@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.clock import Clock
-from tactile.errors import BusNotOpened, FrameTimeout, LayoutError, LinkFault, LinkStateError
+from tactile.errors import FrameTimeout, LayoutError, LinkFault, LinkStateError, NodeMissing
 from tactile.flexitac.stream import PERIOD_S, BoardFrame, FrameStream, Profile
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
@@ -99,7 +99,9 @@ class _Board:
 
     def _take(self, frame: BoardFrame, statistics: FrameStatistics) -> None:
         same = self.last is not None and frame.samples == self.last.samples
-        self.repeated = same and sum(self.changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
+        lively = sum(self.changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
+        # A pad at an end of its scale, or without supply, shows no noise.
+        self.repeated = same and lively and len(set(frame.samples)) > 1
         if self.repeated:
             statistics.duplicate += 1
             return
@@ -186,7 +188,7 @@ class FlexiTacSource:
     def start(self) -> SourceIdentity:
         """Open both lines and wait for a frame of both boards.
 
-        Raises BusNotOpened if a line cannot be opened, and FrameTimeout if a board sends no frames.
+        Raises NodeMissing if a line cannot be opened, and FrameTimeout if a board sends no frames.
         """
         self._fault, self._frames, self._running = None, FrameStatistics(), True
         try:
@@ -194,7 +196,7 @@ class FlexiTacSource:
                 board.open()
         except self._line_errors as error:
             self.stop()
-            raise BusNotOpened(str(error)) from error
+            raise NodeMissing(f"{board.name} cannot be opened: {error}") from error
         self._polled_s = began_s = self._clock.monotonic()
         while missing := [board for board in self._boards if board.last is None]:
             if self._clock.monotonic() - began_s > self._startup_s:
