@@ -15,9 +15,11 @@ from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
 from cell.config.tactile import (
+    ControlUnitConfig,
     FlexiTacConfig,
     LinearCalibrationConfig,
     TableCalibrationConfig,
+    UskinConfig,
     layout_from_config,
     make_calibration,
     pad_mounts,
@@ -31,6 +33,7 @@ from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
 from simulator.boards.flexitac import FlexiTacSettings
+from simulator.boards.uskin import UskinBoard, UskinSettings
 from simulator.can.capture import PcapWriter
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
@@ -87,7 +90,7 @@ def simulator_settings(
             )
         for text in settings.faults:
             check_fault(text, len(config.gripper.servos), len(config.positioner.axes))
-        if not config.tactile.serial_ports:
+        if isinstance(config.tactile.sensor, ControlUnitConfig):
             _check_noise(config, layout or layout_from_config(config.tactile))
         return SimulatorSettings(
             layout=layout or layout_from_config(config.tactile),
@@ -143,9 +146,14 @@ def simulator_settings(
         raise ConfigError(f"simulator: {error}") from error
 
 
-def _boards(config: CellConfig) -> FlexiTacSettings | None:
+def _boards(config: CellConfig) -> FlexiTacSettings | UskinSettings | None:
     """Return the simulated boards of a config; None where the control unit reads the pads."""
     sensor = config.tactile.sensor
+    if isinstance(sensor, UskinConfig):
+        first, second = (
+            UskinBoard(start_id=one.start, taxel_ids=one.taxels) for one in sensor.boards
+        )
+        return UskinSettings(boards=(first, second), falling=sensor.falling)
     if not isinstance(sensor, FlexiTacConfig):
         return None
     profile = PROFILES[sensor.profile]

@@ -348,6 +348,7 @@ LAYOUTS: Mapping[str, Callable[[], TaxelLayout]] = MappingProxyType(
         "flexitac_12x32": lambda: inner_pads("flexitac_12x32", 32, 12, 2e-3),
         "flexitac_16x32": lambda: inner_pads("flexitac_16x32", 32, 16, 2e-3),
         "flexitac_16x16": lambda: inner_pads("flexitac_16x16", 16, 16, 2e-3),
+        "uskin_4x4": lambda: inner_pads("uskin_4x4", 4, 4, 4.7e-3, adc_max=65535),
     }
 )
 """The named layouts, as the config offers them."""

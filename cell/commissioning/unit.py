@@ -93,7 +93,7 @@ def unit_sensor(
 
 def _board_sensor(bench: Bench, tactile: TactileConfig) -> TactileSensor:
     """Return the sensor of boards on lines of their own; ``with`` starts it."""
-    source = board_source(tactile, bench.board_openers(tactile), bench.clock)
+    source = board_source(tactile, bench.clock, open_boards=bench.board_openers(tactile))
     if source is None:
         raise StepFailed("The config names no boards on serial ports (tactile.sensor).")
     return TactileSensor(

@@ -20,6 +20,7 @@ from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import (
     TactileConfig,
+    UskinConfig,
     check_sensor,
     layout_from_config,
     make_calibration,
@@ -260,6 +261,17 @@ class CellConfig(Section):
         """Refuse axes that the sequence does not fit, or of which only one side is simulated."""
         positioner = self.positioner
         positioner.check_sequence(self.sequence)
+        shared = (positioner.can.interface, positioner.can.channel) == (
+            self.tactile.interface,
+            self.tactile.channel,
+        )
+        on_can = isinstance(self.tactile.sensor, UskinConfig) and not simulated
+        if on_can and shared and positioner.drives:
+            raise ValueError(
+                "positioner.can is the bus of tactile: uSkin boards use identifiers of CANopen "
+                "(201h is RPDO1 of node 1, 710h to 71Fh are heartbeats), so that they need a bus "
+                "without CANopen nodes"
+            )
         for port in positioner.ports:
             if simulated != (port == SIMULATED):
                 raise ValueError(

@@ -1,5 +1,6 @@
 """Config of the tactile sensor: pads, calibration, what reads them, and its lines."""
 
+from dataclasses import asdict
 from math import ceil
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -22,6 +23,8 @@ from tactile.sensor.calibration import (
 )
 from tactile.unit.bus_load import bus_load, least_sync_period_s
 from tactile.unit.settings import WINDOW_SHARE, ExpectedIdentity, LinkSettings
+from tactile.uskin import messages
+from tactile.uskin.source import check_layout as check_boards
 
 FASTEST_BITRATE = 1_000_000
 """Largest bit rate of a CAN bus in bit/s."""
@@ -135,6 +138,38 @@ class FlexiTacConfig(Section):
     side of 12x32 lies along the finger."""
 
 
+Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
+
+
+class UskinBoardConfig(Section):
+    """CAN identifiers of one uSkin board, which differ between generations."""
+
+    start: Identifier
+    """Identifier of the message 07 00 that starts the board."""
+    taxels: tuple[Identifier, ...] = Field(min_length=1, max_length=64)
+    """Identifier of each taxel, row by row along the finger."""
+
+
+class UskinConfig(Section):
+    """Two uSkin boards on the bus of `interface`, `channel` and `bitrate`, without CANopen nodes.
+
+    Of the three axes z is used. The keys for SYNC, heartbeat, force messages and serial numbers are
+    not for them.
+    """
+
+    kind: Literal["uskin"]
+    """What reads the pads."""
+    boards: tuple[UskinBoardConfig, UskinBoardConfig] = (
+        UskinBoardConfig(**asdict(messages.xr1944(1))),
+        UskinBoardConfig(**asdict(messages.xr1944(2))),
+    )
+    """The boards on finger 0 and finger 1; the default are an XR1944 at address 1 and one at 2."""
+    falling: bool = False
+    """Whether z falls under a force."""
+    zero_frames: int = Field(default=20, ge=8, le=500)
+    """Frames of the zero that is taken before each approach, because z drifts, 8 to 500."""
+
+
 def _name_or_pads(value: object) -> str:
     """Return which kind of layout a value means: a name, or pads of one's own."""
     return "name" if isinstance(value, str) else "pads"
@@ -146,9 +181,9 @@ BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
 class TactileConfig(Section):
     """The tactile sensor: the control unit and its CAN bus, or other boards."""
 
-    sensor: Annotated[ControlUnitConfig | FlexiTacConfig, Field(discriminator="kind")] = (
-        ControlUnitConfig()
-    )
+    sensor: Annotated[
+        ControlUnitConfig | FlexiTacConfig | UskinConfig, Field(discriminator="kind")
+    ] = ControlUnitConfig()
     """What reads the pads: the control unit, or boards on lines of their own."""
     interface: str = Field(default=SIMULATED, min_length=1)
     """python-can interface (socketcan, slcan, pcan, ...); `simulated` is the built-in one."""
@@ -228,7 +263,14 @@ class TactileConfig(Section):
     @property
     def frame_period_s(self) -> float:
         """Time between two frames in s: of SYNC, or the usual one of boards that run freely."""
-        return PERIOD_S if self.serial_ports else MILLI * self.sync_period_ms
+        if isinstance(self.sensor, ControlUnitConfig):
+            return MILLI * self.sync_period_ms
+        return messages.PERIOD_S if isinstance(self.sensor, UskinConfig) else PERIOD_S
+
+    @property
+    def zero_frames(self) -> int:
+        """Frames of a zero before each approach; 0: the zero of the start is kept."""
+        return self.sensor.zero_frames if isinstance(self.sensor, UskinConfig) else 0
 
     @property
     def sends_forces(self) -> bool:
@@ -316,14 +358,22 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
     return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n * gain)
 
 
+def board_ids(config: UskinConfig) -> list[messages.BoardIds]:
+    """Return the identifiers of both uSkin boards."""
+    return [messages.BoardIds(start=one.start, taxels=one.taxels) for one in config.boards]
+
+
 def check_sensor(tactile: TactileConfig, layout: TaxelLayout) -> None:
     """Raise ValueError for a layout that the sensor cannot read, or its lines cannot carry."""
-    if isinstance(tactile.sensor, FlexiTacConfig):
-        try:
-            profile = PROFILES[tactile.sensor.profile]
-            check_layout(layout, profile, rows_along=tactile.sensor.rows_along)
-        except LayoutError as error:
-            raise ValueError(f"tactile: {error}") from error
+    sensor = tactile.sensor
+    try:
+        if isinstance(sensor, FlexiTacConfig):
+            check_layout(layout, PROFILES[sensor.profile], rows_along=sensor.rows_along)
+        elif isinstance(sensor, UskinConfig):
+            check_boards(layout, board_ids(sensor))
+    except LayoutError as error:
+        raise ValueError(f"tactile: {error}") from error
+    if not isinstance(sensor, ControlUnitConfig):
         return
     link = link_settings(tactile)
     least_ms = {

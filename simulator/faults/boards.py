@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from simulator.boards.uskin import UskinSettings
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
@@ -25,6 +26,11 @@ def _check(target: Target) -> None:
         raise SimulatorSettingsError("this cell has no sensor boards on serial lines")
 
 
+def _check_uskin(target: Target) -> None:
+    if not isinstance(target.devices.settings.boards, UskinSettings):
+        raise SimulatorSettingsError("this cell has no sensor boards on CAN")
+
+
 def _unplugged(target: Target) -> Effect:
     return Effect(undo=target.plugs[f"board{int(target.number)}"]())
 
@@ -43,11 +49,14 @@ def _swapped(target: Target) -> Effect:
 
 
 def _of_finger(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
+    on_can = name.startswith("uskin.")
+
     def apply(target: Target) -> Effect:
-        faults = target.devices.faults.boards
+        faults = target.devices.faults.uskin if on_can else target.devices.faults.boards
         return Effect(undo=turned(faults, knob, getattr(faults, knob) | {int(target.number)}))
 
-    return FaultEntry(f"board.{name}", kind, meaning, apply, knob, _FINGER, check=_check)
+    check = _check_uskin if on_can else _check
+    return FaultEntry(name, kind, meaning, apply, knob, _FINGER, check=check)
 
 
 def _number(
@@ -67,10 +76,10 @@ def _number(
 BOARD = (
     FaultEntry("board.unplugged", FaultKind.UNPLUGGED, "the cable of this finger's board is out",
                _unplugged, "board_plug", _FINGER, check=_check),
-    _of_finger("off", FaultKind.OFF, "the board of this finger sends nothing", "silent"),
-    _of_finger("frozen", FaultKind.STUCK, "the board of this finger sends one frame for ever",
+    _of_finger("board.off", FaultKind.OFF, "the board of this finger sends nothing", "silent"),
+    _of_finger("board.frozen", FaultKind.STUCK, "the board of this finger sends one frame for ever",
                "frozen"),
-    _of_finger("marked", FaultKind.WRONG,
+    _of_finger("board.marked", FaultKind.WRONG,
                "the samples of this finger's board hold a header at one place for ever", "marked"),
     _number("repeated", FaultKind.WRONG, "frames of both boards repeat the one before", "repeated"),
     _number("lost_byte", FaultKind.INTERMITTENT, "frames of both boards lack one byte",
@@ -83,5 +92,14 @@ BOARD = (
     FaultEntry("board.rows_swapped", FaultKind.WRONG,
                "two neighbouring rows of this finger's pad are exchanged", _swapped, "board_rows",
                _FINGER, check=_check),
+    _of_finger("uskin.off", FaultKind.UNPLUGGED, "this finger's board is unplugged", "silent"),
+    _of_finger("uskin.low_supply", FaultKind.REBOOT,
+               "this finger's board restarts for want of supply, and waits for its start",
+               "low_supply"),
+    _of_finger("uskin.doubled", FaultKind.WRONG,
+               "another board has the address of this finger's board", "doubled"),
+    FaultEntry("uskin.drift", FaultKind.WRONG, "z of all taxels drifts",
+               turning("uskin", "drift_counts_s", lambda target: target.number), "drift_counts_s",
+               Number("counts/s", -1e5, 1e5, default=1000.0), check=_check_uskin),
 )
 # fmt: on
