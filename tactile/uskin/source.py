@@ -37,10 +37,16 @@ from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, sample
 
 _SILENT_PERIODS = 6.0
 """Periods without a whole cycle that are a fault at least. [chosen]"""
-_CYCLES = 50
+_GAP_SHARE = 0.3
+"""Share of the period without a message of a board that ends its cycle: the messages of one follow
+each other, or are spread evenly. [chosen]"""
+_CYCLES = 100
 """Cycles among which those are counted that lack a taxel."""
-_DOUBLED = 1.5
+_DOUBLED = 1.7
 """Multiple of the usual rate of cycles from which two boards have one address. [chosen]"""
+_MIXED, _MIXED_PERIODS = 40, 3.0
+"""So many cycles that end too early within so many periods: the messages of two boards alternate,
+and not only those that were under way when one of them was taken off. [chosen]"""
 _BUS_OFF = 0x40
 """Class of an error frame as SocketCAN has it in the identifier (linux/can/error.h)."""
 
@@ -57,14 +63,15 @@ class _Board:
     def restart(self, now_s: float) -> None:
         """Forget all samples."""
         self._z: dict[int, int] = {}
-        self._begun_s = self.last_s = now_s
+        self._begun_s = self._message_s = self.last_s = now_s
         self.waiting: tuple[float, float, NDArray[np.uint16]] | None = None
         self._cycles: deque[tuple[float, bool]] = deque(maxlen=_CYCLES)
 
     def take(self, identifier: int, z: int, t_s: float) -> bool:
         """Take the sample of a taxel; returns whether it ended a cycle that lacks another one."""
         place = self._place[identifier]
-        torn = place in self._z
+        gap_s, self._message_s = t_s - self._message_s, t_s
+        torn = place in self._z or (bool(self._z) and gap_s > _GAP_SHARE * PERIOD_S)
         if torn:
             self._cycles.append((t_s, False))
             self._z.clear()
@@ -87,11 +94,17 @@ class _Board:
         return 1.0 - sum(whole for _, whole in self._cycles) / _CYCLES
 
     @property
+    def mixed(self) -> int:
+        """Cycles of the last periods that ended too early."""
+        since_s = self._message_s - _MIXED_PERIODS * PERIOD_S
+        return sum(t_s > since_s and not whole for t_s, whole in self._cycles)
+
+    @property
     def doubled(self) -> bool:
-        """Whether the cycles come so fast that two boards must send them."""
-        if len(self._cycles) < _CYCLES:
-            return False
-        return self._cycles[-1][0] - self._cycles[0][0] < _CYCLES * PERIOD_S / _DOUBLED
+        """Whether the taxels come so often that two boards must send them."""
+        full = len(self._cycles) == _CYCLES
+        span_s = self._cycles[-1][0] - self._cycles[0][0] if full else _CYCLES * PERIOD_S
+        return self.mixed >= _MIXED or span_s < _CYCLES * PERIOD_S / _DOUBLED
 
 
 class UskinSource:
@@ -255,7 +268,8 @@ class UskinSource:
                     f"{self._silence_s:g} s: check its cable and supply; a board that restarted "
                     "sends after the next start"
                 )
-            if board.loss_rate > self._max_loss_rate:
+            # More than two in a period are no loss: whether the board is doubled shows soon.
+            if board.loss_rate > self._max_loss_rate and board.mixed <= 2.0 * _MIXED_PERIODS:
                 raise FrameTimeout(
                     f"{board.loss_rate:.0%} of the last {_CYCLES} cycles of {board.name} lack a "
                     f"taxel, allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check "
@@ -291,9 +305,10 @@ class UskinSource:
 
 def check_layout(layout: TaxelLayout, boards: Sequence[BoardIds]) -> None:
     """Raise LayoutError where a layout does not fit the taxels of two boards, or ids repeat."""
-    ids = [i for board in boards for i in (board.start, *board.taxels)]
-    if len(set(ids)) < len(ids):
-        raise LayoutError("identifiers of the boards repeat: each taxel and start needs its own")
+    # A start may have the identifier of a taxel, as 203h of newer boards: it goes the other way.
+    for ids in ([i for board in boards for i in board.taxels], [board.start for board in boards]):
+        if len(set(ids)) < len(ids):
+            raise LayoutError("identifiers of the boards repeat: each taxel and start has its own")
     sizes = [pad.n_taxels for pad in layout.pads]
     wanted = [len(boards[pad.finger].taxels) for pad in layout.pads]
     if len(layout.pads) != len(boards) or sizes != wanted:
