@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -17,7 +17,13 @@ from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.ports import by_id
 from cell.config.file import changed_config
 from cell.config.section import SIMULATED
-from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
+from cell.config.tactile import (
+    ControlUnitConfig,
+    TactileConfig,
+    layout_from_config,
+    link_settings,
+    make_calibration,
+)
 from cell.errors import ConfigError
 from cell.hand.build import board_source, sensor_settings
 from tactile.can.bus import CanBus
@@ -70,7 +76,7 @@ def unit_sensor(
     layout = layout_from_config(tactile)
     if patient:
         tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S})
-    if tactile.serial_ports:
+    if not isinstance(tactile.sensor, ControlUnitConfig):
         with _board_sensor(bench, tactile) as sensor:
             yield sensor
         return
@@ -91,17 +97,20 @@ def unit_sensor(
         yield sensor
 
 
-def _board_sensor(bench: Bench, tactile: TactileConfig) -> TactileSensor:
-    """Return the sensor of boards on lines of their own; ``with`` starts it."""
-    source = board_source(tactile, bench.clock, open_boards=bench.board_openers(tactile))
-    if source is None:
-        raise StepFailed("The config names no boards on serial ports (tactile.sensor).")
-    return TactileSensor(
-        source,
-        make_calibration(tactile, source.layout),
-        clock=bench.clock,
-        settings=sensor_settings(tactile),
-    )
+@contextmanager
+def _board_sensor(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
+    """Start the sensor of boards that are no control unit, and close it at the end."""
+    with ExitStack() as undo:
+        bus = None
+        if not tactile.serial_ports:
+            place = (tactile.interface, tactile.channel, tactile.bitrate)
+            bus = undo.enter_context(bench.can_bus(*place))
+        openers = bench.board_openers(tactile)
+        source = board_source(tactile, bench.clock, open_boards=openers, can_bus=bus)
+        if source is None:
+            raise StepFailed("The config names a control unit, and no boards (tactile.sensor).")
+        law, settings = make_calibration(tactile, source.layout), sensor_settings(tactile)
+        yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
 
 
 class UnitStep(Step):
@@ -119,8 +128,8 @@ class UnitStep(Step):
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find the unit, judge it, start its link."""
-        if bench.tactile().serial_ports:
-            _find_boards(bench, notes)
+        if not isinstance(bench.tactile().sensor, ControlUnitConfig):
+            _find_boards(bench, dialog, notes)
             return
         place = _interface(bench, dialog)
         if place is None:
@@ -175,11 +184,17 @@ class UnitStep(Step):
         }
 
 
-def _find_boards(bench: Bench, notes: Finding) -> None:
-    """Find the ports of the sensor's boards, and see that both send whole frames."""
+def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
+    """Find the lines of the sensor's boards, and see that both send whole frames."""
     tactile = bench.tactile()
-    sensor = tactile.sensor.model_dump() | {"ports": tactile.serial_ports}
-    if tactile.simulated:
+    sensor = tactile.sensor.model_dump(mode="json")
+    notes.settings["tactile.mounting"] = []
+    if not tactile.serial_ports:
+        place = _interface(bench, dialog)
+        if place is None:
+            raise StepFailed("The boards need a CAN interface: plug its adapter in.")
+        notes.settings["tactile.interface"], notes.settings["tactile.channel"] = place
+    elif tactile.simulated:
         servos = os.path.realpath(bench.gripper().port)
         ports = [port for port in bench.lines.serial_ports() if os.path.realpath(port) != servos]
         if len(ports) != len(tactile.serial_ports):
@@ -188,9 +203,9 @@ def _find_boards(bench: Bench, notes: Finding) -> None:
                 "needed. Plug in the boards alone, or write tactile.sensor.ports into the config."
             )
         sensor["ports"] = [by_id(port) for port in ports]
-    notes.settings |= {"tactile.sensor": sensor, "tactile.mounting": []}
-    tactile = bench.tactile(sensor=sensor, mounting=[])
-    with _board_sensor(bench, tactile) as boards:
+        notes.settings["tactile.sensor"] = sensor
+    found = {key.removeprefix("tactile."): value for key, value in notes.settings.items()}
+    with _board_sensor(bench, bench.tactile(**found)) as boards:
         began_s = boards.read().t_s
         for _ in range(_RATE_FRAMES):
             ended_s = boards.read().t_s
@@ -202,7 +217,7 @@ def _find_boards(bench: Bench, notes: Finding) -> None:
             f"{rate_hz:.0f} frames a second are few, {_LEAST_RATE_HZ:.0f} are usual: plug each "
             "board into a USB port of its own, not into a hub."
         )
-    notes.values |= {"ports": sensor["ports"], "rate_hz": rate_hz, "sends_forces": False}
+    notes.values |= {"rate_hz": rate_hz, "sends_forces": False}
 
 
 def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
