@@ -161,8 +161,8 @@ class CellConfig(Section):
             layout = layout_from_config(self.tactile)
         except ConfigError as error:
             raise ValueError(str(error)) from error
-        self._check_full_scale(layout, most_n)
         check_sensor(self.tactile, layout)
+        self._check_full_scale(layout, most_n)
         simulated = (self.gripper.port == SIMULATED, self.tactile.simulated)
         if simulated[0] != simulated[1]:
             raise ValueError(

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from cell.config.file import load_config
 from tests.faults.campaign import (
@@ -85,14 +86,17 @@ BOARD_S = 0.012
 """Period of the slowest board with its jitter."""
 BOARD_SILENT_S = 0.08 + 2 * LOOP_S
 """Eight periods of a board without a frame are a fault."""
-FLEXITAC = {
-    key: value
-    for key, value in load_config(Path(__file__).parents[2] / "config" / "flexitac.yaml")
-    .model_dump(mode="json")
-    .items()
-    if key in ("tactile", "self_zero")
-}
-"""Sensor of two boards on serial lines, which have neither counter nor checksum."""
+USKIN_SILENT_S = 0.07 + 2 * LOOP_S
+"""Six periods of a board on CAN without a whole cycle are a fault."""
+
+
+def _preset(name: str) -> dict[str, Any]:
+    """Return the sensor of an example config: boards without counter and checksum."""
+    config = load_config(Path(__file__).parents[2] / "config" / f"{name}.yaml")
+    return {"tactile": config.tactile.model_dump(mode="json"), "self_zero": config.self_zero}
+
+
+FLEXITAC, OF_USKIN = _preset("flexitac"), _preset("uskin")
 LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
 FRAME_S = SYNC_S + BURST_S
 """A whole frame of a later scan is there after so long at most."""
@@ -330,6 +334,28 @@ TAXELS = _near((
              "a zero of ten frames while a ball is gripped with 1 N", "REJECT", 0.25,
              can.touched_while_zeroing),
 ))
+
+USKIN = tuple(replace(row, changes=OF_USKIN | dict(row.changes)) for row in _near((
+    FaultRow(45, "uskin board off", "a board on CAN is unplugged",
+             "uskin.off=1@contact+0.1s", "HOLD", USKIN_SILENT_S, number=401),
+    FaultRow(45, "uskin board off at the start", "the same at the start",
+             "uskin.off=0", "REJECT", START_S + 0.05, number=401),
+    FaultRow(45, "uskin low supply", "a board restarts and waits for its start",
+             "uskin.low_supply=0@contact+0.1s", "HOLD", USKIN_SILENT_S, number=401),
+    FaultRow(45, "uskin two boards with one address", "another board joins with the same address",
+             "uskin.doubled=1@contact+0.1s", "HOLD", 0.1, number=306),
+    FaultRow(45, "uskin two boards with one address at the start", "the same at the start",
+             "uskin.doubled=1", "REJECT", START_S, number=306),
+    FaultRow(45, "uskin adapter unplugged", "the CAN adapter is pulled out",
+             "can.unplugged@contact+0.1s", "HOLD", CYCLE_S, number=311),
+    FaultRow(45, "uskin messages lost", "one message in twenty is lost",
+             "can.loss=0.05@contact+0.1s", "HOLD", 0.3, number=(204, 401)),
+    FaultRow(45, "uskin message lost", "one message is lost",
+             "can.lose_next=1@contact+0.1s", "NOTE", 0.03),
+    # 100 counts are 0.02 N on a taxel: each approach has a zero of its own.
+    FaultRow(45, "uskin drift", "z of all taxels drifts by 100 counts a second",
+             "uskin.drift=100", "NOTHING", None),
+)))
 
 BOARDS = tuple(replace(row, changes=FLEXITAC | dict(row.changes)) for row in _near((
     *(FaultRow(45, f"unplugged, finger {finger}", "the cable of this finger's board is out",
@@ -719,7 +745,7 @@ GROUPS = {
     "control unit": CONTROL_UNIT,
     "force messages": FORCES,
     "taxels": TAXELS,
-    "sensor boards on serial lines": BOARDS,
+    "sensor boards": BOARDS + USKIN,
     "servo bus": SERVO_BUS,
     "servos": SERVOS,
     "grip": GRIP,

@@ -33,7 +33,9 @@ def test_without_a_file_it_is_the_simulated_cell() -> None:
     assert CellConfig().simulated
 
 
-@pytest.mark.parametrize("name", ["paper-gripper", "pinch-13x6", "two-axes-and-wrist"])
+@pytest.mark.parametrize(
+    "name", ["flexitac", "paper-gripper", "pinch-13x6", "two-axes-and-wrist", "uskin"]
+)
 def test_an_example_is_written_in_full_with_the_schema_named(name: str) -> None:
     config = load_config(CONFIG_FOLDER / f"{name}.yaml")
     text = config_text(config)
