@@ -1,5 +1,6 @@
 """Building a cell: from a config to buses, controller, positioner and recorder."""
 
+import functools
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -312,6 +313,9 @@ def _hand(
         lambda: open_can_bus(simulated),
         stream=simulated.servo_port,
         can_bus=simulated.can_bus,
+        open_boards=[
+            functools.partial(simulated.open_board, n) for n in range(len(simulated.board_streams))
+        ],
     )
     return make_hand(config, lines, source=source, clock=simulated.clock)
 

@@ -15,7 +15,11 @@ from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
 from cell.config.tactile import (
+    ControlUnitConfig,
+    FlexiTacConfig,
     LinearCalibrationConfig,
+    TableCalibrationConfig,
+    UskinConfig,
     layout_from_config,
     make_calibration,
     pad_mounts,
@@ -28,6 +32,8 @@ from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
+from simulator.boards.flexitac import FlexiTacSettings
+from simulator.boards.uskin import UskinBoard, UskinSettings
 from simulator.can.capture import PcapWriter
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
@@ -45,6 +51,7 @@ from simulator.world.taxels import NoiseModel, SensorLaw
 from simulator.world.world import NOTHING
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
+from tactile.flexitac.stream import PROFILES
 from tactile.layout import TaxelLayout
 
 _REPLY_S = 5.0
@@ -83,7 +90,8 @@ def simulator_settings(
             )
         for text in settings.faults:
             check_fault(text, len(config.gripper.servos), len(config.positioner.axes))
-        _check_noise(config, layout or layout_from_config(config.tactile))
+        if isinstance(config.tactile.sensor, ControlUnitConfig):
+            _check_noise(config, layout or layout_from_config(config.tactile))
         return SimulatorSettings(
             layout=layout or layout_from_config(config.tactile),
             servos=tuple(
@@ -108,13 +116,17 @@ def simulator_settings(
             else config.tactile.serial_number,
             board_serial_numbers=config.tactile.board_serial_numbers or (1, 2),
             mounts=() if grasps else pad_mounts(config.tactile),
+            boards=None if grasps else _boards(config),
             pads=PadPair(
                 shift_m=(1e-3 * settings.pads.shift_mm[0], 1e-3 * settings.pads.shift_mm[1]),
                 tilt_rad=(
                     math.radians(settings.pads.tilt_deg[0]),
                     math.radians(settings.pads.tilt_deg[1]),
                 ),
-                gains=settings.pads.gains,
+                gains=(
+                    settings.pads.gains[0] / config.tactile.pad_gains[0],
+                    settings.pads.gains[1] / config.tactile.pad_gains[1],
+                ),
                 stiffness=settings.pads.stiffness,
             ),
             law=sensor_law(config),
@@ -132,6 +144,22 @@ def simulator_settings(
         )
     except SimulatorError as error:
         raise ConfigError(f"simulator: {error}") from error
+
+
+def _boards(config: CellConfig) -> FlexiTacSettings | UskinSettings | None:
+    """Return the simulated boards of a config; None where the control unit reads the pads."""
+    sensor = config.tactile.sensor
+    if isinstance(sensor, UskinConfig):
+        first, second = (
+            UskinBoard(start_id=one.start, taxel_ids=one.taxels) for one in sensor.boards
+        )
+        return UskinSettings(boards=(first, second), falling=sensor.falling)
+    if not isinstance(sensor, FlexiTacConfig):
+        return None
+    profile = PROFILES[sensor.profile]
+    return FlexiTacSettings(
+        rows=profile.rows, columns=profile.columns, rows_along=sensor.rows_along
+    )
 
 
 def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:
@@ -293,6 +321,8 @@ def sensor_law(config: CellConfig) -> SensorLaw:
     if isinstance(law, LinearCalibrationConfig):
         adc_max = layout_from_config(config.tactile).adc_max
         return SensorLaw(full_scale_n=adc_max * law.force_per_count_n)
+    if isinstance(law, TableCalibrationConfig):
+        return SensorLaw(nodes=((0.0, *law.force_n), (0.0, *law.counts)))
     return SensorLaw(gain=1.0 / law.gain)
 
 

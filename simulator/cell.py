@@ -44,6 +44,8 @@ class SimulatedCell:
         """The host's end of the bus of the axes' drives; None in a cell without any."""
         self.axes_streams = self._new_axes_streams()
         """The host's ends of the lines of the axes' servos, by what they move."""
+        self.board_streams = [MemoryServoStream(b, self.clock) for b in self.devices.boards]
+        """The host's ends of the lines of the sensor boards, by finger."""
         for text in self.settings.faults:
             self.inject(text)
 
@@ -105,6 +107,16 @@ class SimulatedCell:
         self._servo_port.close()
         return self.servo_port
 
+    def open_board(self, finger: int) -> MemoryServoStream:
+        """Open the line of a finger's sensor board anew. Raises PortUnplugged while it is out."""
+        board = self.devices.boards[finger]
+        if board.unplugged:
+            raise PortUnplugged(f"the simulated board of finger {finger} is out: plug it in")
+        self.board_streams[finger].close()
+        board.drop_pending()
+        self.board_streams[finger] = MemoryServoStream(board, self.clock)
+        return self.board_streams[finger]
+
     def open_can_bus(self, bitrate: int | None = None) -> InMemoryCanBus:
         """Open the host's end of the CAN bus anew, as after its adapter was gone.
 
@@ -144,7 +156,7 @@ class SimulatedCell:
         }
 
     def _close_ends(self) -> None:
-        for stream in self.axes_streams.values():
+        for stream in (*self.axes_streams.values(), *self.board_streams):
             stream.close()
         self._servo_port.close()
         self.can_bus.shutdown()

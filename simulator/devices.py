@@ -4,6 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from simulator.boards.flexitac import BoardFaults, FlexiTacBoard, FlexiTacSettings
+from simulator.boards.resistive import ResistivePads
+from simulator.boards.uskin import SimulatedUskin, UskinFaults, UskinSettings
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
@@ -35,6 +38,10 @@ class CellFaults:
     """The way between control unit and host."""
     unit: ControlUnitFaults
     """The control unit."""
+    boards: BoardFaults
+    """Sensor boards on serial lines."""
+    uskin: UskinFaults
+    """Sensor boards on CAN."""
 
 
 class CellDevices:
@@ -87,9 +94,13 @@ class CellDevices:
             servo_wire=self.servo_bus.faults,
             can=CanLinkFaults(),
             unit=unit_faults,
+            boards=BoardFaults(),
+            uskin=UskinFaults(),
         )
-        self.can_devices = CanDevices(self.unit)
-        """The control unit, and who joins it on its bus."""
+        self.boards = self._make_boards(start_s)
+        """The sensor boards of finger 0 and finger 1 on their serial lines; none by default."""
+        self.can_devices = CanDevices(self._make_uskin(start_s) or self.unit)
+        """The control unit or the sensor boards, and who joins them on their bus."""
         self.axes: dict[str, SimulatedDrive | SimulatedWrist] = {
             moves: SimulatedDrive(mount, start_s=start_s)
             if isinstance(mount, DriveMount)
@@ -124,6 +135,39 @@ class CellDevices:
             self.mechanics,
             settings,
             start_s=start_s,
+        )
+
+    def _make_uskin(self, start_s: float) -> SimulatedUskin | None:
+        settings = self.settings
+        if not isinstance(settings.boards, UskinSettings):
+            return None
+        return SimulatedUskin(
+            self.physical,
+            settings.layout,
+            settings.boards,
+            self.faults.uskin,
+            self.faults.unit,
+            seed=settings.seed,
+            start_s=start_s,
+        )
+
+    def _make_boards(self, start_s: float) -> tuple[FlexiTacBoard, ...]:
+        settings = self.settings
+        if not isinstance(settings.boards, FlexiTacSettings):
+            return ()
+        layout, seed = settings.layout, settings.seed
+        pads = ResistivePads(self.physical, layout, self.faults.unit, seed=seed)
+        return tuple(
+            FlexiTacBoard(
+                finger,
+                pads,
+                layout.taxels_of(pad),
+                settings.boards,
+                self.faults.boards,
+                seed=seed,
+                start_s=start_s,
+            )
+            for finger, pad in enumerate(layout.gripping_pads)
         )
 
     @property
@@ -169,3 +213,5 @@ class CellDevices:
             self.stage.advance()
         self.world.advance_to(now_s)
         self.servo_bus.advance_to(now_s)
+        for board in self.boards:
+            board.advance_to(now_s)

@@ -314,24 +314,41 @@ def paper_layout() -> TaxelLayout:
     return TaxelLayout(name="paper", pads=_finger_pads(0) + _finger_pads(1))
 
 
-def pinch_layout() -> TaxelLayout:
-    """Return two opposing pads of 13 x 6 taxels at 3.4 mm pitch, 12 bit in 16 bit samples."""
+def inner_pads(
+    name: str, rows: int, columns: int, pitch_m: float, *, adc_max: int = 255
+) -> TaxelLayout:
+    """Return two equal opposing pads of rows along the fingers and columns across them."""
     pads = tuple(
         Pad(
             name=f"finger{finger}.inner",
             finger=finger,
             face="inner",
-            rows=13,
-            columns=6,
-            pitch_x_m=3.4e-3,
-            pitch_y_m=3.4e-3,
+            rows=rows,
+            columns=columns,
+            pitch_x_m=pitch_m,
+            pitch_y_m=pitch_m,
         )
         for finger in (0, 1)
     )
-    return TaxelLayout(name="pinch", pads=pads, sample_bits=16, adc_max=4095)
+    return TaxelLayout(
+        name=name, pads=pads, sample_bits=8 if adc_max <= 255 else 16, adc_max=adc_max
+    )
+
+
+def pinch_layout() -> TaxelLayout:
+    """Return two opposing pads of 13 x 6 taxels at 3.4 mm pitch, 12 bit in 16 bit samples."""
+    return inner_pads("pinch", 13, 6, 3.4e-3, adc_max=4095)
 
 
 LAYOUTS: Mapping[str, Callable[[], TaxelLayout]] = MappingProxyType(
-    {"paper": paper_layout, "pinch": pinch_layout}
+    {
+        "paper": paper_layout,
+        "pinch": pinch_layout,
+        # The long side lies along the finger. Boards come in several pitches: 2 mm is assumed.
+        "flexitac_12x32": lambda: inner_pads("flexitac_12x32", 32, 12, 2e-3),
+        "flexitac_16x32": lambda: inner_pads("flexitac_16x32", 32, 16, 2e-3),
+        "flexitac_16x16": lambda: inner_pads("flexitac_16x16", 16, 16, 2e-3),
+        "uskin_4x4": lambda: inner_pads("uskin_4x4", 4, 4, 4.7e-3, adc_max=65535),
+    }
 )
 """The named layouts, as the config offers them."""

@@ -1,8 +1,9 @@
 """Bench of the commissioning wizard: the lines of the cell, its folder, and the config so far."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +17,7 @@ from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream, serial_candidates
 from tactile.can.bus import CanBus, close_bus, open_bus
+from tactile.flexitac.stream import BAUD_RATE
 
 _Section = TypeVar("_Section", bound=BaseModel)
 CONFIG_NAME = "tactile-cell.yaml"
@@ -44,6 +46,10 @@ class LineOpener:
     def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
         """Open a CAN bus. Raises tactile.errors.BusNotOpened."""
         return open_bus(interface, channel, bitrate=bitrate)
+
+    def open_board(self, port: str) -> ByteStream:
+        """Open the serial line of a sensor board. Raises gripper.errors.PortLost."""
+        return SerialStream(port, BAUD_RATE)
 
 
 class Bench:
@@ -117,6 +123,10 @@ class Bench:
             k.partition(".")[2]: v for k, v in self.settings.items() if k.startswith(f"{name}.")
         }
         return changed_config(base, found | dict(changes))
+
+    def board_openers(self, tactile: TactileConfig) -> list[Callable[[], ByteStream]]:
+        """Return what opens the lines of the sensor's boards; empty for one on CAN."""
+        return [partial(self.lines.open_board, port) for port in tactile.serial_ports]
 
     @contextmanager
     def servo_bus(

@@ -42,6 +42,7 @@ from cell.config.file import (
     text_with_values,
 )
 from cell.config.model import CellConfig
+from cell.config.tactile import ControlUnitConfig
 from cell.control.self_zero import zero_file
 from cell.data.files import DAMAGE, free_name, open_plain, write_atomically
 from cell.data.formats import (
@@ -64,7 +65,7 @@ UNDO = "restore-undo.zip"
 MAX_MEMBERS = 5000
 """Files of a backup: a data set, a model and a photo of each of a thousand objects, and more."""
 PORTS = (
-    *("gripper.port", "tactile.interface", "tactile.channel"),
+    *("gripper.port", "tactile.interface", "tactile.channel", "tactile.sensor.ports"),
     *("positioner.can.interface", "positioner.can.channel", "positioner.socket"),
 )
 """Keys of the config that name what this machine has; a restore leaves them as they are."""
@@ -180,7 +181,8 @@ def _devices(bench: Bench, config: CellConfig) -> dict[str, Any]:
             missing.append(f"registers of servo {servo.id}: {error}")
     try:
         # Where another program has the servos, its requests to the unit are not disturbed.
-        unit = {} if missing else unit_values(bench)
+        boards = not isinstance(config.tactile.sensor, ControlUnitConfig)
+        unit = {} if missing or boards else unit_values(bench)
         missing += ["objects of the control unit: the servos come first"] if missing else []
     except TactileError as error:
         missing.append(f"objects of the control unit: {error}")
@@ -404,7 +406,8 @@ def _config_for(backup: OpenBackup, place: Path | None) -> tuple[bytes, list[str
     if present.simulated or coming.simulated:
         return text.encode(), []
     here, there = (_flat(one.model_dump(mode="json")) for one in (present, coming))
-    kept = {key: here[key] for key in PORTS if key in here and here[key] != there.get(key)}
+    both = (key for key in PORTS if key in here and key in there)
+    kept = {key: here[key] for key in both if here[key] != there[key]}
     if kept:
         text = text_with_values(text, kept, source=name)
     return text.encode(), [f"{key} {value}" for key, value in kept.items()]

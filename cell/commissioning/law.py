@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import nnls
 
 from cell.checks.findings import Finding
 from cell.commissioning.bench import Bench
@@ -13,13 +14,15 @@ from cell.commissioning.engine import Dialog, NumberRange, Question, Step, StepF
 from cell.commissioning.figures import curves
 from cell.commissioning.pads import sequence_forces_n
 from cell.commissioning.unit import unit_sensor
-from cell.config.tactile import LinearCalibrationConfig, TactileConfig
+from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig, TactileConfig
 from tactile.sensor.sensor import TactileSensor
 
 GRAVITY_N_KG = 9.80665
 """Standard acceleration of fall (ISO 80000-3): what a kitchen scale takes for its grams."""
 _TYPED = "loads_so_far_n"
 """Name of the loads by finger among the values, until all of them are there."""
+_TABLE_SHARES = (0.0, 0.0625, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
+"""Nodes of a table of counts and forces, as shares of the full scale."""
 _STEPS = 3
 """Loads on each inner pad."""
 _LOAD_FRAMES = 25
@@ -69,8 +72,51 @@ def fit_factor(true_n: ArrayLike, shown_n: ArrayLike) -> Factor:
     )
 
 
+def table_parts(tared_counts: ArrayLike, adc_max: int) -> list[float]:
+    """Return how many counts of a pad lie in each part of the full scale, summed over taxels.
+
+    A law of straight lines over these parts gives the pad's force as their sum, each times its
+    slope. ``tared_counts`` is (n,).
+    """
+    counts = np.asarray(tared_counts, dtype=np.float64)[:, np.newaxis]
+    nodes = adc_max * np.array(_TABLE_SHARES)
+    parts = np.clip(counts - nodes[:-1], 0.0, np.diff(nodes))
+    # Below zero the first line goes on: noise averages out.
+    parts[:, 0] = np.minimum(counts[:, 0], nodes[1])
+    return [float(part) for part in parts.sum(axis=0)]
+
+
+def fit_table(
+    true_n: ArrayLike, parts: ArrayLike, adc_max: int
+) -> tuple[list[float], list[float], float]:
+    """Return counts and forces in N of the table nearest to loads, and its residual in N.
+
+    A taxel is less sensitive the more it is pressed, so no line is less steep than the one before.
+    It ends with the last part in which the loads had counts. Raises ValueError where no table fits.
+
+    Parameters
+    ----------
+    true_n
+        (n,): loads in N.
+    parts
+        (n, n_parts): what `table_parts` gives of each.
+    """
+    loads, counted = np.asarray(true_n), np.asarray(parts)
+    used = int(np.count_nonzero(counted.max(axis=0) > 0.0))
+    # Slopes that rise are sums of steps that are not negative.
+    steps = np.cumsum(counted[:, :used][:, ::-1], axis=1)[:, ::-1]
+    found, _ = nnls(steps, loads)
+    slopes = np.cumsum(found)
+    if not used or not slopes[0] > 0.0:
+        raise ValueError("the loads show no law that rises with the counts")
+    nodes = adc_max * np.array(_TABLE_SHARES[: used + 1])
+    force_n = np.cumsum(slopes * np.diff(nodes))
+    residual_n = float(np.sqrt(np.mean((steps @ found - loads) ** 2)))
+    return np.round(nodes[1:], 1).tolist(), np.round(force_n, 5).tolist(), residual_n
+
+
 class LawStep(Step):
-    """Has each inner pad loaded three times, and sets the factor of the law."""
+    """Has each inner pad loaded three times, and sets the law: its factor, or a table."""
 
     key = "pads_law"
     title = "Newtons of the pads"
@@ -111,12 +157,13 @@ class LawStep(Step):
             sensor.tare(bench.tactile().tare_frames)
             for finger in (0, 1):
                 _load(sensor, dialog, finger, _targets_n(bench), loads[finger])
+            adc_max = sensor.layout.adc_max
         del notes.values[_TYPED]
-        judge_law(bench.tactile(), loads, notes)
+        judge_law(bench.tactile(), loads, notes, adc_max)
 
 
-Load = tuple[float, float]
-"""True force and force shown in N."""
+Load = tuple[float, ...]
+"""True force and force shown in N, and the parts of `table_parts`."""
 
 
 def _targets_n(bench: Bench) -> list[float]:
@@ -144,32 +191,50 @@ def _load(
                 f"{1e3 * target_n / GRAVITY_N_KG:.0f} g. Type the reading while it lies there.",
                 number=NumberRange(lowest=1.0, highest=round(most_g), unit="g"),
             ),
-            watch=lambda: f"{name} shows {_shown_n(sensor, pad, _WATCH_FRAMES):.2f} N",
+            watch=lambda: (
+                f"{name} shows {_force_n(sensor, pad, _counts(sensor, pad, _WATCH_FRAMES)):.2f} N"
+            ),
         )
         true_n = 1e-3 * float(answer) * GRAVITY_N_KG
-        loads.append((true_n, _shown_n(sensor, pad, _LOAD_FRAMES)))
+        counts = _counts(sensor, pad, _LOAD_FRAMES)
+        parts = table_parts(counts, sensor.layout.adc_max)
+        loads.append((true_n, _force_n(sensor, pad, counts), *parts))
         dialog.say(f"{true_n:.2f} N on the scale, {loads[-1][1]:.2f} N by the pad.")
     dialog.say("Take the load off.")
 
 
-def _shown_n(sensor: TactileSensor, pad: int, n_frames: int) -> float:
-    """Return the force on a pad in N over the mean of some frames, of all its taxels.
+def _counts(sensor: TactileSensor, pad: int, n_frames: int) -> NDArray[np.float64]:
+    """Return the tared counts of a pad's taxels, (n,), over the mean of some frames.
 
     The sensor itself leaves out taxels that do not stand out of the noise of three frames.
     """
     counts = np.mean([sensor.read(timeout_s=1.0).tared_counts for _ in range(n_frames)], axis=0)
-    return float(sensor.calibration.force_n(counts)[sensor.layout.taxels_of(pad)].sum())
+    return np.asarray(counts[sensor.layout.taxels_of(pad)], dtype=np.float64)
 
 
-def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Finding) -> None:
+def _force_n(sensor: TactileSensor, pad: int, counts: NDArray[np.float64]) -> float:
+    """Return the force in N that the law in use makes of the tared counts of a pad."""
+    of_all = np.zeros(sensor.layout.n_taxels)
+    taxels = sensor.layout.taxels_of(pad)
+    of_all[taxels] = counts
+    return float(sensor.calibration.force_n(of_all)[taxels].sum())
+
+
+def judge_law(
+    tactile: TactileConfig,
+    loads: Sequence[Sequence[Load]],
+    notes: Finding,
+    adc_max: int = 0,
+) -> None:
     """Note what the loads on both inner pads say of the law, and set it right.
 
     ``tactile`` has the law by which the forces were shown; ``loads`` are the true force and the one
     shown in N of each load, by finger. Raises StepFailed where the loads show no law.
     """
     both = [load for of_finger in loads for load in of_finger if load[0] >= _LEAST_LOAD_N]
-    true_n = sorted(true_n for true_n, _ in both)
-    shown = {f"finger {n}": _at(sorted(loads[n]), true_n) for n in range(len(loads))}
+    true_n = sorted(load[0] for load in both)
+    both_n = [[load[:2] for load in of_finger] for of_finger in loads]
+    shown = {f"finger {n}": _at(sorted(both_n[n]), true_n) for n in range(len(loads))}
     notes.figures["law"] = curves(
         "Force by the pads over that of the scale",
         true_n,
@@ -178,8 +243,8 @@ def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Fi
         y_label="pads / N",
     )
     try:
-        fits = [fit_factor(*zip(*of_finger, strict=True)) for of_finger in loads]
-        fit = fit_factor(*zip(*both, strict=True))
+        fits = [fit_factor(*zip(*of_finger, strict=True)) for of_finger in both_n]
+        fit = fit_factor(*zip(*(load[:2] for load in both), strict=True))
     except (ValueError, TypeError) as error:
         raise StepFailed(
             f"No law can be found: {error}. Press on the middle of each pad."
@@ -194,18 +259,30 @@ def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Fi
         f"{len(both)} loads up to {max(both)[0]:.1f} N: the pads show "
         f"{(1.0 / fit.factor - 1.0):+.0%} of the scale's force, residual {fit.residual_n:.2f} N."
     )
-    if max(one.residual_share for one in fits) > _RESIDUAL_SHARE or not _rising(loads):
+    bent = max(one.residual_share for one in fits) > _RESIDUAL_SHARE
+    differ = abs(fits[0].factor - fits[1].factor) / fit.factor > _FINGERS_APART
+    gains = list(tactile.pad_gains)
+    if differ:
+        gains = [g * one.factor / fit.factor for g, one in zip(gains, fits, strict=True)]
+    table = isinstance(tactile.calibration, TableCalibrationConfig)
+    off = abs(fit.factor - 1.0) > _RIGHT_SHARE
+    tabled = (bent or (table and (off or differ))) and _rising(loads)
+    if tabled and _set_table(loads, gains, adc_max, notes):
+        bent = off = False
+    if bent or not _rising(loads):
         raise StepFailed(
             "The loads do not lie on one law: was the stamp beside the pad, or moved it? Load the "
             "middle of the pad again; where it stays so, the pads need another calibration "
             "(tactile.calibration.kind)."
         )
-    if abs(fits[0].factor - fits[1].factor) / fit.factor > _FINGERS_APART:
+    if differ:
+        notes.settings["tactile.pad_gains"] = [round(gain, 4) for gain in gains]
         notes.warn(
             f"The pads differ: factor {fits[0].factor:.2f} on finger 0, {fits[1].factor:.2f} on "
-            "finger 1; one factor is set for both. Check whether both have the same foam."
+            "finger 1; set in tactile.pad_gains. Check whether both have the same foam.",
+            corrected=True,
         )
-    if abs(fit.factor - 1.0) > _RIGHT_SHARE:
+    if off and not isinstance(tactile.calibration, TableCalibrationConfig):
         law = tactile.calibration
         linear = isinstance(law, LinearCalibrationConfig)
         key = f"tactile.calibration.{'force_per_count_n' if linear else 'gain'}"
@@ -216,6 +293,30 @@ def judge_law(tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Fi
             f"{before * fit.factor:.3g}",
             corrected=True,
         )
+
+
+def _set_table(
+    loads: Sequence[Sequence[Load]], gains: Sequence[float], adc_max: int, notes: Finding
+) -> bool:
+    """Set the table that the loads make, and return whether they lie on it."""
+    true_n = [load[0] / gain for one, gain in zip(loads, gains, strict=True) for load in one]
+    parts = [load[2:] for one in loads for load in one]
+    if not all(parts):
+        return False
+    try:
+        counts, force_n, residual_n = fit_table(true_n, parts, adc_max)
+    except ValueError:
+        return False
+    if residual_n > _RESIDUAL_SHARE * max(true_n):
+        return False
+    notes.settings["tactile.calibration"] = {"kind": "table", "counts": counts, "force_n": force_n}
+    notes.values["table_residual_n"] = residual_n
+    notes.warn(
+        f"The law is a table of {len(counts)} lines now (tactile.calibration), residual "
+        f"{residual_n:.2f} N.",
+        corrected=True,
+    )
+    return True
 
 
 def _rising(loads: Sequence[Sequence[Load]]) -> bool:

@@ -153,7 +153,8 @@ class LinkQualityStep(Step):
             after = bus.statistics
         advice = _judge_servos(quality, before, after, period_s, notes)
         if source is not None:
-            force_period_s = 1e-3 * bench.tactile().force_period_ms
+            tactile = bench.tactile()
+            force_period_s = 1e-3 * tactile.force_period_ms * tactile.sends_forces
             advice += _judge_pads(quality, source, force_period_s, notes)
         notes.fact(
             f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took "

@@ -93,11 +93,12 @@ def _opened(bench: Bench, config: CellConfig) -> Hand:
         lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
         lambda: (
             MissingBus()
-            if alone
+            if alone or tactile.serial_ports
             else bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate)
         ),
+        open_boards=bench.board_openers(tactile),
     )
-    return make_hand(config, lines, by_current=alone)
+    return make_hand(config, lines, by_current=alone, clock=bench.clock)
 
 
 def _start_free(hand: Hand, dialog: Dialog) -> None:

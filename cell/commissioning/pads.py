@@ -18,6 +18,7 @@ from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.unit import unit_sensor
 from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
 from cell.errors import ConfigError
+from cell.hand.build import sensor_settings
 from tactile.clock import Clock
 from tactile.errors import TareRefused
 from tactile.layout import PadMount, TaxelLayout
@@ -204,7 +205,7 @@ class PadsAtRestStep(Step):
             frames,
             rest,
             notes,
-            limits=TareLimits(bad_share=bench.tactile().bad_taxels_max_share),
+            limits=sensor_settings(bench.tactile()).tare_limits,
             contact_force_n=bench.gripper().contact_force_n,
             most_force_n=sequence_forces_n(bench)[1],
         )
@@ -344,7 +345,7 @@ class PadsPressedStep(Step):
         notes.fact(f"{len(patches)} pads were pressed, one after another.")
         for line in mount_lines(layout, mounts):
             notes.warn(line, corrected=True)
-        if not Mounting(layout, mounts).unit_can_sum:
+        if bench.tactile().sends_forces and not Mounting(layout, mounts).unit_can_sum:
             notes.warn(
                 "The inner pads are not mounted alike, so the unit's force messages cannot be used "
                 "and the force comes from whole frames, which is slower: turn the pad on its "

@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -14,10 +14,18 @@ import numpy as np
 from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
+from cell.commissioning.ports import by_id
+from cell.config.file import changed_config
 from cell.config.section import SIMULATED
-from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
+from cell.config.tactile import (
+    ControlUnitConfig,
+    TactileConfig,
+    layout_from_config,
+    link_settings,
+    make_calibration,
+)
 from cell.errors import ConfigError
-from cell.hand.build import sensor_settings
+from cell.hand.build import board_source, sensor_settings
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened, TactileError
 from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
@@ -41,6 +49,9 @@ _NO_CHANNEL = "none"
 """Channel in the config of a gripper that has no control unit."""
 _PATIENCE_S = 0.5
 """Silence in s that a unit may keep while a person presses its pads."""
+_RATE_FRAMES = 100
+_LEAST_RATE_HZ = 80.0
+"""Frames from which the rate of boards is taken, and the rate below which it is worth a word."""
 _FRAMES = 10
 """Frames that show that the link runs."""
 
@@ -63,9 +74,15 @@ def unit_sensor(
     """
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
     layout = layout_from_config(tactile)
+    if patient:
+        tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S})
+    if not isinstance(tactile.sensor, ControlUnitConfig):
+        with _board_sensor(bench, tactile) as sensor:
+            yield sensor
+        return
     link = link_settings(tactile)
     if patient:
-        link = replace(link, force_period_s=0.0, silence_s=_PATIENCE_S)
+        link = replace(link, force_period_s=0.0)
     with (
         bench.can_bus() as bus,
         open_sensor(
@@ -89,6 +106,22 @@ def unit_values(bench: Bench) -> dict[str, Any]:
         return asdict(read_unit(bus, bench.tactile().node_id))
 
 
+@contextmanager
+def _board_sensor(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
+    """Start the sensor of boards that are no control unit, and close it at the end."""
+    with ExitStack() as undo:
+        bus = None
+        if not tactile.serial_ports:
+            place = (tactile.interface, tactile.channel, tactile.bitrate)
+            bus = undo.enter_context(bench.can_bus(*place))
+        openers = bench.board_openers(tactile)
+        source = board_source(tactile, bench.clock, open_boards=openers, can_bus=bus)
+        if source is None:
+            raise StepFailed("The config names a control unit, and no boards (tactile.sensor).")
+        law, settings = make_calibration(tactile, source.layout), sensor_settings(tactile)
+        yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
+
+
 class UnitStep(Step):
     """Finds the control unit, sets it up as each start does, and keeps who it is."""
 
@@ -104,6 +137,9 @@ class UnitStep(Step):
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find the unit, judge it, start its link."""
+        if not isinstance(bench.tactile().sensor, ControlUnitConfig):
+            _find_boards(bench, dialog, notes)
+            return
         place = _interface(bench, dialog)
         if place is None:
             notes.values["gripper_alone"] = True
@@ -155,6 +191,42 @@ class UnitStep(Step):
             "pads": [list(shape) for shape in unit.pad_shapes],
             "sends_forces": unit.sends_forces,
         }
+
+
+def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
+    """Find the lines of the sensor's boards, and see that both send whole frames."""
+    tactile = bench.tactile()
+    sensor = tactile.sensor.model_dump(mode="json")
+    notes.settings["tactile.mounting"] = []
+    if not tactile.serial_ports:
+        place = _interface(bench, dialog)
+        if place is None:
+            raise StepFailed("The boards need a CAN interface: plug its adapter in.")
+        notes.settings["tactile.interface"], notes.settings["tactile.channel"] = place
+    elif tactile.simulated:
+        servos = os.path.realpath(bench.gripper().port)
+        ports = [port for port in bench.lines.serial_ports() if os.path.realpath(port) != servos]
+        if len(ports) != len(tactile.serial_ports):
+            raise StepFailed(
+                f"The serial ports beside the servos' are {', '.join(ports) or 'none'}; two are "
+                "needed. Plug in the boards alone, or write tactile.sensor.ports into the config."
+            )
+        sensor["ports"] = [by_id(port) for port in ports]
+        notes.settings["tactile.sensor"] = sensor
+    found = {key.removeprefix("tactile."): value for key, value in notes.settings.items()}
+    with _board_sensor(bench, bench.tactile(**found)) as boards:
+        began_s = boards.read().t_s
+        for _ in range(_RATE_FRAMES):
+            ended_s = boards.read().t_s
+        torn = boards.source.statistics.frames.torn
+    rate_hz = _RATE_FRAMES / (ended_s - began_s)
+    notes.fact(f"Both boards send whole frames, {rate_hz:.0f} a second; {torn} were torn.")
+    if rate_hz < _LEAST_RATE_HZ:
+        notes.warn(
+            f"{rate_hz:.0f} frames a second are few, {_LEAST_RATE_HZ:.0f} are usual: plug each "
+            "board into a USB port of its own, not into a hub."
+        )
+    notes.values |= {"rate_hz": rate_hz, "sends_forces": False}
 
 
 def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:

@@ -20,7 +20,8 @@ from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import (
     TactileConfig,
-    check_bus_load,
+    UskinConfig,
+    check_sensor,
     layout_from_config,
     make_calibration,
 )
@@ -166,20 +167,27 @@ class CellConfig(Section):
             layout = layout_from_config(self.tactile)
         except ConfigError as error:
             raise ValueError(str(error)) from error
+        check_sensor(self.tactile, layout)
         self._check_full_scale(layout, most_n)
-        check_bus_load(self.tactile, layout)
-        simulated = (self.gripper.port == SIMULATED, self.tactile.interface == SIMULATED)
+        simulated = (self.gripper.port == SIMULATED, self.tactile.simulated)
         if simulated[0] != simulated[1]:
             raise ValueError(
-                "gripper.port and tactile.interface must both be `simulated` or both be real: "
-                "one simulated object cannot be touched by a real gripper"
+                "gripper.port and the port of the pads (tactile.interface or tactile.sensor.ports) "
+                "must both be `simulated` or both be real: one simulated object cannot be touched "
+                "by a real gripper"
             )
         if self.simulator.faults and not simulated[0]:
             raise ValueError(
                 "simulator.faults are for the simulated cell, and this one has real ports: "
                 "take them out"
             )
-        if not simulated[0] and self.tactile.channel == "":
+        if self.gripper.port != SIMULATED and self.gripper.port in self.tactile.serial_ports:
+            raise ValueError(
+                f"{self.gripper.port} is gripper.port and in tactile.sensor.ports: servos and "
+                "boards need ports of their own"
+            )
+        on_can = not self.tactile.serial_ports
+        if not simulated[0] and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
         if (
             self.positioner.kind == "simulated"
@@ -226,11 +234,12 @@ class CellConfig(Section):
                 f"second at most: raise the baud rate, in the servos too, or lower the loop rate"
             )
         self._check_closing()
-        if tactile.force_period_ms == 0 and gripper.force_stale_ms < 2.5 * tactile.sync_period_ms:
+        period_ms = 1e3 * tactile.frame_period_s
+        if not tactile.sends_forces and gripper.force_stale_ms < 2.5 * period_ms:
             raise ValueError(
                 f"gripper.force_stale_ms is {gripper.force_stale_ms:g}: without force messages a "
-                f"force may be 2.5 times tactile.sync_period_ms = {tactile.sync_period_ms:g} old; "
-                f"raise the one or lower the other"
+                f"force may be 2.5 periods of the frames old, and frames (tactile.sync_period_ms) "
+                f"come every {period_ms:g} ms; raise the one or lower the other"
             )
 
     def _check_closing(self) -> None:
@@ -258,6 +267,17 @@ class CellConfig(Section):
         """Refuse axes that the sequence does not fit, or of which only one side is simulated."""
         positioner = self.positioner
         positioner.check_sequence(self.sequence)
+        shared = (positioner.can.interface, positioner.can.channel) == (
+            self.tactile.interface,
+            self.tactile.channel,
+        )
+        on_can = isinstance(self.tactile.sensor, UskinConfig) and not simulated
+        if on_can and shared and positioner.drives:
+            raise ValueError(
+                "positioner.can is the bus of tactile: uSkin boards use identifiers of CANopen "
+                "(201h is RPDO1 of node 1, 710h to 71Fh are heartbeats), so that they need a bus "
+                "without CANopen nodes"
+            )
         for port in positioner.ports:
             if simulated != (port == SIMULATED):
                 raise ValueError(

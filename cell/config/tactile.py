@@ -1,7 +1,8 @@
-"""Config of the tactile sensor: pads, calibration, control unit, CAN bus."""
+"""Config of the tactile sensor: pads, calibration, what reads them, and its lines."""
 
+from dataclasses import asdict
 from math import ceil
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -9,12 +10,21 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
 from cell.errors import ConfigError
 from recognition.grasp import PadArray
-from tactile.errors import LayoutError
+from tactile.errors import CalibrationError, LayoutError
+from tactile.flexitac.source import check_layout
+from tactile.flexitac.stream import PERIOD_S, PROFILES
 from tactile.frames.codec import FrameFormat
 from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
-from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
+from tactile.sensor.calibration import (
+    Calibration,
+    FoamCalibration,
+    LinearCalibration,
+    TableCalibration,
+)
 from tactile.unit.bus_load import bus_load, least_sync_period_s
 from tactile.unit.settings import WINDOW_SHARE, ExpectedIdentity, LinkSettings
+from tactile.uskin import messages
+from tactile.uskin.source import check_layout as check_boards
 
 FASTEST_BITRATE = 1_000_000
 """Largest bit rate of a CAN bus in bit/s."""
@@ -68,6 +78,27 @@ class LinearCalibrationConfig(Section):
     """Force of one count on one taxel in N, up to 1."""
 
 
+class TableCalibrationConfig(Section):
+    """Force at some counts, straight lines between them; `commission` fills it from weights."""
+
+    kind: Literal["table"]
+    """Law from counts to force."""
+    counts: tuple[Annotated[float, Field(gt=0.0, le=65535.0)], ...] = Field(max_length=64)
+    """Tared counts of one taxel, rising."""
+    force_n: tuple[Annotated[float, Field(gt=0.0, le=100.0)], ...]
+    """Force on one taxel in N at each of them, rising."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(self.counts) != len(self.force_n):
+            raise ValueError(f"{len(self.counts)} counts and {len(self.force_n)} values of force_n")
+        try:
+            TableCalibration(self.counts, self.force_n, 1)
+        except CalibrationError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+
 class PadMountConfig(Section):
     """A pad that sits otherwise than the layout has it."""
 
@@ -82,6 +113,63 @@ class PadMountConfig(Section):
     turned by 180 degrees."""
 
 
+class ControlUnitConfig(Section):
+    """A CANopen control unit, which the keys beside `sensor` describe."""
+
+    kind: Literal["control_unit"] = "control_unit"
+    """What reads the pads."""
+
+
+class FlexiTacConfig(Section):
+    """Two FlexiTac boards, one on each finger.
+
+    Of the keys beside `sensor` those of CAN, SYNC, heartbeat, force messages and serial numbers are
+    not for them.
+    """
+
+    kind: Literal["flexitac"]
+    """What reads the pads."""
+    ports: tuple[str, str] = (SIMULATED, SIMULATED)
+    """Serial ports of the boards on finger 0 and 1, best below /dev/serial/by-id."""
+    profile: Annotated[str, OneOf(tuple(PROFILES))] = "12x32"
+    """Rows and columns that the boards send."""
+    rows_along: bool = False
+    """Whether a board's rows follow each other along the finger; else across it, so that the long
+    side of 12x32 lies along the finger."""
+
+
+Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
+
+
+class UskinBoardConfig(Section):
+    """CAN identifiers of one uSkin board, which differ between generations."""
+
+    start: Identifier
+    """Identifier of the message 07 00 that starts the board."""
+    taxels: tuple[Identifier, ...] = Field(min_length=1, max_length=64)
+    """Identifier of each taxel, row by row along the finger."""
+
+
+class UskinConfig(Section):
+    """Two uSkin boards on the bus of `interface`, `channel` and `bitrate`, without CANopen nodes.
+
+    Of the three axes z is used. The keys for SYNC, heartbeat, force messages and serial numbers are
+    not for them.
+    """
+
+    kind: Literal["uskin"]
+    """What reads the pads."""
+    boards: tuple[UskinBoardConfig, UskinBoardConfig] = (
+        UskinBoardConfig(**asdict(messages.xr1944(1))),
+        UskinBoardConfig(**asdict(messages.xr1944(2))),
+    )
+    """The boards on finger 0 and finger 1; the default are an XR1944 at address 1 and one at 2."""
+    falling: bool = False
+    """Whether z falls under a force."""
+    zero_frames: int = Field(default=20, ge=8, le=500)
+    """Frames of the zero that is taken before each approach, because z drifts, 8 to 500."""
+
+
 def _name_or_pads(value: object) -> str:
     """Return which kind of layout a value means: a name, or pads of one's own."""
     return "name" if isinstance(value, str) else "pads"
@@ -91,8 +179,12 @@ BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
 
 
 class TactileConfig(Section):
-    """The tactile control unit and its CAN bus."""
+    """The tactile sensor: the control unit and its CAN bus, or other boards."""
 
+    sensor: Annotated[
+        ControlUnitConfig | FlexiTacConfig | UskinConfig, Field(discriminator="kind")
+    ] = ControlUnitConfig()
+    """What reads the pads: the control unit, or boards on lines of their own."""
     interface: str = Field(default=SIMULATED, min_length=1)
     """python-can interface (socketcan, slcan, pcan, ...); `simulated` is the built-in one."""
     channel: str = Field(default="", max_length=200)
@@ -107,13 +199,19 @@ class TactileConfig(Section):
         Annotated[str, OneOf(tuple(LAYOUTS)), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
         Discriminator(_name_or_pads),
     ] = "paper"
-    """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; or pads of one's own."""
+    """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; flexitac_12x32 and so on:
+    two pads of 2 mm pitch, rows along the finger; or pads of one's own."""
     mounting: tuple[PadMountConfig, ...] = Field(default=(), max_length=32)
     """Pads that sit otherwise than the layout has them: exchanged, turned or mirrored."""
     calibration: Annotated[
-        PaperCalibrationConfig | LinearCalibrationConfig, Field(discriminator="kind")
+        PaperCalibrationConfig | LinearCalibrationConfig | TableCalibrationConfig,
+        Field(discriminator="kind"),
     ] = PaperCalibrationConfig()
     """From counts to force."""
+    pad_gains: tuple[
+        Annotated[float, Field(ge=0.2, le=5.0)], Annotated[float, Field(ge=0.2, le=5.0)]
+    ] = (1.0, 1.0)
+    """Factors on the force of the pads of finger 0 and 1 under that law, 0.2 to 5."""
     sync_period_ms: float = setting_of(
         LinkSettings, "sync_period_s", MILLI, at_least=8.0, at_most=LONGEST_SYNC_MS
     )
@@ -147,8 +245,47 @@ class TactileConfig(Section):
     drift_max_share: float = Field(default=0.01, gt=0.0, le=0.2)
     """Share of the full scale by which a pad's zero may drift before a new one is needed."""
 
+    @property
+    def simulated(self) -> bool:
+        """Whether the pads of the simulated cell are meant."""
+        return SIMULATED in (self.serial_ports or (self.interface,))
+
+    @property
+    def serial_ports(self) -> tuple[str, ...]:
+        """Serial ports of the sensor's boards; none for one on CAN."""
+        return self.sensor.ports if isinstance(self.sensor, FlexiTacConfig) else ()
+
+    @property
+    def place(self) -> str:
+        """Ports, or interface and channel, for messages."""
+        return ", ".join(self.serial_ports) or f"{self.interface} {self.channel}".strip()
+
+    @property
+    def frame_period_s(self) -> float:
+        """Time between two frames in s: of SYNC, or the usual one of boards that run freely."""
+        if isinstance(self.sensor, ControlUnitConfig):
+            return MILLI * self.sync_period_ms
+        return messages.PERIOD_S if isinstance(self.sensor, UskinConfig) else PERIOD_S
+
+    @property
+    def zero_frames(self) -> int:
+        """Frames of a zero before each approach; 0: the zero of the start is kept."""
+        return self.sensor.zero_frames if isinstance(self.sensor, UskinConfig) else 0
+
+    @property
+    def sends_forces(self) -> bool:
+        """Whether force messages are asked for; else the force comes from the frames."""
+        return isinstance(self.sensor, ControlUnitConfig) and self.force_period_ms > 0
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        if self.serial_ports:
+            first, second = self.serial_ports
+            if (first == second) != (SIMULATED in (first, second)):
+                raise ValueError(
+                    f"sensor.ports are {first!r} and {second!r}: name two different ports, or "
+                    f"{SIMULATED!r} twice"
+                )
         least_s = 2.0 * MILLI * self.heartbeat_ms
         if self.startup_timeout_s < least_s:
             raise ValueError(
@@ -210,14 +347,34 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
 
 def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
     """Return the law from counts to force of a config on a layout."""
-    law = config.calibration
+    law, gains = config.calibration, np.array(config.pad_gains)
+    gain: np.ndarray[Any, Any] | float = 1.0
+    if config.pad_gains != (1.0, 1.0):
+        gain = gains[[pad.finger for pad in layout.pads]][layout.taxel_pad]
     if isinstance(law, PaperCalibrationConfig):
-        return FoamCalibration(adc_max=layout.adc_max, gain=law.gain)
-    return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n)
+        return FoamCalibration(adc_max=layout.adc_max, gain=law.gain * gain)
+    if isinstance(law, TableCalibrationConfig):
+        return TableCalibration(law.counts, law.force_n, layout.adc_max, gain)
+    return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n * gain)
 
 
-def check_bus_load(tactile: TactileConfig, layout: TaxelLayout) -> None:
-    """Raise ValueError for frames and force messages that the CAN bus cannot carry."""
+def board_ids(config: UskinConfig) -> list[messages.BoardIds]:
+    """Return the identifiers of both uSkin boards."""
+    return [messages.BoardIds(start=one.start, taxels=one.taxels) for one in config.boards]
+
+
+def check_sensor(tactile: TactileConfig, layout: TaxelLayout) -> None:
+    """Raise ValueError for a layout that the sensor cannot read, or its lines cannot carry."""
+    sensor = tactile.sensor
+    try:
+        if isinstance(sensor, FlexiTacConfig):
+            check_layout(layout, PROFILES[sensor.profile], rows_along=sensor.rows_along)
+        elif isinstance(sensor, UskinConfig):
+            check_boards(layout, board_ids(sensor))
+    except LayoutError as error:
+        raise ValueError(f"tactile: {error}") from error
+    if not isinstance(sensor, ControlUnitConfig):
+        return
     link = link_settings(tactile)
     least_ms = {
         rate: 1e3 * least_sync_period_s(layout, link, rate)

@@ -103,6 +103,7 @@ class CellController:
             journal=self._journal,
             zeros=self._zeros,
             clock=clock,
+            take_zero=self._take_zero,
         )
         self.pads: PadArray = self._grasper.pads
 
@@ -232,7 +233,7 @@ class CellController:
                     f"start again"
                 )
             self.hand.open(self._grasper.watch)
-            self.zero = self.hand.tare(self._config.tactile.tare_frames)
+            self._take_zero(self._config.tactile.tare_frames)
             self._life.check_cancelled()
             self._zero_refused = ""
             if self._zeros.due and self._zeros.wanted:
@@ -240,6 +241,9 @@ class CellController:
             elif self._zeros.due:
                 self._zero_refused = self._grasper.zero_unasked()
             self._life.complete()
+
+    def _take_zero(self, n_frames: int) -> None:
+        self.zero = self.hand.tare(n_frames)
 
     @property
     def self_zero(self) -> SelfZero | None:

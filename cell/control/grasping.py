@@ -85,6 +85,8 @@ class Grasper:
     zeros: SelfZeros
     """The newest self-zero, which grasps carry."""
     clock: Clock
+    take_zero: Callable[[int], object]
+    """Takes the zero of the taxels from so many frames."""
 
     def __post_init__(self) -> None:
         self._source = CELL_SOURCE + self.config.name
@@ -199,7 +201,7 @@ class Grasper:
         Returns while they press: how it ended, what it has shown, and why that is nothing.
         """
         self._held = None
-        self.hand.open(self.watch)
+        self._open_and_zero()
         collector, collect = self._collecting(None)
         layout, n_seen = self.hand.layout, 0
 
@@ -230,6 +232,12 @@ class Grasper:
             return outcome, None, f"{error}; measure again"
         return outcome, found, ""
 
+    def _open_and_zero(self) -> None:
+        """Open the fingers; a sensor that drifts gets its zero before each approach."""
+        self.hand.open(self.watch)
+        if n_frames := self.config.tactile.zero_frames:
+            self.take_zero(n_frames)
+
     def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
         self.zeros.keep(found.zero)
         self.journal.note("self_zero", zero_text(found))
@@ -244,7 +252,7 @@ class Grasper:
     ) -> GraspRecord:
         """Open, close and follow the ramp; record that, and return while holding."""
         self._held = None
-        self.hand.open(self.watch)
+        self._open_and_zero()
         collector, collect = self._collecting(self.zeros.newest)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:

@@ -1,6 +1,6 @@
 """Both lines of a hand: opened, opened anew where one was lost, given back at the end."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from gripper.dynamixel.serial_port import ByteStream
@@ -26,6 +26,8 @@ class HandConnections:
         Whether one of both may be missing: it then raises why, whatever is asked of it.
     stream, can_bus
         Ends that are open already and belong to somebody else.
+    open_boards
+        Open the serial lines of the sensor's boards, by finger; the frame source does so.
     """
 
     def __init__(
@@ -36,7 +38,9 @@ class HandConnections:
         partial: bool = False,
         stream: ByteStream | None = None,
         can_bus: CanBus | None = None,
+        open_boards: Sequence[Callable[[], ByteStream]] = (),
     ) -> None:
+        self.open_boards = open_boards
         self._open_servos = open_servos
         self._open_can = open_can
         self._owned = stream is None or can_bus is None

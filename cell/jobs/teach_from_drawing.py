@@ -100,7 +100,7 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
     step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
     further = max(known.other_foams - 1.0, 0.0)
     return Course(
-        period_s=1e-3 * config.tactile.sync_period_ms,
+        period_s=config.tactile.frame_period_s,
         aperture_open_m=settings.aperture_open_m,
         aperture_min_m=settings.aperture_min_m,
         approach_speed_m_s=settings.approach_speed_m_s,

@@ -15,6 +15,7 @@ from simulator.clock import ROUNDING_S
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorError, SimulatorSettingsError, SimulatorStateError
 from simulator.faults.axes import AXIS
+from simulator.faults.boards import BOARD
 from simulator.faults.can import CAN, TAXELS, UNIT
 from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target, turned
 from simulator.faults.object import OBJECT
@@ -22,7 +23,7 @@ from simulator.faults.servos import SERVO, SERVOS
 from simulator.faults.text import FaultEvent, FaultMoment, FaultText, parse_fault
 
 VOCABULARY: dict[str, FaultEntry] = {
-    entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *SERVOS, *SERVO, *AXIS, *OBJECT)
+    entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *BOARD, *SERVOS, *SERVO, *AXIS, *OBJECT)
 }
 """Every fault that there is by its name; ``servoN`` and ``axisN`` stand for each servo and axis of
 the config."""
@@ -141,8 +142,8 @@ class FaultInjector:
     Parameters
     ----------
     plugs
-        Cables of the cell, ``can`` and ``servos``; by default those of buses in memory, which are
-        knobs of the devices.
+        Cables of the cell: ``can``, ``servos``, ``board0``, ``board1``; by default those of buses
+        in memory, which are knobs of the devices.
     """
 
     def __init__(
@@ -152,6 +153,8 @@ class FaultInjector:
         self._plugs = plugs or {
             "can": partial(turned, devices.faults.can, "unplugged", True),
             "servos": partial(turned, devices.faults.servo_wire, "unplugged", True),
+            "board0": partial(turned, devices.faults.boards, "unplugged", {0}),
+            "board1": partial(turned, devices.faults.boards, "unplugged", {1}),
         }
         self._pending: list[InjectedFault] = []
         self._effects: dict[InjectedFault, Effect] = {}

@@ -18,7 +18,7 @@ from simulator.errors import EndpointError
 from simulator.faults.injector import FaultInjector
 from simulator.realtime.requests import CellRequests
 from simulator.realtime.socket_server import PositionerServer
-from simulator.realtime.terminals import ServoPty, SlcanPty
+from simulator.realtime.terminals import BoardPty, ServoPty, SlcanPty
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.world import STEP_S
@@ -68,10 +68,15 @@ class RealTimeCell:
                 if isinstance(axis, SimulatedWrist):
                     self._axes_ptys[moves] = ServoPty(axis.bus, folder / f"axis-{moves}")
                     undo.callback(self._axes_ptys[moves].close)
+            self._board_ptys: list[BoardPty] = []
+            for finger, board in enumerate(self.devices.boards):
+                self._board_ptys.append(BoardPty(board, folder / f"board{finger}"))
+                undo.callback(self._board_ptys[-1].close)
             self.injector = FaultInjector(
                 self.devices,
                 now_s - POWERED_BEFORE_S,
-                plugs={"servos": self._servo_pty.unplug, "can": self._can_pty.unplug},
+                plugs={"servos": self._servo_pty.unplug, "can": self._can_pty.unplug}
+                | {f"board{n}": pty.unplug for n, pty in enumerate(self._board_ptys)},
             )
             requests = CellRequests(self.devices, self.injector)
             self._server = PositionerServer(folder / "positioner.sock", requests)
@@ -92,7 +97,13 @@ class RealTimeCell:
     @property
     def _ptys(self) -> list[ServoPty | SlcanPty]:
         drives = [] if self._axes_can_pty is None else [self._axes_can_pty]
-        return [self._servo_pty, self._can_pty, *drives, *self._axes_ptys.values()]
+        return [
+            self._servo_pty,
+            self._can_pty,
+            *drives,
+            *self._axes_ptys.values(),
+            *self._board_ptys,
+        ]
 
     def announcement(self) -> dict[str, Any]:
         """Return addresses and settings for clients; plain values for JSON."""
@@ -107,6 +118,7 @@ class RealTimeCell:
             "node_id": settings.node_id,
             "axes_can_channel": None if self._axes_can_pty is None else self._axes_can_pty.path,
             "axes_ports": {moves: pty.path for moves, pty in self._axes_ptys.items()},
+            "board_ports": [pty.path for pty in self._board_ptys],
             "positioner_socket": str(self._server.path),
             "pid": os.getpid(),
             "config": None,
@@ -166,7 +178,8 @@ def serve(
         Called once, when clients can connect, with plain values for JSON: ``servo_port``,
         ``servo_baud_rate``, ``servo_ids``, ``can_interface``, ``can_channel``, ``can_bitrate``,
         ``node_id``, ``axes_can_channel`` (None without drives), ``axes_ports`` (of wrists, by what
-        they move), ``positioner_socket``, ``pid``, and ``config``, which is None here.
+        they move), ``board_ports`` (of sensor boards, by finger), ``positioner_socket``, ``pid``,
+        and ``config``, which is None here.
     folder
         Where links to the terminals and the socket are made; by default a temporary folder, which
         is removed at the end.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from simulator.can.slcan import SlcanAdapter
 from simulator.errors import EndpointError, SimulatorStateError
-from simulator.servo.bus import ServoBusDevice
+from simulator.servo.bus import SerialDevice
 
 _READ_SIZE = 4096
 """Most bytes that are read of a client at once."""
@@ -133,10 +133,12 @@ class Terminal:
 
 
 class ServoPty(Terminal):
-    """The host's end of the servo bus as a pseudo-terminal, for clients in other processes."""
+    """The host's end of a serial line as a pseudo-terminal, for clients in other processes."""
 
-    def __init__(self, device: ServoBusDevice, link_path: str | Path | None = None) -> None:
-        super().__init__("the servos", None if link_path is None else Path(link_path))
+    what = "the servos"
+
+    def __init__(self, device: SerialDevice, link_path: str | Path | None = None) -> None:
+        super().__init__(self.what, None if link_path is None else Path(link_path))
         self._device = device
         self._unsent = b""
         self._polled_s: float | None = None
@@ -174,6 +176,18 @@ class ServoPty(Terminal):
     def _forget(self) -> None:
         self._device.drop_pending()
         self._unsent = b""
+
+
+class BoardPty(ServoPty):
+    """The host's end of a sensor board, which goes on sending where nobody takes its bytes."""
+
+    what = "the sensor board"
+
+    def poll(self, now_s: float) -> float | None:
+        """Move bytes as `ServoPty`; what does not fit into the terminal is lost."""
+        super().poll(now_s)
+        self._unsent = b""
+        return self._device.next_event_s() if self.plugged_in else None
 
 
 class SlcanPty(Terminal):

@@ -9,6 +9,7 @@ import heapq
 import itertools
 import operator
 from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 from simulator.clock import ROUNDING_S, VirtualClock
 from simulator.errors import PortUnplugged, SimulatorSettingsError
@@ -295,14 +296,46 @@ def _bulk_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
     return writes
 
 
+class SerialFaults(Protocol):
+    """Faults of a serial line, as its end in memory needs them."""
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether the cable is out."""
+
+
+class SerialDevice(Protocol):
+    """What answers on a serial line, or sends by itself."""
+
+    baudrate: int
+    """Line rate in baud that the host has set."""
+
+    @property
+    def faults(self) -> SerialFaults:
+        """Faults of the line."""
+
+    def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
+        """Take bytes that the host sent."""
+
+    def transmit(self, now_s: float) -> bytes:
+        """Return the bytes that have reached the host by ``now_s``."""
+        ...
+
+    def next_event_s(self) -> float | None:
+        """Return when the next bytes reach the host, None when none are under way."""
+
+    def drop_pending(self) -> None:
+        """Forget bytes under way."""
+
+
 class MemoryServoStream:
-    """The host's end of the servo bus in memory: bytes, with the time that the wire takes.
+    """The host's end of a serial line in memory: bytes, with the time that the wire takes.
 
     Writing does not wait for the wire, as with a USB adapter; answers arrive whole when their last
     byte has passed.
     """
 
-    def __init__(self, device: ServoBusDevice, clock: VirtualClock) -> None:
+    def __init__(self, device: SerialDevice, clock: VirtualClock) -> None:
         self.clock = clock
         self.closed = False
         self._device = device
@@ -353,6 +386,6 @@ class MemoryServoStream:
         self._lost |= self._device.faults.unplugged
         if self._lost:
             raise PortUnplugged(
-                "the cable to the simulated servos is out (fault servos.unplugged); plug it in "
-                "and open the port again"
+                "the simulated cable is out (fault servos.unplugged or board.unplugged); plug it "
+                "in and open the port again"
             )

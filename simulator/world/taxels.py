@@ -97,6 +97,8 @@ class SensorLaw:
     full_scale_n: float | None = None
     """Force in N that reads the full scale of a sensor whose counts are proportional to the force;
     None: equation (11), constant current and an inverting stage."""
+    nodes: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Forces in N from 0 on and the counts that they give, straight lines between them."""
 
 
 EQUATION_11 = SensorLaw()
@@ -110,6 +112,8 @@ def ideal_counts(
     felt_n = law.gain * force_n
     if law.full_scale_n is not None:
         return adc_max * (felt_n / law.full_scale_n)
+    if law.nodes is not None:
+        return np.interp(felt_n, *law.nodes)
     return adc_max * (1.0 - resistance_mohm(felt_n) / RESISTANCE_AT_REST_MOHM)
 
 

@@ -268,9 +268,14 @@ class PhysicalWorld:
                 force_n[taxels] += self._contact.taxel_force_n(side, position_m)
         return force_n
 
+    def felt_force_n(self) -> NDArray[np.float64]:
+        """Return the force in N that each taxel feels, (n_taxels,): pads differ in their gain."""
+        felt: NDArray[np.float64] = self.force_gain * self._felt * self.taxel_force_n()
+        return felt
+
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""
-        force_n = self._felt * self.taxel_force_n() if self._pressed else None
+        force_n = self.felt_force_n() if self._pressed else None
         return self._converted(force_n, self._layout.n_taxels, self._rng)
 
     def scan_gripping(self) -> NDArray[np.uint16]:
@@ -280,7 +285,7 @@ class PhysicalWorld:
         """
         counts = np.zeros(self._layout.n_taxels, dtype=np.uint16)
         gripping = self._gripping
-        force_n = (self._felt * self.taxel_force_n())[gripping] if self._pressed else None
+        force_n = self.felt_force_n()[gripping] if self._pressed else None
         counts[gripping] = self._converted(force_n, len(gripping), self._fast_rng)
         return counts
 
@@ -300,7 +305,7 @@ class PhysicalWorld:
         adc_max = self._layout.adc_max
         counts = self._settings.noise.sample(rng, n, adc_max)
         if force_n is not None:
-            counts += ideal_counts(self.force_gain * force_n, adc_max, self._settings.law)
+            counts += ideal_counts(force_n, adc_max, self._settings.law)
         np.maximum(counts, 0.0, out=counts)
         np.minimum(counts, adc_max, out=counts)
         return np.rint(counts, out=counts).astype(np.uint16)

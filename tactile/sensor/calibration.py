@@ -1,4 +1,4 @@
-"""Calibrations from counts to newtons: the law of the paper's foam, and a straight line.
+"""Calibrations from counts to newtons: the law of the paper's foam, a straight line, a table.
 
 The foam's resistance falls with the force F on a taxel, equation (11) of the paper:
 R = 1.579 exp(-0.449 F) - 8.365e-11 exp(-32.34 F), R in MΩ and F in N. The second term is below
@@ -101,3 +101,43 @@ class LinearCalibration:
     def counts(self, force_n: Array) -> Array:
         """Return the tared counts, not rounded, that forces in N give."""
         return np.asarray(np.asarray(force_n) / self.force_per_count_n, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableCalibration:
+    """A sensor that was measured at some counts: straight lines between them, from no force on.
+
+    Beyond the last node, and below zero, the nearest line goes on. Raises CalibrationError unless
+    counts and forces rise together from above 0.
+    """
+
+    node_counts: tuple[float, ...]
+    node_force_n: tuple[float, ...]
+    """(n,) each: tared counts and the force on one taxel in N that gives them."""
+    adc_max: int
+    """Full scale in counts."""
+    gain: Array | float = 1.0
+    """(n_taxels,) float64 or scalar: true force over that of the table."""
+
+    def __post_init__(self) -> None:
+        nodes = np.array([(0.0, *self.node_counts), (0.0, *self.node_force_n)])
+        if nodes.shape[1] < 2 or not (np.isfinite(nodes).all() and (np.diff(nodes) > 0.0).all()):
+            raise CalibrationError("a table has counts and forces that rise from above 0, together")
+        object.__setattr__(self, "gain", _checked_gain(self.gain))
+
+    def force_n(self, tared_counts: Array) -> Array:
+        """Return the force on each taxel in N."""
+        law = _along(self.node_counts, self.node_force_n, tared_counts)
+        return np.asarray(self.gain * law, dtype=np.float64)
+
+    def counts(self, force_n: Array) -> Array:
+        """Return the tared counts, not rounded, that forces in N give."""
+        return _along(self.node_force_n, self.node_counts, np.asarray(force_n) / self.gain)
+
+
+def _along(x: tuple[float, ...], y: tuple[float, ...], at: Array) -> Array:
+    """Return y on straight lines through 0 and the nodes; the outer ones go on."""
+    xs, ys = np.array([0.0, *x]), np.array([0.0, *y])
+    slopes = np.diff(ys) / np.diff(xs)
+    line = np.clip(np.searchsorted(xs, at, side="right") - 1, 0, len(slopes) - 1)
+    return np.asarray(ys[line] + slopes[line] * (np.asarray(at) - xs[line]), dtype=np.float64)

@@ -17,7 +17,8 @@ Mask = NDArray[np.bool_]
 LEAST_FRAMES = 8
 """In fewer frames a healthy taxel may repeat itself by chance and seem to be constant."""
 _NOISY_SHARE = 0.5
-"""The sensor shows noise if fewer of its taxels than this share are constant."""
+"""The sensor shows noise if no more of its taxels than this share are constant: a whole pad of two
+may be dead."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +62,7 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
         raise ValueError(f"{len(frames)} frames, at least {LEAST_FRAMES} are needed")
     low, high = frames.min(axis=0), frames.max(axis=0)
     constant = low == high
-    noisy = bool(np.count_nonzero(constant) < _NOISY_SHARE * len(constant))
+    noisy = bool(np.count_nonzero(constant) <= _NOISY_SHARE * len(constant))
     saturated = low >= adc_max
     flat = constant & ~saturated if noisy else np.zeros_like(constant)
     dead, stuck = flat & (low == 0), flat & (low > 0)

@@ -109,9 +109,12 @@ def fault_texts() -> st.SearchStrategy[str]:
         number = st.sampled_from(("servo1", "servo2"))
         return st.tuples(number, text).map(lambda pair: pair[1].replace("servoN", pair[0]))
 
-    # The machine's cell has no axes, and nobody mounts a finger the other way round while it runs.
+    # The machine's cell has no axes or boards, and nobody mounts a finger the other way round while
+    # it runs.
     names = sorted(
-        name for name in VOCABULARY if not name.startswith("axisN") and name != "servoN.turned"
+        name
+        for name in VOCABULARY
+        if not name.startswith(("axisN", "board")) and name != "servoN.turned"
     )
     return st.sampled_from(names).flatmap(lambda name: of(VOCABULARY[name]))
 

@@ -1,4 +1,4 @@
-"""The rows of the fault campaign as data: 44 kinds of fault in their variants.
+"""The rows of the fault campaign as data: 45 kinds of fault in their variants.
 
 A record is: kind, variant, fault in plain words, what is injected, required reaction, limit in s
 until it is detected (None where no time applies); then, where the text of the simulator's
@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+from cell.config.file import load_config
 from tests.faults.campaign import (
     CampaignCell,
     FaultRow,
@@ -80,6 +82,21 @@ FOLLOWING_S = 0.4
 """1 mm or degree behind at the profile's speed, 50 ms allowed for it, and the start-up of both."""
 STALL_S = 0.6
 """8 degrees behind at 90 degrees a second, and 0.15 s allowed for it; the wrist speeds up first."""
+BOARD_S = 0.012
+"""Period of the slowest board with its jitter."""
+BOARD_SILENT_S = 0.08 + 2 * LOOP_S
+"""Eight periods of a board without a frame are a fault."""
+USKIN_SILENT_S = 0.07 + 2 * LOOP_S
+"""Six periods of a board on CAN without a whole cycle are a fault."""
+
+
+def _preset(name: str) -> dict[str, Any]:
+    """Return the sensor of an example config: boards without counter and checksum."""
+    config = load_config(Path(__file__).parents[2] / "config" / f"{name}.yaml")
+    return {"tactile": config.tactile.model_dump(mode="json"), "self_zero": config.self_zero}
+
+
+FLEXITAC, OF_USKIN = _preset("flexitac"), _preset("uskin")
 LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
 FRAME_S = SYNC_S + BURST_S
 """A whole frame of a later scan is there after so long at most."""
@@ -317,6 +334,68 @@ TAXELS = _near((
              "a zero of ten frames while a ball is gripped with 1 N", "REJECT", 0.25,
              can.touched_while_zeroing),
 ))
+
+USKIN = tuple(replace(row, changes=OF_USKIN | dict(row.changes)) for row in _near((
+    FaultRow(45, "uskin board off", "a board on CAN is unplugged",
+             "uskin.off=1@contact+0.1s", "HOLD", USKIN_SILENT_S, number=401),
+    FaultRow(45, "uskin board off at the start", "the same at the start",
+             "uskin.off=0", "REJECT", START_S + 0.05, number=401),
+    FaultRow(45, "uskin low supply", "a board restarts and waits for its start",
+             "uskin.low_supply=0@contact+0.1s", "HOLD", USKIN_SILENT_S, number=401),
+    FaultRow(45, "uskin two boards with one address", "another board joins with the same address",
+             "uskin.doubled=1@contact+0.1s", "HOLD", 0.1, number=306),
+    FaultRow(45, "uskin two boards with one address at the start", "the same at the start",
+             "uskin.doubled=1", "REJECT", START_S, number=306),
+    FaultRow(45, "uskin adapter unplugged", "the CAN adapter is pulled out",
+             "can.unplugged@contact+0.1s", "HOLD", CYCLE_S, number=311),
+    FaultRow(45, "uskin messages lost", "one message in twenty is lost",
+             "can.loss=0.05@contact+0.1s", "HOLD", 0.3, number=(204, 401)),
+    FaultRow(45, "uskin message lost", "one message is lost",
+             "can.lose_next=1@contact+0.1s", "NOTE", 0.03),
+    # 100 counts are 0.02 N on a taxel: each approach has a zero of its own.
+    FaultRow(45, "uskin drift", "z of all taxels drifts by 100 counts a second",
+             "uskin.drift=100", "NOTHING", None),
+)))
+
+BOARDS = tuple(replace(row, changes=FLEXITAC | dict(row.changes)) for row in _near((
+    *(FaultRow(45, f"unplugged, finger {finger}", "the cable of this finger's board is out",
+               f"board.unplugged={finger}@contact+0.1s", "HOLD", CYCLE_S, number=302)
+      for finger in (0, 1)),
+    FaultRow(45, "unplugged at the start", "the cable of a board is out at the start",
+             "board.unplugged=1", "REJECT", START_S, number=303),
+    FaultRow(45, "board off", "a board falls silent",
+             "board.off=1@contact+0.1s", "HOLD", BOARD_SILENT_S, number=401),
+    FaultRow(45, "board off at the start", "a board sends nothing from the start on",
+             "board.off=0", "REJECT", START_S + 0.05, number=401),
+    FaultRow(45, "frozen", "a board sends its last frame for ever",
+             "board.frozen=1@contact+0.1s", "HOLD", BOARD_SILENT_S, number=401),
+    FaultRow(45, "repeated", "one frame in ten repeats the one before",
+             "board.repeated=0.1@contact", "NOTE", None),
+    FaultRow(45, "late", "the bytes of all frames come 0.15 s late from one moment on",
+             "board.late=0.15@contact+0.1s", "HOLD", BOARD_SILENT_S + BOARD_S, number=401),
+    FaultRow(45, "lost byte", "one frame in a hundred lacks a byte",
+             "board.lost_byte=0.01", "NOTE", None),
+    FaultRow(45, "lost bytes often", "one frame in three lacks a byte",
+             "board.lost_byte=0.3@contact+0.1s", "HOLD", 0.6, changes=LONG_HOLD,
+             number=(204, 401)),
+    FaultRow(45, "torn often", "one frame in three ends in the middle",
+             "board.torn=0.3@contact+0.1s", "HOLD", 0.6, changes=LONG_HOLD, number=(204, 401)),
+    FaultRow(45, "wrong profile", "both boards have the firmware of 16 x 32 taxels",
+             "board.rows=16", "REJECT", START_S + 0.05, number=401),
+    FaultRow(45, "ambiguous at the start", "samples hold a header at one place for ever",
+             "board.marked=0", "REJECT", START_S + 0.05, number=401),
+    FaultRow(45, "header inside", "the same in the ramp, where the offset is known",
+             "board.marked=0@contact+0.1s", "NOTHING", None),
+    FaultRow(45, "dead pad", "all taxels of a pad read 0 in the ramp",
+             "taxels.stuck_at=384-767:0@contact+0.1s", "HOLD", 0.5, changes=LONG_HOLD, number=207),
+    FaultRow(45, "dead pad at the start", "all taxels of a pad read 0 from the start on",
+             "taxels.stuck_at=384-767:0", "REJECT", START_S, number=405),
+    # No reading shows it: the pads of the wizard are pressed, and parts are taught with it.
+    FaultRow(45, "swapped rows", "two neighbouring rows of a pad are exchanged",
+             "board.rows_swapped=0", "NOTHING", None),
+    FaultRow(45, "saturated", "all taxels of a pad read full scale in the ramp",
+             "taxels.saturated=0@contact+0.1s", "HOLD", FORCE_STALE_S + 2 * BOARD_S, number=204),
+)))
 
 SERVO_BUS = (
     FaultRow(18, "one lost answer", "one answer of a servo is lost in the ramp",
@@ -666,6 +745,7 @@ GROUPS = {
     "control unit": CONTROL_UNIT,
     "force messages": FORCES,
     "taxels": TAXELS,
+    "sensor boards": BOARDS + USKIN,
     "servo bus": SERVO_BUS,
     "servos": SERVOS,
     "grip": GRIP,

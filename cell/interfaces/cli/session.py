@@ -71,7 +71,7 @@ def cell_config(
     elif config.simulated or simulate:
         print_cell(f"{config.name}, simulated ({file})")
     else:
-        ports = f"{config.gripper.port}, {config.tactile.interface} {config.tactile.channel}"
+        ports = f"{config.gripper.port}, {config.tactile.place}"
         print_cell(f"{config.name}, real at {ports} ({file})")
     if seed is not None:
         config = config.model_copy(update={"seed": seed})

@@ -116,5 +116,8 @@ class SimulatedLines(LineOpener):
         self.cell.devices.servo_bus.baudrate = baud_rate
         return open_servo_port(self.cell)
 
+    def open_board(self, port: str) -> ByteStream:
+        return self.cell.open_board(int(port[-1]))
+
     def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
         return open_can_bus(self.cell, bitrate)

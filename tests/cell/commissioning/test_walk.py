@@ -1,6 +1,7 @@
 """The whole wizard on a simulated cell in virtual time: from the box to the baseline."""
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from cell.commissioning.engine import CONFIG_NAME, Engine, Step, WizardAborted
 from cell.commissioning.link_quality import LinkQualityStep
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
+from cell.simulation import simulator_settings
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
@@ -21,6 +23,7 @@ from tests.cell.commissioning.script import SimulatedLines
 
 pytestmark = pytest.mark.long
 
+EXCHANGED = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
 PADS = ("taxels.force_gain=0.8", "unit.pads_swapped", "taxels.stuck_at=3:0", "can.bit_rate=500000")
 SERVOS = ("servo1.factory", "servo2.factory", "servo2.turned", "servo1.horn=164")
 
@@ -99,6 +102,37 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_pat
     assert one[1] == pytest.approx(1.0, abs=0.2)
     assert four[1] == pytest.approx(4.0, abs=0.3)
     assert person.pressed_n == pytest.approx(4.2, abs=0.4)
+
+
+@pytest.mark.parametrize("sensor", ["flexitac", "uskin"])
+def test_boards_with_exchanged_pads_and_another_law_are_brought_up(
+    sensor: str, tmp_path: Path
+) -> None:
+    preset = load_config(Path(__file__).parents[3] / "config" / f"{sensor}.yaml")
+    settings = replace(
+        simulator_settings(preset), faults=("taxels.force_gain=0.7", "servo1.horn=164")
+    )
+    ports = ("/dev/ttyUSB0", "/dev/ttyACM1", "/dev/ttyACM0")
+    given = {"gripper.port": "/dev/ttyUSB0"}
+    if sensor == "uskin":
+        given |= {"tactile.interface": "socketcan", "tactile.channel": "can0"}
+        settings = replace(settings, mounts=EXCHANGED)
+    with SimulatedCell(settings) as cell:
+        person = Person(cell)
+        bench = Bench(tmp_path, SimulatedLines(cell, ports), given=given, base=preset)
+        Engine(brisk_steps(), bench).run(person.script)
+    found = person.script.findings
+    assert all(one.status is not Verdict.FAIL for one in found.values())
+    said = "\n".join(line for one in found.values() for line in one.lines)
+    assert "The pads of the two fingers are exchanged" in said
+    config = load_config(tmp_path / CONFIG_NAME)
+    if sensor == "flexitac":
+        assert config.tactile.serial_ports == ("/dev/ttyACM1", "/dev/ttyACM0")
+    assert not config.simulated
+    assert tuple(PadMount(**mount.model_dump()) for mount in config.tactile.mounting) == EXCHANGED
+    four = found["first_force"].values["asked_held_peak_n"][-1]
+    assert four[1] == pytest.approx(four[0], abs=0.4)
+    assert person.pressed_n == pytest.approx(4.0, abs=0.5)
 
 
 def test_a_gripper_without_pads_is_brought_up_by_current(tmp_path: Path) -> None:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from simulator.boards.flexitac import FlexiTacSettings
+from simulator.boards.uskin import UskinBoard, UskinSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
@@ -24,7 +26,17 @@ def cell() -> Iterator[SimulatedCell]:
     drive = DriveMount(node_id=11, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
     wrist = WristMount(increments=652.0, servo_id=1, zero=0, start=1.0)
     axes = {"x": drive, "roll": wrist}
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), axes=axes)) as made:
+    boards = FlexiTacSettings(rows=6, columns=13)
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), axes=axes, boards=boards)) as made:
+        yield made
+
+
+@pytest.fixture
+def uskin_cell() -> Iterator[SimulatedCell]:
+    ids = [range(first, first + 78) for first in (0x300, 0x400)]
+    first, second = (UskinBoard(start_id=0x201, taxel_ids=tuple(one)) for one in ids)
+    boards = UskinSettings(boards=(first, second))
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), boards=boards)) as made:
         yield made
 
 
@@ -105,8 +117,10 @@ def test_every_entry_says_what_it_is() -> None:
     "name", [*VOCABULARY, "axis2.following_error", "axis2.silence", "axis2.fault", "axis2.reboot"]
 )
 def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(
-    cell: SimulatedCell, name: str
+    request: pytest.FixtureRequest, name: str
 ) -> None:
+    on_can = name.startswith("uskin.")
+    cell: SimulatedCell = request.getfixturevalue("uskin_cell" if on_can else "cell")
     cell.place("ball")
     cell.clock.sleep(0.1)
     before = _knobs(cell)
@@ -167,7 +181,10 @@ def _knobs(cell: SimulatedCell) -> Any:
     stuck += [round(motor.angle_rad, 6) for motor in devices.mechanics.motors]
     press = None if world._press is None else world._press.swell_m
     wire = repr(devices.faults.servo_wire).split("_generator", maxsplit=1)[0]
+    if not devices.axes:
+        return repr(devices.faults.uskin)
     drive, wrist = devices.axes["x"], devices.axes["roll"]
+    stuck.append(repr(devices.faults.boards))
     axes = [drive.dead, drive.forced_switch, drive.motion.blocked, wrist.blocked]
     axes += [drive.misread, drive.answer_bytes, len(devices.axes_can_devices._devices)]
     return (
@@ -184,10 +201,13 @@ def _knobs(cell: SimulatedCell) -> Any:
     )
 
 
-def test_the_kinds_are_those_that_fit_the_cell(cell: SimulatedCell) -> None:
+def test_the_kinds_are_those_that_fit_the_cell(
+    cell: SimulatedCell, uskin_cell: SimulatedCell
+) -> None:
     kinds = set(cell.injector.kinds())
     assert {"can.off", "servo1.off", "servo2.off", "axis1.misread", "axis2.fault"} <= kinds
     assert not kinds & {"servo3.off", "axis2.misread", "axis3.fault", "servoN.off"}
+    kinds |= set(uskin_cell.injector.kinds())
     assert {name.replace("axis1", "axisN").replace("servo1", "servoN") for name in kinds} >= set(
         VOCABULARY
     )

@@ -1,0 +1,153 @@
+"""uSkin boards on CAN, and the physics of their pads: silicone over magnets and sensors."""
+
+import struct
+from dataclasses import dataclass, field
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.can.faults import ControlUnitFaults
+from simulator.can.node import SendBurst
+from simulator.clock import ROUNDING_S
+from simulator.errors import SimulatorStateError
+from simulator.world.world import PhysicalWorld
+from tactile.layout import TaxelLayout
+
+_START = bytes((7, 0))
+_PERIOD_S = 0.01
+_REST = (0x7E31, 0x7E31, 0x9312)
+"""Samples of x, y and z at rest."""
+_SPREAD_COUNTS = 900.0
+"""Standard deviation of the rest of taxels of z. [assumed]"""
+_JITTER = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UskinBoard:
+    """Identifiers of one board."""
+
+    start_id: int
+    taxel_ids: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UskinSettings:
+    """Two boards on one bus, and the physics of their pads. Its figures are assumed."""
+
+    boards: tuple[UskinBoard, UskinBoard]
+    """The boards of finger 0 and finger 1."""
+    falling: bool = False
+    """Whether z falls under a force."""
+    counts_per_n: float = 3000.0
+    """Counts of z of a taxel for a small force."""
+    limit_n: float = 12.0
+    """Force in N near which the silicone meets its ground."""
+    crosstalk: float = 0.12
+    """Share of its force that each neighbour of a taxel shows as well."""
+    hysteresis: float = 0.06
+    """Share by which a taxel stays above a force that falls."""
+    noise_counts: float = 12.0
+    """Standard deviation of the noise."""
+    drift_counts_s: float = 5.0
+    """Drift of z of a pad: 1,000 counts in some minutes."""
+
+
+@dataclass(slots=True, kw_only=True)
+class UskinFaults:
+    """Fault knobs of the boards, by finger where they meet one board."""
+
+    silent: set[int] = field(default_factory=set)
+    """Boards whose plug is out."""
+    low_supply: set[int] = field(default_factory=set)
+    """Boards that restart again and again, and wait for their start."""
+    doubled: set[int] = field(default_factory=set)
+    """Boards beside which another one has the same address."""
+    drift_counts_s: float = 0.0
+    """Further drift of all taxels."""
+
+
+class SimulatedUskin:
+    """Two boards; implements `simulator.can.link.CanDevice`."""
+
+    def __init__(
+        self,
+        world: PhysicalWorld,
+        layout: TaxelLayout,
+        settings: UskinSettings,
+        faults: UskinFaults,
+        taxel_faults: ControlUnitFaults,
+        *,
+        seed: int,
+        start_s: float,
+    ) -> None:
+        self._world, self._layout, self._settings = world, layout, settings
+        self._faults, self._taxel_faults = faults, taxel_faults
+        self._rng = np.random.default_rng([seed, 5])
+        self._send: SendBurst | None = None
+        self._due_s = [inf, inf]
+        self._drift = self._rng.uniform(0.5, 1.5, 2) * settings.drift_counts_s
+        self._drifted = np.zeros(layout.n_taxels)
+        self._rest = _REST[2] + self._rng.normal(0.0, _SPREAD_COUNTS, layout.n_taxels)
+        self._felt_n = np.zeros(layout.n_taxels)
+        self._now_s = start_s
+
+    def connect(self, send: SendBurst) -> None:
+        """Plug the boards in."""
+        self._send = send
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        """Start the board whose start this is."""
+        for finger, board in enumerate(self._settings.boards):
+            if (can_id, data) == (board.start_id, _START):
+                self._due_s[finger] = now_s + self._rng.uniform(0.2, 1.0) * _PERIOD_S
+
+    def advance(self, now_s: float) -> None:
+        """Send the cycles that are due until ``now_s`` s."""
+        self._now_s = max(self._now_s, now_s)
+        for finger in (0, 1):
+            if finger in self._faults.low_supply:
+                self._due_s[finger] = inf
+            if self._due_s[finger] < now_s - 10.0 * _PERIOD_S:
+                self._due_s[finger] = now_s
+            while self._due_s[finger] <= now_s + ROUNDING_S:
+                self._cycle(finger, self._due_s[finger])
+                jitter = 1.0 + _JITTER * self._rng.standard_normal()
+                self._due_s[finger] += _PERIOD_S * max(0.5, jitter)
+
+    def next_event_s(self) -> float:
+        """Return when the next cycle is due, in s."""
+        return min(self._due_s)
+
+    def _cycle(self, finger: int, now_s: float) -> None:
+        if self._send is None:
+            raise SimulatorStateError("the boards are not connected to a bus: connect() first")
+        if finger in self._faults.silent:
+            return
+        taxels = self._layout.taxels_of(self._layout.gripping_pads[finger])
+        for _ in range(2 if finger in self._faults.doubled else 1):
+            z = self._scan(finger)[taxels]
+            shear = np.rint(_REST[0] + self._rng.normal(0.0, 12.0, (len(z), 2)))
+            ids = self._settings.boards[finger].taxel_ids
+            for can_id, (x, y), one in zip(ids, shear.tolist(), z.tolist(), strict=True):
+                self._send(now_s, can_id, [struct.pack(">BHHH", 0, int(x), int(y), one)])
+
+    def _scan(self, finger: int) -> NDArray[np.uint16]:
+        """Return z of all taxels (n_taxels,); drift goes on with the board that is read."""
+        law, pad = self._settings, self._layout.gripping_pads[finger]
+        taxels = self._layout.taxels_of(pad)
+        self._drifted[taxels] += (self._drift[finger] + self._faults.drift_counts_s) * _PERIOD_S
+        force_n = self._world.felt_force_n()
+        self._felt_n = np.clip(self._felt_n, force_n, (1.0 + law.hysteresis) * force_n)
+        shown_n = law.limit_n * np.tanh(self._felt_n / law.limit_n)
+        for number in range(self._layout.n_pads):
+            one = self._layout.taxels_of(number)
+            matrix = shown_n[one].reshape(self._layout.pad_shape[number])
+            padded = np.pad(matrix, 1)
+            beside = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+            shown_n[one] = (matrix + law.crosstalk * beside).ravel()
+        pull = law.counts_per_n * shown_n
+        z = self._rest + self._drifted + (-pull if law.falling else pull)
+        z += self._rng.normal(0.0, law.noise_counts, z.shape)
+        counts = np.clip(np.rint(z), 0, 0xFFFF).astype(np.uint16)
+        return self._taxel_faults.apply(counts, 0xFFFF)

@@ -1,0 +1,105 @@
+"""Named faults of sensor boards on serial lines."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from simulator.boards.uskin import UskinSettings
+from simulator.errors import SimulatorSettingsError
+from simulator.faults.entry import (
+    SHARE,
+    Effect,
+    FaultEntry,
+    FaultKind,
+    Number,
+    Target,
+    turned,
+    turning,
+)
+
+_FINGER = Number("finger", 0, 1, default=0, whole=True)
+"""Finger whose board is meant."""
+
+
+def _check(target: Target) -> None:
+    if not target.devices.boards:
+        raise SimulatorSettingsError("this cell has no sensor boards on serial lines")
+
+
+def _check_uskin(target: Target) -> None:
+    if not isinstance(target.devices.settings.boards, UskinSettings):
+        raise SimulatorSettingsError("this cell has no sensor boards on CAN")
+
+
+def _unplugged(target: Target) -> Effect:
+    return Effect(undo=target.plugs[f"board{int(target.number)}"]())
+
+
+def _swapped(target: Target) -> Effect:
+    """Exchange two neighbouring rows of a pad, as in a connector that is soldered wrongly."""
+    layout, finger = target.devices.settings.layout, int(target.number)
+    order = np.arange(layout.n_taxels)
+    pad = layout.gripping_pads[finger]
+    rows = order[layout.taxels_of(pad)].reshape(layout.pad_shape[pad])
+    middle = len(rows) // 2
+    rows[[middle, middle + 1]] = rows[[middle + 1, middle]]
+    mounted = target.devices.faults.unit.mounted
+    mounted[f"swapped {finger}"] = order
+    return Effect(undo=lambda: mounted.pop(f"swapped {finger}", None))
+
+
+def _of_finger(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
+    on_can = name.startswith("uskin.")
+
+    def apply(target: Target) -> Effect:
+        faults = target.devices.faults.uskin if on_can else target.devices.faults.boards
+        return Effect(undo=turned(faults, knob, getattr(faults, knob) | {int(target.number)}))
+
+    check = _check_uskin if on_can else _check
+    return FaultEntry(name, kind, meaning, apply, knob, _FINGER, check=check)
+
+
+def _number(
+    name: str,
+    kind: FaultKind,
+    meaning: str,
+    knob: str,
+    *,
+    value: Number = SHARE,
+    read: Callable[[float], float] = float,
+) -> FaultEntry:
+    apply = turning("boards", knob, lambda target: read(target.number))
+    return FaultEntry(f"board.{name}", kind, meaning, apply, knob, value, check=_check)
+
+
+# fmt: off
+BOARD = (
+    FaultEntry("board.unplugged", FaultKind.UNPLUGGED, "the cable of this finger's board is out",
+               _unplugged, "board_plug", _FINGER, check=_check),
+    _of_finger("board.off", FaultKind.OFF, "the board of this finger sends nothing", "silent"),
+    _of_finger("board.frozen", FaultKind.STUCK, "the board of this finger sends one frame for ever",
+               "frozen"),
+    _of_finger("board.marked", FaultKind.WRONG,
+               "the samples of this finger's board hold a header at one place for ever", "marked"),
+    _number("repeated", FaultKind.WRONG, "frames of both boards repeat the one before", "repeated"),
+    _number("lost_byte", FaultKind.INTERMITTENT, "frames of both boards lack one byte",
+            "lost_byte"),
+    _number("torn", FaultKind.INTERMITTENT, "frames of both boards end in the middle", "torn"),
+    _number("late", FaultKind.DELAYED, "frames of both boards come late", "late_s",
+            value=Number("s", 0.0, 1.0, default=0.05)),
+    _number("rows", FaultKind.WRONG, "both boards send so many rows: firmware of another profile",
+            "rows", value=Number("rows", 1, 64, default=16, whole=True), read=int),
+    FaultEntry("board.rows_swapped", FaultKind.WRONG,
+               "two neighbouring rows of this finger's pad are exchanged", _swapped, "board_rows",
+               _FINGER, check=_check),
+    _of_finger("uskin.off", FaultKind.UNPLUGGED, "this finger's board is unplugged", "silent"),
+    _of_finger("uskin.low_supply", FaultKind.REBOOT,
+               "this finger's board restarts for want of supply, and waits for its start",
+               "low_supply"),
+    _of_finger("uskin.doubled", FaultKind.WRONG,
+               "another board has the address of this finger's board", "doubled"),
+    FaultEntry("uskin.drift", FaultKind.WRONG, "z of all taxels drifts",
+               turning("uskin", "drift_counts_s", lambda target: target.number), "drift_counts_s",
+               Number("counts/s", -1e5, 1e5, default=1000.0), check=_check_uskin),
+)
+# fmt: on

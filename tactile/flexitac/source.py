@@ -1,0 +1,294 @@
+"""Frame source of two FlexiTac boards: one on each finger, each on a serial port of its own.
+
+The boards run freely and send neither counter nor checksum. A frame that is torn, repeated or late
+is found by its header, its content and the time alone.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.clock import Clock
+from tactile.errors import FrameTimeout, LayoutError, LinkFault, LinkStateError, NodeMissing
+from tactile.flexitac.stream import PERIOD_S, BoardFrame, FrameStream, Profile
+from tactile.layout import PadMount, TaxelLayout, taxel_order
+from tactile.source import (
+    Arrivals,
+    FrameStatistics,
+    FrameStatus,
+    PadZero,
+    SourceIdentity,
+    SourceStatistics,
+    TactileFrame,
+)
+
+_READ_BYTES = 65536
+_STALL_PERIODS = 6.0
+"""Periods after which bytes that nobody fetched are dropped: a port keeps 4,096 of them, and none
+has a time. [chosen]"""
+_SILENT_PERIODS = 8.0
+"""Periods without a frame that are a fault at least: a lost byte costs four. [chosen]"""
+_LOSS_FRAMES = 50
+"""Frames among which the lost ones are counted."""
+_LIVELY_FRAMES, _LIVELY_SHARE = 25, 0.9
+"""Among so many frames this share has to differ from the one before: from then on an equal one is a
+repeat, because the noise of hundreds of taxels does not repeat itself. [chosen]"""
+
+
+class BoardLine(Protocol):
+    """Serial line of a board."""
+
+    def read(self, size: int, timeout_s: float, /) -> bytes:
+        """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
+
+    def close(self) -> None:
+        """Give the line back; may be called twice."""
+
+
+class _Board:
+    """One board: its line, its frames that wait for the other board, and how they come."""
+
+    def __init__(self, finger: int, open_line: Callable[[], BoardLine], profile: Profile) -> None:
+        self.name = f"the board of finger {finger}"
+        self._open_line = open_line
+        self._line: BoardLine | None = None
+        self.stream = FrameStream(profile)
+        self.waiting: list[BoardFrame] = []
+        self.last: BoardFrame | None = None
+        self.changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
+        self.sound: deque[bool] = deque(maxlen=_LOSS_FRAMES)
+        self.repeated = False
+
+    def open(self) -> None:
+        """Open the line anew."""
+        self.close()
+        self._line = self._open_line()
+        self.stream.reset()
+        self.waiting.clear()
+        self.changes.clear()
+        self.sound.clear()
+        self.last, self.repeated = None, False
+
+    def close(self) -> None:
+        """Give the line back."""
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+    def receive(self, now_s: float, statistics: FrameStatistics, *, stalled: bool) -> None:
+        """Take in what has arrived."""
+        if self._line is None:
+            raise LinkStateError("the line of the sensor is closed: start it first")
+        data = b""
+        while piece := self._line.read(_READ_BYTES, 0.0):
+            data += piece
+        if stalled:
+            self.stream.reset()
+            self.waiting.clear()
+            return
+        torn = self.stream.torn
+        frames = self.stream.feed(data, now_s)
+        if self.stream.torn > torn:
+            statistics.torn += 1
+            self.sound.append(False)
+        for frame in frames:
+            self._take(frame, statistics)
+
+    def _take(self, frame: BoardFrame, statistics: FrameStatistics) -> None:
+        same = self.last is not None and frame.samples == self.last.samples
+        lively = sum(self.changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
+        # A pad at an end of its scale, or without supply, shows no noise.
+        self.repeated = same and lively and len(set(frame.samples)) > 1
+        if self.repeated:
+            statistics.duplicate += 1
+            return
+        self.changes.append(not same)
+        self.sound.append(True)
+        self.last = frame
+        self.waiting.append(frame)
+
+    @property
+    def loss_rate(self) -> float:
+        """Share of the newest frames that were torn."""
+        return 1.0 - sum(self.sound) / _LOSS_FRAMES if len(self.sound) == _LOSS_FRAMES else 0.0
+
+
+def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:
+    """Raise LayoutError where a layout has other pads than two of the profile's size."""
+    shape = (profile.rows, profile.columns)
+    wanted = shape if rows_along else shape[::-1]
+    if [(pad.rows, pad.columns) for pad in layout.pads] != [wanted, wanted]:
+        raise LayoutError(
+            f"layout {layout.name} does not fit two boards of {shape[0]} x {shape[1]}: it needs "
+            f"two inner pads of {wanted[0]} rows along the finger and {wanted[1]} columns across it"
+        )
+
+
+class FlexiTacSource:
+    """Two FlexiTac boards; implements `tactile.source.FrameSource`.
+
+    A frame is made of the newest ones of both boards, as soon as both have a new one. Raises
+    LayoutError where the layout has other pads than two of the profile's size.
+
+    Parameters
+    ----------
+    open_lines
+        Open the serial line of the board on finger 0 and on finger 1; called at each start.
+    profile
+        Size of the matrix that both boards send.
+    rows_along
+        Whether the rows of a board follow each other along the finger; else across it.
+    mounts
+        Pads that sit otherwise than the layout has them.
+    line_errors
+        Errors with which a line shows that it cannot be opened or is gone.
+    silence_s, max_loss_rate, startup_timeout_s
+        Silence in s, share of torn frames and time of the start in s that are a fault.
+    """
+
+    sends_forces = False
+
+    def __init__(
+        self,
+        open_lines: Sequence[Callable[[], BoardLine]],
+        *,
+        profile: Profile,
+        layout: TaxelLayout,
+        clock: Clock,
+        rows_along: bool = False,
+        mounts: Sequence[PadMount] = (),
+        line_errors: tuple[type[Exception], ...] = (OSError,),
+        silence_s: float = 0.0,
+        max_loss_rate: float = 0.05,
+        startup_timeout_s: float = 3.0,
+    ) -> None:
+        check_layout(layout, profile, rows_along=rows_along)
+        self.layout = layout
+        self._clock = clock
+        self._profile, self._transposed = profile, not rows_along
+        self._order = taxel_order(layout, mounts)
+        self._line_errors = line_errors
+        self._silence_s = max(silence_s, _SILENT_PERIODS * PERIOD_S)
+        self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
+        self._boards = [_Board(n, line, profile) for n, line in enumerate(open_lines)]
+        self._frames = FrameStatistics()
+        self._fault: LinkFault | None = None
+        self._running = False
+        self._polled_s = 0.0
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """Counts since the last start."""
+        loss = max(board.loss_rate for board in self._boards)
+        return SourceStatistics(frames=self._frames, recent_loss_rate=loss)
+
+    def start(self) -> SourceIdentity:
+        """Open both lines and wait for a frame of both boards.
+
+        Raises NodeMissing if a line cannot be opened, and FrameTimeout if a board sends no frames.
+        """
+        self._fault, self._frames, self._running = None, FrameStatistics(), True
+        try:
+            for board in self._boards:
+                board.open()
+        except self._line_errors as error:
+            self.stop()
+            raise NodeMissing(f"{board.name} cannot be opened: {error}") from error
+        self._polled_s = began_s = self._clock.monotonic()
+        while missing := [board for board in self._boards if board.last is None]:
+            if self._clock.monotonic() - began_s > self._startup_s:
+                self.stop()
+                raise FrameTimeout(
+                    f"{missing[0].name} sent no frame of {self._profile.rows} x "
+                    f"{self._profile.columns} within {self._startup_s:g} s: "
+                    f"{missing[0].stream.trouble}"
+                )
+            self._clock.sleep(0.1 * PERIOD_S)
+            self._receive()
+        return SourceIdentity(name="FlexiTac")
+
+    def poll(self) -> Arrivals:
+        """Return the frames since the last call; does not wait."""
+        if self._fault is not None:
+            raise self._fault
+        if not self._running:
+            raise LinkStateError("the sensor is not running: start it first")
+        try:
+            self._receive()
+            self._check()
+        except LinkFault as fault:
+            self._fault = fault
+            raise
+        n = min(len(board.waiting) for board in self._boards)
+        newest = (board.waiting[len(board.waiting) - n :] for board in self._boards)
+        pairs = list(zip(*newest, strict=True))
+        for board in self._boards:
+            # Without a frame of the other board the newest one waits for it.
+            board.waiting = [] if n else board.waiting[-1:]
+        return Arrivals(tuple(self._frame(pair) for pair in pairs))
+
+    def _receive(self) -> None:
+        now_s = self._clock.monotonic()
+        stalled = now_s - self._polled_s > _STALL_PERIODS * PERIOD_S
+        if stalled:
+            self._frames.lost += int((now_s - self._polled_s) / PERIOD_S)
+        self._polled_s = now_s
+        for board in self._boards:
+            try:
+                board.receive(now_s, self._frames, stalled=stalled)
+            except self._line_errors as error:
+                raise LinkFault(f"the line of {board.name} is gone: {error}") from error
+            if stalled and board.last is not None:
+                # It may be silent for as long as it takes to lock anew.
+                board.last = BoardFrame(t_s=now_s, samples=board.last.samples)
+
+    def _check(self) -> None:
+        """Raise the fault of a board that is silent, frozen or damaged."""
+        now_s = self._clock.monotonic()
+        for board in self._boards:
+            silent_s = now_s - (board.last.t_s if board.last is not None else self._polled_s)
+            if silent_s > self._silence_s:
+                why = "it repeats one frame" if board.repeated else board.stream.trouble
+                raise FrameTimeout(
+                    f"{board.name} has sent no new frame for {silent_s:.3f} s, allowed are "
+                    f"{self._silence_s:g} s: {why or 'check its cable and supply'}"
+                )
+            if board.loss_rate > self._max_loss_rate:
+                raise FrameTimeout(
+                    f"{board.loss_rate:.0%} of the last {_LOSS_FRAMES} frames of {board.name} were "
+                    f"torn, allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check "
+                    "its cable and what else loads the computer"
+                )
+
+    def _frame(self, pair: Sequence[BoardFrame]) -> TactileFrame:
+        pads = [self._pad(pair[pad.finger].samples) for pad in self.layout.pads]
+        counts = np.concatenate(pads)[self._order]
+        counts.setflags(write=False)
+        self._frames.complete += 1
+        full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
+        times_s = [board.t_s for board in pair]
+        return TactileFrame(
+            t_s=max(times_s),
+            begun_s=min(times_s),
+            counter=self._frames.complete & 0xFFFF,
+            status=int(full),
+            counts=counts,
+        )
+
+    def _pad(self, samples: bytes) -> NDArray[np.uint16]:
+        matrix = np.frombuffer(samples, dtype=np.uint8).reshape(
+            self._profile.rows, self._profile.columns
+        )
+        return (matrix.T if self._transposed else matrix).astype(np.uint16).ravel()
+
+    def set_zero(self, zero: PadZero) -> None:
+        """Nothing: the boards send no forces."""
+
+    def stop(self) -> None:
+        """Give the lines back."""
+        self._running = False
+        for board in self._boards:
+            board.close()

@@ -1,0 +1,142 @@
+"""Frames in the byte stream of a FlexiTac board: lock on their header, torn ones found. Pure.
+
+A frame is ``AA 55`` and one byte for each taxel, row by row. It has no length, counter or checksum,
+and ``AA 55`` may occur inside: of all offsets only that counts at which each frame has a header.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+HEADER = b"\xaa\x55"
+BAUD_RATE = 2_000_000
+"""Line rate in bit/s (package ``flexitac`` 0.3.1)."""
+PERIOD_S = 0.01
+"""Usual period of the frames in s: boards send 85 to 110 a second."""
+_BURST_SHARE = 0.75
+"""Share of the period within which the bytes of a frame come. They take 2 ms on the line; what is
+lost of a frame is made up by bytes of the next one, a period later. [chosen]"""
+_LOCK_FRAMES = 3
+"""Frames that a header has to survive. Noise repeats one by chance in 1 of 65,536. [chosen]"""
+_AMBIGUOUS_FRAMES = 20
+"""Frames after which several offsets that survive are a static picture, not chance. [chosen]"""
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Size of the matrix that a board sends."""
+
+    rows: int
+    columns: int
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame with its header."""
+        return len(HEADER) + self.rows * self.columns
+
+
+PROFILES: Mapping[str, Profile] = MappingProxyType(
+    {"12x32": Profile(12, 32), "16x32": Profile(16, 32), "16x16": Profile(16, 16)}
+)
+"""The sizes that boards are made for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardFrame:
+    """One whole frame of a board."""
+
+    t_s: float
+    """Monotonic time in s at which its last byte was found."""
+    samples: bytes
+    """One byte a taxel, row by row."""
+
+
+class FrameStream:
+    """Takes the bytes of one board and gives back its whole frames."""
+
+    def __init__(self, profile: Profile) -> None:
+        self._profile = profile
+        self._size = profile.frame_bytes
+        self.torn = 0
+        """Frames that were given up, because the next header was not where it belongs."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all bytes and the lock."""
+        self._bytes = bytearray()
+        self._begun_s = 0.0
+        self.locked = False
+        """Whether one offset of the header is known."""
+        self.trouble = "it sends nothing"
+        """Why there is no lock."""
+
+    def feed(self, data: bytes, now_s: float) -> list[BoardFrame]:
+        """Return the frames that are whole with these bytes, found at ``now_s`` s, oldest first."""
+        if not self._bytes:
+            self._begun_s = now_s
+        self._bytes += data
+        if not self.locked:
+            self._find_lock(now_s)
+        frames: list[bytes] = []
+        while self.locked and len(self._bytes) >= self._size:
+            behind = bytes(self._bytes[self._size : self._size + len(HEADER)])
+            in_place = self._bytes.startswith(HEADER) and HEADER.startswith(behind)
+            if not in_place:
+                self._unlock(now_s)
+                break
+            if not behind and now_s - self._begun_s > _BURST_SHARE * PERIOD_S:
+                # Slow enough to end with a byte of the next frame: that one's header will show it.
+                break
+            frames.append(bytes(self._bytes[len(HEADER) : self._size]))
+            del self._bytes[: self._size]
+            self._begun_s = now_s
+        last = len(frames) - 1
+        return [
+            BoardFrame(t_s=now_s - (last - number) * PERIOD_S, samples=samples)
+            for number, samples in enumerate(frames)
+        ]
+
+    def _unlock(self, now_s: float) -> None:
+        self.torn += 1
+        self.locked = False
+        self._find_lock(now_s)
+
+    def _find_lock(self, now_s: float) -> None:
+        """Lock if one offset alone has a header in each of several frames."""
+        n_frames = (len(self._bytes) - 1) // self._size
+        if n_frames < _LOCK_FRAMES:
+            return
+        offsets = _offsets(self._bytes, self._size, n_frames)
+        if len(offsets) == 1:
+            # What came before the newest frames is older than anybody can date.
+            del self._bytes[: offsets[0] + (n_frames - 1) * self._size]
+            self._begun_s, self.locked, self.trouble = now_s, True, ""
+            return
+        if offsets and n_frames < _AMBIGUOUS_FRAMES:
+            return
+        self.trouble = (
+            f"its stream is ambiguous: AA 55 stands at {len(offsets)} places of each frame, as "
+            "under a static load: take the load off the pad"
+            if offsets
+            else self._no_header()
+        )
+        del self._bytes[: self._size]
+
+    def _no_header(self) -> str:
+        """Return why no offset has a header in each frame: another profile, or damage."""
+        for name, other in PROFILES.items():
+            n_frames = (len(self._bytes) - 1) // other.frame_bytes
+            repeats = n_frames > 1 and _offsets(self._bytes, other.frame_bytes, n_frames)
+            if other != self._profile and repeats:
+                return f"its frames are {name}: set tactile.sensor.profile to that"
+        return f"no header repeats every {self._size} bytes: check its cable and its firmware"
+
+
+def _offsets(data: bytearray, size: int, n_frames: int) -> list[int]:
+    """Return each offset below ``size`` with a header in all of so many frames."""
+    found, offset = [], data.find(HEADER)
+    while 0 <= offset < size:
+        if all(data.startswith(HEADER, offset + n * size) for n in range(1, n_frames)):
+            found.append(offset)
+        offset = data.find(HEADER, offset + 1)
+    return found

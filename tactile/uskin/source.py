@@ -1,0 +1,318 @@
+"""Frame source of two uSkin boards on one CAN bus; of the three axes z is used.
+
+The messages have neither counter nor checksum. A cycle of a board is whole when each of its taxels
+has come once; one that comes twice before shows that another was lost, or a second board.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.can.bus import MissingBus
+from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver, interface_failed
+from tactile.clock import Clock
+from tactile.errors import (
+    BusOff,
+    DuplicateNode,
+    FrameTimeout,
+    LayoutError,
+    LinkFault,
+    LinkStateError,
+    ReceiveLoopDead,
+)
+from tactile.layout import PadMount, TaxelLayout, taxel_order
+from tactile.source import (
+    Arrivals,
+    FrameStatistics,
+    FrameStatus,
+    PadZero,
+    SourceIdentity,
+    SourceStatistics,
+    TactileFrame,
+)
+from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, samples
+
+_SILENT_PERIODS = 6.0
+"""Periods without a whole cycle that are a fault at least. [chosen]"""
+_GAP_SHARE = 0.3
+"""Share of the period without a message of a board that ends its cycle: the messages of one follow
+each other, or are spread evenly. [chosen]"""
+_CYCLES = 100
+"""Cycles among which those are counted that lack a taxel."""
+_DOUBLED = 1.7
+"""Multiple of the usual rate of cycles from which two boards have one address. [chosen]"""
+_MIXED, _MIXED_PERIODS = 40, 3.0
+"""So many cycles that end too early within so many periods: the messages of two boards alternate,
+and not only those that were under way when one of them was taken off. [chosen]"""
+_BUS_OFF = 0x40
+"""Class of an error frame as SocketCAN has it in the identifier (linux/can/error.h)."""
+
+
+class _Board:
+    """One board: the cycle that is coming in, and the newest whole one."""
+
+    def __init__(self, finger: int, ids: BoardIds) -> None:
+        self.name = f"the board of finger {finger} (start {ids.start:X}h)"
+        self.ids = ids
+        self._place = {identifier: n for n, identifier in enumerate(ids.taxels)}
+        self.restart(0.0)
+
+    def restart(self, now_s: float) -> None:
+        """Forget all samples."""
+        self._z: dict[int, int] = {}
+        self._begun_s = self._message_s = self.last_s = now_s
+        self.waiting: tuple[float, float, NDArray[np.uint16]] | None = None
+        self._cycles: deque[tuple[float, bool]] = deque(maxlen=_CYCLES)
+
+    def take(self, identifier: int, z: int, t_s: float) -> bool:
+        """Take the sample of a taxel; returns whether it ended a cycle that lacks another one."""
+        place = self._place[identifier]
+        gap_s, self._message_s = t_s - self._message_s, t_s
+        torn = place in self._z or (bool(self._z) and gap_s > _GAP_SHARE * PERIOD_S)
+        if torn:
+            self._cycles.append((t_s, False))
+            self._z.clear()
+        if not self._z:
+            self._begun_s = t_s
+        self._z[place] = z
+        if len(self._z) == len(self._place):
+            counts = np.array([self._z[n] for n in range(len(self._place))], dtype=np.uint16)
+            self.waiting = (self._begun_s, t_s, counts)
+            self.last_s = t_s
+            self._cycles.append((t_s, True))
+            self._z.clear()
+        return torn
+
+    @property
+    def loss_rate(self) -> float:
+        """Share of the newest cycles that lacked a taxel."""
+        if len(self._cycles) < _CYCLES:
+            return 0.0
+        return 1.0 - sum(whole for _, whole in self._cycles) / _CYCLES
+
+    @property
+    def mixed(self) -> int:
+        """Cycles of the last periods that ended too early."""
+        since_s = self._message_s - _MIXED_PERIODS * PERIOD_S
+        return sum(t_s > since_s and not whole for t_s, whole in self._cycles)
+
+    @property
+    def doubled(self) -> bool:
+        """Whether the taxels come so often that two boards must send them."""
+        full = len(self._cycles) == _CYCLES
+        span_s = self._cycles[-1][0] - self._cycles[0][0] if full else _CYCLES * PERIOD_S
+        return self.mixed >= _MIXED or span_s < _CYCLES * PERIOD_S / _DOUBLED
+
+
+class UskinSource:
+    """Two uSkin boards on one CAN bus; implements `tactile.source.FrameSource`.
+
+    Raises LayoutError where the layout has other pads than the boards' taxels.
+
+    Parameters
+    ----------
+    bus
+        An open bus without CANopen nodes: their heartbeats have the same identifiers.
+    boards
+        Identifiers of the board on finger 0 and on finger 1.
+    falling
+        Whether z falls under a force; counts rise in any case.
+    threaded
+        True: a thread receives (real buses). False: `poll` asks the bus (buses in memory).
+    reopen
+        Opens the bus anew where it was lost.
+    """
+
+    sends_forces = False
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        boards: Sequence[BoardIds],
+        *,
+        layout: TaxelLayout,
+        clock: Clock,
+        falling: bool = False,
+        mounts: Sequence[PadMount] = (),
+        silence_s: float = 0.0,
+        max_loss_rate: float = 0.05,
+        startup_timeout_s: float = 3.0,
+        threaded: bool = True,
+        reopen: Callable[[], can.BusABC] | None = None,
+    ) -> None:
+        check_layout(layout, boards)
+        self.layout = layout
+        self._bus, self._reopen, self._threaded = bus, reopen, threaded
+        self._clock = clock
+        self._boards = [_Board(finger, ids) for finger, ids in enumerate(boards)]
+        self._owner = {i: board for board in self._boards for i in board.ids.taxels}
+        self._order = taxel_order(layout, mounts)
+        self._falling = falling
+        self._silence_s = max(silence_s, _SILENT_PERIODS * PERIOD_S)
+        self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
+        self._frames = FrameStatistics()
+        self._foreign = self._malformed = self._errors = 0
+        self._fault: LinkFault | None = None
+        self._running = False
+        self._source = self._new_source()
+
+    def _new_source(self) -> MessageSource:
+        kind = ThreadedReceiver if self._threaded else PolledSource
+        return kind(self._bus, self._clock)
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """Counts since the last start."""
+        return SourceStatistics(
+            frames=self._frames,
+            recent_loss_rate=max(board.loss_rate for board in self._boards),
+            malformed=self._malformed,
+            foreign=self._foreign,
+            error_frames=self._errors,
+        )
+
+    def start(self) -> SourceIdentity:
+        """Start both boards and wait for a whole cycle of each.
+
+        Raises FrameTimeout where a board sends none, DuplicateNode where two have one address.
+        """
+        lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
+        if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
+            self._bus = self._reopen()
+            self._source = self._new_source()
+        self._fault, self._frames, self._running = None, FrameStatistics(), True
+        self._foreign = self._malformed = self._errors = 0
+        try:
+            self._begin()
+        except BaseException:
+            self.stop()
+            raise
+        return SourceIdentity(name="uSkin")
+
+    def _begin(self) -> None:
+        self._source.start()
+        began_s = self._clock.monotonic()
+        for board in self._boards:
+            board.restart(began_s)
+            try:
+                self._bus.send(can.Message(0.0, board.ids.start, False, data=START))
+            except (can.CanError, OSError) as error:
+                raise interface_failed(error) from error
+        while not self._receive():
+            self._check_doubled()
+            missing = [board for board in self._boards if board.waiting is None]
+            if self._clock.monotonic() - began_s > self._startup_s:
+                raise FrameTimeout(
+                    f"{missing[0].name} sent no whole cycle of {len(missing[0].ids.taxels)} taxels "
+                    f"within {self._startup_s:g} s; {self._foreign} messages have identifiers that "
+                    "tactile.sensor.boards does not name: check cable, supply, address and that map"
+                )
+            self._source.wait(PERIOD_S)
+
+    def poll(self) -> Arrivals:
+        """Return the frames since the last call; does not wait."""
+        if self._fault is not None:
+            raise self._fault
+        if not self._running:
+            raise LinkStateError("the sensor is not running: start it first")
+        try:
+            frames = self._receive()
+            self._check_doubled()
+            self._check()
+        except LinkFault as fault:
+            self._fault = fault
+            raise
+        return Arrivals(tuple(frames))
+
+    def _receive(self) -> list[TactileFrame]:
+        frames = []
+        for t_s, message in self._source.drain():
+            if message.is_error_frame:
+                self._errors += 1
+                if message.arbitration_id & _BUS_OFF:
+                    raise BusOff(
+                        "the CAN controller is off the bus: check cable, termination and bit rate"
+                    )
+                continue
+            board = self._owner.get(message.arbitration_id)
+            if board is None or message.is_extended_id or message.is_remote_frame:
+                self._foreign += 1
+                continue
+            found = samples(message.data)
+            if found is None:
+                self._malformed += 1
+                continue
+            self._frames.torn += board.take(message.arbitration_id, found[2], t_s)
+            if all(board.waiting is not None for board in self._boards):
+                frames.append(self._frame())
+        return frames
+
+    def _check_doubled(self) -> None:
+        for board in self._boards:
+            if board.doubled:
+                raise DuplicateNode(
+                    f"the taxels of {board.name} come more than {_DOUBLED:g} times as often as "
+                    "usual: two boards have its address; set one to another, then start again"
+                )
+
+    def _check(self) -> None:
+        now_s = self._clock.monotonic()
+        for board in self._boards:
+            silent_s = now_s - board.last_s
+            if silent_s > self._silence_s:
+                raise FrameTimeout(
+                    f"{board.name} has sent no whole cycle for {silent_s:.3f} s, allowed are "
+                    f"{self._silence_s:g} s: check its cable and supply; a board that restarted "
+                    "sends after the next start"
+                )
+            # More than two in a period are no loss: whether the board is doubled shows soon.
+            if board.loss_rate > self._max_loss_rate and board.mixed <= 2.0 * _MIXED_PERIODS:
+                raise FrameTimeout(
+                    f"{board.loss_rate:.0%} of the last {_CYCLES} cycles of {board.name} lack a "
+                    f"taxel, allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check "
+                    "cable, termination and bus load"
+                )
+
+    def _frame(self) -> TactileFrame:
+        found = [board.waiting for board in self._boards if board.waiting is not None]
+        pads = [found[pad.finger][2] for pad in self.layout.pads]
+        counts = np.concatenate(pads)[self._order]
+        if self._falling:
+            counts = (FULL_SCALE - counts).astype(np.uint16)
+        counts.setflags(write=False)
+        for board in self._boards:
+            board.waiting = None
+        self._frames.complete += 1
+        return TactileFrame(
+            t_s=max(end_s for _, end_s, _ in found),
+            begun_s=min(begun_s for begun_s, _, _ in found),
+            counter=self._frames.complete & 0xFFFF,
+            status=int(FrameStatus.SATURATED) if counts.max() >= self.layout.adc_max else 0,
+            counts=counts,
+        )
+
+    def set_zero(self, zero: PadZero) -> None:
+        """Nothing: the boards send no forces."""
+
+    def stop(self) -> None:
+        """Stop receiving; the boards go on and the bus stays open."""
+        self._running = False
+        self._source.close()
+
+
+def check_layout(layout: TaxelLayout, boards: Sequence[BoardIds]) -> None:
+    """Raise LayoutError where a layout does not fit the taxels of two boards, or ids repeat."""
+    # A start may have the identifier of a taxel, as 203h of newer boards: it goes the other way.
+    for ids in ([i for board in boards for i in board.taxels], [board.start for board in boards]):
+        if len(set(ids)) < len(ids):
+            raise LayoutError("identifiers of the boards repeat: each taxel and start has its own")
+    sizes = [pad.n_taxels for pad in layout.pads]
+    wanted = [len(boards[pad.finger].taxels) for pad in layout.pads]
+    if len(layout.pads) != len(boards) or sizes != wanted:
+        raise LayoutError(
+            f"layout {layout.name} has pads of {sizes} taxels, the boards have {wanted}: one inner "
+            "pad for each board, with as many taxels as it has identifiers"
+        )

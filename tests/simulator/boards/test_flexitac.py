@@ -1,0 +1,151 @@
+"""The simulated FlexiTac board: a foreign reader on its terminal, and the physics of its pads."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import flexitac
+import numpy as np
+import pytest
+
+from simulator.boards.flexitac import FlexiTacSettings
+from simulator.boards.resistive import ResistiveLaw, ResistivePads
+from simulator.can.faults import ControlUnitFaults
+from simulator.cell import SimulatedCell
+from simulator.clock import VirtualClock
+from simulator.realtime.terminals import BoardPty
+from simulator.settings import SimulatorSettings
+from tactile.flexitac.stream import PROFILES, FrameStream
+from tactile.layout import LAYOUTS
+
+LAYOUT = LAYOUTS["flexitac_12x32"]()
+
+
+@contextmanager
+def simulated(name: str = "flexitac_12x32", **changes: Any) -> Iterator[SimulatedCell]:
+    layout = LAYOUTS[name]()
+    pad = layout.pads[0]
+    boards = FlexiTacSettings(rows=pad.columns, columns=pad.rows)
+    with SimulatedCell(SimulatorSettings(layout=layout, boards=boards, **changes)) as cell:
+        yield cell
+
+
+@pytest.mark.parametrize("profile", sorted(PROFILES))
+def test_the_foreign_package_and_our_reader_agree_frame_by_frame(
+    profile: str, tmp_path: Path
+) -> None:
+    with simulated(f"flexitac_{profile}") as cell:
+        board, clock = cell.devices.boards[1], cell.clock
+        cell.world.press(1, 0.004, 0.002, 3.0)  # type: ignore[union-attr]
+        pty, size = BoardPty(board, tmp_path / "board1"), PROFILES[profile]
+        # Virtual time goes on only while the foreign reader waits for bytes.
+        stop = threading.Event()
+
+        def serve() -> None:
+            while not stop.is_set():
+                clock.sleep(0.002)
+                pty.poll(clock.monotonic())
+                stop.wait(0.0005)
+
+        reader = flexitac.FlexiTacSensor(
+            pty.path, rows=size.rows, cols=size.columns, baseline=20.0, read_timeout_s=30.0
+        )
+        # It takes the first marker that it finds: its stream has to begin with a frame.
+        clock.sleep(0.05)
+        board.drop_pending()
+        thread = threading.Thread(target=serve, daemon=True)
+        with reader:
+            thread.start()
+            theirs = [reader.read().raw for _ in range(20)]
+            stop.set()
+            thread.join()
+        pty.close()
+        assert theirs[-1].max() > 60
+        assert theirs[-1].shape == (size.rows, size.columns)
+        stream, ours = FrameStream(size), []
+        for _ in range(60):
+            clock.sleep(0.005)
+            ours += stream.feed(board.transmit(clock.monotonic()), clock.monotonic())
+        mine = np.mean([np.frombuffer(one.samples, np.uint8) for one in ours], axis=0)
+        np.testing.assert_allclose(mine, np.mean(theirs, axis=0).ravel(), atol=1.5)
+
+
+def test_boards_send_each_at_a_rate_of_its_own() -> None:
+    all_hz = set()
+    for seed in range(3):
+        with simulated(seed=seed) as cell:
+            cell.clock.sleep(0.001)
+            for board in cell.devices.boards:
+                board.drop_pending()
+            n_bytes = [0, 0]
+            for _ in range(200):
+                cell.clock.sleep(0.01)
+                for finger, board in enumerate(cell.devices.boards):
+                    n_bytes[finger] += len(board.transmit(cell.clock.monotonic()))
+            rates_hz = [n / 386 / 2.0 for n in n_bytes]
+            assert all(88.0 < rate_hz < 112.0 for rate_hz in rates_hz)
+            all_hz.update(rates_hz)
+    assert len(all_hz) > 3
+
+
+class Pressed:
+    """A world with one force on one taxel."""
+
+    def __init__(self) -> None:
+        self.force_n = np.zeros(LAYOUT.n_taxels)
+
+    def felt_force_n(self) -> Any:
+        return self.force_n
+
+
+@pytest.fixture
+def world() -> Pressed:
+    return Pressed()
+
+
+def pads(world: Any, **law: Any) -> ResistivePads:
+    quiet = ResistiveLaw(noise_counts=0.0, rest_counts=(80.0, 80.0), **law)
+    return ResistivePads(world, LAYOUT, ControlUnitFaults(), law=quiet)
+
+
+def test_a_press_shows_in_its_row_and_column_as_well(world: Pressed) -> None:
+    board = pads(world)
+    world.force_n[5 * 12 + 3] = 3.0
+    change = board.scan()[:384].reshape(32, 12).astype(int) - 20
+    assert change[5, 3] == change.max() > 100
+    assert change[5, 9] > 2
+    assert change[20, 3] > 0
+    assert change[20, 9] == 0
+
+
+def test_a_falling_force_shows_more_than_a_rising_one(world: Pressed) -> None:
+    board, shown = pads(world), []
+    for force_n in (1.0, 3.0, 1.0, 0.0):
+        world.force_n[100] = force_n
+        shown.append(int(board.scan()[100]))
+    assert shown[2] > shown[0] + 2
+    assert shown[3] == 20
+
+
+def test_the_law_is_compressive_and_ends_at_full_scale(world: Pressed) -> None:
+    board, shown = pads(world), []
+    for force_n in (1.0, 2.0, 4.0, 40.0):
+        world.force_n[100] = force_n
+        shown.append(int(board.scan()[100]) - 20)
+    assert shown[1] - shown[0] < shown[0]
+    assert shown[-1] == 255 - 20
+
+
+def test_faults_of_boards_are_refused_where_there_are_none() -> None:
+    with SimulatedCell() as cell, pytest.raises(Exception, match="no sensor boards"):
+        cell.inject("board.off")
+
+
+def test_the_clock_needs_no_reader() -> None:
+    clock = VirtualClock()
+    boards = FlexiTacSettings()
+    with SimulatedCell(SimulatorSettings(layout=LAYOUT, boards=boards), clock) as cell:
+        clock.sleep(60.0)
+        assert len(cell.devices.boards[0].transmit(clock.monotonic())) <= 65536

@@ -1,0 +1,211 @@
+"""The frame source of two FlexiTac boards, on simulated boards in virtual time."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from simulator.boards.flexitac import FlexiTacSettings
+from simulator.cell import SimulatedCell
+from simulator.settings import SimulatorSettings
+from tactile.errors import FrameTimeout, LayoutError, LinkFault, LinkStateError, NodeMissing
+from tactile.flexitac.source import FlexiTacSource
+from tactile.flexitac.stream import PROFILES
+from tactile.layout import LAYOUTS, PadMount, TaxelLayout
+from tactile.source import FrameStatus, TactileFrame
+
+LAYOUT = LAYOUTS["flexitac_12x32"]()
+MakeSource = Callable[..., FlexiTacSource]
+
+
+@pytest.fixture
+def cell() -> Iterator[SimulatedCell]:
+    with SimulatedCell(SimulatorSettings(layout=LAYOUT, boards=FlexiTacSettings())) as one:
+        yield one
+
+
+@pytest.fixture
+def source(cell: SimulatedCell) -> FlexiTacSource:
+    return make_source(cell)
+
+
+def make_source(cell: SimulatedCell, **changes: object) -> FlexiTacSource:
+    values = {"profile": PROFILES["12x32"], "layout": LAYOUT, "clock": cell.clock} | changes
+    return FlexiTacSource([partial(cell.open_board, n) for n in (0, 1)], **values)  # type: ignore[arg-type]
+
+
+def run(cell: SimulatedCell, source: FlexiTacSource, seconds: float) -> list[TactileFrame]:
+    """Poll at the rate of a force loop and return the frames."""
+    found: list[TactileFrame] = []
+    for _ in range(round(seconds / 0.005)):
+        cell.clock.sleep(0.005)
+        found += source.poll().frames
+    return found
+
+
+def test_frames_come_at_the_rate_of_the_slower_board_with_fresh_times(
+    cell: SimulatedCell, source: FlexiTacSource
+) -> None:
+    assert source.start().name == "FlexiTac"
+    found = run(cell, source, 2.0)
+    assert 2 * 88 <= len(found) <= 2 * 112
+    assert [one.counter for one in found] == list(range(found[0].counter, found[-1].counter + 1))
+    assert all(one.counts.shape == (768,) and 5 < one.counts.min() < 45 for one in found)
+    assert all(one.t_s - one.scanned_s <= 0.012 for one in found)
+    stats = source.statistics
+    assert (stats.frames.torn, stats.frames.duplicate, stats.recent_loss_rate) == (0, 0, 0.0)
+
+
+def test_a_press_shows_at_its_place_on_its_pad(cell: SimulatedCell, source: FlexiTacSource) -> None:
+    source.start()
+    rest = np.mean([one.counts for one in run(cell, source, 0.5)], axis=0)
+    for pad in (0, 1):
+        cell.world.press(pad, 0.018, -0.006, 4.0)  # type: ignore[union-attr]
+        cell.clock.sleep(0.05)
+        source.poll()
+        change = run(cell, source, 0.1)[-1].counts - rest
+        taxel = int(np.argmax(change))
+        assert LAYOUT.taxel_pad[taxel] == pad
+        assert LAYOUT.taxel_xy_m[taxel] == pytest.approx((0.018, -0.006), abs=0.002)
+        assert change.max() > 30
+        cell.world.lift()  # type: ignore[union-attr]
+
+
+def test_pads_that_sit_otherwise_are_put_right(cell: SimulatedCell) -> None:
+    mounts = [PadMount(pad=0, sent_as=1, rows_mirrored=True), PadMount(pad=1, sent_as=0)]
+    source = make_source(cell, mounts=mounts)
+    source.start()
+    cell.world.press(1, 0.02, 0.0, 5.0)  # type: ignore[union-attr]
+    (frame, *_) = run(cell, source, 0.2)[-1:]
+    taxel = int(np.argmax(frame.counts))
+    assert LAYOUT.taxel_pad[taxel] == 0
+    assert LAYOUT.taxel_xy_m[taxel, 0] == pytest.approx(-0.02, abs=0.002)
+
+
+def test_a_square_board_may_sit_either_way() -> None:
+    layout = LAYOUTS["flexitac_16x16"]()
+    for rows_along in (False, True):
+        settings = FlexiTacSettings(rows=16, columns=16, rows_along=rows_along)
+        with SimulatedCell(SimulatorSettings(layout=layout, boards=settings)) as cell:
+            source = make_source(
+                cell, profile=PROFILES["16x16"], layout=layout, rows_along=rows_along
+            )
+            source.start()
+            cell.world.press(0, 0.01, -0.004, 5.0)  # type: ignore[union-attr]
+            frame = run(cell, source, 0.2)[-1]
+            place_m = layout.taxel_xy_m[int(np.argmax(frame.counts))]
+            assert place_m == pytest.approx((0.01, -0.004), abs=0.002)
+
+
+def test_a_layout_of_another_size_is_refused(cell: SimulatedCell) -> None:
+    wrong: TaxelLayout = LAYOUTS["flexitac_16x32"]()
+    with pytest.raises(
+        LayoutError, match="needs two inner pads of 32 rows along the finger and 12"
+    ):
+        make_source(cell, layout=wrong)
+
+
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        ("board.unplugged=1", "the line of the board of finger 1 is gone"),
+        ("board.off=0", "the board of finger 0 has sent no new frame for"),
+        ("board.frozen=1", "the board of finger 1 has sent no new frame .*: it repeats one frame"),
+        ("board.rows=16", "its frames are 16x32: set tactile.sensor.profile"),
+        ("board.lost_byte=0.5", "were torn|no new frame"),
+        ("board.torn=0.5", "were torn|no new frame"),
+    ],
+)
+def test_a_fault_in_operation_is_raised_by_each_call_until_a_new_start(
+    cell: SimulatedCell, source: FlexiTacSource, fault: str, named: str
+) -> None:
+    source.start()
+    run(cell, source, 0.5)
+    began_s = cell.clock.monotonic()
+    injected = cell.inject(fault)
+    with pytest.raises(LinkFault, match=named):
+        run(cell, source, 3.0)
+    # The profile shows in the next frame that is no whole one, damage among fifty.
+    assert cell.clock.monotonic() - began_s < (1.5 if "=0.5" in fault else 0.2)
+    with pytest.raises(LinkFault, match=named):
+        source.poll()
+    injected.clear()
+    source.stop()
+    source.start()
+    assert run(cell, source, 0.2)
+
+
+def test_single_damaged_frames_are_left_out_and_counted(
+    cell: SimulatedCell, source: FlexiTacSource
+) -> None:
+    source.start()
+    rest = np.mean([one.counts for one in run(cell, source, 0.5)], axis=0)
+    cell.inject("board.lost_byte=0.005")
+    found = run(cell, source, 6.0)
+    assert source.statistics.frames.torn >= 3
+    # A frame that is shifted by one byte differs from the rest by the spread of its taxels.
+    assert max(np.abs(one.counts - rest).mean() for one in found) < 1.5
+
+
+def test_repeated_frames_are_not_handed_out_as_fresh_ones(
+    cell: SimulatedCell, source: FlexiTacSource
+) -> None:
+    source.start()
+    run(cell, source, 0.5)
+    cell.inject("board.repeated=0.2")
+    found = run(cell, source, 2.0)
+    assert source.statistics.frames.duplicate > 40
+    halves = [one.counts[:384].tobytes() for one in found]
+    assert sum(a == b for a, b in pairwise(halves)) == 0
+
+
+def test_bytes_that_nobody_fetched_for_long_are_dropped(
+    cell: SimulatedCell, source: FlexiTacSource
+) -> None:
+    source.start()
+    run(cell, source, 0.2)
+    cell.clock.sleep(1.0)
+    cell.world.press(0, 0.0, 0.0, 5.0)  # type: ignore[union-attr]
+    asked_s = cell.clock.monotonic()
+    found = run(cell, source, 0.2)
+    assert found
+    assert all(one.scanned_s >= asked_s and one.counts.max() > 50 for one in found)
+    assert source.statistics.frames.lost >= 90
+
+
+def test_a_static_load_is_ambiguous_at_the_start_and_harmless_later(
+    cell: SimulatedCell, source: FlexiTacSource
+) -> None:
+    injected = cell.inject("board.marked=0")
+    with pytest.raises(FrameTimeout, match=r"the board of finger 0 .* ambiguous: .* take the load"):
+        source.start()
+    injected.clear()
+    source.start()
+    cell.inject("board.marked=0")
+    assert run(cell, source, 1.0)
+    assert source.statistics.frames.torn == 0
+
+
+def test_a_saturated_taxel_is_in_the_status(cell: SimulatedCell, source: FlexiTacSource) -> None:
+    source.start()
+    assert run(cell, source, 0.1)[-1].status == 0
+    cell.inject("taxels.stuck_at=5:255")
+    assert run(cell, source, 0.1)[-1].status == FrameStatus.SATURATED
+
+
+def test_a_board_that_is_not_there_or_not_started(
+    cell: SimulatedCell, source: FlexiTacSource
+) -> None:
+    with pytest.raises(LinkStateError):
+        source.poll()
+    injected = cell.inject("board.unplugged=0")
+    with pytest.raises(NodeMissing, match="finger 0"):
+        source.start()
+    injected.clear()
+    cell.inject("board.off=1")
+    with pytest.raises(
+        FrameTimeout, match="finger 1 sent no frame of 12 x 32 within 3 s: it sends"
+    ):
+        source.start()
