@@ -14,7 +14,7 @@ from cell.interfaces.page import FOLDER
 
 STEPS, CHECKS = (Path(package.__file__).parent for package in (cell.commissioning, cell.checks))
 MODELS = Path(gripper.dynamixel.models.__file__)
-NOT_SHOWN = ("backup", "bench", "figures", "record")
+NOT_SHOWN = ("backup", "bench", "cell_backup", "figures", "record")
 """Modules whose texts are for the terminal, for logs, or on the record, which is English."""
 ENGLISH = {"curves", "pads_figure", "CellError", "ValueError"}
 """Calls whose texts stay English: pictures and errors of programs."""
