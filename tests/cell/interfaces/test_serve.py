@@ -95,6 +95,16 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
     assert said[1:] == pages(line)
 
 
+def test_a_token_that_stands_in_a_file_is_printed_nowhere(start: Any, tmp_path: Path) -> None:
+    (tmp_path / "token").write_text("a-token-of-the-cell-1")
+    ports = ("--modbus", "0", "--xml-rpc", "0", "--http", "0")
+    process, line = start(*ports, config="  token_file: token\n")
+    assert not {"token", "view_token"} & line.keys()
+    said = ended(process)
+    assert f"page: http://127.0.0.1:{line['http_port']}/ (its token: token)" in said
+    assert "a-token" not in "".join(said)
+
+
 def test_the_command_for_a_second_person_prints_a_link_for_other_machines(start: Any) -> None:
     page = Path("docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
     (typed,) = re.findall(r"tactile-cell serve (--listen .*)", page)
