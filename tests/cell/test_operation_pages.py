@@ -1,4 +1,4 @@
-"""The pages on backup, update and recordings: what they print is typed here, in their order."""
+"""Pages with commands, on operation and on hardware: each command is typed here, in order."""
 
 import re
 import shlex
@@ -9,9 +9,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from cell.build import build_cell
 from cell.config.file import config_text, load_config
+from cell.control.plan import GraspStep, Pose
 from cell.interfaces.cli.app import app
 from cell.service.history import History
+from gripper.values.outcome import GraspResult
 from tests.cell.conftest import small_config
 
 PAGES = Path("docs/how-to").resolve()
@@ -97,3 +100,21 @@ class STATE:
 
     n_faults = 0
     fault = None
+
+
+@pytest.mark.parametrize("page", ["open-parallel-gripper", "connect-flexitac", "connect-uskin"])
+def test_the_page_on_hardware_can_be_typed(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    *_, checked = typed(f"{page}.md")
+    assert "valid" in checked
+    (written,) = Path().glob("*.yaml")
+    cell = build_cell(load_config(written))
+    try:
+        cell.controller.start()
+        cell.controller.present("box")
+        record = cell.controller.grasp(GraspStep(pose=Pose(), force_n=4.0))
+    finally:
+        cell.close()
+    assert record.outcome.result is GraspResult.FORCE_REACHED
