@@ -103,11 +103,13 @@ def fit_table(
     """
     loads, counted = np.asarray(true_n), np.asarray(parts)
     used = int(np.count_nonzero(counted.max(axis=0) > 0.0))
+    if not used:
+        raise ValueError("the loads show no counts")
     # Slopes that rise are sums of steps that are not negative.
     steps = np.cumsum(counted[:, :used][:, ::-1], axis=1)[:, ::-1]
     found, _ = nnls(steps, loads)
     slopes = np.cumsum(found)
-    if not used or not slopes[0] > 0.0:
+    if not slopes[0] > 0.0:
         raise ValueError("the loads show no law that rises with the counts")
     nodes = adc_max * np.array(_TABLE_SHARES[: used + 1])
     force_n = np.cumsum(slopes * np.diff(nodes))

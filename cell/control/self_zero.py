@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cell.config.model import CellConfig
+from cell.config.tactile import TactileConfig
 from cell.data.formats import SELF_ZERO, read_json, write_json
 from cell.errors import CellError, PlanRefused
 from gripper.values.outcome import GraspOutcome, GraspResult
@@ -66,6 +67,10 @@ def _hand_of(config: CellConfig) -> dict[str, Any]:
         for section, keys in _HAND_KEYS.items()
         for key in keys
     }
+    for key in ("sensor", "pad_gains"):
+        # Files of earlier versions have neither: a default one does not count as another.
+        if getattr(config.tactile, key) != getattr(TactileConfig(), key):
+            hand[f"tactile.{key}"] = values["tactile"][key]
     return hand | ({"seed": config.seed} if config.simulated else {})
 
 

@@ -147,7 +147,7 @@ def client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
         "simulator.faults": [],
         "positioner": _client_positioner(config.positioner, found),
     }
-    if found["board_ports"]:
+    if config.tactile.serial_ports:
         ports["tactile.sensor"] = config.tactile.sensor.model_dump() | {
             "ports": found["board_ports"]
         }

@@ -70,6 +70,8 @@ def simulated_config(
         "tactile.channel": "",
         "positioner": {"kind": "callback" if callback else "simulated"},
     }
+    if config.tactile.serial_ports:
+        ours["tactile.sensor.ports"] = [SIMULATED] * len(config.tactile.serial_ports)
     if objects is not None:
         ours["simulator.objects"] = [
             {"label": label, "shape": shape} for label, shape in objects.items()

@@ -13,7 +13,12 @@ import numpy as np
 
 from cell.config.file import recorded_config
 from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_config, layout_from_pads
+from cell.config.tactile import (
+    ControlUnitConfig,
+    TactileConfig,
+    layout_from_config,
+    layout_from_pads,
+)
 from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.data.recording_reader import Recording
@@ -275,6 +280,14 @@ def _key_figures(scores: Mapping[str, ConfusionTable], story: _Story) -> tuple[K
     return (*figures, KeyFigure(value=f"{per_answer:.1f}", caption="grasps until sure"))
 
 
+def _line(tactile: TactileConfig) -> dict[str, str]:
+    if tactile.serial_ports:
+        return {"Sensor boards": tactile.place}
+    can = f"{tactile.place}, {tactile.bitrate:,} bit/s"
+    unit = isinstance(tactile.sensor, ControlUnitConfig)
+    return {"CAN": f"{can}, node {tactile.node_id}" if unit else can}
+
+
 def _facts(config: CellConfig | None, layout: TaxelLayout) -> tuple[tuple[str, str], ...]:
     sensor = {"Sensor": f"{layout.n_taxels} taxels on {layout.n_pads} pads"}
     if config is None:
@@ -284,8 +297,7 @@ def _facts(config: CellConfig | None, layout: TaxelLayout) -> tuple[tuple[str, s
         "Servos": ", ".join(f"{servo.model} (id {servo.id})" for servo in config.gripper.servos),
         "Servo bus": f"{config.gripper.port}, {config.gripper.baud_rate:,} baud",
         **sensor,
-        "CAN": f"{config.tactile.interface} {config.tactile.channel}".strip()
-        + f", {config.tactile.bitrate:,} bit/s, node {config.tactile.node_id}",
+        **_line(config.tactile),
         "Force": f"{sequence.force_n[0]:g} to {sequence.force_n[1]:g} N",
         "Ramp": sequence.ramp.kind,
         "Position": f"x {sequence.x_mm[0]:g} to {sequence.x_mm[1]:g} mm, "

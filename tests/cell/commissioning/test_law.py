@@ -2,14 +2,16 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cell.checks.findings import Finding, Verdict
 from cell.commissioning.engine import StepFailed
-from cell.commissioning.law import LawStep, fit_factor, judge_law
+from cell.commissioning.law import LawStep, fit_factor, fit_table, judge_law, table_parts
 from cell.config.tactile import TactileConfig
 from simulator.world.taxels import SensorLaw
 from tactile.layout import paper_layout
+from tactile.sensor.calibration import TableCalibration
 from tests.cell.commissioning.conftest import MakeStand, Stand
 
 LOADS_N = (2.0, 5.0, 8.0)
@@ -101,6 +103,7 @@ def test_pads_that_differ_are_a_word_to_the_operator() -> None:
     judge_law(TactileConfig(), [one, other], finding := Finding())
     assert finding.status is Verdict.WARN
     assert "The pads differ: factor 0.91 on finger 0, 1.09 on finger 1" in finding.lines[1]
+    assert finding.settings["tactile.pad_gains"] == pytest.approx([0.9255, 1.1065], abs=0.001)
 
 
 def test_the_factor_is_the_least_squares_one() -> None:
@@ -108,3 +111,38 @@ def test_the_factor_is_the_least_squares_one() -> None:
     assert (fit.factor, fit.residual_n) == pytest.approx((1.25, 0.0))
     with pytest.raises(ValueError, match="2 loads and 1"):
         fit_factor([1.0, 2.0], [1.0])
+
+
+TRUE = TableCalibration((16.0, 32.0, 64.0, 128.0), (0.05, 0.12, 0.31, 0.9), 255)
+"""Law of pads whose taxels are less sensitive the more they are pressed."""
+
+
+def pressed(force_n: float, n_taxels: int) -> tuple[float, ...]:
+    """Return a load as a wrong straight law shows it, spread unevenly over taxels."""
+    share = np.linspace(1.0, 2.0, n_taxels)
+    counts = np.zeros(384)
+    counts[:n_taxels] = TRUE.counts(force_n * share / share.sum())
+    return force_n, 0.01 * float(counts.sum()), *table_parts(counts, 255)
+
+
+def test_loads_that_bend_make_a_table() -> None:
+    loads = [[pressed(force_n, n) for force_n, n in ((2.0, 4), (5.0, 25), (8.0, 9))]] * 2
+    tactile = TactileConfig.model_validate(
+        {"layout": "flexitac_12x32", "calibration": {"kind": "linear", "force_per_count_n": 0.01}}
+    )
+    judge_law(tactile, loads, finding := Finding(), 255)
+    law = finding.settings["tactile.calibration"]
+    assert law["kind"] == "table"
+    found = TableCalibration(tuple(law["counts"]), tuple(law["force_n"]), 255)
+    counts = np.array([40.0, 80.0, 110.0])
+    assert found.force_n(counts) == pytest.approx(TRUE.force_n(counts), rel=0.15)
+    assert finding.values["table_residual_n"] < 0.1
+    # The same loads under the table are right.
+    shown = [[(load[0], load[0], *load[2:]) for load in one] for one in loads]
+    judge_law(tactile, shown, again := Finding(), 255)
+    assert not again.settings
+
+
+def test_a_table_needs_loads_that_rise_with_the_counts() -> None:
+    with pytest.raises(ValueError, match="show no counts"):
+        fit_table([1.0, 2.0], [[0.0] * 9] * 2, 255)

@@ -389,6 +389,7 @@ def test_a_whole_file_of_other_values_counts_as_none(
         ({"gripper.port": "/dev/ttyUSB1"}, "gripper.port"),
         ({"tactile.channel": "can1"}, "tactile.channel"),
         ({"tactile.node_id": 6}, "tactile.node_id"),
+        ({"tactile.pad_gains": [1.0, 1.2]}, "tactile.pad_gains"),
         ({"tactile.serial_number": 7}, "tactile.serial_number"),
         ({"gripper.servos": [{"id": 1}, {"id": 3}]}, "gripper.servos"),
         ({"gripper.linkage.link_mm": 61.0}, "gripper.linkage"),

@@ -11,6 +11,7 @@ from cell.config.model import CellConfig
 from cell.data.dataset import read_grasps
 from cell.errors import ConfigError
 from cell.jobs.collection import grasps_of
+from cell.pytest_plugin.configs import simulated_config
 
 PRESET = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
 
@@ -85,3 +86,4 @@ def test_a_real_cell_on_boards_needs_no_can_channel() -> None:
     )
     assert not config.simulated
     assert config.tactile.place == "/dev/a, /dev/b"
+    assert simulated_config(config).tactile.serial_ports == ("simulated", "simulated")

@@ -19,6 +19,7 @@ FOUND = {
     "can_channel": "can",
     "axes_can_channel": "drives",
     "axes_ports": {"roll": "wrist"},
+    "board_ports": ["board0", "board1"],
     "positioner_socket": "socket",
 }
 """Ports of a simulated cell that is served."""
@@ -75,3 +76,10 @@ def test_a_client_gets_the_axes_at_their_ports_and_more_patience(
     assert (client.gripper.port, client.simulator.faults, client.simulated) == ("servos", (), False)
     assert (client.tactile.interface, client.tactile.channel) == ("slcan", "can")
     assert client.tactile.tare_frames == config.tactile.tare_frames
+
+
+def test_a_client_gets_the_boards_of_its_sensor_at_their_ports() -> None:
+    preset = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
+    config = simulate.client_config(preset, FOUND)
+    assert config.tactile.serial_ports == ("board0", "board1")
+    assert not config.simulated

@@ -92,6 +92,7 @@ def test_the_announcement_is_plain_and_complete(stepped: Stepped, tmp_path: Path
         "node_id": 5,
         "axes_can_channel": None,
         "axes_ports": {},
+        "board_ports": [],
         "positioner_socket": str(tmp_path / "positioner.sock"),
         "pid": os.getpid(),
         "config": None,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from tactile.errors import CalibrationError
-from tactile.sensor.calibration import FoamCalibration, LinearCalibration
+from tactile.sensor.calibration import FoamCalibration, LinearCalibration, TableCalibration
 
 
 def test_equation_11_gives_the_papers_curve_from_zero_to_full_scale() -> None:
@@ -59,3 +59,20 @@ def test_impossible_full_scale_is_refused() -> None:
         FoamCalibration(0)
     with pytest.raises(CalibrationError, match="adc_max is 0"):
         LinearCalibration(1.0, 0)
+
+
+def test_a_table_goes_straight_from_node_to_node_and_on_beyond_them() -> None:
+    law = TableCalibration((10.0, 30.0), (0.1, 0.7), 255, np.array([1.0, 2.0]))
+    assert law.force_n(np.array([5.0, 5.0])) == pytest.approx([0.05, 0.1])
+    assert law.force_n(np.array([20.0, 40.0])) == pytest.approx([0.4, 2.0])
+    assert law.force_n(np.array([-5.0, 0.0])) == pytest.approx([-0.05, 0.0])
+    counts = np.array([-3.0, 25.0])
+    assert law.counts(law.force_n(counts)) == pytest.approx(counts)
+
+
+@pytest.mark.parametrize(
+    "nodes", [((), ()), ((5.0, 3.0), (1.0, 2.0)), ((3.0, 5.0), (1.0, 1.0)), ((0.0,), (1.0,))]
+)
+def test_a_table_that_does_not_rise_is_refused(nodes: tuple[tuple[float, ...], ...]) -> None:
+    with pytest.raises(CalibrationError, match="rise from above 0"):
+        TableCalibration(*nodes, 255)  # type: ignore[arg-type]
