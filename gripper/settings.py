@@ -10,6 +10,7 @@ from math import inf, isfinite
 from typing import Any
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
+from gripper.dynamixel.drive import Drives
 from gripper.dynamixel.models import ServoModel, require_current_control
 from gripper.errors import LimitExceeded
 
@@ -103,10 +104,8 @@ class ForceLoopSettings:
     """How hard the motor may push the fingers open to lower the force against friction, as a
     share of the friction band."""
     bias_max_n: float = setting(2.0, above=0.0)
-    bias_max_share: float = setting(0.4, low=0.0)
-    bias_max_friction_share: float = setting(0.6, low=0.0)
-    """Largest plausible difference between sensor and model in N, plus a share of the set-
-    point, plus a share of the friction band."""
+    """Largest plausible difference between sensor and model in N, beside what is uncertain of the
+    servos' torque and friction."""
     taper_n_s: float = setting(1.0, low=0.0, high=50.0)
     """Rate in N/s at which a long hold gives back drive that friction makes superfluous."""
 
@@ -258,6 +257,8 @@ class GripperSettings:
     compared."""
     force_loop: ForceLoopSettings = field(default_factory=ForceLoopSettings)
     """Tuning of the force loop."""
+    drives: Drives = field(default_factory=Drives, repr=False, compare=False)
+    """Newest drive characteristic of each servo; settings made of these share it."""
 
     def __post_init__(self) -> None:
         ids = [servo.servo_id for servo in self.servos]

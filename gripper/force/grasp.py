@@ -14,7 +14,7 @@ from gripper.force.approach.mechanics_proof import (
     not_met,
 )
 from gripper.force.control.grip_control import GripControl
-from gripper.force.estimates.friction import FrictionEstimate
+from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
@@ -51,6 +51,8 @@ class GraspRun:
         Of the gripper.
     set_phase
         Tells the phase that a grasp comes to.
+    free
+        Gets the free motion of each approach.
     """
 
     def __init__(
@@ -60,17 +62,18 @@ class GraspRun:
         linkage: Linkage,
         settings: GripperSettings,
         set_phase: Callable[[GripperPhase], None],
+        free: FreeMotion,
     ) -> None:
         self._runner = runner
         self._set_phase = set_phase
         self._servos = servos
+        self._free = free
         self._linkage = linkage
         self._settings = settings
         self._end = RampEnd()
         self._ramp_step: ContactStep | None = None
         self._closed_is_proven = False
         self._widest_m, self._touched = 0.0, 0
-        self._friction_share = 1.0
 
     @property
     def control(self) -> GripControl | None:
@@ -84,7 +87,7 @@ class GraspRun:
     def start_proving(self) -> None:
         """Prove anew where the fingers are closed, and learn anew: their torque comes on."""
         self._closed_is_proven = False
-        self._widest_m, self._touched, self._friction_share = 0.0, 0, 1.0
+        self._widest_m, self._touched = 0.0, 0
 
     def end_ramp(self) -> None:
         """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
@@ -184,16 +187,15 @@ class GraspRun:
             widest_m=self._begins_m if known else None,
         )
         stiffness = StiffnessEstimate(self._settings)
-        friction = FrictionEstimate(self._settings, self._linkage)
+        self._free.begin()
 
         def step(moment: Moment) -> Action:
             stiffness.push(moment)
-            friction.push(moment, running=approach.runs_freely(moment.state))
+            self._free.push(moment, free=approach.runs_freely(moment.state))
             return approach.step(moment)
 
         state = self._runner.run(step)
-        if friction.measured:
-            self._friction_share = friction.friction_share()
+        self._free.end(state)
         return Reached(
             settings=settings,
             event=approach.event,
@@ -201,7 +203,6 @@ class GraspRun:
             braked_s=approach.braked_s,
             touch_m=approach.touch_m,
             stiffness=stiffness,
-            friction_share=self._friction_share,
         )
 
     @property
@@ -436,12 +437,11 @@ class ContactStep(GripStep):
         Where momentum alone has made the force of the ramp, they stay where friction locks them.
         """
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
-        reached = self._reached
-        drive_n = force_n + _CONTACT_SHARE * reached.friction_share * mean_friction_n(paths)
+        drive_n = force_n + _CONTACT_SHARE * mean_friction_n(paths)
         if force_n > self._time.ramp.final_n:
             drive_n = min(drive_n, max(force_n, driving_n(moment.state, paths)))
         return GripControl(
-            self._linkage, reached, force_n=force_n, drive_n=drive_n, now_s=moment.now_s
+            self._linkage, self._reached, force_n=force_n, drive_n=drive_n, now_s=moment.now_s
         )
 
     def _ends_early(self) -> bool:

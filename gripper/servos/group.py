@@ -23,7 +23,7 @@ from gripper.errors import (
     GripperError,
     ServoFault,
 )
-from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos import stop_goals
 from gripper.servos.feedback import Feedback
 from gripper.servos.goals import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
@@ -335,7 +335,7 @@ class ServoGroup:
     def _motion_current_a(self, state: ServoFeedback | None = None) -> float:
         state = state or self.read_patiently()
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
-        return motion_current_a(self._settings, paths, self._settings.approach_force_n)
+        return max(motion_currents_a(self._settings, paths, self._settings.approach_force_n))
 
     def _check_mode(self) -> None:
         """Raise ServoFault where a servo is in another mode: its goals would mean other things."""

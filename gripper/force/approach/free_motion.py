@@ -2,7 +2,6 @@
 
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.approach.mechanics_proof import (
-    OVERRUN_RAD,
     PATIENCE_S,
     REACHED_PULSES,
     ForceRise,
@@ -10,8 +9,8 @@ from gripper.force.approach.mechanics_proof import (
 )
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a
-from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
-from gripper.servos.goals import ServoGoal
+from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
+from gripper.servos.goals import ServoGoal, overrun_rad
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
@@ -28,6 +27,8 @@ _OPENING_FORCE_N = 3.0
 _RISING_S = 0.25
 """Time in s in which it rises to that from what moves the fingers: where they close instead, the
 pads show it before. [chosen]"""
+BOOST_PER_S = 2.0
+"""Growth in 1/s of the factor on the current of fingers that stand still untouched. [tuned]"""
 _AGAINST_REST = 1.4
 """Current of a motion over that which moves the fingers freely: friction at rest is larger.
 [assumed]"""
@@ -108,13 +109,20 @@ class MoveTo:
         )
         force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
         paths = transmissions(settings, linkage, state.angles_rad)
-        self._current_a = min(
-            _AGAINST_REST * motion_current_a(settings, paths, force_n),
-            # The wider the fingers stand, the more force a current makes.
-            settings.current_max_a if opening else closing_current_max_a(settings, paths),
-        )
+        needed_a = motion_currents_a(settings, paths, force_n)
+        self._least_a = motion_currents_a(settings, paths, 0.0)
+        # The wider the fingers stand, the more force a current makes.
+        self._most_a = [
+            settings.current_max_a if opening else closing_current_max_a(settings, path)
+            for path in paths
+        ]
+        self._currents_a = [
+            min(_AGAINST_REST * current_a, most_a)
+            for current_a, most_a in zip(needed_a, self._most_a, strict=True)
+        ]
+        self._stiff = [path.drive.most_breakaway_a / path.drive.breakaway_a for path in paths]
+        self._boosts = [1.0] * len(paths)
         self._rising_s = _RISING_S if opening else 0.0
-        self._least_a = motion_current_a(settings, paths, 0.0)
         self._passed_s = 0.0
         self._share_per_s = speed_m_s / travel_m
         self._share = 0.0
@@ -140,30 +148,36 @@ class MoveTo:
             )
         self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
         self._passed_s += moment.dt_s
-        current_a = self._current_a
-        if self._passed_s < self._rising_s:
-            more = self._passed_s / self._rising_s
-            current_a = min(current_a, self._least_a + more * (current_a - self._least_a))
+        rising = self._passed_s / self._rising_s if self._passed_s < self._rising_s else 1.0
         goals = []
         arrived = True
-        for settings, servo, start_rad, target_rad in zip(
-            self._settings.servos,
-            moment.state.servos,
-            self._start_rad,
-            self._target_rad,
-            strict=True,
+        for finger, (settings, servo, start_rad, target_rad) in enumerate(
+            zip(
+                self._settings.servos,
+                moment.state.servos,
+                self._start_rad,
+                self._target_rad,
+                strict=True,
+            )
         ):
             sign = 1.0 if target_rad >= start_rad else -1.0
             reached_rad = REACHED_PULSES * settings.servo_model.rad_per_pulse
             there = sign * (target_rad - servo.angle_rad) <= reached_rad
             there = there or (self._only_open and start_rad >= target_rad)
             arrived = arrived and there
-            end_rad = target_rad + sign * OVERRUN_RAD
+            drive = self._settings.drives.of(settings.servo_id, settings.servo_model)
+            end_rad = target_rad + sign * overrun_rad(settings.servo_model, drive)
             angle_rad = (
                 servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
             )
             if self._only_open:
                 angle_rad = max(angle_rad, servo.angle_rad)
+            stands = servo.velocity_rad_s == 0.0 and not there and rising == 1.0
+            more = BOOST_PER_S * moment.dt_s if stands else 0.0
+            self._boosts[finger] = min(self._boosts[finger] + more, self._stiff[finger])
+            least_a, current_a = self._least_a[finger], self._currents_a[finger]
+            current_a = min(current_a, least_a + rising * (current_a - least_a))
+            current_a = min(self._boosts[finger] * current_a, self._most_a[finger])
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         if not arrived and moment.now_s > self._deadline_s:
             raise self._stuck(moment.state)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import inf
 
 from gripper.force.estimates.grip import Grip
-from gripper.mechanics.kinematics import Transmission
+from gripper.mechanics.kinematics import Transmission, mean_friction_n
 from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
 from gripper.values.state import ServoFeedback
 
@@ -56,6 +56,7 @@ class DriveGoals:
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
         stop_rad = self._stop_rad or (inf,) * len(paths)
+        model_n, friction_n = grip.estimate.model_n, mean_friction_n(paths)
         for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
             state.servos,
             paths,
@@ -66,12 +67,13 @@ class DriveGoals:
             self._least_rad,
             strict=True,
         ):
-            wanted_a = abs(drive_n) * path.radius_m / path.kt_nm_a
-            current_a = min(wanted_a, grip.settings.current_max_a)
+            # Each servo drives with as much of its own friction.
+            own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n
+            current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
             margin_rad = closing_margin_rad(settings.servo_model, current_a)
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             # A position that drifts open must not take a closing goal to the open side with it.
-            if drive_n >= 0.0:
+            if own_n >= 0.0:
                 angle_rad = max(deepest_rad - margin_rad, min(least_rad, servo.angle_rad))
             else:
                 angle_rad = min(servo.angle_rad + margin_rad, contact_rad + GIVE_RAD, widest_rad)
@@ -80,7 +82,6 @@ class DriveGoals:
                     angle_rad=angle_rad,
                     current_a=current_a,
                     setpoint_n=grip.setpoint_n,
-                    friction_share=grip.friction_share,
                 )
             )
         return tuple(goals)

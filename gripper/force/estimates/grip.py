@@ -26,8 +26,7 @@ class Grip:
     """Of the gripper."""
     estimate: ForceEstimate
     stiffness: StiffnessEstimate
-    friction_share: float
-    """Grip force, stiffness of the part, and friction of the gearing as a share of the model's."""
+    """Grip force, and stiffness of the part."""
     apertures: History
     """Opening of the last periods in m."""
     setpoint_n: float
