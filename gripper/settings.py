@@ -103,7 +103,7 @@ class ForceLoopSettings:
     push_open_share: float = setting(1.3, low=0.0)
     """How hard the motor may push the fingers open to lower the force against friction, as a
     share of the friction band."""
-    bias_max_n: float = setting(2.0, above=0.0)
+    bias_max_n: float = setting(3.0, above=0.0)
     """Largest plausible difference between sensor and model in N, beside what is uncertain of the
     servos' torque and friction."""
     taper_n_s: float = setting(1.0, low=0.0, high=50.0)

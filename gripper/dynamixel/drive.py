@@ -6,6 +6,7 @@ breakaway_a``, and falls at ``falling_a_nm * load - breakaway_a``. In free motio
 ``kt_nm_a`` does not rest on the pads.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import exp, hypot, log
 from typing import Self
@@ -19,6 +20,9 @@ _FRICTION_SD, _KT_SD = 0.7, 0.15
 """Standard deviation of the logarithm of the friction current, and of torque for current, between
 two servos of one model: a quarter to four times, and 30 %. The catalogue alone is so uncertain.
 [assumed]"""
+
+_MEASURED_FRICTION_SD, _MEASURED_LOAD_SD = 0.1, 0.02
+"""The same within a day, once both were measured. [assumed]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +89,15 @@ class DriveCharacteristic:
         return self.friction_sd < _FRICTION_SD
 
     @property
+    def once_measured(self) -> Self:
+        """The same values, no more uncertain than a measurement leaves them."""
+        return replace(
+            self,
+            friction_sd=min(self.friction_sd, _MEASURED_FRICTION_SD),
+            load_sd=min(self.load_sd, _MEASURED_LOAD_SD),
+        )
+
+    @property
     def least_breakaway_a(self) -> float:
         """Least plausible friction at rest in A."""
         return self.breakaway_a * exp(-SIGMAS * self.friction_sd)
@@ -125,8 +138,8 @@ class Drives:
     All that converts between current and force reads it here, with its uncertainty.
     """
 
-    def __init__(self) -> None:
-        self._newest: dict[int, DriveCharacteristic] = {}
+    def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
+        self._newest = dict(newest or {})
 
     def of(self, servo_id: int, model: ServoModel) -> DriveCharacteristic:
         """Return that of a servo; of one that was never measured its model's."""

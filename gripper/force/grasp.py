@@ -349,6 +349,8 @@ class GripStep:
         elif self._slip is not None and not control.watch.doubts:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
         done = self.lost or self._time.settled(control.force_n)
+        if done and not self.lost:
+            goals = control.quiet_goals(moment)
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
 
     def outcome(self, final: ServoFeedback) -> GraspOutcome:

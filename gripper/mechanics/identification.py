@@ -24,7 +24,7 @@ any of them was measured, as shares of the friction. [assumed]"""
 _POINT_SD = 0.02
 """Error of the current of one free motion that its length does not lessen, as a share: teeth,
 temperature, acceleration. [assumed]"""
-LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.03
+LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
 """Least uncertainty of a measured friction, which wanders from one motion to the next, and of
 amperes for each N m. [assumed]"""
 _CHANGE_SD = 0.1

@@ -11,10 +11,11 @@ passed. What stops the finger in time is that it is slow enough when it touches.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import ceil, exp, sqrt
 from typing import NamedTuple
 
-from gripper.dynamixel.drive import SIGMAS
+from gripper.dynamixel.drive import SIGMAS, Drives
 from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, Transmission, motion_currents_a, transmissions
 from gripper.settings import GripperSettings
@@ -31,6 +32,8 @@ _SMALL_PART_M = 4e-4
 under spheres and edges of 1 to 10 mm, at 15 to 50 N (simulated foam). A small part is soft at first
 and then meets the bottom; up to 22 N a flat one on the whole of the default pads is the harder.
 [simulated]"""
+_STOOD_SHARE = 1.1
+"""Current that a finger may have over the one that it has stood still at. [chosen]"""
 _SLOWEST_M_S = 2.0 * STANDING_M_S
 """Least rate of the opening in m/s of an approach: twice that below which the fingers count as
 standing."""
@@ -108,16 +111,18 @@ def _most_n(settings: GripperSettings) -> float:
     return (1.0 - _KEPT_FREE_SHARE) * settings.force_max_n
 
 
-def closing_current_max_a(settings: GripperSettings, path: Transmission) -> float:
+def closing_current_max_a(
+    settings: GripperSettings, path: Transmission, *, stood_a: float = 0.0
+) -> float:
     """Return the current in A with which a closing finger presses with less than the cap.
 
-    A servo that was never measured may need more than that to move at all: until it has moved, a
-    servo as its catalogue has it counts.
+    A servo that was never measured may need more to move at all. What an untouched finger has stood
+    still at, ``stood_a``, is friction; one as in the catalogue may not pass the cap even so.
     """
     most_n = _most_n(settings)
     by_force_a = path.pressing_current_a(most_n)
     if not path.drive.measured:
-        by_force_a = path.loading_current_a(most_n)
+        by_force_a = max(by_force_a, min(_STOOD_SHARE * stood_a, path.loading_current_a(most_n)))
     return min(settings.current_max_a, by_force_a)
 
 
@@ -175,7 +180,12 @@ def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
 
     Raises LimitExceeded when no approach can be stopped below the cap of the force.
     """
-    limit = impact_limit(settings, linkage)
+    # Motions that measure the servos are slower, and come first.
+    known = {
+        servo.servo_id: settings.drives.of(servo.servo_id, servo.servo_model).once_measured
+        for servo in settings.servos
+    }
+    limit = impact_limit(replace(settings, drives=Drives(known)), linkage)
     allowed_m_s = 2.0 * limit.pad_speed_m_s()
     if allowed_m_s < _SLOWEST_M_S:
         least_n = (limit.drive_n + 0.5 * _SLOWEST_M_S * limit.momentum_n_s_m) / (

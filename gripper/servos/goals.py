@@ -78,6 +78,7 @@ class GoalGuard:
         self._settings = settings
         self._linkage = linkage
         self._forces = RecentForce()
+        self._stood_a: dict[int, float] = {}
         self._previous_a: tuple[float, ...] = ()
         # Two apertures bound the angles: wide open, and closed onto each other with the goal as
         # far beyond as a gripping servo needs.
@@ -115,9 +116,10 @@ class GoalGuard:
             )
         )
 
-    def _most_a(self, goal: ServoGoal, path: Transmission) -> float:
+    def _most_a(self, servo_id: int, goal: ServoGoal, path: Transmission) -> float:
         if goal.setpoint_n is None:
-            return closing_current_max_a(self._settings, path)
+            stood_a = self._stood_a.get(servo_id, 0.0)
+            return closing_current_max_a(self._settings, path, stood_a=stood_a)
         asked_n = exp(SIGMAS * path.drive.load_sd) * goal.setpoint_n + _RESERVE_N
         asked_a = asked_n / path.n_per_a + STICTION * path.drive.breakaway_a
         return min(asked_a, path.pressing_current_a(self._settings.force_max_n) - _EQUAL)
@@ -133,8 +135,11 @@ class GoalGuard:
     ) -> ServoGoal:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = settings.servo_model
-        most_a = min(goal.current_a, self._most_a(goal, path))
         empty = force_n < self._settings.contact_force_n
+        if empty and abs(servo.velocity_rad_s) <= model.velocity_unit_rad_s:
+            stood_a = self._stood_a.get(servo.servo_id, 0.0)
+            self._stood_a[servo.servo_id] = max(stood_a, -servo.current_a)
+        most_a = min(goal.current_a, self._most_a(servo.servo_id, goal, path))
         reach_m = self._pads * self._linkage.opening_per_rad_m(servo.angle_rad)
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
         if goal.setpoint_n is not None:

@@ -155,7 +155,7 @@ class Approach:
     def _limit(self, state: ServoFeedback) -> tuple[Transmission, ...]:
         """Take the currents that each servo needs, and may have, as it is known now."""
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
-        self._most_a = [closing_current_max_a(self._settings, path) for path in paths]
+        self._most_a = [closing_current_max_a(self._settings, path, stood_a=inf) for path in paths]
         needed_a = motion_currents_a(self._settings, paths, self._settings.approach_force_n)
         self._closing_a = list(map(min, needed_a, self._most_a))
         return paths
@@ -293,9 +293,9 @@ class Approach:
             return LEAD_M
         pressing_m = sum(
             self._linkage.opening_per_rad_m(now.angle_rad)
-            * closing_margin_rad(servo.servo_model, current_a)
-            for servo, now, current_a in zip(
-                self._settings.servos, state.servos, self.currents_a, strict=True
+            * closing_margin_rad(servo.servo_model, closing_a * max(1.0, boost / MOST_FRICTION))
+            for servo, now, closing_a, boost in zip(
+                self._settings.servos, state.servos, self._closing_a, self._boosts, strict=True
             )
         )
         return max(LEAD_M, pressing_m)

@@ -1,5 +1,7 @@
 """Motions of fingers that hold nothing: they stand still, and they move to an opening."""
 
+from math import inf
+
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.approach.mechanics_proof import (
     PATIENCE_S,
@@ -113,7 +115,9 @@ class MoveTo:
         self._least_a = motion_currents_a(settings, paths, 0.0)
         # The wider the fingers stand, the more force a current makes.
         self._most_a = [
-            settings.current_max_a if opening else closing_current_max_a(settings, path)
+            settings.current_max_a
+            if opening
+            else closing_current_max_a(settings, path, stood_a=inf)
             for path in paths
         ]
         self._currents_a = [

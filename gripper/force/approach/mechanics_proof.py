@@ -304,10 +304,9 @@ class FirstMotion:
         self._back = None
         # Where no way back is tried, it is enough that the finger has moved with this current.
         may_not_turn = self._only_open or not finger.opens
-        index = self._fingers.index(finger)
-        if self._currents_a[index] >= self._stiff_a[index] or (ran_freely and may_not_turn):
+        if self._currents_a == self._stiff_a or (ran_freely and may_not_turn):
             raise self._contradicted(servo, "it is blocked on its way")
-        self._currents_a[index] = self._stiff_a[index]
+        self._currents_a = self._stiff_a
 
     def _contradicted(self, servo: ServoState, found: str) -> MechanicsContradicted:
         return MechanicsContradicted(

@@ -226,7 +226,7 @@ class BandMode(Mode):
             since_s = self._breaking_since_s
             if not self._rising and since_s is not None and sample.t_s > since_s:
                 self._anchor(sample, setpoint_n, period)
-        estimate.check(now_s, sample, period.doubt_n)
+        estimate.check(now_s, sample, period.friction_n, period.doubt_n)
 
     def _anchor(self, sample: ForceSample, setpoint_n: float, period: Period) -> None:
         """On the way down, take the present drive for the band's edge when the force gets there.

@@ -142,6 +142,14 @@ class GripControl:
         )
         return self._goals.goals(state, paths)
 
+    def quiet_goals(self, moment: Moment) -> tuple[ServoGoal, ...]:
+        """Return goals to leave behind: the square wave on the drive ends at neither crest."""
+        self.grip.drive_n = self.grip.quiet_n
+        state = moment.state
+        return self._goals.goals(
+            state, transmissions(self._settings, self._linkage, state.angles_rad)
+        )
+
     def _drive_max_n(self, state: ServoFeedback, paths: Sequence[Transmission]) -> float:
         """Return the largest driving force in N that the caps of current and force allow.
 

@@ -30,6 +30,8 @@ _LEAST_PERIODS = 12
 _STEADY_SHARE, _STEADY_COUNTS, _LEAST_COUNTS = 0.1, 1.5, 2.5
 """By what share and how many counts the speed of a steady motion may differ from its mean, and the
 least speed in counts. [resolution]"""
+_EVEN_SHARE = 0.15
+"""Share by which the current of both halves of a free motion may differ. [tuned]"""
 _SAME_SPEED = 1.3
 """Speeds whose ratio is less are one point: the newest motion counts. [chosen]"""
 _MOST_POINTS = 16
@@ -201,8 +203,12 @@ class _Run:
             return None
         speed_rad_s = fmean(one[1] for one in inner)
         current_a = median(one[2] for one in inner)
-        if speed_rad_s * current_a <= 0.0:
-            # It is driven from outside, or slows down.
+        half = len(inner) // 2
+        halves_a = [median(one[2] for one in part) for part in (inner[:half], inner[half:])]
+        if speed_rad_s * current_a <= 0.0 or abs(halves_a[1] - halves_a[0]) > _EVEN_SHARE * abs(
+            current_a
+        ):
+            # It is driven from outside, slows down, or presses on something.
             return None
         voltage_v = fmean(one[3] for one in inner)
         return FreePoint(

@@ -50,7 +50,7 @@ class Watched:
             frame_n=(self.frame_n, self.frame_n),
         )
         paths = transmissions(self.grip.settings, LINKAGE, STATE.angles_rad)
-        current_a = -self.pressing_n * paths[0].radius_m / paths[0].kt_nm_a
+        current_a = -self.pressing_n / paths[0].n_per_a
         servos = tuple(
             replace(
                 one, current_a=current_a, velocity_rad_s=-0.5 * self.closing_m_s / paths[0].radius_m
