@@ -21,7 +21,7 @@ from gripper.errors import (
 )
 from gripper.fingers import Fingers
 from gripper.force.approach.free_motion import StandStill
-from gripper.force.by_current import cap_by_current_n
+from gripper.force.by_current import assume_friction, cap_by_current_n
 from gripper.force.control.grip_control import GripControl
 from gripper.force.grasp import GraspRun
 from gripper.force.loop import Running
@@ -75,6 +75,7 @@ class Gripper:
                 f"{len(settings.servos)}"
             )
         if force_sensor is None:
+            assume_friction(settings)
             settings = replace(settings, force_max_n=cap_by_current_n(settings, linkage))
         self._bus = bus
         self._linkage = linkage
@@ -295,6 +296,22 @@ class Gripper:
             As `grasp`.
         """
         return self._close(ramp, observer, self._grasping.press_pads_together)
+
+    def measure_load(self, observer: Observer | None = None) -> None:
+        """Measure the current of each servo for its load, while the empty pads press on each other.
+
+        One finger is locked by its friction, the other one moves slowly; then they change. Follows
+        `press_pads_together`, where nothing is between the pads; they press on. The results are in
+        the settings' ``drives``. A gripper with one servo has no other one to press against.
+
+        Raises
+        ------
+        As `hold`.
+        """
+        control = self._held_control("hold")
+        with self._life.command("hold", observer):
+            self._fingers.make_ready()
+            self._grasping.measure_load(control)
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.

@@ -10,6 +10,8 @@ from gripper.settings import GripperSettings, largest_setpoint_n
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import STANDING_M_S, ServoFeedback
 
+_ASSUMED_FRICTION_SD = 0.25
+"""Uncertainty of a friction that was never measured: 0.6 to 1.6 times the catalogue's. [assumed]"""
 _CAP_SIGMAS = 2.0
 """So many standard deviations of the force are kept free below the cap of the force. [chosen]"""
 _AT_REST = 1.25
@@ -17,6 +19,17 @@ _AT_REST = 1.25
 _STILL_M_S = 1.5 * STANDING_M_S
 """Rate of the opening in m/s below which fingers may press on something: each servo is one count of
 its velocity off."""
+
+
+def assume_friction(settings: GripperSettings) -> None:
+    """Bound the friction of servos that were never measured, where no pad shows a contact.
+
+    A finger that stands at more current than that presses on something.
+    """
+    for servo in settings.servos:
+        drive = settings.drives.of(servo.servo_id, servo.servo_model)
+        sd = min(drive.friction_sd, _ASSUMED_FRICTION_SD)
+        settings.drives.put(servo.servo_id, replace(drive, friction_sd=sd))
 
 
 def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:

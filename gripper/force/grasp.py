@@ -15,11 +15,13 @@ from gripper.force.approach.mechanics_proof import (
 )
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
+from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
+from gripper.mechanics.identification import LoadPoint, fit_load
 from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
@@ -40,6 +42,13 @@ _TOUCH_S = 0.065
 than the force of a contact: the force of the touch decays first. [tuned]"""
 _EQUAL_S = 1e-9
 """Difference of times in s that counts as none: sums of periods are rounded. [chosen]"""
+
+
+_LOW_CONTACTS, _HIGH_SHARE, _LOAD_N_S, _LEAST_SPAN_N = 2.5, 0.9, 6.0, 2.0
+"""Least force of the measurement of a drive in contact forces, its largest one as a share of the
+force that was held, its rate in N/s, and the least difference in N of both. [chosen]"""
+_CURRENT_SHARE = 0.9
+"""Share of the cap of the current that this measurement takes at most. [chosen]"""
 
 
 class GraspRun:
@@ -176,6 +185,37 @@ class GraspRun:
         """Follow a change of the held force to its end and until the force has settled."""
         return self._runner.run(GripStep(self._settings, control, ramp).step)
 
+    def measure_load(self, control: GripControl) -> None:
+        """Move one finger after the other under a force that rises and falls; fit each drive.
+
+        The pads of empty fingers press on each other. Where the current, or the force that was
+        held, leaves too little of a way, the drives stay as they are.
+        """
+        grip, settings = control.grip, control.grip.settings
+        low_n = _LOW_CONTACTS * settings.contact_force_n
+        paths = transmissions(settings, self._linkage, self._servos.read_patiently().angles_rad)
+        bearable_n = min(
+            path.force_band_n(_CURRENT_SHARE * settings.current_max_a)[0] for path in paths
+        )
+        high_n = min(_HIGH_SHARE * grip.setpoint_n, bearable_n)
+        if high_n - low_n < _LEAST_SPAN_N or len(paths) < 2:
+            return
+        try:
+            for finger, servo in enumerate(settings.servos):
+                trial = LoadTrial(self._linkage, finger)
+                grip.moving = finger
+                for from_n, to_n in ((grip.setpoint_n, low_n), (low_n, high_n), (high_n, low_n)):
+                    ramp = ForceRamp.linear(to_n, _LOAD_N_S, start_n=from_n)
+                    step = GripStep(settings, control, ramp)
+                    trial.begin(rises=to_n > from_n)
+                    self._runner.run(trial.watched(step.step))
+                before = settings.drives.of(servo.servo_id, servo.servo_model)
+                found = fit_load(trial.rising, trial.falling, before)
+                settings.drives.put(servo.servo_id, found)
+        finally:
+            grip.moving = None
+        self._free.forget()
+
     def _approach(self, settings: GripperSettings) -> Reached:
         """Close until the contact, or the end of the way, and feed the estimates."""
         # Fingers that are to meet find no part on their way.
@@ -222,6 +262,49 @@ class GraspRun:
         if not self._closed_is_proven and closes_farther(self._settings, state):
             self._closed()
             self._closed_is_proven = True
+
+
+class LoadTrial:
+    """Collector of the load of one finger that moves, and of its current, while both change.
+
+    Parameters
+    ----------
+    linkage
+        Of the gripper.
+    finger
+        Index of the finger, and of its servo.
+    """
+
+    def __init__(self, linkage: Linkage, finger: int) -> None:
+        self.rising: list[LoadPoint] = []
+        self.falling: list[LoadPoint] = []
+        self._linkage = linkage
+        self._finger = finger
+        self._points: list[LoadPoint] = []
+        self._currents = History()
+        self._sample_s = 0.0
+
+    def begin(self, *, rises: bool) -> None:
+        """Begin a change of the force."""
+        self._points = self.rising if rises else self.falling
+
+    def watched(self, step: Callable[[Moment], Action]) -> Callable[[Moment], Action]:
+        """Return a step of control that is watched."""
+
+        def watch(moment: Moment) -> Action:
+            self._push(moment)
+            return step(moment)
+
+        return watch
+
+    def _push(self, moment: Moment) -> None:
+        servo, sample = moment.state.servos[self._finger], moment.sample
+        self._currents.add(moment.now_s, -servo.current_a)
+        if sample is None or not sample.valid or sample.t_s <= self._sample_s:
+            return
+        self._sample_s = sample.t_s
+        load_nm = sample.grip_n * self._linkage.effective_radius_m(servo.angle_rad)
+        self._points.append(LoadPoint(load_nm, self._currents.at(sample.measured_s)))
 
 
 class RampTime:

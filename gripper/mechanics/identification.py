@@ -31,8 +31,12 @@ _CHANGE_SD = 0.1
 """Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
 _BACK_EMF_SD = 0.1
 """Spread of the back-EMF over the motor constant within a model, as a share. [assumed]"""
-_LEAST_LINE = 12
-"""Fewest points of a line of current over load."""
+_BLOCKS, _LEAST_BLOCKS = 30, 6
+"""Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
+_LOCKED, _ENDS = 0.25, 0.05
+"""Shares of the way of the load that are left out after a turn, and before the next. [tuned]"""
+_SUREST = 0.1
+"""Largest uncertainty of a slope that counts, as a share. [chosen]"""
 _LEAST_SPAN = 1.5
 """Least ratio of the speeds that show resistance and back-EMF apart."""
 _OUTLIER_SIGMAS = 2.5
@@ -121,28 +125,22 @@ def fit_load(
 ) -> DriveCharacteristic:
     """Return a characteristic with amperes for each N m, and with the breakaway.
 
-    Points must be those of a servo that moves: it alone, slowly, while the other one stands. A
-    direction with too few of them stays as it was.
+    Points, in the order of time, must be those of a servo that moves: it alone, slowly, while the
+    other one stands. A direction that shows too little stays as it was; the friction before is a
+    prior with its uncertainty.
     """
-    up, down = _line(rising), _line(falling)
-    values = before
-    if up is not None:
-        slope, base_a, slope_sd, base_sd = up
-        ratio = slope / before.rising_a_nm
-        friction_a = _weighed(
-            (before.breakaway_a, before.friction_sd * before.breakaway_a),
-            (base_a, max(base_sd, LEAST_FRICTION_SD * abs(base_a))),
-        )
-        values = replace(
-            values,
-            rising_a_nm=slope,
-            falling_a_nm=before.falling_a_nm * ratio,
-            breakaway_a=max(friction_a, 0.1 * before.breakaway_a),
-            load_sd=max(slope_sd / slope, _LEAST_LOAD_SD),
-        )
-    if up is not None and down is not None and down[0] < up[0] * exp(SIGMAS * values.load_sd):
-        values = replace(values, falling_a_nm=min(down[0], up[0]))
-    return values
+    up, down = _line(rising, before, rises=True), _line(falling, before, rises=False)
+    if up is None:
+        return before
+    # Where the gearing gives way it needs no more than where it drives.
+    relief = before.falling_a_nm / before.rising_a_nm if down is None else down.slope / up.slope
+    return replace(
+        before,
+        rising_a_nm=up.slope,
+        falling_a_nm=up.slope * min(relief, 1.0),
+        breakaway_a=max(up.base, 0.1 * before.breakaway_a),
+        load_sd=max(up.slope_share, _LEAST_LOAD_SD),
+    )
 
 
 def fit_back_emf(points: Sequence[FreePoint]) -> float | None:
@@ -190,34 +188,41 @@ def change(point: FreePoint, drive: DriveCharacteristic) -> float:
     return ratio if drive.measured and abs(log(ratio)) > allowed else 1.0
 
 
-def _weighed(first: tuple[float, float], second: tuple[float, float]) -> float:
-    """Return the mean of two values, each with its standard deviation."""
-    weights = [sd**-2 for _, sd in (first, second)]
-    return (first[0] * weights[0] + second[0] * weights[1]) / sum(weights)
+class _Line(NamedTuple):
+    """Line of current over load: A for each N m, A without a load, uncertainty of the slope."""
+
+    slope: float
+    base: float
+    slope_share: float
 
 
-def _line(points: Sequence[LoadPoint]) -> tuple[float, float, float, float] | None:
-    """Return slope and intercept of current over load, and their uncertainties; None: no line."""
-    if len(points) < _LEAST_LINE:
+def _line(points: Sequence[LoadPoint], before: DriveCharacteristic, *, rises: bool) -> _Line | None:
+    """Return the line of a servo whose load rises or falls; None where the points show none."""
+    size = max(1, len(points) // _BLOCKS)
+    n_blocks = len(points) // size
+    if n_blocks < _LEAST_BLOCKS:
         return None
-    load, current = np.array(points).T
-    keep = np.ones(len(points), dtype=bool)
-    for _ in range(2):
-        rows = np.column_stack([load[keep], np.ones(keep.sum())])
-        found = np.linalg.lstsq(rows, current[keep], rcond=None)[0]
-        off = current - (found[0] * load + found[1])
-        sd = max(float(off[keep].std()), 1e-9)
-        last, keep = keep, np.abs(off) <= _OUTLIER_SIGMAS * sd
-        if keep.sum() < _LEAST_LINE:
-            keep = last
-    # Neighbouring points share their errors: the pads' mean and the current's filter.
-    independent = max(2.0, rows.shape[0] / 4.0)
-    inverse = np.linalg.pinv(rows.T @ rows) * rows.shape[0] / independent
-    if found[0] <= 0.0:
+    # The noise of single loads would make the line too flat.
+    blocks = np.array(points[: n_blocks * size]).reshape(n_blocks, size, 2).mean(axis=1)
+    low, high = blocks[:, 0].min(), blocks[:, 0].max()
+    # Where the direction has turned, friction locks the finger.
+    least, most = (_LOCKED, 1.0 - _ENDS) if rises else (_ENDS, 1.0 - _LOCKED)
+    share = (blocks[:, 0] - low) / max(high - low, 1e-9)
+    load, current = blocks[(share >= least) & (share <= most)].T
+    if len(load) < _LEAST_BLOCKS:
         return None
-    return (
-        float(found[0]),
-        float(found[1]),
-        sd * float(inverse[0, 0]) ** 0.5,
-        sd * float(inverse[1, 1]) ** 0.5,
-    )
+    base = before.breakaway_a if rises else -before.breakaway_a
+    base_sd = max(before.friction_sd, LEAST_FRICTION_SD) * before.breakaway_a
+    rows, sd = np.column_stack([load, np.ones(len(load))]), base_sd
+    for _ in range(3):
+        whole = np.vstack([rows / sd, [0.0, 1.0 / base_sd]])
+        wanted = np.append(current / sd, base / base_sd)
+        found = np.linalg.lstsq(whole, wanted, rcond=None)[0]
+        sd = max(float(np.median(np.abs(current - rows @ found))) / 0.6745, 1e-4)
+        near = np.abs(current - rows @ found) <= _OUTLIER_SIGMAS * sd
+        rows, current = rows[near], current[near]
+    slope, base = float(found[0]), float(found[1])
+    slope_sd = float(np.linalg.inv(whole.T @ whole)[0, 0]) ** 0.5
+    if slope <= 0.0 or slope_sd > _SUREST * slope:
+        return None
+    return _Line(slope, base, slope_sd / slope)

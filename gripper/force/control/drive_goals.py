@@ -51,7 +51,8 @@ class DriveGoals:
         grip, drive_n = self._grip, self._grip.drive_n
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        if state.aperture_m < self._touch_m:
+        # Nothing is lost where the pads press on each other.
+        if state.aperture_m < self._touch_m or grip.moving is not None:
             self._stop_rad = None
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
@@ -67,8 +68,10 @@ class DriveGoals:
             self._least_rad,
             strict=True,
         ):
-            # Each servo drives with as much of its own friction.
-            own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n
+            # Each servo drives with as much of its own friction; in the middle of it none moves.
+            own_n = grip.estimate.force_n
+            if grip.moving is None or settings is grip.settings.servos[grip.moving]:
+                own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n
             current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
             margin_rad = closing_margin_rad(settings.servo_model, current_a)
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
