@@ -34,6 +34,7 @@ from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorError
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.realtime.requests import CellRequests
+from simulator.servo.gearing import GEARINGS
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
@@ -89,8 +90,13 @@ def simulator_settings(
                     servo_id=servo.id,
                     model=MODELS[servo.model],
                     mount=ServoMount(direction=servo.direction, zero_raw=servo.zero_pulse),
+                    gearing=GEARINGS[settings.servos.gearing],
+                    friction_factor=settings.servos.friction[finger],
+                    kt_factor=settings.servos.kt[finger],
+                    temperature_c=settings.servos.start_c,
+                    wear_per_turn=settings.servos.wear_per_turn,
                 )
-                for servo in config.gripper.servos
+                for finger, servo in enumerate(config.gripper.servos)
             ),
             linkage=linkage,
             servo_baud_rate=config.gripper.baud_rate,

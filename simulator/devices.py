@@ -13,7 +13,6 @@ from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
 from simulator.servo.faults import WireFaults
 from simulator.servo.mechanics import FingerMechanics
-from simulator.servo.motor import ServoMotor
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.recorded import RecordedWorld
@@ -43,7 +42,7 @@ class CellDevices:
 
     def __init__(self, settings: SimulatorSettings, *, start_s: float = 0.0) -> None:
         self.settings = settings
-        motors = [ServoMotor(servo.model) for servo in settings.servos]
+        motors = [servo.motor() for servo in settings.servos]
         self.mechanics = FingerMechanics(
             motors,
             [servo.mount for servo in settings.servos],

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.can.drive import DriveMount
-from simulator.errors import SimulatorSettingsError
+from simulator.errors import SimulatorSettingsError, require_positive
+from simulator.servo.gearing import IDEAL_GEARING, Gearing
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
+from simulator.servo.motor import AMBIENT_C, ServoMotor
 from simulator.servo.wrist import WristMount
 from simulator.world.world import WorldSettings
 from tactile.layout import PadMount, TaxelLayout, paper_layout
@@ -17,7 +19,7 @@ from tactile.layout import PadMount, TaxelLayout, paper_layout
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedServoSettings:
-    """One servo and how it sits in the gripper."""
+    """One servo, how it sits in the gripper, and how it differs from its kind."""
 
     servo_id: int
     """ID on the bus."""
@@ -25,6 +27,26 @@ class SimulatedServoSettings:
     """The servo model."""
     mount: ServoMount = field(default_factory=ServoMount)
     """Direction and zero."""
+    gearing: Gearing = IDEAL_GEARING
+    """Its friction and backlash."""
+    friction_factor: float = 1.0
+    """Friction without load over that of a servo of its kind."""
+    kt_factor: float = 1.0
+    """Torque and back-EMF of the motor over those of its kind."""
+    temperature_c: float = AMBIENT_C
+    """Its temperature at the start in degC: below `AMBIENT_C` it has more friction and warms up."""
+    wear_per_turn: float = 0.0
+    """Share by which friction without load grows with each turn of the output."""
+
+    def __post_init__(self) -> None:
+        require_positive(friction_factor=self.friction_factor, kt_factor=self.kt_factor)
+
+    def motor(self) -> ServoMotor:
+        """Return a new motor of this servo."""
+        motor = ServoMotor(self.model, gearing=self.gearing)
+        for name in ("friction_factor", "kt_factor", "temperature_c", "wear_per_turn"):
+            setattr(motor, name, getattr(self, name))
+        return motor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -22,8 +22,9 @@ from gripper.values.state import Cycle, GripperPhase
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
+from simulator.servo.gearing import IDEAL_GEARING, XM430_W350_GEARING
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
-from simulator.servo.motor import IDEAL_GEARING, XM430_W350_GEARING, ServoMotor
+from simulator.servo.motor import ServoMotor
 
 _MESSAGE_S = 0.0015
 """From a scan to its message in the host: scan 0.6 ms, wire 0.15 ms, a burst's message, adapter."""
@@ -205,8 +206,8 @@ class Rig:
         gearing = XM430_W350_GEARING if further_truths else IDEAL_GEARING
         motors = [ServoMotor(XM430_W350, gearing=gearing) for _ in (0, 1)]
         for motor in motors:
-            motor.kt_nm_a *= 1.0 + truth.kt_error
-            motor.friction_nm *= 1.0 + truth.friction_error
+            motor.kt_factor = 1.0 + truth.kt_error
+            motor.friction_factor = 1.0 + truth.friction_error
         directions, open_m = (1, -1), part.width_m + 0.008
         self._mechanics = FingerMechanics(
             motors,

@@ -126,8 +126,8 @@ def trial(seed: int, changes: Mapping[str, Any] | None = None) -> CapTrial:
     error: Exception | None = None
     with simulation_of(config) as simulated:
         for motor in simulated.devices.mechanics.motors:
-            motor.kt_nm_a *= 1.0 + draw.uniform(-_KT_ERROR, _KT_ERROR)
-            motor.friction_nm *= 1.0 + draw.uniform(-_FRICTION_ERROR, _FRICTION_ERROR)
+            motor.kt_factor = 1.0 + draw.uniform(-_KT_ERROR, _KT_ERROR)
+            motor.friction_factor = 1.0 + draw.uniform(-_FRICTION_ERROR, _FRICTION_ERROR)
         cell = build_cell(config, simulated=simulated)
 
         def look(_now_s: float) -> None:

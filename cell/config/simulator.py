@@ -58,6 +58,22 @@ class SimulatedPadsConfig(Section):
     """Factors on the stiffness of the foam of finger 0 and finger 1, 0.1 to 10."""
 
 
+class SimulatedServosConfig(Section):
+    """How the servos of the simulated gripper differ from the figures of their model."""
+
+    gearing: Literal["ideal", "xm430_assumed", "xl330", "xl330_2", "mx64", "mx106"] = "ideal"
+    """Friction law and backlash: Coulomb friction alone, what is assumed of an XM430, or what was
+    identified on real servos (two data sets of an XL330-M288); scaled to the model's torque."""
+    friction: tuple[Share, Share] = (1.06, 1.03)
+    """Factors on the friction without load of the servo of finger 0 and finger 1, 0.1 to 10."""
+    kt: tuple[Share, Share] = (0.97, 0.98)
+    """Factors on torque and back-EMF of their motors, 0.1 to 10."""
+    start_c: float = Field(default=25.0, ge=10.0, le=25.0)
+    """Their temperature at the start, 10 to 25; below 25 they have more friction and warm up."""
+    wear_per_turn: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Share by which friction without load grows with each turn of the output, 0 to 1."""
+
+
 class SimulatorConfig(Section):
     """The simulated cell; read only where a port is `simulated`, or by `simulate`."""
 
@@ -79,6 +95,8 @@ class SimulatorConfig(Section):
     """Factor on the noise, 0 to 2.5; 1 is the paper's."""
     pads: SimulatedPadsConfig = SimulatedPadsConfig()
     """How the pads differ and stand; the fault `servo1.horn=20` moves the zero of the opening."""
+    servos: SimulatedServosConfig = SimulatedServosConfig()
+    """How the servos differ from their model: some per cent, as real ones do."""
     faults: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
         default=(), max_length=100
     )

@@ -54,7 +54,7 @@ class Number:
                 factor = 1e-3 if text.endswith("ms") else 1.0
                 value = factor * float(text.removesuffix("ms").removesuffix("s"))
             else:
-                value = float(text)
+                value = float(text.removesuffix(self.unit))
         except (ValueError, OverflowError):
             pass
         if not self.low <= value <= self.high:

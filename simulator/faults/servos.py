@@ -87,6 +87,11 @@ def _turned_motor(knob: str) -> Apply:
     return lambda target: Effect(undo=turned(_motor(target), knob, target.number))
 
 
+def _cool(target: Target) -> None:
+    for motor in target.devices.mechanics.motors:
+        motor.temperature_c = target.number
+
+
 def _stuck(target: Target) -> Effect:
     motor = _motor(target)
     return Effect(undo=turned(motor, "stuck_at_rad", motor.angle_rad))
@@ -199,6 +204,9 @@ SERVOS = (
     FaultEntry("servos.off", FaultKind.OFF, "no servo hears or answers", _all_silent, "silent"),
     knob_fault("servos.echo", FaultKind.WRONG, "the host hears its own bytes", "servo_wire",
                "echo"),
+    moment_fault("servos.cold", FaultKind.WRONG,
+                 "all have this temperature: friction is up by 2.5 % for each K below 25 degC, "
+                 "until they have warmed up", _cool, Number("degC", -20.0, 25.0, default=5.0)),
     FaultEntry("servos.unplugged", FaultKind.UNPLUGGED, "the adapter of the servo bus is gone",
                unplugging("servos"), "servo_plug"),
 )
@@ -222,6 +230,16 @@ SERVO = (
                "its inside has this temperature, and cools down slowly",
                _turned_motor("temperature_c"), "temperature",
                Number("degC", -20.0, 150.0, default=90.0)),
+    FaultEntry("servoN.friction", FaultKind.WRONG,
+               "its friction without load is so many times that of its kind",
+               _turned_motor("friction_factor"), "friction",
+               Number("times", 0.2, 5.0, default=1.5)),
+    FaultEntry("servoN.kt", FaultKind.WRONG,
+               "torque and back-EMF of its motor are so many times those of its kind",
+               _turned_motor("kt_factor"), "kt", Number("times", 0.5, 2.0, default=0.8)),
+    FaultEntry("servoN.wear", FaultKind.WRONG,
+               "each turn of the output adds this share to its friction; what has worn stays so",
+               _turned_motor("wear_per_turn"), "wear", Number("share", 0.0, 1.0, default=0.01)),
     FaultEntry("servoN.supply", FaultKind.WRONG, "its supply has this voltage",
                _turned_motor("voltage_v"), "supply", Number("V", 0.0, 30.0, default=6.0)),
     FaultEntry("servoN.error", FaultKind.WRONG,

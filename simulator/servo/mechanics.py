@@ -311,7 +311,7 @@ class FingerMechanics:
         if axis in self._hands_rad:
             self._move_by_hand(axis, dt_s, theta, force_n)
             return
-        friction_nm = motor.friction_nm + motor.gearing.load_friction * abs(load_nm)
+        friction_nm = motor.friction_nm(driving_nm, load_nm)
         spring = dt_s * dt_s * slope * slope * stiffness_n_m
         if motor.gearing.backlash_rad > 0.0:
             new = self._within_backlash(

@@ -2,19 +2,20 @@
 
 The motor works in its own output angle (rad, 0 at raw position 0, not limited to a turn). Torque at
 the output is T = kt I - friction, the friction being applied by `simulator.servo.mechanics`, where
-the motion is integrated. The position loop is read as the e-Manual draws it, a gain of P/128 in
+the motion is integrated. The duty, which a servo reports as its present PWM, is that of the voltage
+R I + k_e v over the supply. The position loop is read as the e-Manual draws it, a gain of P/128 in
 counts of PWM for each count of position; through the winding resistance that is a current, and the
-back-EMF is its damping. Integral and feed-forward gains have no effect here. Backlash, ripple of
-the torque and friction that grows with the load are those of a `Gearing`; the default is ideal.
+back-EMF is its damping. Integral and feed-forward gains have no effect here. Friction, backlash and
+ripple of the torque are those of a `simulator.servo.gearing.Gearing`; the default is ideal.
 """
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.errors import SimulatorSettingsError
+from simulator.servo.gearing import IDEAL_GEARING, Gearing
 
 CURRENT_LOOP_TIME_CONSTANT_S = 0.003
 """Time constant in s with which the winding current follows its goal; an assumption."""
@@ -39,57 +40,11 @@ _VELOCITY_LOOP_A_S_RAD = 1.0
 """Gain of the velocity loop in A per rad/s; an assumption."""
 _VELOCITY_LOOP_A_RAD = 20.0
 """Integral gain of the velocity loop in A per rad; an assumption."""
-_VISCOUS_SHARE = 0.01
-"""Viscous friction at no-load speed over the stall torque; an assumption."""
+COLD_FRICTION_PER_K = 0.025
+"""Share by which friction without load is larger for each K that a servo is colder than
+`AMBIENT_C`: grease thickens; an assumption. A servo warms with `THERMAL_TIME_CONSTANT_S`."""
 _LEAST_SUPPLY_V = 0.1
 """Supply in V below which duty and load are worked out as at this one: no division by zero."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gearing:
-    """What a real gearing does to the torque of its motor; the defaults are an ideal one."""
-
-    load_friction: float = 0.0
-    """Friction over the torque of the load, on top of `ServoModel.friction_nm`."""
-    backlash_rad: float = 0.0
-    """Way of the motor at the output from one flank of the teeth to the other."""
-    output_friction: float = 0.0
-    """Share of the friction that brakes the output behind the backlash: bearings, horn, finger."""
-    ripple: float = 0.0
-    """Amplitude of the torque's ripple over the motor, as a share of it."""
-    ripple_per_turn: float = 0.0
-    """Periods of the ripple in one turn of the output."""
-
-    def __post_init__(self) -> None:
-        for name in ("load_friction", "output_friction", "ripple"):
-            if not 0.0 <= getattr(self, name) < 1.0:
-                raise SimulatorSettingsError(
-                    f"{name} of a gearing is from 0 to below 1, got {getattr(self, name)}"
-                )
-        if not (0.0 <= self.backlash_rad < math.pi and math.isfinite(self.ripple_per_turn)):
-            raise SimulatorSettingsError(
-                f"backlash_rad is from 0 to below pi and ripple_per_turn is finite, got "
-                f"{self.backlash_rad} and {self.ripple_per_turn}"
-            )
-
-
-IDEAL_GEARING = Gearing()
-"""A gearing whose friction is Coulomb's alone."""
-XM430_W350_GEARING = Gearing(
-    load_friction=0.11,
-    backlash_rad=math.radians(0.25),
-    output_friction=0.1,
-    ripple=0.0125,
-    ripple_per_turn=353.5 * 14,
-)
-"""The gearing of an XM430-W350, as far as it is known.
-
-Load: 0.11 was measured on an MX-106 (Duclusaud and Passault, arXiv 2410.08650, model M3 of their
-library); nobody has published it for an XM430. Backlash: 15 arcmin (e-Manual, Specifications). The
-motor is coreless, so no iron cogs; a commutator of 7 segments, an assumption, has 14 periods a turn
-of the motor and a ripple from crest to trough of 1 - cos(pi / 14) = 2.5 %. That of the teeth's mesh
-is not known and left out. A tenth of the friction at the output is an assumption.
-"""
 
 
 class DriveMode(IntEnum):
@@ -130,8 +85,7 @@ class ServoMotor:
     Parameters
     ----------
     model
-        Electrical and torque figures. Its torque is that with rising load, so what the load's
-        friction takes from it there is added to what the motor makes.
+        Electrical and torque figures.
     angle_rad
         Output angle at the start, rad.
     """
@@ -147,16 +101,20 @@ class ServoMotor:
             raise SimulatorSettingsError(f"the angle of a motor is finite, got {angle_rad} rad")
         self.model = model
         self.gearing = gearing
-        self.kt_nm_a = model.kt_nm_a * (1.0 + gearing.load_friction)
-        self.friction_nm = model.friction_nm * (1.0 + gearing.load_friction)
-        self.viscous_nm_s = _VISCOUS_SHARE * model.stall_torque_nm / model.no_load_rad_s
-        self.inertia_kg_m2 = model.rotor_inertia_kg_m2
+        drive = gearing.drive_of(model)
+        self._kt_nm_a, self._back_emf_v_s = drive.kt_nm_a, drive.back_emf_v_s
+        self._friction = drive.friction
+        self.inertia_kg_m2 = drive.inertia_kg_m2
+        self.kt_factor = 1.0
+        """Knob: torque and back-EMF of the motor over those of its kind."""
+        self.friction_factor = 1.0
+        """Knob: friction without load over that of a servo of its kind, viscous part included."""
+        self.wear_per_turn = 0.0
+        """Knob: share by which this friction grows with each turn of the output."""
+        self.worn = 0.0
+        """Share by which it has grown."""
         self.voltage_v = model.nominal_voltage_v
         self._resistance_ohm = model.nominal_voltage_v / model.stall_current_a
-        idle_a = model.friction_nm / model.kt_nm_a
-        self._back_emf = (
-            model.nominal_voltage_v - idle_a * self._resistance_ohm
-        ) / model.no_load_rad_s
         count_a = model.stall_current_a / model.whole_pwm_raw / model.rad_per_pulse
         self._p_current = count_a / model.error_per_pwm
         self._d_current = count_a / _D_GAIN_DIVISOR * _D_GAIN_PERIOD_S
@@ -198,6 +156,32 @@ class ServoMotor:
         """Velocity that follows from the encoder, rad/s."""
         return self.velocity_rad_s if self.stuck_at_rad is None else 0.0
 
+    @property
+    def kt_nm_a(self) -> float:
+        """Torque of the motor at the output over its current in N.m/A."""
+        return self._kt_nm_a * self.kt_factor
+
+    @property
+    def no_load_factor(self) -> float:
+        """Friction without load over that of a new, warm servo of its kind."""
+        cold_k = AMBIENT_C - self.temperature_c
+        cold = 1.0 + COLD_FRICTION_PER_K * cold_k if cold_k > 0.0 else 1.0
+        return self.friction_factor * (1.0 + self.worn) * cold
+
+    @property
+    def viscous_nm_s(self) -> float:
+        """Viscous friction in N.m s/rad."""
+        return self._friction.viscous_nm_s * self.no_load_factor
+
+    def friction_nm(self, driving_nm: float = 0.0, load_nm: float = 0.0) -> float:
+        """Return friction in N.m at the present speed, without its viscous part.
+
+        See `simulator.servo.gearing.Friction.torque_nm`.
+        """
+        return self._friction.torque_nm(
+            driving_nm, load_nm, self.velocity_rad_s, self.no_load_factor
+        )
+
     def overload(self) -> None:
         """Use up the overload budget, as a long stall does."""
         self.load_excess_s = 2.0 * OVERLOAD_BUDGET_S
@@ -220,7 +204,8 @@ class ServoMotor:
             self._account(dt_s)
             return 0.0
         velocity = self.velocity_rad_s if self.stuck_at_rad is None else 0.0
-        back_emf_v = self._back_emf * self.velocity_rad_s
+        back_emf_v_s = self._back_emf_v_s * self.kt_factor
+        back_emf_v = back_emf_v_s * self.velocity_rad_s
         if mode is DriveMode.CURRENT_POSITION or mode is DriveMode.POSITION:
             if command.profile_velocity_rad_s > 0.0:
                 self._advance_reference(dt_s)
@@ -228,7 +213,7 @@ class ServoMotor:
                 self.reference_rad, self.reference_velocity_rad_s = command.position_rad, 0.0
             goal_a = (
                 command.p_gain * self._p_current * (self.reference_rad - self.sensed_rad)
-                - (command.d_gain * self._d_current + self._back_emf / self._resistance_ohm)
+                - (command.d_gain * self._d_current + back_emf_v_s / self._resistance_ohm)
                 * velocity
             )
             if mode is DriveMode.CURRENT_POSITION:
@@ -253,7 +238,7 @@ class ServoMotor:
         duty = (current_a * self._resistance_ohm + back_emf_v) / supply_v
         self.duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
         self._account(dt_s)
-        torque_nm = self.kt_nm_a * current_a
+        torque_nm = self._kt_nm_a * self.kt_factor * current_a
         gearing = self.gearing
         if gearing.ripple:
             turned_rad = self.angle_rad + self.lead_rad
@@ -261,7 +246,9 @@ class ServoMotor:
         return torque_nm
 
     def _account(self, dt_s: float) -> None:
-        """Let the current heat the motor and use up the overload budget."""
+        """Let the current heat the motor and use up the overload budget, and motion wear it."""
+        if self.wear_per_turn:
+            self.worn += self.wear_per_turn * abs(self.velocity_rad_s) * dt_s / math.tau
         current_a = self.current_a
         final_c = AMBIENT_C + self._heat * current_a * current_a
         self.temperature_c += (final_c - self.temperature_c) * (dt_s / THERMAL_TIME_CONSTANT_S)

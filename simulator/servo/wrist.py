@@ -70,11 +70,11 @@ class SimulatedWrist:
         motor = self._motor
         torque_nm, velocity_rad_s = motor.torque_nm(STEP_S), motor.velocity_rad_s
         direction = velocity_rad_s or torque_nm
-        resting = velocity_rad_s == 0.0
-        if self.blocked or (resting and abs(torque_nm) <= STICTION_RATIO * motor.friction_nm):
+        resting, friction_nm = velocity_rad_s == 0.0, motor.friction_nm(torque_nm)
+        if self.blocked or (resting and abs(torque_nm) <= STICTION_RATIO * friction_nm):
             motor.velocity_rad_s = 0.0
             return
-        torque_nm -= motor.friction_nm if direction > 0.0 else -motor.friction_nm
+        torque_nm -= friction_nm if direction > 0.0 else -friction_nm
         inertia = motor.inertia_kg_m2 + LOAD_INERTIA_KG_M2
         new_rad_s = (inertia * velocity_rad_s + STEP_S * torque_nm) / (
             inertia + STEP_S * motor.viscous_nm_s

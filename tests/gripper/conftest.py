@@ -215,8 +215,8 @@ class Cell:
         directions = (1, -1)[:n_servos]
         self.motors = [ServoMotor(model) for _ in range(n_servos)]
         for motor in self.motors:
-            motor.kt_nm_a *= 1.0 + kt_error
-            motor.friction_nm *= 1.0 + friction_error
+            motor.kt_factor = 1.0 + kt_error
+            motor.friction_factor = 1.0 + friction_error
         mounts = [ServoMount(direction=d, zero_raw=zero_raw) for d in directions]
         own: Linkage
         if linkage == "parallel":
@@ -283,7 +283,7 @@ class Cell:
     def pressed_n(self) -> float:
         """Largest force in N that a finger's current makes beyond friction: against a stop too."""
         return max(
-            (abs(motor.current_a) * motor.kt_nm_a - motor.friction_nm) / 0.06
+            (abs(motor.current_a) * motor.kt_nm_a - motor.friction_nm()) / 0.06
             for motor in self.motors
         )
 

@@ -18,8 +18,9 @@ from simulator.errors import SimulatorSettingsError
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import SimulatedServo
 from simulator.servo.faults import Trigger
+from simulator.servo.gearing import Gearing
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
-from simulator.servo.motor import Gearing, ServoMotor
+from simulator.servo.motor import ServoMotor
 from simulator.settings import SimulatorSettings
 
 

@@ -184,7 +184,7 @@ def test_a_first_motion_begins_with_room_on_both_sides(limp: MakeStand, tight: s
 
 
 def pinched(one: Stand) -> None:
-    one.cell.devices.mechanics.motors[1].friction_nm = 5.0
+    one.cell.devices.mechanics.motors[1].friction_factor = 22.0
 
 
 def drifting(one: Stand) -> None:

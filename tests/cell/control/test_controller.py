@@ -366,7 +366,7 @@ def test_a_frame_that_shows_the_part_stands_against_messages_that_show_none(
 ) -> None:
     slow = {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.3}
     bench = make_bench(small_config(sequence__ramp=slow)).ready()
-    bench.simulated.inject("unit.force_gain=0@contact+0.3s")
+    bench.simulated.inject("unit.force_gain=0@contact+0.25s")
     with pytest.raises(GripContradicted, match="a frame scanned since then shows"):
         bench.controller.grasp(GraspStep(pose=Pose(), force_n=5.0))
     assert bench.controller.state is CellState.ABORTED

@@ -70,7 +70,7 @@ def test_the_host_brings_named_parts_to_their_places(make_plugin: Any, taught: A
     assert standing(plugin) == ("IDLE", 4, False, False)
 
 
-@pytest.mark.parametrize("aperture_open_mm", [10.2, 10.7])
+@pytest.mark.parametrize("aperture_open_mm", [10.4, 10.7])
 def test_fingers_that_open_little_beyond_the_part_show_no_drift_of_the_zero(
     aperture_open_mm: float,
 ) -> None:

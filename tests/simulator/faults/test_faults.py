@@ -127,6 +127,20 @@ def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(
     assert cell.injector.faults == ()
 
 
+def test_friction_torque_and_wear_of_a_servo_are_turned(cell: SimulatedCell) -> None:
+    first, second = cell.devices.mechanics.motors
+    for text in ("servo1.friction=1.5", "servo2.kt=0.8", "servo2.wear=0.01"):
+        cell.inject(text)
+    assert (first.friction_factor, second.friction_factor) == (1.5, 1.0)
+    assert (first.kt_factor, second.kt_factor, second.wear_per_turn) == (1.0, 0.8, 0.01)
+    cell.inject("servos.cold=5degC")
+    assert first.temperature_c == second.temperature_c == 5.0
+    assert first.no_load_factor == pytest.approx(1.5 * 1.5)
+    cell.clock.sleep(60.0)
+    assert 5.0 < first.temperature_c < 25.0
+    assert first.no_load_factor < 1.5 * 1.5
+
+
 def _knobs(cell: SimulatedCell) -> Any:
     """Return all that a fault may turn."""
     devices = cell.devices
@@ -143,6 +157,9 @@ def _knobs(cell: SimulatedCell) -> Any:
             servo.core.registers.get("current_limit"),
             round(servo.core.plant.temperature_c, 3),
             servo.core.plant.voltage_v,
+            servo.core.plant.friction_factor,
+            servo.core.plant.kt_factor,
+            servo.core.plant.wear_per_turn,
         )
         for servo in devices.servo_bus.servos
     ]

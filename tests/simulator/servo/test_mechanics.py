@@ -7,15 +7,9 @@ from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from simulator.errors import SimulatorSettingsError
+from simulator.servo.gearing import GEARINGS, IDEAL_GEARING, XM430_W350_GEARING, Gearing
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
-from simulator.servo.motor import (
-    IDEAL_GEARING,
-    XM430_W350_GEARING,
-    DriveCommand,
-    DriveMode,
-    Gearing,
-    ServoMotor,
-)
+from simulator.servo.motor import DriveCommand, DriveMode, ServoMotor
 
 STEP_S = 1e-3
 MOUNTS = (ServoMount(direction=1), ServoMount(direction=-1))
@@ -107,6 +101,30 @@ def test_unloading_holds_more_by_twice_the_friction_and_that_of_the_load(share: 
     assert loading_n == pytest.approx((1.769 * 0.5 - 0.2214) / slope, rel=0.06)
     held_n = (1.0 + share) / (1.0 - share) * (1.769 * 0.5 + 0.2214) / slope
     assert unloading_n - loading_n == pytest.approx(held_n - loading_n, rel=0.12)
+
+
+@pytest.mark.parametrize("name", [n for n, g in GEARINGS.items() if g.identified is not None])
+def test_a_real_gearing_presses_and_holds_as_its_law_says(name: str):
+    mechanics = fingers(gearing=GEARINGS[name])
+    drive = GEARINGS[name].drive_of(XM430_W350)
+
+    def held_n(current_a: float, before_a: float) -> float:
+        for i in range(1, 401):
+            push(mechanics, before_a + (current_a - before_a) * i / 400)
+            force = press(mechanics, 0.0195, 3_000.0, 5 * STEP_S)
+        return force[0]
+
+    slope = 0.06 * math.cos(math.asin(0.016 / 0.06))
+    rising_nm = slope * held_n(1.0, 0.0)
+    forward_nm = drive.friction.forward_nm(drive.kt_nm_a, 0.0)
+    # Friction that fades with speed makes steps of the motion: each ends a little farther.
+    assert rising_nm == pytest.approx(forward_nm, rel=0.1)
+    # The load gives way where it overcomes the motor and the friction of both.
+    giving_nm = slope * held_n(0.15, 1.0)
+    driving_nm = 0.15 * drive.kt_nm_a
+    lost_nm = drive.friction.torque_nm(driving_nm, -giving_nm, 0.0)
+    assert giving_nm == pytest.approx(driving_nm + lost_nm, rel=0.2)
+    assert giving_nm > 1.5 * driving_nm
 
 
 def test_below_the_friction_band_nothing_moves():

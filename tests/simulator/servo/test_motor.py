@@ -5,12 +5,13 @@ import math
 import pytest
 
 from gripper.dynamixel.models import MODELS, XM430_W350
+from simulator.servo.gearing import Gearing
 from simulator.servo.motor import (
     AMBIENT_C,
+    COLD_FRICTION_PER_K,
     OVERLOAD_BUDGET_S,
     DriveCommand,
     DriveMode,
-    Gearing,
     ServoMotor,
 )
 
@@ -35,7 +36,7 @@ def stall(motor: ServoMotor, command: DriveCommand, duration_s: float = 0.1) -> 
 def test_torque_with_rising_load_follows_the_fit(current_a: float, torque_nm: float):
     motor = ServoMotor(XM430_W350)
     made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=current_a))
-    assert made_nm - motor.friction_nm == pytest.approx(torque_nm, abs=0.005)
+    assert made_nm - motor.friction_nm() == pytest.approx(torque_nm, abs=0.005)
 
 
 def test_the_torque_ripples_over_a_turn_and_keeps_its_mean():
@@ -162,3 +163,47 @@ def test_a_profile_turned_round_starts_slowly_again():
     assert motor.reference_velocity_rad_s > 1.0
     stall(motor, command._replace(position_rad=0.0), STEP_S)
     assert -0.01 < motor.reference_velocity_rad_s < 0.0
+
+
+def test_the_duty_is_the_voltage_of_winding_and_back_emf(motor):
+    # R = 12 V / 2.3 A; k_e = (12 V - 0.2214 / 1.769 A x R) / 46 rev/min = 2.3555 V s/rad.
+    motor.velocity_rad_s = 0.8
+    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=0.5))
+    assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 2.3555) / 12.0, rel=1e-4)
+    motor.kt_factor = 1.2
+    stall(motor, motor.command)
+    assert motor.duty == pytest.approx((0.5 * 5.2174 + 0.8 * 1.2 * 2.3555) / 12.0, rel=1e-4)
+    motor.velocity_rad_s, motor.voltage_v = 1.0, 3.0
+    motor.torque_nm(STEP_S)
+    assert motor.duty == 1.0
+
+
+def test_factors_change_torque_and_friction(motor):
+    motor.kt_factor, motor.friction_factor = 0.8, 1.5
+    made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0))
+    assert made_nm == pytest.approx(0.8 * 1.769, rel=1e-3)
+    assert motor.friction_nm() == pytest.approx(1.5 * 0.2214)
+    assert motor.viscous_nm_s == pytest.approx(1.5 * ServoMotor().viscous_nm_s)
+
+
+def test_a_cold_servo_has_more_friction_until_it_is_warm(motor):
+    motor.temperature_c = 5.0
+    assert motor.no_load_factor == pytest.approx(1.0 + 20.0 * COLD_FRICTION_PER_K)
+    for _ in range(300):
+        motor.torque_nm(1.0)
+    assert motor.no_load_factor - 1.0 == pytest.approx(
+        20.0 * COLD_FRICTION_PER_K / math.e, rel=0.01
+    )
+    motor.temperature_c = 60.0
+    assert motor.no_load_factor == 1.0
+
+
+def test_turns_wear_a_servo_and_rest_does_not(motor):
+    motor.wear_per_turn = 0.01
+    motor.velocity_rad_s = -2.0
+    stall(motor, DriveCommand(DriveMode.CURRENT), math.tau)
+    assert motor.no_load_factor == pytest.approx(1.02, rel=1e-4)
+    motor.velocity_rad_s = 0.0
+    stall(motor, DriveCommand(DriveMode.CURRENT), 1.0)
+    motor.wear_per_turn = 0.0
+    assert motor.no_load_factor == pytest.approx(1.02, rel=1e-4)
