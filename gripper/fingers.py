@@ -25,6 +25,9 @@ from gripper.values.outcome import ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
 from gripper.values.state import GripperPhase, Observer, ServoFeedback
 
+_FREE_RAD_S = (0.15, 0.25, 0.4, 0.65)
+"""Speeds in rad/s at which friction is measured: slow enough for its part at rest, and far enough
+apart for the rest of it. [chosen]"""
 _CLEAR_M = 0.002
 """Way in m after which nothing touches fingers that open. [chosen]"""
 
@@ -113,6 +116,27 @@ class Fingers:
         kind = FirstMotion if first else MoveTo
         state = self.servos.read_patiently()
         move = kind(self.settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open)
+        return self._run_free(move, state)
+
+    def measure_friction(self) -> None:
+        """Close and open the empty fingers at several speeds, without a contact."""
+        wide_m = self.settings.aperture_open_m
+        near_m = max(self.settings.aperture_min_m, 0.0) + _CLEAR_M
+        for speed_rad_s in _FREE_RAD_S:
+            for aperture_m in (near_m, wide_m):
+                state = self.servos.read_patiently()
+                reach_m = sum(map(self._linkage.opening_per_rad_m, state.angles_rad))
+                move = MoveTo(
+                    self.settings,
+                    self._linkage,
+                    state,
+                    aperture_m=aperture_m,
+                    speed_m_s=speed_rad_s * reach_m,
+                )
+                self._run_free(move, state)
+
+    def _run_free(self, move: FirstMotion | MoveTo, state: ServoFeedback) -> ServoFeedback:
+        """Run a motion of empty fingers, and take what it shows of their friction."""
         self.free.begin()
 
         def step(moment: Moment) -> Action:

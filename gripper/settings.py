@@ -4,13 +4,13 @@ An object that exists is valid. The cell's config file shows the same settings i
 defaults and ranges are taken from here.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from math import inf, isfinite
 from typing import Any
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
-from gripper.dynamixel.drive import Drives
+from gripper.dynamixel.drive import DriveCharacteristic, Drives
 from gripper.dynamixel.models import ServoModel, require_current_control
 from gripper.errors import LimitExceeded
 
@@ -49,8 +49,7 @@ def check_number(
 def _check_settings(settings: Any) -> None:
     """Check every declared number of a settings object; raises LimitExceeded."""
     for one in fields(settings):
-        value = getattr(settings, one.name)
-        if "low" in one.metadata and value is not None:
+        if "low" in one.metadata and (value := getattr(settings, one.name)) is not None:
             check_number(one.name, value, **one.metadata)
 
 
@@ -144,11 +143,30 @@ class ServoSettings:
     """1 where growing positions open the gripper, -1 where they close it."""
     zero_raw: int = 2048
     """Present Position at angle 0 of the linkage, 0 to 4095."""
+    kt_nm_a: float | None = setting(None, above=0.0)
+    """Torque at the output in N m for 1 A, by weights on the pads; None: the model's."""
+    friction_a: float | None = setting(None, above=0.0)
+    """Current in A of slow free motion; None: the model's."""
+    drive_sd: float = setting(0.05, low=0.01, high=0.5)
+    """Uncertainty of these two as a share, where they are given."""
     servo_model: ServoModel = field(init=False, repr=False, compare=False)
     """Figures of the model."""
+    drive: DriveCharacteristic = field(init=False, repr=False, compare=False)
+    """What is known of the servo without a measurement of the gripper's own."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "servo_model", require_current_control(self.model))
+        _check_settings(self)
+        drive = DriveCharacteristic.catalogue(self.servo_model)
+        sd = self.drive_sd
+        if self.kt_nm_a is not None:
+            a_nm = 1.0 / self.kt_nm_a
+            torque = {"kt_nm_a": self.kt_nm_a, "kt_sd": sd, "load_sd": sd}
+            drive = replace(drive, rising_a_nm=a_nm, falling_a_nm=a_nm, **torque)
+        if self.friction_a is not None:
+            friction = {"coulomb_a": self.friction_a, "breakaway_a": self.friction_a}
+            drive = replace(drive, friction_sd=sd, **friction)
+        object.__setattr__(self, "drive", drive)
         if not 0 <= self.servo_id <= 252:
             raise LimitExceeded(f"servo_id is {self.servo_id}, must be from 0 to 252")
         if self.direction not in (-1, 1):

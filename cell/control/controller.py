@@ -209,7 +209,11 @@ class CellController:
         """
         self._life.go(Event.START)
         with self._life.latching_faults():
-            self.hand.start()
+            report = self.hand.start()
+            self._grasper.homing = {
+                row.servo_id: int(row.found) for row in report.rows if row.item == "homing_offset"
+            }
+            self.hand.use_drives(self._zeros.kept_drives(self._grasper.homing))
             unit = self.hand.start_sensor()
             if not unit.sends_forces:
                 self._journal.note("note", FORCE_FROM_FRAMES)
@@ -382,6 +386,8 @@ class CellController:
         if stopping:
             self._life.go(Event.STOP)
         try:
+            if stopping:
+                self._grasper.note_drives()
             found = self.hand.shutdown()
             if found:
                 self._journal.note("fault", found)

@@ -29,6 +29,7 @@ from cell.control.records import GraspCollector, GraspRecord, pad_array
 from cell.control.self_zero import (
     SelfZeros,
     dead_taxels_text,
+    drive_text,
     part_between,
     unsound,
     zero_text,
@@ -87,6 +88,8 @@ class Grasper:
     clock: Clock
 
     def __post_init__(self) -> None:
+        self.homing: dict[int, int] = {}
+        """Homing offset of each servo, by its ID, as of the last start."""
         self._source = CELL_SOURCE + self.config.name
         self._gripper, self._sequence = self.config.gripper, self.config.sequence
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
@@ -162,6 +165,9 @@ class Grasper:
         Raises ZeroRefused if they show no sound pads; the fingers are open.
         """
         outcome, found, refused = self._meet()
+        sound = found is not None and not (part_between(outcome, found) or unsound(found))
+        if sound:
+            self.hand.measure_load(self.watch)
         if between := part_between(outcome, found):
             raise PartBetweenFingers(
                 f"{between}. The grip is kept. Look; clear the fault and release"
@@ -169,7 +175,25 @@ class Grasper:
         self.hand.release(self.watch)
         if found is None or (refused := unsound(found)):
             raise ZeroRefused(refused)
+        self._measure_friction()
         return self._kept_zero(found)
+
+    def _measure_friction(self) -> None:
+        """Measure the servos' friction; pads that have met have shown that nothing is between."""
+        self.hand.measure_friction(self.watch)
+        self.note_drives(of_all=True)
+
+    def note_drives(self, *, of_all: bool = False) -> None:
+        """Note what is unusual of the servos; keep and note what was measured ``of_all``."""
+        report = self.hand.read_drives()
+        for text in report.notes:
+            self.journal.note("note", text)
+        self.zeros.keep_drives(report.drives, self.homing)
+        for servo in self._gripper.servos if of_all else ():
+            drive = report.drives.get(servo.id)
+            if drive is not None:
+                text = drive_text(servo.id, drive, MODELS[servo.model])
+                self.journal.note("servo drive", text)
 
     def zero_unasked(self) -> str:
         """As `measure_zero`, where nobody has looked whether the fingers are empty.
@@ -178,13 +202,17 @@ class Grasper:
         cell answers as on any day. Returns why there is none; empty where there is one.
         """
         outcome, found, refused = self._meet()
-        self.hand.release(self.watch)
         why = part_between(outcome, found) or refused
         if found is not None:
             why = why or unsound(found) or self.zeros.far_off(found.zero)
-            if not why:
-                self._kept_zero(found)
-                return ""
+        if not why:
+            self.hand.measure_load(self.watch)
+        self.hand.release(self.watch)
+        if found is not None and not why:
+            self._measure_friction()
+            self._kept_zero(found)
+            return ""
+        self.note_drives(of_all=True)
         why = (
             f"no self-zero today, answers allow for any drift: {why}. The fingers are open. Take "
             f"everything out of the grip, then `tactile-cell zero`; with `self_zero: on_demand` "

@@ -9,7 +9,7 @@ breakaway_a``, and falls at ``falling_a_nm * load - breakaway_a``. In free motio
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import exp, hypot, log
-from typing import Self
+from typing import NamedTuple, Self
 
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import LimitExceeded
@@ -109,14 +109,14 @@ class DriveCharacteristic:
 
     @property
     def most_torque_nm_a(self) -> float:
-        """Largest plausible torque for current in N m / A: by the pads, which may be weak, or not."""
+        """Largest plausible torque for current in N m / A: the pads may be weak."""
         return max(exp(SIGMAS * self.load_sd) / self.rising_a_nm, self.kt_nm_a)
 
     @property
     def disagreement(self) -> float:
-        """Logarithm of the torque by pads over that by the motor constant, beyond what is plausible.
+        """Logarithm of the torque by pads over that by the motor constant; 0 where both agree.
 
-        0 where both agree. A weak pad and a weak motor look alike.
+        A weak pad and a weak motor look alike.
         """
         apart = -log(self.rising_a_nm * self.kt_nm_a)
         beyond = abs(apart) - SIGMAS * hypot(self.load_sd, self.kt_sd)
@@ -141,16 +141,24 @@ class Drives:
     def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
         self._newest = dict(newest or {})
 
-    def of(self, servo_id: int, model: ServoModel) -> DriveCharacteristic:
-        """Return that of a servo; of one that was never measured its model's."""
-        if servo_id not in self._newest:
-            self._newest[servo_id] = DriveCharacteristic.catalogue(model)
-        return self._newest[servo_id]
+    def of(self, servo_id: int, unmeasured: DriveCharacteristic) -> DriveCharacteristic:
+        """Return that of a servo; where it was never measured the given one."""
+        return self._newest.get(servo_id, unmeasured)
+
+    @property
+    def newest(self) -> dict[int, DriveCharacteristic]:
+        """Those that were measured or given."""
+        return dict(self._newest)
 
     def put(self, servo_id: int, drive: DriveCharacteristic) -> None:
         """Replace that of a servo."""
         self._newest[servo_id] = drive
 
-    def refine(self, servo_id: int, **values: float) -> None:
-        """Replace some values of a servo whose characteristic is there."""
-        self._newest[servo_id] = replace(self._newest[servo_id], **values)
+
+class DriveReport(NamedTuple):
+    """What a gripper knows of its servos."""
+
+    drives: Mapping[int, DriveCharacteristic]
+    """By the servos' IDs; of those that nobody has measured there is none."""
+    notes: tuple[str, ...] = ()
+    """Unusual changes since the last report, each with its likely cause."""

@@ -27,7 +27,7 @@ def assume_friction(settings: GripperSettings) -> None:
     A finger that stands at more current than that presses on something.
     """
     for servo in settings.servos:
-        drive = settings.drives.of(servo.servo_id, servo.servo_model)
+        drive = settings.drives.of(servo.servo_id, servo.drive)
         sd = min(drive.friction_sd, _ASSUMED_FRICTION_SD)
         settings.drives.put(servo.servo_id, replace(drive, friction_sd=sd))
 

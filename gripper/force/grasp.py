@@ -70,6 +70,7 @@ class GraspRun:
         servos: ServoGroup,
         linkage: Linkage,
         settings: GripperSettings,
+        *,
         set_phase: Callable[[GripperPhase], None],
         free: FreeMotion,
     ) -> None:
@@ -192,6 +193,7 @@ class GraspRun:
         held, leaves too little of a way, the drives stay as they are.
         """
         grip, settings = control.grip, control.grip.settings
+        self._free.forget()
         low_n = _LOW_CONTACTS * settings.contact_force_n
         paths = transmissions(settings, self._linkage, self._servos.read_patiently().angles_rad)
         bearable_n = min(
@@ -209,12 +211,12 @@ class GraspRun:
                     step = GripStep(settings, control, ramp)
                     trial.begin(rises=to_n > from_n)
                     self._runner.run(trial.watched(step.step))
-                before = settings.drives.of(servo.servo_id, servo.servo_model)
+                before = settings.drives.of(servo.servo_id, servo.drive)
                 found = fit_load(trial.rising, trial.falling, before)
                 settings.drives.put(servo.servo_id, found)
+                self._free.compare(servo.servo_id, found)
         finally:
             grip.moving = None
-        self._free.forget()
 
     def _approach(self, settings: GripperSettings) -> Reached:
         """Close until the contact, or the end of the way, and feed the estimates."""

@@ -7,7 +7,7 @@ Neither shows the motor constant and the gain of the pads apart: the back-EMF is
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import exp, hypot, log
+from math import hypot, log
 from typing import NamedTuple
 
 import numpy as np
@@ -85,7 +85,9 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
     else:
         sds = (
             10.0 * scale_a,
-            *(share * scale_a for share in (_STRIBECK_SD, _VISCOUS_SD_S, _OFFSET_SD)),
+            _STRIBECK_SD * scale_a,
+            _VISCOUS_SD_S * scale_a,
+            _OFFSET_SD * scale_a,
         )
         prior, shapes = (scale_a, 0.0, 0.0, 0.0), _SHAPES
     speed = np.array([abs(point.speed_rad_s) for point in points])

@@ -182,7 +182,7 @@ def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
     """
     # Motions that measure the servos are slower, and come first.
     known = {
-        servo.servo_id: settings.drives.of(servo.servo_id, servo.servo_model).once_measured
+        servo.servo_id: settings.drives.of(servo.servo_id, servo.drive).once_measured
         for servo in settings.servos
     }
     limit = impact_limit(replace(settings, drives=Drives(known)), linkage)

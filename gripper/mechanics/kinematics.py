@@ -247,7 +247,7 @@ def transmissions(
     """Return the transmission of each servo at its angle."""
     return tuple(
         Transmission(
-            settings.drives.of(servo.servo_id, servo.servo_model),
+            settings.drives.of(servo.servo_id, servo.drive),
             linkage.effective_radius_m(angle_rad),
         )
         for servo, angle_rad in zip(settings.servos, angles_rad, strict=True)

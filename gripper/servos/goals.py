@@ -105,8 +105,10 @@ class GoalGuard:
         first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
         forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
         return tuple(
-            self._closing(impact, *one) if one[2].angle_rad < one[3].angle_rad else one[2]
-            for one in zip(
+            self._closing(impact, servo, path, goal, state=now, force_n=force_n)
+            if goal.angle_rad < now.angle_rad
+            else goal
+            for servo, path, goal, now, force_n in zip(
                 self._settings.servos,
                 transmissions(self._settings, self._linkage, state.angles_rad),
                 goals,
@@ -127,35 +129,36 @@ class GoalGuard:
     def _closing(
         self,
         impact: ImpactLimit,
-        settings: ServoSettings,
+        servo: ServoSettings,
         path: Transmission,
         goal: ServoGoal,
-        servo: ServoState,
+        *,
+        state: ServoState,
         force_n: float,
     ) -> ServoGoal:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
-        model = settings.servo_model
+        model = servo.servo_model
         empty = force_n < self._settings.contact_force_n
-        if empty and abs(servo.velocity_rad_s) <= model.velocity_unit_rad_s:
-            stood_a = self._stood_a.get(servo.servo_id, 0.0)
-            self._stood_a[servo.servo_id] = max(stood_a, -servo.current_a)
-        most_a = min(goal.current_a, self._most_a(servo.servo_id, goal, path))
-        reach_m = self._pads * self._linkage.opening_per_rad_m(servo.angle_rad)
+        if empty and abs(state.velocity_rad_s) <= model.velocity_unit_rad_s:
+            stood_a = self._stood_a.get(state.servo_id, 0.0)
+            self._stood_a[state.servo_id] = max(stood_a, -state.current_a)
+        most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
+        reach_m = self._pads * self._linkage.opening_per_rad_m(state.angle_rad)
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
         if goal.setpoint_n is not None:
             fastest_m_s = min(
                 fastest_m_s, pressing_speed_m_s(self._settings, impact, goal.setpoint_n)
             )
         fastest_rad_s = fastest_m_s / reach_m
-        over_rad_s = -servo.velocity_rad_s - fastest_rad_s
+        over_rad_s = -state.velocity_rad_s - fastest_rad_s
         if over_rad_s > model.velocity_unit_rad_s:
             # No more momentum is taken than it has too much, or the finger would swing.
             drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
-            angle_rad = goal.angle_rad if drive_n > 0.0 else servo.angle_rad
+            angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
             return replace(goal, angle_rad=angle_rad, current_a=current_a)
         ahead_rad = lead_rad(model, most_a, fastest_rad_s) if empty else inf
-        angle_rad = max(goal.angle_rad, servo.angle_rad - ahead_rad)
+        angle_rad = max(goal.angle_rad, state.angle_rad - ahead_rad)
         return replace(goal, angle_rad=angle_rad, current_a=most_a)
 
     @property
@@ -247,7 +250,7 @@ class GoalGuard:
                 f"current_max_a = {settings.current_max_a} A"
             )
         low_rad = self._lowest_rad[index]
-        drive = settings.drives.of(servo.servo_id, servo.servo_model)
+        drive = settings.drives.of(servo.servo_id, servo.drive)
         margin_rad = max(OPENING_MARGIN_RAD, 1.1 * overrun_rad(servo.servo_model, drive))
         high_rad = self._open_rad[index] + margin_rad
         # Fingers that stand outside (moved by hand) may be brought back in.

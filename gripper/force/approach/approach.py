@@ -278,8 +278,7 @@ class Approach:
 
     def _drives(self) -> list[DriveCharacteristic]:
         return [
-            self._settings.drives.of(servo.servo_id, servo.servo_model)
-            for servo in self._settings.servos
+            self._settings.drives.of(servo.servo_id, servo.drive) for servo in self._settings.servos
         ]
 
     def _most_lead_m(self, state: ServoFeedback) -> float:

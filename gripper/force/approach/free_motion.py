@@ -1,5 +1,6 @@
 """Motions of fingers that hold nothing: they stand still, and they move to an opening."""
 
+from dataclasses import replace
 from math import inf
 
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
@@ -79,6 +80,9 @@ class MoveTo:
         Feedback at the start.
     aperture_m
         Opening to reach in m.
+    speed_m_s
+        Rate of the opening in m/s; None: that of the settings. Closing fingers stay below the
+        limit of the impact.
     only_open
         True where no finger may close, as a release: one that is more open stays there, and none
         is driven back where something pushes it open.
@@ -91,6 +95,7 @@ class MoveTo:
         state: ServoFeedback,
         *,
         aperture_m: float,
+        speed_m_s: float | None = None,
         only_open: bool = False,
     ) -> None:
         self._settings = settings
@@ -104,11 +109,11 @@ class MoveTo:
             aperture_m = linkage.aperture_m(self._target_rad)
         travel_m = max(abs(aperture_m - state.aperture_m), _SHORTEST_TRAVEL_M)
         opening = aperture_m >= state.aperture_m
-        speed_m_s = (
-            settings.open_speed_m_s
-            if opening
-            else approach_speed_m_s(settings, linkage, state.angles_rad)
-        )
+        if opening:
+            speed_m_s = speed_m_s or settings.open_speed_m_s
+        else:
+            usual = replace(settings, approach_speed_m_s=speed_m_s or settings.approach_speed_m_s)
+            speed_m_s = approach_speed_m_s(usual, linkage, state.angles_rad)
         force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
         paths = transmissions(settings, linkage, state.angles_rad)
         needed_a = motion_currents_a(settings, paths, force_n)
@@ -169,7 +174,7 @@ class MoveTo:
             there = sign * (target_rad - servo.angle_rad) <= reached_rad
             there = there or (self._only_open and start_rad >= target_rad)
             arrived = arrived and there
-            drive = self._settings.drives.of(settings.servo_id, settings.servo_model)
+            drive = self._settings.drives.of(settings.servo_id, settings.drive)
             end_rad = target_rad + sign * overrun_rad(settings.servo_model, drive)
             angle_rad = (
                 servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)

@@ -246,9 +246,9 @@ class FirstMotion:
                 servo.servo_model,
                 start_rad,
                 end_rad,
-                speed_m_s / per_rad_m,
-                least_rad,
-                overrun_rad(servo.servo_model, path.drive),
+                rate_rad_s=speed_m_s / per_rad_m,
+                least_rad=least_rad,
+                overrun_rad=overrun_rad(servo.servo_model, path.drive),
             )
             for servo, path, start_rad, end_rad, least_rad in zip(
                 settings.servos,
@@ -311,9 +311,9 @@ class FirstMotion:
     def _contradicted(self, servo: ServoState, found: str) -> MechanicsContradicted:
         return MechanicsContradicted(
             f"servo {servo.servo_id}: {found}, at an opening of {self._stands_m * 1e3:.1f} mm on "
-            f"its way to {self._aperture_m * 1e3:.1f} mm, with {max(self._currents_a):.2f} A, the least "
-            f"that moves it. So the fingers are not where the settings have them, or something "
-            f"blocks them; the torque is switched off. Look where they stand, then check "
+            f"its way to {self._aperture_m * 1e3:.1f} mm, with {max(self._currents_a):.2f} A, the "
+            f"least that moves it. So the fingers are not where the settings have them, or "
+            f"something blocks them; the torque is switched off. Look where they stand, then check "
             f"{mechanics_text(self._settings, self._linkage)}"
         )
 
@@ -326,6 +326,7 @@ class _Finger:
         model: ServoModel,
         start_rad: float,
         target_rad: float,
+        *,
         rate_rad_s: float,
         least_rad: float,
         overrun_rad: float,

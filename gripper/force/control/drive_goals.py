@@ -3,10 +3,16 @@
 from collections.abc import Sequence
 from math import inf
 
+from gripper.dynamixel.models import ServoModel
 from gripper.force.estimates.grip import Grip
 from gripper.mechanics.kinematics import Transmission, mean_friction_n
-from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
-from gripper.values.state import ServoFeedback
+from gripper.servos.goals import (
+    ServoGoal,
+    closing_margin_rad,
+    most_closed_rad,
+    running_lead_rad,
+)
+from gripper.values.state import ServoFeedback, ServoState
 
 GIVE_RAD = 0.03
 """How far in rad a goal may open beyond the contact: pads and part are deeper there by no more.
@@ -33,6 +39,7 @@ class DriveGoals:
         self._contact_rad = self._deepest_rad = contact.angles_rad
         self._least_rad = most_closed_rad(grip.settings, grip.linkage)
         self._touch_m = touch_m
+        self._held: tuple[int | None, int, float] = (None, 0, 0.0)
         self._stop_rad: tuple[float, ...] | None = None
 
     @property
@@ -68,10 +75,12 @@ class DriveGoals:
             self._least_rad,
             strict=True,
         ):
-            # Each servo drives with as much of its own friction; in the middle of it none moves.
-            own_n = grip.estimate.force_n
-            if grip.moving is None or settings is grip.settings.servos[grip.moving]:
-                own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n
+            if grip.moving is not None and settings is not grip.settings.servos[grip.moving]:
+                held_rad = self._held_rad(servo)
+                goals.append(self._holding(held_rad, settings.servo_model, path))
+                continue
+            # Each servo drives with as much of its own friction.
+            own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n
             current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
             margin_rad = closing_margin_rad(settings.servo_model, current_a)
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
@@ -88,3 +97,19 @@ class DriveGoals:
                 )
             )
         return tuple(goals)
+
+    def _held_rad(self, servo: ServoState) -> float:
+        """Return where a finger stands since the other one alone has moved."""
+        if self._held[:2] != (self._grip.moving, servo.servo_id):
+            self._held = (self._grip.moving, servo.servo_id, servo.angle_rad)
+        return self._held[2]
+
+    def _holding(self, held_rad: float, model: ServoModel, path: Transmission) -> ServoGoal:
+        """Return the goal of a finger that is held by position, against the force of the pads."""
+        grip = self._grip
+        current_a = max(grip.estimate.force_n, 0.0) / path.n_per_a
+        return ServoGoal(
+            angle_rad=held_rad - running_lead_rad(model, current_a, 0.0),
+            current_a=min(current_a + path.drive.most_breakaway_a, grip.settings.current_max_a),
+            setpoint_n=grip.setpoint_n,
+        )

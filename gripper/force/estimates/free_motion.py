@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import replace
-from math import sqrt
+from math import exp, sqrt
 from statistics import fmean, median, pstdev
 
 from gripper.dynamixel.drive import DriveCharacteristic
@@ -91,8 +91,17 @@ class FreeMotion:
             self._take(settings, servo, self._runs[servo.servo_id])
         self.begin()
 
+    def compare(self, servo_id: int, drive: DriveCharacteristic) -> None:
+        """Note where pads and motor constant contradict each other: neither follows the other."""
+        if drive.disagreement:
+            self.notes.append(
+                f"servo {servo_id}: by the pads 1 A makes {exp(drive.disagreement):.2f} times the "
+                f"torque of its motor constant: the law of the pads, or the current scale, is off. "
+                f"Press a known weight on the pads: `tactile-cell commission --redo pads_law`"
+            )
+
     def _drive(self, settings: ServoSettings) -> DriveCharacteristic:
-        return self._settings.drives.of(settings.servo_id, settings.servo_model)
+        return self._settings.drives.of(settings.servo_id, settings.drive)
 
     def _take(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
         """Fit the friction of a servo anew with the motion that has ended."""

@@ -101,9 +101,9 @@ class EmptyGrip:
         if moment.now_s >= self._late_s:
             raise GripContradicted(
                 f"the force samples show empty pads, but the fingers stand at an opening of "
-                f"{1e3 * state.aperture_m:.1f} mm: with {max(self._currents_a):.2f} A, which moves free "
-                f"ones, they have closed by {1e3 * travel_m:.1f} of {1e3 * self._run_m:.1f} mm. "
-                f"{ADVICE}"
+                f"{1e3 * state.aperture_m:.1f} mm: with {max(self._currents_a):.2f} A, which moves "
+                f"free ones, they have closed by {1e3 * travel_m:.1f} of "
+                f"{1e3 * self._run_m:.1f} mm. {ADVICE}"
             )
         self._pads(moment)
         boost = 1.0 + BOOST_PER_S * moment.dt_s
