@@ -387,7 +387,7 @@ class CellController:
             self._life.go(Event.STOP)
         try:
             if stopping:
-                self._grasper.note_drives()
+                self._grasper.note_drives(keep=True)
             found = self.hand.shutdown()
             if found:
                 self._journal.note("fault", found)

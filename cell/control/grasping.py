@@ -137,6 +137,7 @@ class Grasper:
             kept = judge.holds and self._judged(record, judge)
         if not kept:
             self.hand.release(self.watch)
+            self.note_drives()
         return record, kept
 
     def grip(self, force_n: float, pose: Pose | None) -> GraspRecord:
@@ -181,15 +182,17 @@ class Grasper:
     def _measure_friction(self) -> None:
         """Measure the servos' friction; pads that have met have shown that nothing is between."""
         self.hand.measure_friction(self.watch)
-        self.note_drives(of_all=True)
+        self.note_drives(keep=True)
 
-    def note_drives(self, *, of_all: bool = False) -> None:
-        """Note what is unusual of the servos; keep and note what was measured ``of_all``."""
+    def note_drives(self, *, keep: bool = False) -> None:
+        """Note what is unusual of the servos, and ``keep`` and note what was measured of each."""
         report = self.hand.read_drives()
         for text in report.notes:
             self.journal.note("note", text)
+        if not keep:
+            return
         self.zeros.keep_drives(report.drives, self.homing)
-        for servo in self._gripper.servos if of_all else ():
+        for servo in self._gripper.servos:
             drive = report.drives.get(servo.id)
             if drive is not None:
                 text = drive_text(servo.id, drive, MODELS[servo.model])
@@ -212,7 +215,7 @@ class Grasper:
             self._measure_friction()
             self._kept_zero(found)
             return ""
-        self.note_drives(of_all=True)
+        self.note_drives(keep=True)
         why = (
             f"no self-zero today, answers allow for any drift: {why}. The fingers are open. Take "
             f"everything out of the grip, then `tactile-cell zero`; with `self_zero: on_demand` "

@@ -53,15 +53,21 @@ def zero_file(directory: Path, cell_name: str) -> Path:
     return directory / f"self-zero-{name}.json"
 
 
-def kept_zeros(config: CellConfig, directory: Path | None) -> "SelfZeros":
-    """Return the self-zeros of a cell, kept in a folder; None: in this program alone."""
+def kept_zeros(
+    config: CellConfig, directory: Path | None, *, new_hand: bool | None = None
+) -> "SelfZeros":
+    """Return the self-zeros of a cell, kept in a folder; None: in this program alone.
+
+    ``new_hand`` says whether what an earlier program measured is of another hand, as it is of a
+    simulated one.
+    """
     port = config.gripper.port
     return SelfZeros(
         config.self_zero,
         pads_meet=config.gripper.pads_meet,
         path=None if directory is None else zero_file(directory, config.name),
         hand=_hand_of(config),
-        new_hand=config.simulated,
+        new_hand=config.simulated if new_hand is None else new_hand,
         servos={one.id: {"port": port, "model": one.model} for one in config.gripper.servos},
     )
 
@@ -118,14 +124,14 @@ class SelfZeros:
     """The hand that the one in the file is of."""
 
     def __post_init__(self) -> None:
-        if self.path is not None and self.when != "never":
+        if self.path is not None:
             self._read(self.path)
 
     @property
     def newest(self) -> SelfZero | None:
         """The newest self-zero; None where there is none of the last day."""
         young = abs(self.now_s() - self.measured_s) <= _LONGEST_S
-        return self._last if young else None
+        return self._last if young and self.when != "never" else None
 
     @property
     def due(self) -> bool:
@@ -190,8 +196,9 @@ class SelfZeros:
             for servo_id, drive in drives.items()
             if drive.measured
         }
-        if measured:
-            self.drives |= measured
+        self.drives |= measured
+        # A file that does not count is some other hand's, or a person's to look at.
+        if measured and not self.refused:
             self._write()
 
     def kept_drives(self, homing: Mapping[int, int]) -> dict[int, DriveCharacteristic]:

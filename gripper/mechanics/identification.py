@@ -35,6 +35,9 @@ _BLOCKS, _LEAST_BLOCKS = 30, 6
 """Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
 _LOCKED, _ENDS = 0.25, 0.05
 """Shares of the way of the load that are left out after a turn, and before the next. [tuned]"""
+_FALLING_BASE = (0.7, 0.4)
+"""Breakaway of a falling load over that of a rising one, and its uncertainty: 0.3 to 1 for gearings
+that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
 _SUREST = 0.1
 """Largest uncertainty of a slope that counts, as a share. [chosen]"""
 _LEAST_SPAN = 1.5
@@ -209,12 +212,13 @@ def _line(points: Sequence[LoadPoint], before: DriveCharacteristic, *, rises: bo
     low, high = blocks[:, 0].min(), blocks[:, 0].max()
     # Where the direction has turned, friction locks the finger.
     least, most = (_LOCKED, 1.0 - _ENDS) if rises else (_ENDS, 1.0 - _LOCKED)
-    share = (blocks[:, 0] - low) / max(high - low, 1e-9)
-    load, current = blocks[(share >= least) & (share <= most)].T
+    way = (blocks[:, 0] - low) / max(high - low, 1e-9)
+    load, current = blocks[(way >= least) & (way <= most)].T
     if len(load) < _LEAST_BLOCKS:
         return None
-    base = before.breakaway_a if rises else -before.breakaway_a
-    base_sd = max(before.friction_sd, LEAST_FRICTION_SD) * before.breakaway_a
+    share, sd_share = (1.0, max(before.friction_sd, LEAST_FRICTION_SD)) if rises else _FALLING_BASE
+    base = share * before.breakaway_a * (1.0 if rises else -1.0)
+    base_sd = sd_share * before.breakaway_a
     rows, sd = np.column_stack([load, np.ones(len(load))]), base_sd
     for _ in range(3):
         whole = np.vstack([rows / sd, [0.0, 1.0 / base_sd]])

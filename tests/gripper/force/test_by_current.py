@@ -13,7 +13,6 @@ from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import Cycle
 
-
 _SDS = (0.7, 0.05)
 """Uncertainty of servos whose torque was measured with weights, and no friction so far."""
 

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from math import asin, pi
 
 import pytest
