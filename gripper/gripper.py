@@ -510,6 +510,7 @@ class Gripper:
         if restart and reboot:
             self._servos.reboot(restart)
             conditions = self.conditions()
+        self._fingers.free.distrust()
         self._life.fault = None
         self._life.motion_unconfirmed = False
         self._runner.forget_stop()

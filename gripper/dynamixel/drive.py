@@ -98,6 +98,11 @@ class DriveCharacteristic:
         )
 
     @property
+    def distrusted(self) -> Self:
+        """The same values, its friction as uncertain as that of any servo of its model."""
+        return replace(self, friction_sd=_FRICTION_SD)
+
+    @property
     def least_breakaway_a(self) -> float:
         """Least plausible friction at rest in A."""
         return self.breakaway_a * exp(-SIGMAS * self.friction_sd)

@@ -64,6 +64,14 @@ class FreeMotion:
         self._points.clear()
         self._priors.clear()
 
+    def distrust(self) -> None:
+        """Take no friction for known: after a fault the next motion measures it anew."""
+        self.forget()
+        for servo in self._settings.servos:
+            drive = self._drive(servo)
+            if drive.measured:
+                self._settings.drives.put(servo.servo_id, drive.distrusted)
+
     def begin(self) -> None:
         """Begin a motion."""
         for run in self._runs.values():
@@ -115,11 +123,7 @@ class FreeMotion:
         if ratio != 1.0:
             self._note(servo, drive, ratio)
             points.clear()
-            catalogue = DriveCharacteristic.catalogue(model)
-            self._priors[servo_id] = prior = replace(
-                drive,
-                friction_sd=catalogue.friction_sd,
-            )
+            self._priors[servo_id] = prior = drive.distrusted
         points[:] = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
         points.append(point)
         found = fit_friction(points, prior)
