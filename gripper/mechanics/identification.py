@@ -29,8 +29,12 @@ LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
 amperes for each N m. [assumed]"""
 _CHANGE_SD = 0.1
 """Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
-_BACK_EMF_SD = 0.1
-"""Spread of the back-EMF over the motor constant within a model, as a share. [assumed]"""
+_BACK_EMF_SD, _UNPRESSED_SD = 0.1, 0.12
+"""Spread of the back-EMF over the motor constant within a model, as a share, and uncertainty of the
+amperes for each N m that follow from it alone. [assumed]"""
+_VOLTAGE_SD_V, _RESISTANCE_SD = 0.02, 0.15
+"""Error of a voltage in V, and spread of the winding's resistance as a share: it grows by 20 % with
+50 K. [assumed]"""
 _BLOCKS, _LEAST_BLOCKS = 30, 6
 """Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
 _LOCKED, _ENDS = 0.25, 0.05
@@ -148,18 +152,23 @@ def fit_load(
     )
 
 
-def fit_back_emf(points: Sequence[FreePoint]) -> float | None:
+def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None:
     """Return the back-EMF of free motions in V for each rad/s; None where they do not show it.
 
-    The voltage on the motor is that of its winding, R i, and the back-EMF.
+    The voltage on the motor is that of its winding, R i, and the back-EMF. R is the model's, but
+    for its uncertainty.
     """
     known = [point for point in points if point.voltage_v is not None]
     speeds = [abs(point.speed_rad_s) for point in known]
     if len(known) < 3 or max(speeds) < _LEAST_SPAN * min(speeds):
         return None
-    rows = np.array([(point.current_a, point.speed_rad_s) for point in known])
-    volts = np.array([point.voltage_v for point in known])
-    found = np.linalg.lstsq(rows, volts, rcond=None)[0]
+    resistance_ohm = model.nominal_voltage_v / model.stall_current_a
+    weight = _VOLTAGE_SD_V / (_RESISTANCE_SD * resistance_ohm)
+    rows = [(point.current_a, point.speed_rad_s) for point in known]
+    volts = [point.voltage_v for point in known]
+    found = np.linalg.lstsq(
+        np.array([*rows, (weight, 0.0)]), np.array([*volts, weight * resistance_ohm]), rcond=None
+    )[0]
     return float(found[1]) if min(found) > 0.0 else None
 
 
@@ -173,11 +182,14 @@ def anchored(
     resistance_ohm = model.nominal_voltage_v / model.stall_current_a
     idle_v = resistance_ohm * model.friction_nm / model.kt_nm_a
     expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
+    kt_nm_a = model.kt_nm_a * back_emf_v_s / expected_v_s
+    values = replace(drive, kt_nm_a=kt_nm_a, kt_sd=_BACK_EMF_SD, back_emf_v_s=back_emf_v_s)
+    if drive.load_sd < _UNPRESSED_SD:
+        return values
+    # No pad has measured the load.
+    relief = drive.falling_a_nm / drive.rising_a_nm
     return replace(
-        drive,
-        kt_nm_a=model.kt_nm_a * back_emf_v_s / expected_v_s,
-        kt_sd=min(drive.kt_sd, _BACK_EMF_SD),
-        back_emf_v_s=back_emf_v_s,
+        values, rising_a_nm=1.0 / kt_nm_a, falling_a_nm=relief / kt_nm_a, load_sd=_UNPRESSED_SD
     )
 
 

@@ -37,6 +37,10 @@ _STALL_TIME_S = 0.5
 LEAD_M = 0.006
 """How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again.
 [chosen]"""
+_HELD_SHARE = 0.8
+"""Share of the least friction at rest that moves no finger. [chosen]"""
+_LEAD_RESERVE = 1.3
+"""Lead over the one that friction and speed take. [chosen]"""
 _STARTING_S = 0.1
 """Longest time in s in which fingers get to their speed; with more friction than their model's the
 goal runs on. [chosen]"""
@@ -267,14 +271,28 @@ class Approach:
 
     def _lead_m(self, state: ServoFeedback) -> float:
         """Return how far in m the goal is ahead of fingers that run at the nominal speed."""
-        nominal_rad_s = self._nominal_rad_s(state)
         return sum(
-            self._linkage.opening_per_rad_m(angle_rad)
-            * running_lead_rad(servo.servo_model, drive.moving_a(nominal_rad_s), nominal_rad_s)
-            for servo, drive, angle_rad in zip(
-                self._settings.servos, self._drives(), state.angles_rad, strict=True
+            self._linkage.opening_per_rad_m(angle_rad) * lead_rad
+            for lead_rad, angle_rad in zip(self._leads_rad(state), state.angles_rad, strict=True)
+        )
+
+    def _resting_lead_m(self, state: ServoFeedback) -> float:
+        """Return how far in m the goal may be ahead of fingers that friction still holds."""
+        return sum(
+            self._linkage.opening_per_rad_m(now.angle_rad)
+            * running_lead_rad(servo.servo_model, _HELD_SHARE * drive.least_breakaway_a, 0.0)
+            for servo, drive, now in zip(
+                self._settings.servos, self._drives(), state.servos, strict=True
             )
         )
+
+    def _leads_rad(self, state: ServoFeedback) -> list[float]:
+        """Return how far in rad the goal of each finger is ahead of it at the nominal speed."""
+        nominal_rad_s = self._nominal_rad_s(state)
+        return [
+            running_lead_rad(servo.servo_model, drive.moving_a(nominal_rad_s), nominal_rad_s)
+            for servo, drive in zip(self._settings.servos, self._drives(), strict=True)
+        ]
 
     def _drives(self) -> list[DriveCharacteristic]:
         return [
@@ -288,8 +306,9 @@ class Approach:
         stand untouched get as far ahead a goal as their current takes: a position controller
         with a small gain would never reach it otherwise.
         """
+        running_m = _LEAD_RESERVE * self._lead_m(state)
         if max(self._boosts) <= 1.0:
-            return LEAD_M
+            return max(LEAD_M, running_m)
         pressing_m = sum(
             self._linkage.opening_per_rad_m(now.angle_rad)
             * closing_margin_rad(servo.servo_model, closing_a * max(1.0, boost / MOST_FRICTION))
@@ -297,7 +316,7 @@ class Approach:
                 self._settings.servos, state.servos, self._closing_a, self._boosts, strict=True
             )
         )
-        return max(LEAD_M, pressing_m)
+        return max(LEAD_M, running_m, pressing_m)
 
     def _touched(self) -> tuple[bool, bool]:
         """Return which fingers are in contact: what stopped a braked one need press half as hard.
@@ -373,7 +392,15 @@ class Approach:
         paused_rad: Sequence[float | None],
     ) -> Sequence[float]:
         """Return the goal angles: where a finger touched, where it pauses, or farther closed."""
-        angles_rad = list(self._linkage.angles_rad(self._aperture_m))
+        leads_rad = self._leads_rad(state)
+        mean_rad = sum(leads_rad) / len(leads_rad)
+        # A finger with more friction needs a goal that is farther ahead.
+        angles_rad = [
+            angle_rad - lead_rad + mean_rad
+            for angle_rad, lead_rad in zip(
+                self._linkage.angles_rad(self._aperture_m), leads_rad, strict=True
+            )
+        ]
         for finger, servo in enumerate(state.servos):
             if len(angles_rad) == 1 or not touched[finger]:
                 self._waiting_rad[finger] = None
@@ -399,7 +426,7 @@ class Approach:
             pause = self._pauses[finger]
             if pause is not None and now_s >= pause[1]:
                 self._pauses[finger] = None
-                self._aperture_m = state.aperture_m
+                self._aperture_m = state.aperture_m - self._resting_lead_m(state)
             elif pause is None and closing_rad_s >= _RUNNING_SHARE * nominal_rad_s:
                 self._was_running[finger] = True
             elif (

@@ -134,7 +134,7 @@ class FreeMotion:
             load_sd=drive.load_sd,
             temperature_c=servo.temperature_c,
         )
-        if (back_emf_v_s := fit_back_emf(points)) is not None:
+        if (back_emf_v_s := fit_back_emf(points, model)) is not None:
             found = anchored(found, model, back_emf_v_s)
         self._settings.drives.put(servo_id, found)
         usual_a = DriveCharacteristic.catalogue(model).breakaway_a

@@ -187,7 +187,7 @@ def test_the_back_emf_anchors_the_motor_constant_and_no_pad_does(factor: float) 
     usual_v = MODEL.nominal_voltage_v * (1.0 - idle_a / MODEL.stall_current_a)
     k_e = factor * usual_v / MODEL.no_load_rad_s
     points = [voltage_v(MODEL, one, k_e) for one in free_points(GEARINGS["MX-64"])]
-    found_v_s = fit_back_emf(points)
+    found_v_s = fit_back_emf(points, MODEL)
     assert found_v_s == pytest.approx(k_e, rel=0.02)
     found = anchored(CATALOGUE, MODEL, found_v_s)
     assert found.kt_nm_a == pytest.approx(factor * MODEL.kt_nm_a, rel=0.02)
@@ -202,5 +202,5 @@ def test_the_back_emf_anchors_the_motor_constant_and_no_pad_does(factor: float) 
 
 def test_one_speed_shows_no_back_emf() -> None:
     points = free_points(GEARINGS["XL330"], speeds=(0.25,))
-    assert fit_back_emf(points) is None
-    assert fit_back_emf([voltage_v(MODEL, one, 2.0) for one in points * 2]) is None
+    assert fit_back_emf(points, MODEL) is None
+    assert fit_back_emf([voltage_v(MODEL, one, 2.0) for one in points * 2], MODEL) is None
