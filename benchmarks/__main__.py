@@ -8,12 +8,13 @@ import sys
 
 BENCHMARKS = {
     "performance": (
-        "doors",
+        "interfaces",
         "force_cap",
         "force_messages",
         "force_ramps",
         "identify",
         "loop_lateness",
+        "servo_factors",
         "touch",
     ),
     "recognition": (

@@ -2,7 +2,7 @@
 
 The composition root and the only package that imports all others. `build_cell` makes a cell from a
 config, `CellController` runs its sequences, a host program loads `TactileCellPlugin`;
-`cell.interfaces` holds the command line and the doors, `cell.jobs` what the commands do.
+`cell.interfaces` holds the command line and the interfaces, `cell.jobs` what the commands do.
 """
 
 from importlib import import_module

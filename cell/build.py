@@ -31,8 +31,8 @@ from cell.data.recorder import Recorder
 from cell.errors import ConfigError, RecordingError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
+from cell.hand.connections import MISSING, HandConnections
 from cell.hand.interface import Hand
-from cell.hand.lines import MISSING, Lines
 from cell.simulation import (
     InProcessPlacer,
     capture_traffic,
@@ -285,7 +285,7 @@ def _hand(
         if config.loop.own_process:
             return HandProcess(config, partial=partial)
         return open_hand(config, notes=(SHARED_PROCESS,), partial=partial)
-    lines = Lines(
+    lines = HandConnections(
         lambda: open_servo_port(simulated),
         lambda: open_can_bus(simulated),
         stream=simulated.servo_port,

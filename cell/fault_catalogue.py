@@ -383,7 +383,7 @@ def error_text(error: BaseException) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Refusal:
-    """Why a request was refused, as every door shows it."""
+    """Why a request was refused, as every interface shows it."""
 
     number: int = 0
     """Fault number; 0: nothing was refused yet."""

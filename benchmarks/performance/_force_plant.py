@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import XM430_W350
-from gripper.errors import PartLost
+from gripper.errors import GripperError
 from gripper.force.control.period import Period
 from gripper.force.estimates.grip import Grip
 from gripper.force.ramp import ForceRamp
@@ -22,7 +22,7 @@ from gripper.values.state import Cycle, GripperPhase
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.gearing import IDEAL_GEARING, XM430_W350_GEARING
+from simulator.servo.gearing import IDEAL_GEARING, Gearing
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 
@@ -159,7 +159,8 @@ class FrameSensor:
 class RampQuality:
     """Overshoot in N, time to settle after the ramp in s, largest error while holding in N.
 
-    ``lost`` is True where the gripper took the part for lost: then it is not held.
+    ``lost`` is True where the gripper did not find the part, took it for lost, or ended with a
+    fault: then the other figures are those of a part that is not held.
     """
 
     overshoot_n: float
@@ -177,9 +178,10 @@ class Rig:
         Part, errors of the gripper's figures, noise of the sensor in N, tuning of the force loop.
     rate_hz
         Force messages a second; None: whole frames at 50 Hz alone.
-    further_truths
-        True for a plant whose gearing has friction of the load, backlash and ripple, and whose foam
-        creeps.
+    gearing, friction_factor, kt_factor
+        Gearing of the servos, and factors on friction and torque beside the truth.
+    creep
+        Share of its force that the foam loses at a constant depth.
     supervised
         False where the gripper does not take a part for lost because its fingers run ahead: it
         does so under laws whose force arrives with a knee.
@@ -195,19 +197,21 @@ class Rig:
         tuning: ForceLoopSettings,
         *,
         rate_hz: float | None = None,
-        further_truths: bool = False,
+        gearing: Gearing = IDEAL_GEARING,
+        friction_factor: float = 1.0,
+        kt_factor: float = 1.0,
+        creep: float = 0.0,
         supervised: bool = True,
         **settings: Any,
     ) -> None:
         self._part = part
-        self._creep = CREEP if further_truths else 0.0
+        self._creep = creep
         self._relaxed_n = 0.0
         clock = VirtualClock()
-        gearing = XM430_W350_GEARING if further_truths else IDEAL_GEARING
         motors = [ServoMotor(XM430_W350, gearing=gearing) for _ in (0, 1)]
         for motor in motors:
-            motor.kt_factor = 1.0 + truth.kt_error
-            motor.friction_factor = 1.0 + truth.friction_error
+            motor.kt_factor = kt_factor * (1.0 + truth.kt_error)
+            motor.friction_factor = friction_factor * (1.0 + truth.friction_error)
         directions, open_m = (1, -1), part.width_m + 0.008
         self._mechanics = FingerMechanics(
             motors,
@@ -281,19 +285,16 @@ class Rig:
                 ends_s.append(cycle.t_s)
 
         self.gripper.start()
-        outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
-        if outcome.contact_t_s is None:
-            raise SystemExit(f"the fingers did not find the part: {outcome}")
-        lost = outcome.result is GraspResult.PART_LOST
-        with suppress(PartLost):
-            if not lost:
-                lost = True
+        contact_s: float | None = None
+        with suppress(GripperError):
+            outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
+            if outcome.result is not GraspResult.PART_LOST and outcome.contact_t_s is not None:
                 self.gripper.hold(_HOLD_S, observe)
-                lost = False
-        if lost:
+                contact_s = outcome.contact_t_s
+        if contact_s is None or not ends_s:
             return RampQuality(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n, lost=True)
         tolerance_n = max(0.2, 0.05 * final_n)
-        ramped = [entry for entry in self._trace if entry[0] >= outcome.contact_t_s]
+        ramped = [entry for entry in self._trace if entry[0] >= contact_s]
         after = [(t_s - ends_s[0], n - final_n) for t_s, n in ramped if t_s >= ends_s[0]]
         outside = [t_s for t_s, error_n in after if abs(error_n) > tolerance_n]
         return RampQuality(

@@ -1,4 +1,4 @@
-"""Ten thousand connections to each door of `tactile-cell serve`, in which nothing grows.
+"""Ten thousand connections to each interface of `tactile-cell serve`, in which nothing grows.
 
     python -m benchmarks.performance.connects [--connects N]        (make soak)
 
@@ -22,7 +22,7 @@ from benchmarks.performance.soak import ResourceUse, look, show_growth
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import CellState
-from cell.interfaces.opening import open_doors
+from cell.interfaces.opening import open_interfaces
 from cell.service.opening import open_service
 from cell.service.service import Service
 
@@ -33,7 +33,7 @@ REST_S = 6.0
 LIMITS = {"rss_kib": 0.1, "objects": 0.01, "descriptors": 0.001, "threads": 0.001}
 """Growth allowed for each connection."""
 PATIENCE_S = 20.0
-"""Longest wait in s until a door has ended the connections of a block."""
+"""Longest wait in s until an interface has ended the connections of a block."""
 _GRIP_N = 3.0
 _READ = bytes.fromhex("000100000006010400000001")
 """Modbus: read the first input register."""
@@ -43,15 +43,15 @@ _ANSWER = 100
 _KINDS = 5
 """Kinds of clients, see `connect`."""
 _AT_ONCE = 16
-"""Clients that ask at once before the measure: the pool of threads behind a door grows by them."""
+"""Clients that ask at once before the measure: they fill the interface's pool of threads."""
 _QUIET_S = 0.2
 """Time in s in which threads and descriptors stay as they are before they are the measure."""
-Door = tuple[int, bytes]
+Interface = tuple[int, bytes]
 """Port, and a whole request that changes nothing."""
 
 
-def requests(found: dict[str, Any]) -> dict[str, Door]:
-    """Return port and request of each door."""
+def requests(found: dict[str, Any]) -> dict[str, Interface]:
+    """Return port and request of each interface."""
     body = dumps((), "state").encode()
     head = b"POST /RPC2 HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/xml\r\n"
     call = head + b"Content-Length: %d\r\n\r\n" % len(body) + body
@@ -64,9 +64,9 @@ def requests(found: dict[str, Any]) -> dict[str, Door]:
     }
 
 
-def connect(door: Door, number: int) -> None:
+def connect(interface: Interface, number: int) -> None:
     """Connect once: one in five sends half a request, one in five gets its answer."""
-    port, request = door
+    port, request = interface
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
         try:
             match number % _KINDS:
@@ -76,12 +76,12 @@ def connect(door: Door, number: int) -> None:
                     link.sendall(request)
                     link.recv(_ANSWER)
         except ConnectionError:
-            pass  # a door that is full ends the oldest connection
+            pass  # an interface that is full ends the oldest connection
 
 
-def gets_answer(door: Door) -> bool:
+def gets_answer(interface: Interface) -> bool:
     """Whether a new client gets an answer."""
-    port, request = door
+    port, request = interface
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
             link.sendall(request)
@@ -99,22 +99,24 @@ def settle(true: Callable[[], bool], what: str) -> None:
         time.sleep(0.01)
 
 
-def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator[ResourceUse]:
-    """Connect so often to a door, and yield a sample after each block."""
-    # What a door makes at its first clients and keeps, a thread or a file, is none of theirs.
+def hammer(
+    service: Service, name: str, interface: Interface, n_connects: int
+) -> Iterator[ResourceUse]:
+    """Connect so often to an interface, and yield a sample after each block."""
+    # What an interface makes at its first clients and keeps, a thread or a file, is none of theirs.
     with ThreadPoolExecutor(_AT_ONCE) as clients:
-        list(clients.map(lambda _number: gets_answer(door), range(4 * _AT_ONCE)))
+        list(clients.map(lambda _number: gets_answer(interface), range(4 * _AT_ONCE)))
     for number in range(_KINDS):
-        connect(door, number)
-    settle(lambda: gets_answer(door), f"{name} gives no answer")
+        connect(interface, number)
+    settle(lambda: gets_answer(interface), f"{name} gives no answer")
     first, before = look(0, 0.0), None
     while before is None or _open(first) != _open(before):
         time.sleep(_QUIET_S)
         first, before = look(0, 0.0), first
     for done in range(BLOCK, n_connects + 1, BLOCK):
         for number in range(done - BLOCK, done):
-            connect(door, number)
-        settle(lambda: gets_answer(door), f"{name} gives no answer")
+            connect(interface, number)
+        settle(lambda: gets_answer(interface), f"{name} gives no answer")
         time.sleep(REST_S)
         settle(lambda: _idle(first), f"{name} has descriptors or threads left")
         status = service.status()
@@ -134,7 +136,7 @@ def _idle(first: ResourceUse) -> bool:
 
 def serve() -> Service:
     """Return a service that holds a part."""
-    ports = {f"serve.{door}_port": 0 for door in ("modbus", "xmlrpc", "http")}
+    ports = {f"serve.{interface}_port": 0 for interface in ("modbus", "xmlrpc", "http")}
     service = open_service(changed_config(CellConfig(), ports | {"serve.lease_timeout_s": 60.0}))
     lease = service.lease.acquire("soak")
     number = service.start(lease, {"task": "grip", "force_n": _GRIP_N})
@@ -151,10 +153,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--connects", type=int, default=10_000)
     wanted = parser.parse_args(arguments)
     bad: list[str] = []
-    with closing(serve()) as service, open_doors(service) as found:
-        for name, door in requests(found).items():
+    with closing(serve()) as service, open_interfaces(service) as found:
+        for name, interface in requests(found).items():
             begin_s = time.monotonic()
-            samples = list(hammer(service, name, door, wanted.connects))
+            samples = list(hammer(service, name, interface, wanted.connects))
             line(name, f"{samples[-1].done} connections in {time.monotonic() - begin_s:.1f} s")
             bad += [f"{name}: {text}" for text in show_growth(samples, LIMITS)]
     if bad:

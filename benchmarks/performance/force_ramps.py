@@ -5,7 +5,8 @@ take turns on the same plant with the same approach and noise, with force messag
 the torque figures are right in one run and wrong in the two others. Each figure is the worst of the
 runs, of the true force. The seeds are none of those that the loop was tuned with. The force loop
 also meets a plant with further truths (friction that grows with load, backlash, ripple, creep), and
-more noise with figures that are more wrong.
+more noise with figures that are more wrong. At last it meets the gearings of real servos with the
+ramps of 10 N/s and more; ``--factors`` does that with factors on friction and torque, in an hour.
 
 ``python -m benchmarks.performance.force_ramps --page`` writes the figures into
 docs/explanations/force-loop.md; the tests run some of them again and compare.
@@ -22,6 +23,7 @@ from unittest import mock
 
 from benchmarks._measure import in_turns, line, repeats
 from benchmarks.performance._force_plant import (
+    CREEP,
     Part,
     PlainFeedForward,
     PlainPi,
@@ -31,6 +33,7 @@ from benchmarks.performance._force_plant import (
 )
 from gripper.force.control import grip_control
 from gripper.settings import ForceLoopSettings
+from simulator.servo.gearing import GEARINGS
 
 PARTS = {
     "steel ball, 200 N/mm": Part(width_m=0.0095, stiffness_n_m=2e5),
@@ -69,7 +72,11 @@ class Setup:
     """Class of the law; None is the gripper's own."""
     rate_hz: float | None = MESSAGES_HZ
     """Force messages a second; None: frames at 50 Hz."""
-    further_truths: bool = False
+    gearing: str = "ideal"
+    """Name of the servos' gearing."""
+    friction_factor: float = 1.0
+    kt_factor: float = 1.0
+    creep: float = 0.0
     """As for `Rig`."""
     hard: bool = False
     """True with `HARD_TRUTHS` and `HARD_NOISE_N`."""
@@ -84,14 +91,15 @@ class Setup:
             yield ForceLoopSettings()
 
 
+_FURTHER: dict[str, Any] = {"gearing": "xm430_assumed", "creep": CREEP}
 OWN, OWN_TRUTHS = "force loop, messages", "force loop, messages, further truths"
 SETUPS: dict[str, Setup] = {
     OWN: Setup(),
-    OWN_TRUTHS: Setup(further_truths=True),
+    OWN_TRUTHS: Setup(**_FURTHER),
     "force loop, messages, hard": Setup(hard=True),
-    "force loop, messages, hard, further truths": Setup(hard=True, further_truths=True),
+    "force loop, messages, hard, further truths": Setup(hard=True, **_FURTHER),
     "force loop, frames": Setup(rate_hz=None),
-    "force loop, frames, further truths": Setup(rate_hz=None, further_truths=True),
+    "force loop, frames, further truths": Setup(rate_hz=None, **_FURTHER),
     "force loop, frames, hard": Setup(rate_hz=None, hard=True),
     "plain PI, messages": Setup(law=PlainPi),
     "plain PI, frames": Setup(law=PlainPi, rate_hz=None),
@@ -117,6 +125,11 @@ CASES = tuple(
     if final_n / part.stiffness_n_m < LONGEST_WAY_M
 )
 
+FAST = tuple(case for case in CASES if case.rate_n_s >= 10.0)
+"""Ramps that meet the gearings of real servos."""
+FRICTIONS, KTS = (0.5, 1.0, 1.5, 2.0, 3.0), (0.7, 1.0, 1.3)
+"""Factors on friction and torque of both servos."""
+
 
 def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> RampQuality:
     """Return the worst of one ramp, over how the gripper may differ."""
@@ -129,7 +142,10 @@ def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> RampQuality:
                 noise_n,
                 tuning,
                 rate_hz=setup.rate_hz,
-                further_truths=setup.further_truths,
+                gearing=GEARINGS[setup.gearing],
+                friction_factor=setup.friction_factor,
+                kt_factor=setup.kt_factor,
+                creep=setup.creep,
                 supervised=setup.law is None,
             )
             for truth in truths[:n_truths]
@@ -183,6 +199,23 @@ def main(effort: float = 1.0, *, page: bool = False) -> None:
     print("\n".join(lines), flush=True)
     if page:
         write_page(lines)
+    geared(effort, [(1.0, 1.0)])
+
+
+def geared(effort: float, factors: Sequence[tuple[float, float]]) -> None:
+    """Print the ramps of `FAST` with each gearing and factors on friction and torque."""
+    cases = FAST[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else FAST
+    n_truths = repeats(len(TRUTHS), effort)
+    line("gearings", f"of {len(cases)} ramps: overshoot, settling, hold met, mean error, lost")
+    for name in GEARINGS:
+        for friction, kt in factors:
+            setup = Setup(gearing=name, friction_factor=friction, kt_factor=kt)
+            found = {case: run(setup, case, n_truths) for case in cases}
+            counts = ", ".join(f"{n:2d}" for n in _counts(found))
+            line(
+                f"{name} {friction:g}, kt {kt:g}",
+                f"{counts}, {_mean_n(found):.2f} N, {_lost(found):2d}",
+            )
 
 
 def _missed(case: Case, quality: RampQuality) -> str:
@@ -239,4 +272,9 @@ def write_page(lines: Sequence[str]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Force ramps on a simulated gripper.")
     parser.add_argument("--page", action="store_true", help=f"write the figures into {PAGE.name}")
-    main(page=parser.parse_args().page)
+    parser.add_argument("--factors", action="store_true", help="gearings with factors alone")
+    given = parser.parse_args()
+    if given.factors:
+        geared(1.0, [(friction, kt) for friction in FRICTIONS for kt in KTS])
+    else:
+        main(page=given.page)

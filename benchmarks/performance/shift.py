@@ -27,7 +27,7 @@ from benchmarks.performance.connects import settle
 from benchmarks.performance.soak import ResourceUse, look, show_growth
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.interfaces.opening import open_doors
+from cell.interfaces.opening import open_interfaces
 from cell.service.opening import open_service
 from cell.service.service import Service
 
@@ -101,7 +101,7 @@ def condensed(
     ports = {"modbus": None, "xmlrpc": None, "http": 0}
     wanted: dict[str, Any] = {f"serve.{name}_port": port for name, port in ports.items()}
     service = open_service(changed_config(config, wanted | {"serve.lease_timeout_s": 60.0}))
-    with closing(service), open_doors(service) as found:
+    with closing(service), open_interfaces(service) as found:
         address = f"ws://127.0.0.1:{found['http_port']}/api/live?token={found['token']}"
         processes = multiprocessing.get_context("spawn")
         counts = [processes.Value("q") for _ in (*_CLIENTS, "the one that comes and goes")]

@@ -6,6 +6,9 @@ Grasps go through servos, buses and force loop. Both cells measure their own zer
 fingers; "untold" leaves that out. The gauge takes the first three grasps of one object on the other
 cell, once for each object. Objects never taught are grasped there, too.
 
+Further cells are drawn at random: foam, gains and tilt of the pads, mounts of the servos. Each
+measures its own zero once.
+
 Rows of ramps that end early take of each grasp as much as a cell would, and follow whole ones.
 
 The cell that taught names grasps of slower and faster ramps as well, and one that was taught with
@@ -15,6 +18,9 @@ slow ramps names fast ones.
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from benchmarks._measure import line, repeats, some
 from benchmarks.recognition._answers import asked, figures, followed, gauged
@@ -60,6 +66,8 @@ OTHER = {
     ),
 }
 """Settings of the other cell; 10 counts of a servo are 0.9 mm of half opening."""
+N_DRAWN = 20
+"""Cells drawn at random."""
 _ZEROED = {"self_zero": "always"}
 RATES_N_S = {5.0: 0.3, 20.0: 0.1, 40.0: 0.05}
 """Rates of the ramps in N/s, and how long each is held in s."""
@@ -94,7 +102,38 @@ def main(effort: float = 1.0) -> None:
         every += [one for one in answers if one.taught]
         line(f"  gauged by {label}", figures(answers))
     line("  gauged, all together", figures(every))
+    drawn = []
+    for seed in range(repeats(N_DRAWN, effort)):
+        objects, other = taught_objects | new_objects, drawn_cell(seed)
+        found = cell_grasps(objects, max(n // 4, 2), seed=200 + seed, changes=_ZEROED, **other)
+        answers = asked(taught, [a_day_later(grasp) for grasp in found])
+        foam = other["foam"]
+        what = f"{foam.modulus_pa * 1e-3:.0f} kPa, {foam.densification:.2f}"
+        line(f"  drawn cell, {what}, {foam.spread_m * 1e3:.1f} mm", figures(answers))
+        drawn += answers
+    line("  drawn cells, all together", figures(drawn))
     rates(taught_objects, n)
+
+
+def drawn_cell(seed: int) -> dict[str, Any]:
+    """Return the settings of a cell that differs in foam, gains, tilt and mounts, by chance."""
+    rng = np.random.default_rng(seed)
+    mounts = rng.integers(-15, 16, 2).tolist()
+    return {
+        "foam": Foam(
+            modulus_pa=float(np.exp(rng.uniform(np.log(180e3), np.log(360e3)))),
+            densification=rng.uniform(0.55, 0.85),
+            spread_m=rng.uniform(1.1e-3, 1.9e-3),
+        ),
+        "pads": PadPair(
+            tilt_rad=tuple(np.radians(rng.uniform(-1.0, 1.0, 2)).tolist()),
+            gains=tuple(np.exp(rng.uniform(np.log(0.8), np.log(1.25), 2)).tolist()),
+        ),
+        "servos": tuple(
+            SimulatedServoSettings(servo_id=number, mount=ServoMount(zero_raw=2048 + mount))
+            for number, mount in enumerate(mounts, start=1)
+        ),
+    }
 
 
 def rates(objects: Mapping[str, str], n_grasps: int) -> None:

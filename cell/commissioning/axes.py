@@ -4,13 +4,14 @@ from collections.abc import Iterator
 from os.path import realpath
 from typing import Any
 
+from cell.checks.findings import Finding
 from cell.commissioning.backup import read_control_table
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Step
+from cell.commissioning.engine import Dialog, Step
 from cell.commissioning.ports import by_id
-from cell.commissioning.servos import Scan, check_supply, model_name, scan_servos
+from cell.commissioning.servos import Scan, check_supply, scan_servos
 from cell.commissioning.unit import network_interfaces
-from gripper.dynamixel.models import MODELS
+from gripper.dynamixel.models import MODELS, model_name
 from gripper.errors import GripperError
 from tactile.can.bus import CanBus
 from tactile.errors import TactileError

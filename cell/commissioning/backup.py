@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
+from cell.checks.findings import ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Write
+from cell.commissioning.engine import Dialog
 from cell.config.file import problem_text
 from cell.data.files import free_name
 from cell.data.formats import SERVO_BACKUP, read_json, write_json
@@ -91,10 +92,10 @@ _BACKUP = TypeAdapter(Backup)
 
 def register_writes(
     where: str, changes: Mapping[str, tuple[object, object]], undo: str
-) -> list[Write]:
+) -> list[ProposedChange]:
     """Return the writes of some items of a servo, by name with present and coming value."""
     return [
-        Write(
+        ProposedChange(
             where=where,
             what=f"{name} ({REGISTERS[name].address})",
             before=str(before),
@@ -145,9 +146,9 @@ def restore(
 
     Each servo is read back. Baud rate and ID come last; servos that shared an ID do so again.
     ``begin`` is called before the first write: from then on no servo is as it was commissioned.
-    Raises Left when the writes are refused; nothing is written then. Raises CellError if there is
-    no backup, a value of one is none, a servo does not answer where it should, is of another model,
-    has its torque on, or does not keep a value.
+    Raises WizardAborted when the changes are refused; nothing is written then. Raises
+    CellError if there is no backup, a value of one is none, a servo does not answer where it
+    should, is of another model, has its torque on, or does not keep a value.
     """
     files = (backup_file(bench.folder, number) for number in range(HIGHEST_ID + 1))
     backups = [backup for path in files if (backup := _read(path)) is not None]

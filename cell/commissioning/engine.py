@@ -5,25 +5,28 @@ cell's folder, and the next run begins with the first step that is not done.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import NoReturn, Protocol
 
-from pydantic import TypeAdapter, ValidationError
-
+from cell.checks.findings import (
+    STORE_NAME,
+    Approved,
+    Finding,
+    ProposedChange,
+    Verdict,
+    read_commissioned,
+)
 from cell.commissioning.bench import CONFIG_NAME, Bench
-from cell.config.file import config_text, problem_text, schema_text
+from cell.config.file import config_text, schema_text
 from cell.data.files import write_text
-from cell.data.formats import COMMISSIONING, read_json, write_json
+from cell.data.formats import COMMISSIONING, write_json
 from cell.errors import CellError
 from cell.fault_catalogue import error_text
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
-STORE_NAME = "commissioning.json"
-"""File in the cell's folder that keeps the entries of the steps."""
 LIVE_CALL_S = 0.05
 """Time in s between two calls of `Dialog.live` while motors move: a person may stop them there."""
 
@@ -32,16 +35,8 @@ class StepFailed(CellError):
     """A step cannot be done as things are; the message has the cause, and what to do next."""
 
 
-class Left(CellError):
+class WizardAborted(CellError):
     """The person left the wizard, or refused a write; what was found before is kept."""
-
-
-class Verdict(StrEnum):
-    """How a check or a step ended."""
-
-    PASS = "pass"
-    WARN = "warn"
-    FAIL = "fail"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,68 +74,10 @@ class Question:
     """Answer where the person just confirms; None where there is none."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Write:
-    """A write to a device, or a motion, as it is shown before it is done."""
-
-    where: str
-    """Device or part that changes: ``servo 1``, ``finger 0``."""
-    what: str
-    """Item that changes, with its register or object where it has one."""
-    before: str
-    after: str
-    """Present and coming value with units; for a motion its start, and its bounds."""
-    undo: str
-    """How it is taken back."""
-
-
-@dataclass(slots=True, kw_only=True)
-class Finding:
-    """What a step has found so far; the engine keeps it, also where an error ends the step."""
-
-    status: Verdict = Verdict.PASS
-    """The worst of its lines: WARN is usable, after FAIL the step has to run again."""
-    lines: list[str] = field(default_factory=list)
-    """What a person reads: one fact a line, a failed one with what to do next."""
-    values: dict[str, Any] = field(default_factory=dict)
-    """Measured values for later steps, the record and `doctor`: anything that JSON can hold."""
-    settings: dict[str, Any] = field(default_factory=dict)
-    """Values of the config by dotted key, as ``{"gripper.baud_rate": 1000000}``."""
-    figures: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Pictures by name, as numbers: see `cell.commissioning.figures`."""
-    corrected: list[str] = field(default_factory=list)
-    """Those of its lines that say what was wrong, and what it is set to now."""
-    began: str = ""
-    ended: str = ""
-    """Wall-clock times of the step (ISO 8601, UTC), which the engine sets."""
-
-    def fact(self, line: str, *, corrected: bool = False) -> None:
-        """Add a line that is as it should be; ``corrected``: by what was set now."""
-        self.lines.append(line)
-        if corrected:
-            self.corrected.append(line)
-
-    def warn(self, line: str, *, corrected: bool = False) -> None:
-        """Add a line that is worth a word to the operator; ``corrected`` as for `fact`."""
-        self.fact(line, corrected=corrected)
-        if self.status is Verdict.PASS:
-            self.status = Verdict.WARN
-
-    def fail(self, line: str) -> None:
-        """Add a line for which the step has to run again; it sets nothing in the config then."""
-        self.lines.append(line)
-        self.status = Verdict.FAIL
-
-    @property
-    def failed(self) -> bool:
-        """Whether a line failed."""
-        return self.status is Verdict.FAIL
-
-
 class Dialog(Protocol):
-    """The face of the wizard: terminal, page or script. Every call may raise `Left`."""
+    """The face of the wizard: terminal, page or script. Every call may raise `WizardAborted`."""
 
-    def begin(self, step: "Step", number: int, count: int) -> None:
+    def start_step(self, step: "Step", number: int, count: int) -> None:
         """Show which step begins: its title and purpose, as ``number`` of ``count``."""
         ...
 
@@ -164,8 +101,8 @@ class Dialog(Protocol):
         """
         ...
 
-    def approve(self, writes: Sequence[Write]) -> None:
-        """Show writes and motions before they are done; raises `Left` when they are refused."""
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
+        """Show changes and motions before they are done; raises `WizardAborted` at a refusal."""
         ...
 
     def choose(
@@ -211,7 +148,7 @@ class Step:
 
         Raises
         ------
-        Left
+        WizardAborted
             When the person leaves or refuses; of the step its values alone are kept then.
         CellError, GripperError, TactileError
             What ends the step; `carry_out` adds it to the notes.
@@ -222,7 +159,7 @@ class Step:
 def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = None) -> Finding:
     """Run a step and return what it found; an error of cell or lines is a failure of the step.
 
-    Raises Left when the person leaves or refuses; ``notes`` has what was found by then.
+    Raises WizardAborted when the person leaves or refuses; ``notes`` has what was found by then.
     """
     notes = notes or Finding()
     if step.needs_pads and bench.gripper_alone:
@@ -230,7 +167,7 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = 
         return notes
     try:
         step.run(bench, dialog, notes)
-    except Left:
+    except WizardAborted:
         raise
     except StepFailed as why:
         notes.fail(str(why))
@@ -243,38 +180,16 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = 
     return notes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Approved:
-    """A write or motion that a person approved; kept also where the step was left or redone."""
-
-    step: str
-    """Key of the step."""
-    at: str
-    """Wall-clock time (ISO 8601, UTC)."""
-    write: Write
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Store:
-    """Content of commissioning.json."""
-
-    steps: dict[str, Finding]
-    approved: list[Approved]
-
-
-_STORE = TypeAdapter(_Store)
-
-
 class _Logged:
     """A dialog that logs what is approved; implements `Dialog`."""
 
-    def __init__(self, dialog: Dialog, log: Callable[[Sequence[Write]], None]) -> None:
-        self.begin, self.found, self.say = dialog.begin, dialog.found, dialog.say
+    def __init__(self, dialog: Dialog, log: Callable[[Sequence[ProposedChange]], None]) -> None:
+        self.start_step, self.found, self.say = dialog.start_step, dialog.found, dialog.say
         self.live, self.ask = dialog.live, dialog.ask
         self.choose, self.confirm = dialog.choose, dialog.confirm
         self._approve, self._log = dialog.approve, log
 
-    def approve(self, writes: Sequence[Write]) -> None:
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
         """Log the writes once they are approved."""
         self._approve(writes)
         self._log(writes)
@@ -314,7 +229,7 @@ class Engine:
                 raise CellError(f"step {step.key} needs {', '.join(missing)} before it")
             known.append(step.key)
         self.path = bench.folder / STORE_NAME
-        kept = _read(self.path)
+        kept = read_commissioned(self.path)
         self.approved = kept.approved
         self.findings = {key: kept.steps[key] for key in known if key in kept.steps}
         self._fill_bench()
@@ -351,13 +266,13 @@ class Engine:
     def run(self, dialog: Dialog) -> tuple[Path, ...]:
         """Run the steps that are not done, then write the config; return the files written.
 
-        A step that fails is run again, or the person leaves. Raises Left when the person leaves; a
+        A step that fails is run again, or the person leaves. Raises WizardAborted then; a
         further run goes on with the same step. Raises CellError if the files cannot be written, or
         the config that was found is not valid.
         """
         for number, step in enumerate(self.steps, start=1):
             while not self.done(step):
-                dialog.begin(step, number, len(self.steps))
+                dialog.start_step(step, number, len(self.steps))
                 self._run(step, dialog)
                 if not self.done(step):
                     self._again(step, dialog)
@@ -368,7 +283,7 @@ class Engine:
         return (config, schema, *self._finish(self))
 
     def _run(self, step: Step, dialog: Dialog) -> None:
-        def log(writes: Sequence[Write]) -> None:
+        def log(writes: Sequence[ProposedChange]) -> None:
             at = _now()
             self.approved += [Approved(step=step.key, at=at, write=write) for write in writes]
             self._store()
@@ -376,7 +291,7 @@ class Engine:
         finding = Finding(began=_now())
         try:
             carry_out(step, self.bench, _Logged(dialog, log), finding)
-        except Left:
+        except WizardAborted:
             if finding.values:
                 left = Finding(began=finding.began, values=finding.values)
                 left.fail("It was left before its end, and goes on with what it has found so far.")
@@ -412,29 +327,12 @@ class Engine:
         self.bench.found = {key: one.values for key, one in self.findings.items()}
 
 
-def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
-    """Return the values that the steps of a folder have found, by their keys; none without a file.
-
-    Raises CellError if commissioning.json cannot be read.
-    """
-    return {key: finding.values for key, finding in _read(folder / STORE_NAME).steps.items()}
-
-
 def leave(why: str) -> NoReturn:
-    """Raise `Left` with the word how to go on."""
-    raise Left(f"left: {why}. What was found is kept; run `tactile-cell commission` again to go on")
+    """Raise `WizardAborted` with the word how to go on."""
+    raise WizardAborted(
+        f"left: {why}. What was found is kept; run `tactile-cell commission` again to go on"
+    )
 
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _read(path: Path) -> _Store:
-    """Return the content of commissioning.json; an empty one where there is no such file."""
-    kept = read_json(path, COMMISSIONING, error=CellError)
-    try:
-        return _STORE.validate_python({"steps": {}, "approved": []} if kept is None else kept)
-    except ValidationError as error:
-        raise CellError(
-            f"{path} cannot be read by this program ({problem_text(error)}): {COMMISSIONING.remedy}"
-        ) from error

@@ -14,17 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
     LIVE_CALL_S,
     Choice,
     Dialog,
-    Finding,
     NumberRange,
     Question,
     Step,
     StepFailed,
-    Write,
 )
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import GripperConfig, ServoConfig, gripper_settings, linkage_of
@@ -595,7 +594,7 @@ class _Hands:
             self._dialog.confirm("fingers.free", text, watch=self._shown)
         self._dialog.approve(
             [
-                Write(
+                ProposedChange(
                     where=f"finger {number} (servo {servo.id})",
                     what="first motion",
                     before="at rest, limp",

@@ -7,16 +7,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    Dialog,
-    Finding,
-    NumberRange,
-    Question,
-    Step,
-    StepFailed,
-    Write,
-)
+from cell.commissioning.engine import Dialog, NumberRange, Question, Step, StepFailed
 from cell.commissioning.figures import Figure, curves
 from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
 from cell.config.file import changed_config
@@ -163,7 +156,7 @@ def meets(config: CellConfig) -> bool:
     return config.gripper.pads_meet and config.largest_ramp_n >= MEET_FORCE_N
 
 
-def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Write]:
+def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[ProposedChange]:
     gripper = config.gripper
     limp = "the torque goes off at the end of the step; who leaves stops the fingers where they are"
     opened = f"{gripper.aperture_open_mm:g} mm open"
@@ -193,7 +186,7 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Write]:
         after = f"pad on pad with {MEET_FORCE_N:g} N, then open again"
         motions.append(("close, empty, until the pads meet", opened, after, limp))
     return [
-        Write(where="both fingers", what=what, before=before, after=after, undo=undo)
+        ProposedChange(where="both fingers", what=what, before=before, after=after, undo=undo)
         for what, before, after, undo in motions
     ]
 

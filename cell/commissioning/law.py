@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cell.checks.findings import Finding
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, NumberRange, Question, Step, StepFailed
+from cell.commissioning.engine import Dialog, NumberRange, Question, Step, StepFailed
 from cell.commissioning.figures import curves
 from cell.commissioning.pads import sequence_forces_n
 from cell.commissioning.unit import unit_sensor

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.checks.findings import Finding
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Step
+from cell.commissioning.engine import Dialog, Step
 from cell.commissioning.figures import curves
 from cell.commissioning.unit import unit_sensor
 from gripper.clock import Clock

@@ -6,12 +6,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import LIVE_CALL_S, Dialog, Left, StepFailed
+from cell.commissioning.engine import LIVE_CALL_S, Dialog, StepFailed, WizardAborted
 from cell.config.model import CellConfig
 from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
+from cell.hand.connections import HandConnections
 from cell.hand.interface import Hand
-from cell.hand.lines import Lines
 from gripper.clock import Clock
 from gripper.errors import GraspStopped
 from gripper.values.state import Cycle, GripperPhase
@@ -29,7 +29,7 @@ class WatchedMotion:
     dialog: Dialog
     request_stop: Callable[[], None]
     """Lets the running command end with GraspStopped, where the person leaves."""
-    left: Left | None = field(default=None, init=False)
+    left: WizardAborted | None = field(default=None, init=False)
     """How the person left, once that is so."""
     cycles: list[Cycle] = field(default_factory=list, init=False)
     frames: list[TactileFrame] = field(default_factory=list, init=False)
@@ -46,7 +46,7 @@ class WatchedMotion:
         force = "" if cycle.force is None else f"{min(cycle.force.force_n):.2f} N, "
         try:
             self.dialog.live("grip", f"{force}opening {1e3 * cycle.state.aperture_m:.1f} mm")
-        except Left as left:
+        except WizardAborted as left:
             self.left = left
             self.request_stop()
 
@@ -68,13 +68,13 @@ def watched_hand(
         yield hand, motion
         if motion.left is not None:
             raise motion.left
-    except (Left, GraspStopped, StepFailed) as error:
-        left = error if isinstance(error, Left) else motion.left
+    except (WizardAborted, GraspStopped, StepFailed) as error:
+        left = error if isinstance(error, WizardAborted) else motion.left
         if left is None:
             raise
         if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
             raise left from None
-        raise Left(
+        raise WizardAborted(
             f"{left}. The fingers keep their grip: take hold of the part and run `tactile-cell "
             "commission` again, it asks to open them first"
         ) from None
@@ -89,7 +89,7 @@ def _opened(bench: Bench, config: CellConfig) -> Hand:
     gripper, tactile, alone = config.gripper, config.tactile, bench.gripper_alone
     if bench.clock is time and config.loop.own_process and not alone:
         return HandProcess(config)
-    lines = Lines(
+    lines = HandConnections(
         lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
         lambda: (
             MissingBus()

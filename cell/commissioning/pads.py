@@ -10,8 +10,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.checks.changes import taxel_names
+from cell.checks.findings import Finding
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Step
+from cell.commissioning.engine import Dialog, Step
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.unit import unit_sensor
 from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
@@ -35,8 +37,6 @@ differ by less than a third in the simulated cell."""
 _NOISE_PER_CONTACT = 1.5
 """Largest noise of a pad's force over the contact force: above it contact cannot be felt; the same
 bound as for simulated noise."""
-_TAXELS_NAMED = 6
-"""Taxels that are named one by one; of more the number is given."""
 _PRESS_N = 0.5
 """Force in N on a pad from which a fingertip is taken to press it, by whatever law."""
 _PRESS_FRAMES = 10
@@ -102,18 +102,6 @@ def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> Pa
 def _by_pad(layout: TaxelLayout, values: NDArray[np.float64]) -> list[float]:
     """Return the median of one value for each taxel over each pad."""
     return [float(np.median(values[layout.taxels_of(pad)])) for pad in range(layout.n_pads)]
-
-
-def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
-    """Return taxels by pad, row and column, the first few of many."""
-    named = []
-    for taxel in taxels[:_TAXELS_NAMED]:
-        pad = int(layout.taxel_pad[taxel])
-        row, column = divmod(taxel - layout.taxels_of(pad).start, layout.pads[pad].columns)
-        named.append(f"{layout.pads[pad].name} row {row} column {column}")
-    if (more := len(taxels) - len(named)) > 0:
-        named.append(f"and {more} more")
-    return ", ".join(named)
 
 
 def judge_rest(

@@ -1,14 +1,14 @@
 """Step `ports`: finds the serial port of the servos and checks what keeps programs off it."""
 
-import grp
 import os
-import pwd
 from collections.abc import Iterator
 from pathlib import Path
 
+from cell.checks.findings import Finding
+from cell.checks.ports import LATENCY_MS, latency_command, rights_command, udev_rule
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Step
-from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms
+from cell.commissioning.engine import Dialog, Step
+from gripper.dynamixel.serial_port import latency_timer_ms
 from gripper.errors import PortLost
 
 BY_ID = Path("/dev/serial/by-id")
@@ -17,8 +17,6 @@ _WAIT_S = 30.0
 """Longest time in s for an adapter to vanish or come back after it was asked for."""
 _LOOK_S = 0.5
 """Time in s between two looks at the ports: udev takes some tenths."""
-LATENCY_MS = 1
-"""Latency timer in ms with which the force loop of 200 Hz works."""
 
 
 class PortsStep(Step):
@@ -55,28 +53,6 @@ def by_id(port: str, folder: Path = BY_ID) -> str:
     device = os.path.realpath(port)
     names = sorted(folder.iterdir()) if folder.is_dir() else []
     return next((str(name) for name in names if os.path.realpath(name) == device), port)
-
-
-def latency_command(port: str) -> str:
-    """Return the command that sets the latency timer of a port until the next start."""
-    return f"echo {LATENCY_MS} | sudo tee {latency_timer_file(port)}"
-
-
-def udev_rule() -> str:
-    """Return the udev rule that sets the latency timer of each adapter that has one."""
-    return (
-        'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
-        f'ATTR{{latency_timer}}="{LATENCY_MS}" in /etc/udev/rules.d/99-tactile-cell.rules'
-    )
-
-
-def rights_command(port: str) -> str:
-    """Return the command after which this user may open a port; empty where none is needed."""
-    device = Path(port)
-    if not device.exists() or os.access(device, os.R_OK | os.W_OK):
-        return ""
-    group = grp.getgrgid(device.stat().st_gid).gr_name
-    return f"sudo usermod -a -G {group} {pwd.getpwuid(os.getuid()).pw_name}"
 
 
 def users_of(port: str, processes: Path = Path("/proc")) -> tuple[str, ...]:

@@ -7,7 +7,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from cell.commissioning.engine import Engine, Finding, Step, Verdict
+from cell.checks.findings import Finding, Verdict
+from cell.commissioning.engine import Engine, Step
 from cell.commissioning.figures import svg
 from cell.data.files import write_text
 from cell.errors import CellError

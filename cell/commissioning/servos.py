@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from cell.checks.findings import Finding
 from cell.commissioning.backup import (
     SETTLE_S,
     Backup,
@@ -13,13 +14,7 @@ from cell.commissioning.backup import (
     since_backup,
 )
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    Dialog,
-    Finding,
-    Step,
-    StepFailed,
-    leave,
-)
+from cell.commissioning.engine import Dialog, Step, StepFailed, leave
 from gripper.dynamixel.bus import ServoBus, ServoIdentity
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
@@ -30,31 +25,12 @@ from gripper.dynamixel.control_table import (
     TORQUE_ENABLE,
 )
 from gripper.dynamixel.latency import check_link
-from gripper.dynamixel.models import MODELS, ServoModel
+from gripper.dynamixel.models import MODELS, ServoModel, model_name
 from gripper.dynamixel.serial_port import BAUD_RATES
 from gripper.errors import LinkTooSlow
 from gripper.servos.verification import Requirement, compare, requirements
 from gripper.values.servo_checks import hardware_error_names
 
-_OTHER_MODELS = {
-    350: "XL-320",
-    1000: "XH430-W350",
-    1010: "XH430-W210",
-    1040: "XH430-V350",
-    1050: "XH430-V210",
-    1060: "XL430-W250",
-    1070: "XC430-W150",
-    1080: "XC430-W240",
-    1090: "2XL430-W250",
-    1110: "XH540-W270",
-    1120: "XM540-W270",
-    1130: "XM540-W150",
-    1190: "XL330-M077",
-    1210: "XC330-T181",
-    1220: "XC330-T288",
-    1230: "XC330-M181",
-}
-"""Names of further models by Model Number (register 0), for messages (e-Manual)."""
 SCAN_RATES = (57600, 1_000_000, *(r for r in BAUD_RATES if r not in {57600, 1_000_000}))
 """Order in which baud rates are scanned: the factory's and this package's first."""
 _COUNT = "n_servos"
@@ -109,12 +85,6 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
             if has_damaged:
                 damaged.append(rate)
     return Scan(servos=tuple(servos), shared=tuple(shared), damaged=tuple(damaged))
-
-
-def model_name(number: int) -> str:
-    """Return the name of a model number, or the number where it has none here."""
-    known = {model.number: model.name for model in MODELS.values()} | _OTHER_MODELS
-    return known.get(number, f"of model number {number}")
 
 
 class ServosStep(Step):

@@ -11,8 +11,9 @@ from typing import Any, get_args
 
 import numpy as np
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Finding, Step, StepFailed, Write
+from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.config.section import SIMULATED
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.errors import ConfigError
@@ -371,7 +372,7 @@ def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding)
     )
 
 
-def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[Write]:
+def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[ProposedChange]:
     """Return what each start of the link writes to the unit."""
     link = link_settings(tactile)
     coming = (
@@ -383,7 +384,7 @@ def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[Write]:
     )
     where = f"control unit, node {unit.node_id}"
     return [
-        Write(
+        ProposedChange(
             where=where,
             what=name,
             before=str(before),

@@ -123,7 +123,7 @@ class CellConfig(Section):
     loop: LoopConfig = LoopConfig()
     """Process of the force loop."""
     serve: ServeConfig = ServeConfig()
-    """Doors for hosts."""
+    """Interfaces for hosts."""
     simulator: SimulatorConfig = SimulatorConfig()
     """The simulated cell."""
 

@@ -1,4 +1,4 @@
-"""Config of `tactile-cell serve`: doors, who may connect, the lease."""
+"""Config of `tactile-cell serve`: interfaces, who may connect, the lease."""
 
 import re
 from contextlib import suppress
@@ -30,7 +30,7 @@ Port = Annotated[int, Field(ge=0, le=65535)]
 
 
 class ServeConfig(Section):
-    """Doors of `tactile-cell serve`; Modbus and XML-RPC authenticate nobody."""
+    """Interfaces of `tactile-cell serve`; Modbus and XML-RPC authenticate nobody."""
 
     listen: Annotated[str, AfterValidator(_address)] = "127.0.0.1"
     """Address that clients reach; another one than 127.0.0.1 needs `allow`."""

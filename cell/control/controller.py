@@ -30,7 +30,7 @@ from cell.errors import (
     PlanRefused,
     PositionerError,
 )
-from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
+from cell.hand.interface import FORCE_FROM_FRAMES, Hand, LatestValues
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
 from gripper.gripper import Gripper
@@ -165,12 +165,12 @@ class CellController:
     @property
     def live(self) -> LiveValues:
         """What is measured at the moment, from any thread."""
-        return live_values(self.measured, self._clock.monotonic())
+        return live_values(self.latest, self._clock.monotonic())
 
     @property
-    def measured(self) -> Measured:
+    def latest(self) -> LatestValues:
         """Newest values of the hand; none while nothing looks at it, as after a fault."""
-        return Measured() if self._life.state in _UNSUPERVISED else self.hand.measured
+        return LatestValues() if self._life.state in _UNSUPERVISED else self.hand.latest
 
     @property
     def carry_force_n(self) -> float:
@@ -180,7 +180,7 @@ class CellController:
     @property
     def shows_nothing(self) -> bool:
         """Whether pads and current both showed at the last look that nothing is held."""
-        measured, since_s = self.hand.measured, self._clock.monotonic() - FRESH_S
+        measured, since_s = self.hand.latest, self._clock.monotonic() - FRESH_S
         cycle, force = measured.cycle, measured.force
         if cycle is None or force is None or min(cycle.t_s, force.t_s) < since_s:
             return False
@@ -387,7 +387,7 @@ class CellController:
             self._life.go(Event.STOP)
         try:
             if stopping:
-                self._grasper.note_drives(keep=True)
+                self._grasper.keep_drives()
             found = self.hand.shutdown()
             if found:
                 self._journal.note("fault", found)
@@ -599,7 +599,7 @@ class CellController:
             early=early,
             read_shape=read_shape,
             on_grasp=on_grasp,
-            begin=self._begin_answer,
+            execute=self._start_answer,
         )
         self._journal.result(result)
         return result
@@ -610,7 +610,7 @@ class CellController:
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _begin_answer(self, answer: Callable[[], _T]) -> Callable[[], _T]:
+    def _start_answer(self, answer: Callable[[], _T]) -> Callable[[], _T]:
         """Begin to compute beside the motions, where that delays no force loop; else do it last."""
         return in_thread(answer, "answer").result if self.hand.own_process else answer
 

@@ -18,7 +18,7 @@ from cell.control.keeping import (
     HeldPart,
     Judge,
     compared,
-    measured,
+    measure_held_part,
     open_counts,
     spliced,
 )
@@ -38,6 +38,7 @@ from cell.data.grasp_limits import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, OnPeriod
 from gripper.clock import Clock
+from gripper.dynamixel.drive import DriveReport
 from gripper.dynamixel.models import MODELS
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
@@ -133,7 +134,7 @@ class Grasper:
         record = self._close(step, self._move_to(step.pose), label, early_checks)
         kept = False
         if judge is not None and record.outcome.result not in NOTHING_HELD:
-            judge.begin(record)
+            judge.start_answer(record)
             kept = judge.holds and self._judged(record, judge)
         if not kept:
             self.hand.release(self.watch)
@@ -182,16 +183,24 @@ class Grasper:
     def _measure_friction(self) -> None:
         """Measure the servos' friction; pads that have met have shown that nothing is between."""
         self.hand.measure_friction(self.watch)
-        self.note_drives(keep=True)
+        self._note_each_drive()
 
-    def note_drives(self, *, keep: bool = False) -> None:
-        """Note what is unusual of the servos, and ``keep`` and note what was measured of each."""
+    def note_drives(self) -> DriveReport:
+        """Note what is unusual of the servos; return what is known of them."""
         report = self.hand.read_drives()
         for text in report.notes:
             self.journal.note("note", text)
-        if not keep:
-            return
+        return report
+
+    def keep_drives(self) -> DriveReport:
+        """Keep what was measured of the servos; return it."""
+        report = self.note_drives()
         self.zeros.keep_drives(report.drives, self.homing)
+        return report
+
+    def _note_each_drive(self) -> None:
+        """Keep and note what a start or a self-zero has shown of each servo."""
+        report = self.keep_drives()
         for servo in self._gripper.servos:
             drive = report.drives.get(servo.id)
             if drive is not None:
@@ -215,7 +224,7 @@ class Grasper:
             self._measure_friction()
             self._kept_zero(found)
             return ""
-        self.note_drives(keep=True)
+        self._note_each_drive()
         why = (
             f"no self-zero today, answers allow for any drift: {why}. The fingers are open. Take "
             f"everything out of the grip, then `tactile-cell zero`; with `self_zero: on_demand` "
@@ -323,7 +332,7 @@ class Grasper:
             if verdict.further is None:
                 break
             record = self._squeeze(first, replace(verdict.further, pose=first.step.pose))
-            judge.begin(record)
+            judge.start_answer(record)
         if verdict.keep:
             self._held = held
         return verdict.keep
@@ -353,7 +362,7 @@ class Grasper:
         self.hand.hold_at(carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
         self.hand.hold_at(carry_n, HELD_LOOK_S, watch)
-        return measured(collector, zero)
+        return measure_held_part(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
         """Record one period of a motion, in which no frame matters; obey a stop."""

@@ -77,7 +77,7 @@ What it raises does not end the sequence, whose answer does not depend on it; it
 _Answer = tuple[Posterior, ShapeAnswer | None, Exception | None]
 """Answer to one grasp: what it is, its shape, and why that could not be read."""
 
-Begin = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
+AnswerExecutor = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
 """Begins to compute, or not yet, and returns the function that waits for the answer."""
 
 
@@ -91,7 +91,7 @@ class SequenceAnswers:
     read_shape: ReadShape | None
     """Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`."""
     on_grasp: OnGrasp | None
-    compute: Begin
+    compute: AnswerExecutor
     """How the answers are computed."""
     posteriors: list[Posterior] = field(default_factory=list)
     records: list[GraspRecord] = field(default_factory=list)
@@ -113,7 +113,7 @@ class SequenceAnswers:
         """Whether no further grasp is wanted."""
         return self.decision.kind is not DecisionKind.CONTINUE
 
-    def begin(self, record: GraspRecord) -> None:
+    def start_answer(self, record: GraspRecord) -> None:
         """Begin to compute the answer to a grasp; `add` follows."""
         self._coming = record, self.compute(lambda: self._answer(record))
 
@@ -192,7 +192,7 @@ def grasp_and_classify(
     early: EarlyClassifiers | None = None,
     read_shape: ReadShape | None = None,
     on_grasp: OnGrasp | None = None,
-    begin: Begin = lambda answer: answer,
+    execute: AnswerExecutor = lambda answer: answer,
 ) -> Identification:
     """Grasp until the stop rule is satisfied or the plan is at its end.
 
@@ -215,12 +215,12 @@ def grasp_and_classify(
     early
         Looks at each ramp while it runs: together with the earlier grasps it may decide before the
         ramp is at its end, whose answer is then the one of that moment. None: whole ramps only.
-    begin
+    execute
         How answers are computed; by default when they are waited for.
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
     answers = SequenceAnswers(
-        recognizer=recognizer, rule=rule, read_shape=read_shape, on_grasp=on_grasp, compute=begin
+        recognizer=recognizer, rule=rule, read_shape=read_shape, on_grasp=on_grasp, compute=execute
     )
     heads = None if early is None else early.as_wary_as(recognizer)
     steps = iter(plan)
@@ -232,7 +232,9 @@ def grasp_and_classify(
         return PartDecision() if regrasps else PartDecision(further=next(steps))
 
     keeps = keep is not Keep.NEVER
-    judge = Judge(begin=answers.begin, decide=decide, holds=keeps or not regrasps, keeps=keeps)
+    judge = Judge(
+        start_answer=answers.start_answer, decide=decide, holds=keeps or not regrasps, keeps=keeps
+    )
     kept = False
     while not (answers.records and answers.over):
         early_checks = None

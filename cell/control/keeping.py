@@ -54,7 +54,7 @@ class PartDecision:
 class Judge:
     """Computes the answer to a grasp, and decides what becomes of its part."""
 
-    begin: Callable[[GraspRecord], None]
+    start_answer: Callable[[GraspRecord], None]
     """Called at the end of a ramp: the answer is computed during the motion that follows, where the
     force loop has a process of its own."""
     decide: Callable[[], PartDecision]
@@ -95,7 +95,7 @@ class HeldCheck:
     """What differs, with value and limit."""
 
 
-def measured(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
+def measure_held_part(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
     """Return the measurement of a held part from the periods of a look.
 
     ``zero`` has the counts of the open fingers, (n_taxels,) float64.

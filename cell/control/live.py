@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.hand.interface import Measured
+from cell.hand.interface import LatestValues
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import Cycle
 from tactile.source import TactileFrame
@@ -46,7 +46,7 @@ class LiveValues:
 _Value = TypeVar("_Value", Cycle, ForceSample, TactileFrame)
 
 
-def live_values(measured: Measured, now_s: float) -> LiveValues:
+def live_values(measured: LatestValues, now_s: float) -> LiveValues:
     """Return the values of a hand at a monotonic time in s."""
 
     def age_s(one: ForceSample | TactileFrame | None) -> float | None:

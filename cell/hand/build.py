@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
-from cell.hand.lines import Lines
+from cell.hand.connections import HandConnections
 from cell.hand.local import LocalHand
 from gripper.clock import Clock
 from gripper.dynamixel.serial_port import SerialStream
@@ -40,7 +40,7 @@ def open_hand(
     ``partial`` if none can.
     """
     gripper, tactile = config.gripper, config.tactile
-    lines = Lines(
+    lines = HandConnections(
         lambda: SerialStream(gripper.port, gripper.baud_rate),
         lambda: open_bus(tactile.interface, tactile.channel, bitrate=tactile.bitrate),
         partial=partial,
@@ -54,7 +54,7 @@ def open_hand(
 
 def make_hand(
     config: CellConfig,
-    lines: Lines,
+    lines: HandConnections,
     *,
     notes: tuple[str, ...] = (),
     by_current: bool = False,

@@ -17,10 +17,9 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
 from cell.fault_catalogue import error_text
-from cell.hand.interface import Hand, Measured, OnPeriod
-from cell.hand.lines import MISSING
+from cell.hand.connections import MISSING
+from cell.hand.interface import Hand, LatestValues, OnPeriod
 from cell.hand.messages import (
-    Alive,
     Boot,
     EndRamp,
     HandFault,
@@ -28,6 +27,7 @@ from cell.hand.messages import (
     HandPeriod,
     HandReply,
     HandRequest,
+    LiveUpdate,
     Ready,
 )
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
@@ -233,7 +233,7 @@ class HandProcess:
         self._loop = LoopProcess(config, partial=partial)
         self.statistics = self._loop.ready.statistics
         """Counters as of the last command."""
-        self.measured = Measured()
+        self.latest = LatestValues()
         """As in `Hand`: what the process has sent, and `tick` or a command taken in."""
         self._heard_s = time.monotonic()
 
@@ -394,11 +394,11 @@ class HandProcess:
             for frame in event.frames:
                 frame.counts.setflags(write=False)
             self._phase = event.cycle.phase
-            self.measured = self.measured.then(event.cycle, event.cycle.force, event.frames)
-        elif isinstance(event, Alive):
-            if event.measured.frame is not None:
-                event.measured.frame.counts.setflags(write=False)
-            self.measured = event.measured
+            self.latest = self.latest.then(event.cycle, event.cycle.force, event.frames)
+        elif isinstance(event, LiveUpdate):
+            if event.latest.frame is not None:
+                event.latest.frame.counts.setflags(write=False)
+            self.latest = event.latest
         elif isinstance(event, HandFault):
             self._raise(event)
         return event

@@ -53,7 +53,7 @@ class HandStatistics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
+class LatestValues:
     """Newest values of a hand, of motions and of the supervision between them; None before any."""
 
     cycle: Cycle | None = None
@@ -65,9 +65,9 @@ class Measured:
 
     def then(
         self, cycle: Cycle | None, force: ForceSample | None, frames: Sequence[TactileFrame]
-    ) -> "Measured":
+    ) -> "LatestValues":
         """Return the newest values after one more period, whose force may be none or not valid."""
-        return Measured(
+        return LatestValues(
             cycle=cycle or self.cycle,
             force=force if force is not None and force.valid else self.force,
             frame=frames[-1] if frames else self.frame,
@@ -106,7 +106,7 @@ class Hand(Protocol):
         """Counters of loop and links; of a hand that is gone the last ones that came."""
 
     @property
-    def measured(self) -> Measured:
+    def latest(self) -> LatestValues:
         """What motions and `tick` measured last, from any thread."""
 
     def start(self) -> VerificationReport:

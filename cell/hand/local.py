@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-from cell.hand.interface import HandStatistics, Measured, OnPeriod
-from cell.hand.lines import Lines
+from cell.hand.connections import HandConnections
+from cell.hand.interface import HandStatistics, LatestValues, OnPeriod
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.values.force_sensor import ForceSample
@@ -32,7 +32,7 @@ class LocalHand:
         gripper: Gripper,
         sensor: TactileSensor,
         force: GripForce[ForceSample],
-        lines: Lines,
+        lines: HandConnections,
         notes: tuple[str, ...] = (),
     ) -> None:
         self.gripper = gripper
@@ -40,7 +40,7 @@ class LocalHand:
         self.bus = gripper.bus
         self.layout, self.period_s = sensor.layout, gripper.period_s
         self.notes = notes
-        self.measured = Measured()
+        self.latest = LatestValues()
         self._force = force
         self._lines = lines
         self.start = gripper.start
@@ -132,7 +132,7 @@ class LocalHand:
         if cycle is not None and cycle.force is not None:
             self._aim(cycle)
         force = self._force.latest_force()
-        self.measured = self.measured.then(cycle, force, self._force.take())
+        self.latest = self.latest.then(cycle, force, self._force.take())
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault of the servos, on a port that is opened anew where it was lost."""
@@ -154,7 +154,7 @@ class LocalHand:
         def observe(cycle: Cycle) -> None:
             self._aim(cycle)
             frames = self._force.take()
-            self.measured = self.measured.then(cycle, cycle.force, frames)
+            self.latest = self.latest.then(cycle, cycle.force, frames)
             watch(cycle, frames)
 
         return observe

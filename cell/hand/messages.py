@@ -13,7 +13,7 @@ from inspect import getmembers, isfunction, signature
 from typing import Any
 
 from cell.config.model import CellConfig
-from cell.hand.interface import Hand, HandStatistics, Measured, OnPeriod
+from cell.hand.interface import Hand, HandStatistics, LatestValues, OnPeriod
 from gripper.values.state import Cycle, GripperPhase
 from tactile.source import TactileFrame
 
@@ -116,13 +116,13 @@ class HandFault:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Alive:
-    """Sent between commands: the process is alive, and `Hand.measured` is this."""
+class LiveUpdate:
+    """Sent between commands: the process is alive, and `Hand.latest` is this."""
 
-    measured: Measured
+    latest: LatestValues
 
 
-HandMessage = Ready | HandPeriod | HandReply | HandFault | Alive
+HandMessage = Ready | HandPeriod | HandReply | HandFault | LiveUpdate
 
 
 # -- how an event is sent --------------------------------------------------------------------------

@@ -24,7 +24,6 @@ from cell.hand.build import open_hand
 from cell.hand.interface import HandStatistics
 from cell.hand.local import LocalHand
 from cell.hand.messages import (
-    Alive,
     Boot,
     EndRamp,
     HandFault,
@@ -32,6 +31,7 @@ from cell.hand.messages import (
     HandPeriod,
     HandReply,
     HandRequest,
+    LiveUpdate,
     Ready,
     packed,
 )
@@ -102,7 +102,7 @@ WAITING_PERIODS = 1000
 _LAST_WORDS_S = 0.5
 """Time in s for the other end to take the last messages."""
 _ALIVE_EVERY_S = 0.5
-"""Period in s of `Alive` between commands: a tenth of what the client waits."""
+"""Period in s of `LiveUpdate` between commands: a tenth of what the client waits."""
 _SHOW_EVERY_S = 0.02
 """The same while the hand is supervised, so that hosts see it: the period of the tactile frames."""
 
@@ -264,7 +264,7 @@ class HandServer:
         now_s = time.monotonic()
         if now_s >= self._alive_due_s and self._outbox.empty:
             self._alive_due_s = now_s + (_SHOW_EVERY_S if self._supervised else _ALIVE_EVERY_S)
-            self._outbox.post(Alive(measured=self._hand.measured))
+            self._outbox.post(LiveUpdate(latest=self._hand.latest))
 
     def _look_for_parent(self) -> None:
         if self._outbox.broken or os.getppid() != self._parent:

@@ -1,4 +1,4 @@
-"""What all doors share: who may connect and under which name, secrets, places for connections."""
+"""Access to all interfaces: clients, names, secrets, and places for connections."""
 
 import hmac
 import re
@@ -18,7 +18,7 @@ from cell.data.files import read_plain
 from cell.errors import ConfigError
 
 BUSY_MAX = 64
-"""Connections at once on one door; a further one takes the place of another: see
+"""Connections at once on one interface; a further one takes the place of another: see
 `ConnectionPlaces`."""
 _PEER_IDLE_S, _PEER_ASKED_S, _PEER_ASKED_MAX = 10, 5, 4
 """Silence in s after which the system asks whether a peer is still there (TCP keep-alive), time
@@ -110,7 +110,7 @@ def notice_dead_peers(link: Any) -> None:
 
 
 class ConnectionPlaces:
-    """The connections of a door: where all places are taken, a new one takes that of another.
+    """The connections of an interface: where all places are taken, a new one takes that of another.
 
     It is one of the address that has most of them, so that no address keeps another one out, and
     of these the one whose last whole request is longest ago, first of all one that never made any:

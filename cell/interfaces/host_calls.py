@@ -66,13 +66,13 @@ class Calls:
     """The methods; types are int, float, bool, str and pose only.
 
     Those of `VALUES` and `COMMANDS` are added below. `acquire` asks for the secret, where it is not
-    empty; the door's name stands in those of its clients.
+    empty; the interface's name stands in those of its clients.
     """
 
-    def __init__(self, service: Service, secret: str = "", *, door: str = "XML-RPC") -> None:
+    def __init__(self, service: Service, secret: str = "", *, interface: str = "XML-RPC") -> None:
         self._service = service
         self._secret = secret
-        self._door = door
+        self._interface = interface
         self._refusals: dict[str, Refusal] = {}
 
     @property
@@ -119,7 +119,7 @@ class Calls:
         With `latch` 1 nothing that moves starts until the same client, by address and name, calls
         with 0; -1: once. A pressed button repeats 1 at least each `serve.lease_timeout_s`.
         """
-        who = " ".join(filter(None, (self._door, CLIENT.get(), str(name)[:60])))
+        who = " ".join(filter(None, (self._interface, CLIENT.get(), str(name)[:60])))
         self._service.hold_as(who, None if latch < 0 else bool(latch))
         return 0
 

@@ -1,6 +1,6 @@
 """The values that hosts read, in one table: nodes, methods and registers are made of it.
 
-A door adds only how its protocol carries them. HTTP shows the snapshot itself, as JSON.
+An interface adds only how its protocol carries them. HTTP shows the snapshot itself, as JSON.
 """
 
 from math import atan2, cos, hypot, sin
@@ -13,7 +13,7 @@ N_TEXT = 16
 
 
 class Value(NamedTuple):
-    """One value of a `Snapshot`, or of what else a door shows."""
+    """One value of a `Snapshot`, or of what else an interface shows."""
 
     node: str
     """Node of OPC UA, its path below ``Cell``."""
@@ -139,7 +139,7 @@ REFUSAL = (
     Value("LastRefusal.Text", str, "Why it was refused", "text"),
     Value("LastRefusal.Remedy", str, "What to do", "remedy"),
 )
-"""Values of the last refusal of a door."""
+"""Values of the last refusal of an interface."""
 
 
 def ur_pose(pose: Pose | None) -> dict[str, float]:

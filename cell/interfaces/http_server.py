@@ -1,4 +1,4 @@
-"""The HTTP server of doors: who is let in, places, limits of time and size, TLS; refusals as JSON.
+"""The HTTP server of interfaces: access, places, limits of time and size, TLS, refusals as JSON.
 
 `cell.interfaces.web_server` and `cell.interfaces.xml_rpc` give it their ASGI applications.
 """
@@ -82,7 +82,8 @@ class Gate:
 
     async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
         """Pass a request on, or answer 403 or 413."""
-        status, reason = self._refusal(scope)
+        length = _body_bytes(scope)
+        status, reason = self._refusal(scope, length)
 
         async def watched() -> Any:
             message = await receive()
@@ -90,7 +91,7 @@ class Gate:
                 self.whole(scope["client"])
             return message
 
-        if scope["type"] == "websocket" or not _body_bytes(scope):
+        if scope["type"] == "websocket" or not length:
             self.whole(scope["client"])
         if not status:
             await self.app(scope, watched, send)
@@ -101,7 +102,7 @@ class Gate:
             await refuse(send, status, reason)
         self.whole(scope["client"])
 
-    def _refusal(self, scope: Scope) -> tuple[int, str]:
+    def _refusal(self, scope: Scope, length: int | None) -> tuple[int, str]:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
         client, reached = scope.get("client"), scope.get("server")
@@ -114,7 +115,7 @@ class Gate:
         own = self.pages and (origin or "").partition("://")[2] == headers.get(b"host")
         if origin is not None and not own:
             return 403, f"a page of another origin, {origin!r:.80}"
-        length, longest = _body_bytes(scope), self.longest(scope)
+        longest = self.longest(scope)
         if length is None or length > longest:
             return 413, f"a request has a Content-Length of at most {longest}"
         return 0, ""
@@ -143,7 +144,7 @@ class HttpConnection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a place. A new connection has a limit of time for its first request."""
         super().connection_made(transport)
-        self._connections.add(transport, self)
+        self._connections.add(self)
         self._begin()
 
     def data_received(self, data: bytes) -> None:
@@ -154,7 +155,7 @@ class HttpConnection(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Give the place back."""
         self.end_limit()
-        self._connections.remove(self.transport)
+        self._connections.remove(self)
         super().connection_lost(exc)
 
     def _begin(self) -> None:
@@ -181,29 +182,31 @@ class Connections:
     def __init__(self, limit_s: float) -> None:
         self.limit_s = limit_s
         self._places = ConnectionPlaces()
-        self._open: dict[Any, tuple[asyncio.Transport, HttpConnection]] = {}
+        self._open: dict[tuple[str, int], HttpConnection] = {}
 
-    def add(self, transport: asyncio.Transport, connection: HttpConnection) -> None:
+    def add(self, connection: HttpConnection) -> None:
         """Add a new connection; where all places are taken, another one is cut."""
-        client = _client_of(transport)
-        self._open[client] = (transport, connection)
-        self._places.enter(transport, client[0])
+        # A connection that became a WebSocket does not report its end.
+        for client in [at for at, other in self._open.items() if other.transport.is_closing()]:
+            del self._open[client]
+        client = _client_of(connection)
+        self._open[client] = connection
+        self._places.enter(connection.transport, client[0])
 
-    def remove(self, transport: asyncio.Transport) -> None:
+    def remove(self, connection: HttpConnection) -> None:
         """Remove a connection that ended."""
-        self._open.pop(_client_of(transport), None)
+        self._open.pop(_client_of(connection), None)
 
     def request_is_whole(self, client: Any) -> None:
         """End the limit of time of a client's request; the connection keeps its place longest."""
-        if client is not None and (found := self._open.get(tuple(client))) is not None:
-            transport, connection = found
-            self._places.heard(transport)
+        if client is not None and (connection := self._open.get(tuple(client))) is not None:
+            self._places.heard(connection.transport)
             connection.end_limit()
 
 
-def _client_of(transport: asyncio.Transport) -> tuple[str, int]:
+def _client_of(connection: HttpConnection) -> tuple[str, int]:
     """Return address and port of a client, as ASGI has them."""
-    host, port, *_ = transport.get_extra_info("peername") or ("", 0)
+    host, port, *_ = connection.transport.get_extra_info("peername") or ("", 0)
     return host, port
 
 

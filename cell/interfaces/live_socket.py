@@ -1,4 +1,4 @@
-"""The WebSocket of the web door: each message is the newest one, however slow its client is."""
+"""The WebSocket of the web interface: a slow client gets the newest message next."""
 
 import asyncio
 import json

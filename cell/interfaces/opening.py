@@ -14,18 +14,18 @@ from cell.errors import CellError, ConfigError
 from cell.installation import extra
 from cell.service.service import Service
 
-_DOORS = (
-    ("modbus_port", "--modbus", "serve", "cell.interfaces.modbus.registers", "ModbusDoor"),
-    ("xmlrpc_port", "--xml-rpc", "serve", "cell.interfaces.xml_rpc", "XmlRpcDoor"),
-    ("http_port", "--http", "serve", "cell.interfaces.web", "WebDoor"),
-    ("opcua_port", "--opcua", "opcua", "cell.interfaces.opc_ua.door", "OpcUaDoor"),
+_INTERFACES = (
+    ("modbus_port", "--modbus", "serve", "cell.interfaces.modbus.registers", "ModbusInterface"),
+    ("xmlrpc_port", "--xml-rpc", "serve", "cell.interfaces.xml_rpc", "XmlRpcInterface"),
+    ("http_port", "--http", "serve", "cell.interfaces.web", "WebInterface"),
+    ("opcua_port", "--opcua", "opcua", "cell.interfaces.opc_ua.interface", "OpcUaInterface"),
 )
-"""Port in the config, option, extra, module and class of each door, which has ``port`` and
+"""Port in the config, option, extra, module and class of each interface, which has ``port`` and
 ``close``; what it needs is loaded only where it is opened."""
 
 
 def warnings(service: Service) -> tuple[str, ...]:
-    """Return what the operator should have in mind about the configured doors."""
+    """Return what the operator should have in mind about the configured interfaces."""
     config = service.config.serve
     notes = []
     if not ip_address(config.listen).is_loopback:
@@ -43,11 +43,11 @@ def warnings(service: Service) -> tuple[str, ...]:
 
 
 @contextmanager
-def open_doors(service: Service) -> Iterator[dict[str, Any]]:
-    """Open all configured doors; yield their ports, and the token of HTTP.
+def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
+    """Open all configured interfaces; yield their ports, and the token of HTTP.
 
-    Raises CellError if a door cannot be opened; ConfigError, if none is configured or an extra is
-    missing.
+    Raises CellError if an interface cannot be opened; ConfigError, if none is configured or an
+    extra is missing.
     """
     config = service.config.serve
     found: dict[str, Any] = {"listen": config.listen}
@@ -55,27 +55,27 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
         if name and Path(name).exists() and not Path(name).is_file():
             raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
-        for name, option, brings, module, kind in _DOORS:
+        for name, option, brings, module, kind in _INTERFACES:
             port = getattr(config, name)
             if port is None:
                 continue
             with extra(brings, needed_by=f"serve.{name}"):
-                door_type = getattr(import_module(module), kind)
+                interface_type = getattr(import_module(module), kind)
             try:
-                door = door_type(service)
+                interface = interface_type(service)
             except OSError as error:
                 taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
                 remedy = f"; {option} PORT takes another one, 0 any free one" if taken else ""
                 raise CellError(
-                    f"a door at {config.listen}:{port} (serve.{name}) cannot be opened: "
+                    f"an interface at {config.listen}:{port} (serve.{name}) cannot be opened: "
                     f"{error}{remedy}"
                 ) from error
-            undo.callback(door.close)
-            found[name] = door.port
+            undo.callback(interface.close)
+            found[name] = interface.port
             if name == "http_port":
-                found["token"] = door.token
+                found["token"] = interface.token
         if len(found) == 1:
-            raise ConfigError("no door is open: set a port in `serve`, or give --modbus 0")
+            raise ConfigError("no interface is open: set a port in `serve`, or give --modbus 0")
         yield found
 
 

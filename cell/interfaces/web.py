@@ -1,4 +1,4 @@
-"""HTTP and WebSocket: the door for everything else, with an OpenAPI description.
+"""HTTP and WebSocket: the interface for everything else, with an OpenAPI description.
 
 Needs the extra ``serve``. Reading and commanding need the token; `hold` needs none. A page from
 elsewhere is refused by its Origin. JSON in and out; what is refused has a fault number.
@@ -119,7 +119,7 @@ def state_moment(service: Service) -> LiveMessage:
     return LiveMessage(json.dumps(state, allow_nan=False), frame, tuple(state["shift"]["answers"]))
 
 
-class WebDoor(WebServer):
+class WebInterface(WebServer):
     """The cell behind HTTP and WebSocket, below ``/api``.
 
     Raises OSError or ConfigError as `WebServer`.

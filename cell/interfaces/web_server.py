@@ -1,6 +1,6 @@
 """Server of web pages and their API: the token, the lease, the live socket.
 
-Its doors (`cell.interfaces.web`, `cell.interfaces.wizard`) add their paths; what is refused has one
+Its interfaces (`cell.interfaces.web`, `cell.interfaces.wizard`) add their paths; a refusal has one
 shape, with a fault number.
 """
 

@@ -1,4 +1,4 @@
-"""The commissioning wizard in a browser: its engine in a thread, a person behind the web door.
+"""The commissioning wizard in a browser: its engine in a thread, a person behind the web interface.
 
 Needs the extras ``serve`` and ``report``. The page asks and shows; whoever has the lease answers,
 anybody may stop. A person who leaves, or falls silent while a step works, ends the step as a
@@ -17,7 +17,8 @@ from typing import Annotated, Any
 from fastapi import HTTPException, Query, Request
 from fastapi.responses import Response
 
-from cell.commissioning.engine import Dialog, Engine, Finding, Left, Question, Step, Write
+from cell.checks.findings import Finding, ProposedChange
+from cell.commissioning.engine import Dialog, Engine, Question, Step, WizardAborted
 from cell.commissioning.figures import standalone_svg
 from cell.commissioning.record import render_record
 from cell.config.serve import ServeConfig
@@ -53,8 +54,8 @@ class Phase(StrEnum):
 class Wizard(Dialog):
     """The wizard as the page sees it; implements `cell.commissioning.engine.Dialog`.
 
-    The engine's thread calls the methods of a dialog, the door's threads all others. The config has
-    the time-out of the lease.
+    The engine's thread calls the methods of a dialog, the threads of the server all others. The
+    config has the time-out of the lease.
     """
 
     def __init__(self, engine: Engine, config: ServeConfig) -> None:
@@ -74,7 +75,7 @@ class Wizard(Dialog):
         self._live: dict[str, str] = {}
         self._asked_id = 0
         self._question: Question | None = None
-        self._writes: tuple[Write, ...] = ()
+        self._writes: tuple[ProposedChange, ...] = ()
         self._answer: str | float | bool | None = None
         self._leaving = ""
         self._refusal: Refusal | None = None
@@ -146,7 +147,7 @@ class Wizard(Dialog):
     def state(self) -> dict[str, Any]:
         """Return everything that the page shows, as plain data."""
         with self._changed:
-            self.lease.look()
+            self.lease.check_expiry()
             question = self._question
             return {
                 "time_s": time.time(),
@@ -166,7 +167,7 @@ class Wizard(Dialog):
 
     # -- the dialog, in the engine's thread ----------------------------------------------------
 
-    def begin(self, step: Step, number: int, count: int) -> None:
+    def start_step(self, step: Step, number: int, count: int) -> None:
         """Show which step begins."""
         with self._changed:
             self._look()
@@ -201,12 +202,12 @@ class Wizard(Dialog):
         assert isinstance(answer, str | float)
         return answer
 
-    def approve(self, writes: Sequence[Write]) -> None:
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
         """Wait until the writes are approved."""
         self._writes = tuple(writes)
         try:
             if not self._wait(Phase.APPROVING):
-                raise Left("the writes were refused; none of them was done")
+                raise WizardAborted("the writes were refused; none of them was done")
         finally:
             self._writes = ()
 
@@ -236,10 +237,10 @@ class Wizard(Dialog):
             return self._answer
 
     def _look(self) -> None:
-        self.lease.look()
+        self.lease.check_expiry()
         if self._leaving:
             reason, self._leaving = self._leaving, ""
-            raise Left(reason)
+            raise WizardAborted(reason)
 
     def _lost(self, reason: str) -> None:
         """End a step that works, which may move; a question waits for the next person."""
@@ -252,7 +253,7 @@ class Wizard(Dialog):
         phase = Phase.FINISHED
         try:
             files = [str(path) for path in self.engine.run(self)]
-        except Left as left:
+        except WizardAborted as left:
             phase, refusal = Phase.LEFT, Refusal(text=str(left))
         except Exception as error:
             phase, refusal = Phase.FAILED, Refusal.of(error)
@@ -319,7 +320,7 @@ class RedoBody(LeasedBody):
     key: str
 
 
-class WizardDoor(WebServer):
+class WizardServer(WebServer):
     """The wizard behind HTTP and WebSocket, below ``/api``.
 
     Raises OSError or ConfigError as `WebServer`.

@@ -1,4 +1,4 @@
-"""XML-RPC: the door for robot programs.
+"""XML-RPC: the interface for robot programs.
 
 A robot program waits for each call and stops at an error: no call takes longer than 100 ms, and
 none raises. The calls and their page stand in `cell.interfaces.host_calls`.
@@ -59,7 +59,7 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
         return [[_TYPES.get(one, "struct") for one in (found.return_annotation, *taken)]]
 
 
-class XmlRpcDoor(HttpServer):
+class XmlRpcInterface(HttpServer):
     """The cell behind XML-RPC.
 
     Raises OSError if it cannot listen at the configured address and port, or the file of the secret

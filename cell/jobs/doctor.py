@@ -2,35 +2,23 @@
 
 import importlib.metadata
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
 from shlex import quote
-from typing import Any
 
 import numpy as np
 
 from cell.build import Cell, build_cell
-from cell.commissioning.baseline import (
-    Change,
-    changed_gauge,
-    changed_pads,
-    changed_servos,
-    changed_unit,
-    gauge_of,
-    measure_gauge,
-)
-from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Verdict, kept_values
-from cell.commissioning.ports import LATENCY_MS, latency_command, rights_command, udev_rule
-from cell.commissioning.servos import model_name
+from cell.checks.changes import CommissionedValues, changed_pads, changed_servos, changed_unit
+from cell.checks.findings import CheckResult, Verdict, check_result
+from cell.checks.ports import LATENCY_MS, latency_command, rights_command, udev_rule
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
 from cell.control.self_zero import drive_text, kept_zeros
 from cell.errors import CellError
+from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES
-from cell.hand.lines import MISSING
 from cell.installation import EXTRAS, remedy
 from gripper.dynamixel.control_table import (
     FIRMWARE_VERSION,
@@ -38,7 +26,7 @@ from gripper.dynamixel.control_table import (
     MODEL_NUMBER,
 )
 from gripper.dynamixel.drive import DriveCharacteristic
-from gripper.dynamixel.models import MODELS
+from gripper.dynamixel.models import MODELS, model_name
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
@@ -54,28 +42,6 @@ _PRESSED_SIGMAS = 6.0
 """Spreads of the counts at rest above which the mean of a taxel shows that it is pressed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckResult:
-    """One checked thing."""
-
-    what: str
-    """What was checked."""
-    verdict: Verdict
-    """How it ended."""
-    found: str
-    """What was found."""
-    advice: str = ""
-    """What to do; empty where all is well."""
-
-
-def _result(
-    what: str, found: str, advice: str = "", *, ok: bool = False, bad: Verdict = Verdict.WARN
-) -> CheckResult:
-    """Return a result that passes where all is ok, and else has a verdict and the advice."""
-    verdict = Verdict.PASS if ok else bad
-    return CheckResult(what=what, verdict=verdict, found=found, advice="" if ok else advice)
-
-
 def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[CheckResult]:
     """Check the machine, then each device of the cell, yielding results as they come.
 
@@ -88,68 +54,19 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Che
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)
     yield _drives(config, named)
-    yield from _devices(config, named, _kept(config_file))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Kept:
-    """What was found at commissioning, in which folder; nothing where there was none."""
-
-    folder: Path
-    found: Mapping[str, Mapping[str, Any]]
-
-    def findings(self, what: str, changes: Sequence[Change]) -> list[CheckResult]:
-        """Return what has changed since the commissioning, or one finding that nothing has."""
-        if not self.found:
-            return []
-        return [
-            _result(
-                change.what,
-                f"{change.found}, at commissioning {change.was}",
-                change.advice(self.folder),
-            )
-            for change in changes
-        ] or [_result(what, "as at commissioning", ok=True)]
-
-
-def _kept(config_file: Path | None) -> _Kept:
-    folder = Path() if config_file is None else config_file.parent
-    return _Kept(folder=folder, found={} if config_file is None else kept_values(folder))
-
-
-def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckResult]:
-    """Grasp the gauge object of the commissioning again, and return what differs.
-
-    The bench is that of the commissioning; the dialog shows each motion before it is made, and asks
-    for the object.
-
-    Raises
-    ------
-    CellError
-        If there is no gauge object, or it was not gripped; `Left` when the person leaves.
-    GripperError, TactileError
-        As the hand raises them.
-    """
-    kept = _Kept(folder=bench.folder, found=kept_values(bench.folder))
-    was = gauge_of(kept.found)
-    if was is None:
-        raise CellError(
-            f"no gauge object was kept in {bench.folder}: finish `tactile-cell commission` first"
-        )
-    now, _ = measure_gauge(bench, config, dialog, was.gauge)
-    return kept.findings(f"gauge object {was.gauge}", changed_gauge(was, now))
+    yield from _devices(config, named, CommissionedValues.beside(config_file))
 
 
 def _machine() -> Iterator[CheckResult]:
     version = ".".join(map(str, sys.version_info[:3]))
-    yield _result("Python", version, ok=True)
+    yield check_result("Python", version, ok=True)
     for package in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy"):
-        yield _result(package, importlib.metadata.version(package), ok=True)
+        yield check_result(package, importlib.metadata.version(package), ok=True)
     for extra, package in ((e, package) for e in ("report", "mesh") for package in EXTRAS[e]):
         try:
-            yield _result(package, importlib.metadata.version(package), ok=True)
+            yield check_result(package, importlib.metadata.version(package), ok=True)
         except importlib.metadata.PackageNotFoundError:
-            yield _result(package, "not installed", f"if you want it: {remedy(extra)}")
+            yield check_result(package, "not installed", f"if you want it: {remedy(extra)}")
 
 
 def _ports(config: CellConfig) -> Iterator[CheckResult]:
@@ -162,12 +79,12 @@ def _ports(config: CellConfig) -> Iterator[CheckResult]:
         candidates = ", ".join(serial_candidates()) or "none"
         found = f"{port} does not exist; serial ports here: {candidates}"
         advice = "plug in the adapter or correct gripper.port"
-    yield _result("servo port", found, advice, ok=not advice, bad=Verdict.FAIL)
+    yield check_result("servo port", found, advice, ok=not advice, bad=Verdict.FAIL)
     timer_ms = None if advice else latency_timer_ms(port)
     if timer_ms is not None:
         remedy = f"until the next start: {latency_command(port)}; for good: {udev_rule()}"
         ok = timer_ms <= LATENCY_MS
-        yield _result("USB latency timer", f"{timer_ms} ms", remedy, ok=ok)
+        yield check_result("USB latency timer", f"{timer_ms} ms", remedy, ok=ok)
 
 
 def _self_zero(config: CellConfig, named: str) -> CheckResult:
@@ -176,12 +93,12 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
         found = (
             "none: gripper.pads_meet is false" if config.self_zero != "never" else "never wanted"
         )
-        return _result("self-zero", found, ok=True)
+        return check_result("self-zero", found, ok=True)
     kept = kept_zeros(config, Path(config.recording.directory))
     if kept.newest is None:
         last = datetime.fromtimestamp(kept.measured_s).date()
         none = f"none of today, the last is of {last}" if kept.measured_s else "not measured"
-        return _result(
+        return check_result(
             "self-zero",
             kept.refused or none,
             f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching, at "
@@ -189,7 +106,7 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
         )
     opening_mm = 1e3 * kept.newest.opening_m
     ratio = float(np.exp(kept.newest.log_gain_ratio))
-    return _result(
+    return check_result(
         "self-zero",
         f"of {datetime.fromtimestamp(kept.measured_s):%Y-%m-%d %H:%M}: pads meet at "
         f"{opening_mm:+.2f} mm, finger 0 feels {ratio:.2f} times finger 1",
@@ -216,16 +133,16 @@ def _drives(config: CellConfig, named: str) -> CheckResult:
             )
     if len(kept.drives) < len(texts) and config.gripper.pads_meet:
         advice = advice or f"`tactile-cell zero{named}` measures them, with nothing in the grip"
-    return _result("servo drives", "; ".join(texts), advice, ok=not advice)
+    return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
 
 
-def _devices(config: CellConfig, named: str, kept: _Kept) -> Iterator[CheckResult]:
+def _devices(config: CellConfig, named: str, kept: CommissionedValues) -> Iterator[CheckResult]:
     """Check the devices; ``named`` is the option that names the cell in advised commands."""
     try:
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
     except (CellError, GripperError, TactileError) as error:
         advice = "check cabling, power and the names in the config"
-        yield _result("links", str(error), advice, bad=Verdict.FAIL)
+        yield check_result("links", str(error), advice, bad=Verdict.FAIL)
         return
     yield from _loop(cell)
     try:
@@ -242,10 +159,10 @@ def _loop(cell: Cell) -> Iterator[CheckResult]:
     # A line that is missing is found where it is asked.
     notes = [note for note in cell.notes if not note.startswith(MISSING)]
     if cell.realtime and not notes:
-        yield _result("force loop", "real time as configured", ok=True)
+        yield check_result("force loop", "real time as configured", ok=True)
     for note in notes:
         found, _, advice = note.partition(": ")
-        yield _result("force loop", found, advice)
+        yield check_result("force loop", found, advice)
 
 
 def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[CheckResult]:
@@ -253,12 +170,12 @@ def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[Chec
         yield from check()
     except VerificationFailed as error:
         for line in str(error).splitlines():
-            yield _result(what, line, "see the expected value", bad=Verdict.FAIL)
+            yield check_result(what, line, "see the expected value", bad=Verdict.FAIL)
     except (GripperError, TactileError) as error:
         advice = "check power, id and bit rate"
         if what == _TORQUE:
             advice += "; whether a part is held is not known: the servos keep their last goals"
-        yield _result(what, str(error), advice, bad=Verdict.FAIL)
+        yield check_result(what, str(error), advice, bad=Verdict.FAIL)
 
 
 def _torque(cell: Cell, named: str) -> list[CheckResult]:
@@ -269,14 +186,14 @@ def _torque(cell: Cell, named: str) -> list[CheckResult]:
     if not any(condition.torque_on for condition in conditions):
         failed = any(condition.shut_down for condition in conditions)
         advice = f"remedy the cause of the error, then `tactile-cell clear{named} --reboot`"
-        return [_result(_TORQUE, found, advice, ok=not failed, bad=Verdict.FAIL)]
+        return [check_result(_TORQUE, found, advice, ok=not failed, bad=Verdict.FAIL)]
     advice = f"a part may be in the grip: let go of it with `tactile-cell release{named} --confirm`"
     if any(condition.shut_down for condition in limp):
         advice += f", then clear the error with `tactile-cell clear{named} --reboot`"
-    return [_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
+    return [check_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
 
 
-def _servos(cell: Cell, named: str, kept: _Kept) -> list[CheckResult]:
+def _servos(cell: Cell, named: str, kept: CommissionedValues) -> list[CheckResult]:
     rows = cell.controller.hand.inspect().rows
     read = {(row.servo_id, row.item): row.found for row in rows}
     servos = {
@@ -288,7 +205,7 @@ def _servos(cell: Cell, named: str, kept: _Kept) -> list[CheckResult]:
     }
     same = kept.findings("servos", changed_servos(kept.found, servos))
     return same + [
-        _result(
+        check_result(
             f"servo {row.servo_id} {row.item}",
             f"{row.found} (expected {row.expected})",
             _advice(row, named),
@@ -312,7 +229,9 @@ def _advice(row: VerificationRow, named: str) -> str:
     return "correct it with the servo maker's wizard, or correct the config"
 
 
-def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> list[CheckResult]:
+def _control_unit(
+    cell: Cell, config: CellConfig, named: str, kept: CommissionedValues
+) -> list[CheckResult]:
     hand = cell.controller.hand
     try:
         identity = hand.start_sensor()
@@ -324,7 +243,7 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
                 "`--redo unit`, in the folder of the commissioning: what depends on it is done "
                 "again"
             )
-        return [_result("control unit", str(error), advice, bad=Verdict.FAIL)]
+        return [check_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     n_saturated = int(readings[-1].saturated.sum())
     source = hand.statistics.source
@@ -337,25 +256,25 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
     changes += changed_pads(kept.found, hand.layout, frames, pad_mounts(config.tactile))
     return [
         *kept.findings("control unit and pads", changes),
-        _result(
+        check_result(
             "control unit",
             f"{identity.name}, serial {identity.serial}, revision {identity.revision:#x}",
             ok=True,
         ),
-        _result(
+        check_result(
             "tactile frames",
             f"{statistics.complete} whole, {lost} lost or damaged",
             "check the terminating resistors and the bus load",
             ok=lost == 0,
         ),
-        _result(
+        check_result(
             "force messages",
             f"{forces.received} received, {forces.lost} lost"
             if identity.sends_forces
             else FORCE_FROM_FRAMES,
             ok=identity.sends_forces and not forces.lost,
         ),
-        _result(
+        check_result(
             "taxels at rest",
             f"{n_saturated} of {len(readings[-1].saturated)} saturated",
             "is something touching the pads?",
@@ -378,7 +297,7 @@ def _axes(cell: Cell) -> Iterator[CheckResult]:
         advice = "remedy the cause; after clear and reset the next motion resets the device"
         if isinstance(found, AxisMissing | AxisSilent):
             advice = "check its supply, cable and node-ID or ID"
-        yield _result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
+        yield check_result(name, str(found), advice, ok=not fault, bad=Verdict.FAIL)
 
 
 def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckResult:
@@ -391,7 +310,7 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckRe
     force_n = make_calibration(config.tactile, layout).force_n(over)
     first_n, second_n = (float(force_n[layout.taxels_of(p)].sum()) for p in layout.gripping_pads)
     pressed = max(first_n, second_n) >= config.gripper.contact_force_n
-    return _result(
+    return check_result(
         "pads' force",
         f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",
         "a part may be held; look. Let go of it, where the servos answer, with "
@@ -403,7 +322,7 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckRe
 def _noise(frames: list[TactileFrame]) -> CheckResult:
     """Check that the samples move at rest: else frozen and dead ones cannot be found."""
     moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
-    return _result(
+    return check_result(
         "noise of the taxels",
         f"{moving} of {len(frames[0].counts)} change at rest",
         "without noise, frozen, dead and stuck taxels show only while the force changes: press "
@@ -416,14 +335,14 @@ def _boards(boards: tuple[int, int], config: CellConfig) -> CheckResult:
     """Check that exchanged pads would be noticed: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
     if config.tactile.board_serial_numbers is not None or config.simulated:
-        return _result("pads' boards", found, ok=True)
+        return check_result("pads' boards", found, ok=True)
     advice = "these boards cannot be told apart: press each pad after every work on the cables"
     if boards[0] != boards[1]:
         advice = (
             f"press each pad to see that its finger is right, then write [{boards[0]}, "
             f"{boards[1]}] into the config"
         )
-    return _result(
+    return check_result(
         "pads' boards",
         f"{found}; tactile.board_serial_numbers names none: exchanged pads are not noticed",
         advice,

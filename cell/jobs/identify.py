@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from cell.build import Cell
 from cell.config.model import CellConfig
 from cell.control.controller import CellController
 from cell.control.identification import Identification, OnGrasp, ReadShape
 from cell.control.keeping import Keep
 from cell.control.plan import plan
 from cell.errors import ModelError
-from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import LoadedModel, check_pads
 from cell.learning.taught_model import TaughtModel
@@ -145,29 +143,8 @@ def identify(
     return replace(found, remark=remark)
 
 
-def identify_on_cell(
-    cell: Cell,
-    config: CellConfig,
-    model: TaughtModel,
-    *,
-    held: str | None,
-    keep: Keep = Keep.NEVER,
-    progress: Progress,
-) -> tuple[Identification, str | None]:
-    """Run one sequence; return its answer and, where the cell is simulated, the object held.
-
-    A simulated cell that is given no object draws one of its own. Raises as `identify`.
-    """
-    if held is None and config.brings_objects:
-        objects = [entry.label for entry in config.simulator.objects]
-        held = str(np.random.default_rng(config.seed).choice(objects))
-    n_grasps = config.sequence.max_grasps
-    found = identify(
-        cell.controller,
-        model,
-        held=held,
-        seed=config.seed + 1,
-        keep=keep,
-        on_grasp=lambda number, *_rest: progress("identify", number, n_grasps),
-    )
-    return found, held
+def drawn_object(config: CellConfig) -> str | None:
+    """Return the object that a simulated cell draws by its seed; None where nobody can choose."""
+    objects = [entry.label for entry in config.simulator.objects]
+    draw = np.random.default_rng(config.seed)
+    return str(draw.choice(objects)) if config.brings_objects else None

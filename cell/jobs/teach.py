@@ -6,62 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cell.build import Cell
-from cell.config.model import CellConfig
 from cell.control.controller import CellController
 from cell.data.dataset import read_dataset, read_grasps, write_dataset
-from cell.errors import CellError, DatasetError
+from cell.errors import CellError
 from cell.jobs.collection import Collection
-from cell.jobs.common import Progress, progress_of
 from cell.learning.model import what_differs
 from cell.learning.taught_model import TaughtModel
 from recognition.grasp import Grasp, PadArray
-
-
-def teach_to_dataset(
-    cell: Cell,
-    config: CellConfig,
-    collection: Collection,
-    dataset: Path,
-    before: Sequence[Grasp],
-    *,
-    progress: Progress,
-    note: Callable[[str], None],
-) -> None:
-    """Grasp one known object and add its grasps to a data set, also where that ends early.
-
-    Raises DatasetError if the data set cannot be written; the message names the recording, which
-    has the grasps. Else it raises as `Collection.fill`. The grasps until then are in the data set.
-
-    Parameters
-    ----------
-    collection
-        The object and how often it is grasped; holds the records at the end.
-    dataset
-        Data set to write or extend.
-    before
-        The grasps that it holds already; see `dataset_to_extend`.
-    note
-        Called with how many grasps were added, also where the teaching ends early.
-    """
-    try:
-        collection.fill(
-            cell.controller,
-            config.sequence,
-            seed=config.seed + len(before),
-            on_grasp=progress_of(progress),
-        )
-    finally:
-        if collection.records:
-            try:
-                append_to_dataset(dataset, before, collection.grasps)
-            except DatasetError as error:
-                raise DatasetError(
-                    f"{error}; the grasps are in {cell.recording_path}, which train takes"
-                ) from error
-            note(f"{collection} added to {dataset} ({len(before)} were there)")
-            if collection.short:
-                note(collection.short)
 
 
 def teach(

@@ -25,6 +25,7 @@ from cell.learning.training_set import (
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
+from recognition.drift.self_zero import foam_change
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
@@ -291,10 +292,16 @@ class TaughtModel:
         self._trained = replace(self.check_taught(), recognizer=recognizer.with_grid(grid))
 
     def _lacks(self, records: Sequence[GraspRecord]) -> Iterator[str]:
-        """Yield what the model lacks of what the cell would use."""
+        """Yield what the model lacks of what the cell would use, and another foam than its own."""
         recognizer = self.recognizer
         if not isinstance(recognizer, ForceRampRecognizer):
             return
+        today = records[-1].grasp.zero if records else None
+        if recognizer.zero and today and (times := foam_change(recognizer.zero, today)):
+            yield (
+                f"the foam is {times:.1f} times as stiff as when the objects were taught, so that "
+                "fewer parts get a name: look at the pads, and teach again if they are new"
+            )
         if recognizer.zero is None and any(one.grasp.zero is not None for one in records):
             yield (
                 "the model was taught without a self-zero, so that today's changes nothing and "
@@ -308,12 +315,6 @@ class TaughtModel:
 
     # -- files ---------------------------------------------------------------------------------
 
-    def save_training_set(self, path: Path) -> None:
-        """Write the training set as a data set. Raises DatasetError."""
-        grasps = self.training_set
-        write_dataset(path, grasps)
-        self._written = (grasps, path)
-
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the model file, and its training set where it is at hand and not written yet.
 
@@ -325,7 +326,8 @@ class TaughtModel:
         recognizer, sections = trained.recognizer, dict(trained.sections)
         if grasps := self.training_set:
             if self._written[0] is not grasps or self._written[1].parent != path.parent:
-                self.save_training_set(path.with_name(f"{path.stem}.grasps.npz"))
+                write_dataset(beside := training_set_file(path), grasps)
+                self._written = (grasps, beside)
             sections[TRAINING_SECTION] = training_section(*self._written)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_kept())
@@ -336,3 +338,8 @@ class TaughtModel:
             pads=self._pads,
             sections=sections,
         )
+
+
+def training_set_file(model: Path) -> Path:
+    """Return the data set that `TaughtModel.save` writes beside a model file."""
+    return model.with_name(f"{model.stem}.grasps.npz")

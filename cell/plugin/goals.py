@@ -8,6 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from cell.config.simulator import checked_label
 from cell.errors import ConfigError
 
+FEED_MAX = 1000
+"""Most objects of a simulated feed."""
+
 
 class _Goal(BaseModel):
     model_config = ConfigDict(
@@ -35,6 +38,11 @@ class TeachGoal(_Goal):
     """How many times it is grasped, 1 to 1000."""
     seed: int = Field(default=0, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
+    present: str | None = None
+    """Object to place where it is called otherwise than the label (simulated cell)."""
+    train: bool = True
+    """Whether the model is trained at the end. False where more objects follow, and then a
+    training of all: `TactileCellPlugin.train`. The progress has no sizes then."""
 
 
 class GaugeGoal(_Goal):
@@ -69,6 +77,8 @@ class IdentifyGoal(_Goal):
     """Whether the part stays in the grip for the host: ``never``, ``when_named`` or ``always``."""
     force_n: float | None = Field(default=None, gt=0.0, le=50.0)
     """Force at the end of each ramp in N, up to 50, or None for the forces of the plan."""
+    whole_ramps: bool = False
+    """Whether no ramp ends early, whatever the config says."""
 
 
 class GripGoal(_Goal):
@@ -95,7 +105,7 @@ class SortGoal(_Goal):
     task: ClassVar[str] = "sort"
     parts: int = Field(default=1, ge=1, le=1_000_000)
     """How many parts."""
-    feed: tuple[str, ...] = Field(default=(), strict=False, max_length=1000)
+    feed: tuple[str, ...] = Field(default=(), strict=False, max_length=FEED_MAX)
     """Objects to place, one for each part and then again from the first, where the positioner can
     do so (simulated cell)."""
     seed: int = Field(default=1, ge=0, le=2**32 - 1)

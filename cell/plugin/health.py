@@ -41,7 +41,7 @@ def _level(*, watch: bool, bad: bool) -> dict[str, Any]:
 def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
     """Heat: the cap of the current is lowered from some degrees below the limit on."""
     gripper = config.gripper
-    cycle = cell.controller.measured.cycle
+    cycle = cell.controller.latest.cycle
     servos = () if cycle is None else cycle.state.servos
     warmest_c = max((servo.temperature_c for servo in servos), default=0.0)
     derated_c = gripper.temperature_max_c - gripper.servo_care.derate_c
@@ -54,7 +54,7 @@ def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
 def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
     """Newest frames that were lost: one is worth a look, the share of the limit is a fault."""
     source = cell.controller.hand.statistics.source
-    frame = cell.controller.measured.frame
+    frame = cell.controller.latest.frame
     age_s = None if frame is None else max(0.0, cell.controller.now_s - frame.t_s)
     lost = source.recent_loss_rate
     return _level(watch=lost > 0.0, bad=lost > config.tactile.loss_max_share) | {

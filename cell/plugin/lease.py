@@ -20,7 +20,7 @@ _LOOKS = 10
 class Lease:
     """The lease of one cell; every method from any thread.
 
-    `look` notices a silent client; `watch` has a thread do so.
+    `check_expiry` notices a silent client; `watch` has a thread do so.
     """
 
     timeout_s: float
@@ -48,7 +48,7 @@ class Lease:
         Raises NotInCommand if another client has it.
         """
         with self.lock:
-            self.look()
+            self.check_expiry()
             if self.number:
                 if not take:
                     raise NotInCommand(
@@ -64,7 +64,7 @@ class Lease:
     def has(self, lease: int) -> bool:
         """Whether a number is that of the lease; looking does not keep it."""
         with self.lock:
-            self.look()
+            self.check_expiry()
             return bool(self.number) and self.number == lease
 
     def alive(self, lease: int) -> None:
@@ -100,7 +100,7 @@ class Lease:
                 self._inside -= 1
                 self._heard_s = self.clock.monotonic()
 
-    def look(self) -> None:
+    def check_expiry(self) -> None:
         """Notice a client that is silent for too long."""
         with self.lock:
             silent_s = self.clock.monotonic() - self._heard_s
@@ -113,7 +113,7 @@ class Lease:
         def run() -> None:
             while not self._over.wait(self.timeout_s / _LOOKS):
                 try:
-                    self.look()
+                    self.check_expiry()
                 except Exception as error:  # the watch must outlive whatever it meets
                     note(f"watch over the lease: {error_text(error)}")
 

@@ -4,7 +4,7 @@ It is made in the thread of the cell between two grasps, from what the force loo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,9 @@ class PartReport:
     """``identify`` or ``sort``."""
     answer: Answer | None
     """None where no part was found."""
+    found: Identification | None = field(default=None, repr=False, compare=False)
+    """What the answer rests on, with all frames: megabytes, for those who listen in this program.
+    None where no part was found."""
     label_id: int = 0
     """Id of its label, from 1; 0 for UNKNOWN."""
     place: str | None = None
@@ -77,7 +80,7 @@ class PartReport:
 
 OnPart = Callable[[PartReport], None]
 """Called with each part, in the thread of the cell."""
-Seen = Callable[..., None]
+PartCallback = Callable[..., None]
 """Called by a task with the `Identification` of a part, or None where none was found; further
 fields of `PartReport` by name."""
 
@@ -103,7 +106,7 @@ class TaxelNewtons:
 
 def part_reporter(
     task: str, controller: CellController, newtons: TaxelNewtons, listeners: Sequence[OnPart]
-) -> Seen:
+) -> PartCallback:
     """Return the function with which a task that begins now reports its parts to all listeners."""
     since_s = controller.now_s
 
@@ -113,6 +116,7 @@ def part_reporter(
         report = PartReport(
             task=task,
             answer=None if found is None else Answer.of(found),
+            found=found,
             seconds=since_s - before_s,
             curves=None if found is None else _curves(found.records[-1], newtons),
             **fields,

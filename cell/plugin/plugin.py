@@ -5,7 +5,6 @@ the plugin grasps and answers what it held. Libraries for recognition, CAN and s
 with the first cell, not with this module.
 """
 
-import functools
 import sys
 import threading
 import time
@@ -20,9 +19,18 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
+from cell.control.journal import loop_line
+from cell.control.lifecycle import NO_GRIP
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
-from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, RequestRefused
+from cell.errors import (
+    CellError,
+    CellStateError,
+    ConfigError,
+    HandLost,
+    PartInGrip,
+    RequestRefused,
+)
 from cell.fault_catalogue import error_text
 from cell.plugin.answer import (
     Answer,
@@ -45,7 +53,7 @@ from cell.plugin.goals import (
 )
 from cell.plugin.lease import Lease
 from cell.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
-from gripper.errors import ServoFault
+from gripper.errors import LinkTooSlow, ServoFault, VerificationFailed, fingers_left
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,6 +65,8 @@ if TYPE_CHECKING:
     from cell.plugin.part_report import OnPart
     from gripper.clock import Clock
     from gripper.values.outcome import ReleaseReport
+    from recognition.drift.grid import DriftGrid
+    from recognition.grasp import Grasp
     from tactile.layout import TaxelLayout
 
 __all__ = [
@@ -114,6 +124,9 @@ class TactileCellPlugin:
         gauge_shape: str | None = None,
         folder: Path | None = None,
         save: Path | str | None = None,
+        capture: Path | None = None,
+        ask: Callable[[str], str] | None = None,
+        start: bool = True,
         note: Callable[[str], None] = lambda _text: None,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
@@ -146,6 +159,10 @@ class TactileCellPlugin:
             Model file that each teaching writes before its job succeeds, as `save` does. One that
             cannot be written aborts the job, though what was taught is in use, and is tried again
             after each job that leaves the grip empty, and by `close`. None writes none.
+        capture, ask
+            As `cell.build.build_cell`.
+        start
+            False: the devices are verified by `reset`, which raises all that is wrong with them.
         note
             Gets messages for the operator, as that the recording has stopped, from any thread.
 
@@ -185,7 +202,15 @@ class TactileCellPlugin:
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
-        self._cell = build_cell(checked, folder=folder, mover=mover, places=places, note=note)
+        self._cell = build_cell(
+            checked,
+            folder=folder,
+            mover=mover,
+            places=places,
+            capture=capture,
+            ask=ask,
+            note=note,
+        )
         controller, file = self._cell.controller, self._file
         listeners: list[OnPart] = []
         newtons = TaxelNewtons(checked, controller)
@@ -200,8 +225,10 @@ class TactileCellPlugin:
         )
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         self._last_answer: deque[Answer] = deque(maxlen=1)
+        self._interrupted = False
         try:
-            self._cell.controller.start()
+            if start:
+                self._cell.controller.start()
         except (ServoFault, PartInGrip):
             # The fault is latched: `clear` and `release` are the way on.
             pass
@@ -259,6 +286,51 @@ class TactileCellPlugin:
     def health(self) -> dict[str, Any]:
         """Return the levels of servos, CAN, loop, drift and recording, and figures behind them."""
         return self._health(self._config, self._cell, self._model.drift)
+
+    def counters(self) -> dict[str, Any]:
+        """Return the counters of links, sensor, loop and recording as plain data."""
+        return self._cell.health()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the operator: how the force loop runs, and why there is no self-zero."""
+        return tuple(filter(None, (*self._cell.notes, self._cell.controller.zero_note)))
+
+    @property
+    def loop_text(self) -> str:
+        """How punctual the force loop was; empty in virtual time."""
+        hand = self._cell.controller.hand
+        return loop_line(hand.statistics.loop, hand.period_s) if self._cell.realtime else ""
+
+    def grip_left(self, error: BaseException) -> str:
+        """Return what an error has left in the grip, as far as it is known, as text."""
+        controller = self._cell.controller
+        if left := fingers_left(error):
+            return left
+        if isinstance(error, HandLost):
+            return "a part may still be gripped" if controller.holding else NO_GRIP[False]
+        if isinstance(error, PartInGrip | VerificationFailed | LinkTooSlow):
+            return "nothing was moved"
+        return "the grip is kept" if controller.holding else NO_GRIP[controller.shows_nothing]
+
+    def check_recording(self) -> None:
+        """Raise RecordingError where something is lost of the recording."""
+        self._cell.check_recording()
+
+    @property
+    def training_set(self) -> "tuple[Grasp, ...]":
+        """The taught grasps, as far as they are at hand."""
+        return self._model.training_set
+
+    @property
+    def trainer_name(self) -> str:
+        """The recogniser of the model. Raises CellStateError before teaching."""
+        return self._model.check_taught().trainer_name
+
+    @property
+    def drift(self) -> "DriftGrid | None":
+        """The drift of the sensors since teaching; None where it is not followed."""
+        return self._model.drift
 
     def newtons(self, counts: "NDArray[np.uint16]") -> "NDArray[np.float32] | None":
         """Return the force in N on each taxel by its counts; None before the first zero."""
@@ -327,7 +399,24 @@ class TactileCellPlugin:
 
     # -- jobs ----------------------------------------------------------------------------------
 
-    def start(self, goal: Goal | Mapping[str, Any]) -> Job:
+    def run(
+        self,
+        goal: Goal | Mapping[str, Any],
+        *,
+        on_progress: Callable[[dict[str, Any]], None] = lambda _progress: None,
+    ) -> Any:
+        """Do a job to its end and return its result; what ends it otherwise is raised as it is.
+
+        ``on_progress`` is called in the thread of the cell with each report. Raises as `start`.
+        """
+        return self._finish(self.start(goal, on_progress=on_progress), None)
+
+    def start(
+        self,
+        goal: Goal | Mapping[str, Any],
+        *,
+        on_progress: Callable[[dict[str, Any]], None] = lambda _progress: None,
+    ) -> Job:
         """Start a job and return its handle at once.
 
         A goal is a `TeachGoal`, `GaugeGoal`, `ZeroGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal`
@@ -350,16 +439,24 @@ class TactileCellPlugin:
             self._model.check_gauge(checked.label)
         if isinstance(checked, ZeroGoal):
             self._cell.controller.check_zero()
-        work = functools.partial(getattr(self._tasks, checked.task), checked)
+        task = getattr(self._tasks, checked.task)
+
+        def work(report: Report) -> Any:
+            def reported(progress: dict[str, Any]) -> None:
+                report(progress)
+                on_progress(progress)
+
+            return task(checked, reported)
+
         return self._accept(work, _COMMANDS[checked.task], checked.task)
 
     def check(self, task: str) -> None:
-        """Raise what `start` and `begin` would raise now for a task or command, whatever its goal.
+        """Raise what `start` and `start_command` would raise now, whatever the goal.
 
         Raises
         ------
         CellStateError, ConfigError
-            As `start` and `begin`.
+            As `start` and `start_command`.
         """
         self._worker.check_free()
         if task in _COMMANDS:
@@ -453,9 +550,19 @@ class TactileCellPlugin:
             if not self.feedback(job).outcome.terminal:
                 self._cell.controller.cancel(reason)
 
+    def interrupt(self) -> None:
+        """Stop what runs, and each job that starts later, for a program that is to end.
+
+        What is held stays held. A signal handler may call it.
+        """
+        self._interrupted = True
+        self._cell.controller.cancel()
+
     # -- commands ------------------------------------------------------------------------------
 
-    def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job:
+    def start_command(
+        self, command: Command, *, reboot: bool = False, needless: bool = False
+    ) -> Job:
         """Start `release`, `clear`, `reset` or a shutdown as a job and return its handle at once.
 
         Parameters
@@ -503,7 +610,7 @@ class TactileCellPlugin:
         Returns what was opened: a servo that is silent or at fault is left as it is, and the other
         finger opens alone.
         """
-        report: ReleaseReport = self._finish(self.begin(Command.RELEASE), timeout_s)
+        report: ReleaseReport = self._finish(self.start_command(Command.RELEASE), timeout_s)
         return report
 
     def clear(self, timeout_s: float = 5.0, *, reboot: bool = False) -> None:
@@ -512,15 +619,15 @@ class TactileCellPlugin:
         With ``reboot`` servos that report a hardware error are restarted: what one of them still
         held would drop. A fault that is still there is raised as it is.
         """
-        self._finish(self.begin(Command.CLEAR, reboot=reboot), timeout_s)
+        self._finish(self.start_command(Command.CLEAR, reboot=reboot), timeout_s)
 
-    def reset(self, timeout_s: float = 60.0) -> None:
+    def reset(self, timeout_s: float | None = 60.0) -> None:
         """After `clear`: verify the devices anew and be ready again.
 
         Raises PartInGrip where the fault left a part in the grip, and latches that: `clear` it,
         `release` the part on purpose, and `reset` again. Other faults are raised as they are.
         """
-        self._finish(self.begin(Command.RESET), timeout_s)
+        self._finish(self.start_command(Command.RESET), timeout_s)
 
     def follow_real_time(self, speed: float = 1.0, clock: "Clock" = time) -> None:
         """Have the time of a simulated cell follow a real clock, where people watch it.
@@ -579,11 +686,26 @@ class TactileCellPlugin:
         if self._cell.records:
             self._remarks.append((kind, text))
 
+    def train(self, timeout_s: float | None = None) -> None:
+        """Train the model on all taught grasps, after jobs with ``TeachGoal.train`` off.
+
+        Raises CellError if the grasps do not suffice; they are kept. ModelError or DatasetError if
+        the model cannot be written.
+        """
+        file = self._file
+
+        def work(_report: Report) -> None:
+            file.model.train()
+            file.due = True
+            file.write()
+
+        self._finish(self._accept(work, None, "train"), timeout_s)
+
     def forget_drift(self, timeout_s: float = 5.0) -> None:
         """Forget the followed drift, as after work on the sensors, and follow anew."""
-        self._finish(self.begin_forget_drift(), timeout_s)
+        self._finish(self.start_forget_drift(), timeout_s)
 
-    def begin_forget_drift(self) -> Job:
+    def start_forget_drift(self) -> Job:
         """Start `forget_drift` as a job and return its handle at once."""
         model = self._model
         return self._accept(lambda _report: model.forget_drift(), None, "forget_drift")
@@ -648,7 +770,7 @@ class TactileCellPlugin:
             self._worker.refuse()
             self._cell.controller.cancel()
 
-    def _finish(self, job: Job, timeout_s: float) -> Any:
+    def _finish(self, job: Job, timeout_s: float | None) -> Any:
         """Wait for a command and return what it does; its error is raised as it is."""
         with self._calling():
             status = self._worker.wait(job, timeout_s)
@@ -666,6 +788,8 @@ class TactileCellPlugin:
             if command is not None:
                 controller.check(command)
             controller.forget_cancel()
+            if self._interrupted:
+                controller.cancel()
             number = job.number
             if task in _NAMING:
                 last_answer.clear()

@@ -29,7 +29,7 @@ from cell.plugin.goals import (
     VerifyGoal,
     ZeroGoal,
 )
-from cell.plugin.part_report import Seen
+from cell.plugin.part_report import PartCallback
 from cell.plugin.worker import Report
 from recognition.drift.drift import Drift
 from recognition.grasp import SelfZero
@@ -84,7 +84,7 @@ class Tasks:
     """The model, and where it is written."""
     places: Callable[[], Places] = lambda: Places(CellConfig(), ())
     """Returns the places of a sort for what is taught now."""
-    begin: Callable[[str], Seen] = lambda _task: lambda *_, **__: None
+    reporter: Callable[[str], PartCallback] = lambda _task: lambda *_, **__: None
     """Begins to report the parts of a task, as `part_reporter`; nobody counts them by default."""
 
     @property
@@ -107,7 +107,7 @@ class Tasks:
         each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
 
         def progress(now: Collection) -> None:
-            if len(now.records) > shown["grasps"]:
+            if goal.train and len(now.records) > shown["grasps"]:
                 each.append(_felt(now.records[-1], self.model))
             shown.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
             shown["each"] = list(each)
@@ -115,9 +115,11 @@ class Tasks:
 
         shown: dict[str, Any] = {"task": "teach", "label": goal.label, "grasps": 0, "missed": 0}
         shown |= {"of": goal.grasps, "each": []}
-        collection = Collection(label=goal.label, n_planned=goal.grasps)
-        self.file.due = True
+        collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
+        self.file.due |= goal.train
         teach(self.controller, self.model, collection, seed=goal.seed, on_grasp=progress)
+        if not goal.train:
+            return len(collection.records)
         self.model.train()
         apart = self.model.told_apart(goal.label)
         n_grasps = self.model.objects()[goal.label][0]
@@ -165,8 +167,11 @@ class Tasks:
         Raises as `CellController.measure_zero`.
         """
         report({"task": "zero"})
+        before = self.controller.self_zero
         found = self.controller.measure_zero()
-        report({"task": "zero", "zero": zero_values(found.zero), "text": zero_text(found)})
+        moved_mm = None if before is None else 1e3 * (found.zero.opening_m - before.opening_m)
+        values = zero_values(found.zero) | {"moved_mm": moved_mm}
+        report({"task": "zero", "zero": values, "text": zero_text(found)})
         return found.zero
 
     def identify(self, goal: IdentifyGoal, report: Report) -> Answer:
@@ -174,7 +179,7 @@ class Tasks:
 
         What the goal wants to be kept stays in the grip. Raises as `cell.jobs.identify.identify`.
         """
-        seen, posteriors = self.begin("identify"), list[Posterior]()
+        seen, posteriors = self.reporter("identify"), list[Posterior]()
 
         def progress(number: int, record: GraspRecord, posterior: Posterior, shape: Any) -> None:
             posteriors.append(posterior)
@@ -202,6 +207,7 @@ class Tasks:
                 max_grasps=goal.max_grasps,
                 force_n=goal.force_n,
                 keep=Keep(goal.keep),
+                whole_ramps=goal.whole_ramps,
                 on_grasp=progress,
             )
         except NoPartFound:
@@ -240,14 +246,14 @@ class Tasks:
         Raises as `cell.jobs.sort.sort_parts`; the part is kept, and the count so far is the
         progress.
         """
-        seen, places = self.begin("sort"), self.places()
+        seen, places = self.reporter("sort"), self.places()
         tally = Tally(places=places)
 
         def progress(part: SortedPart | None = None) -> None:
             now: dict[str, Any] = {"task": "sort", "of": goal.parts} | tally.as_json()
             now["parts"] = len(tally.parts)
             if part is not None:
-                now |= {"label": part.label, "place": part.place, "probability": part.probability}
+                now |= part.as_json()
             report(now)
 
         def sorted_part(part: SortedPart, found: Identification) -> None:

@@ -153,8 +153,11 @@ class CellWorker:
             except KeyError:
                 raise CellStateError(f"there is no job {job.number} in this cell") from None
 
-    def wait(self, job: Job, timeout_s: float) -> JobStatus:
-        """Wait until a job is over. Raises TimeoutError if it is not in time; it goes on."""
+    def wait(self, job: Job, timeout_s: float | None) -> JobStatus:
+        """Wait until a job is over; None: however long it takes.
+
+        Raises TimeoutError if it is not over in time; it goes on.
+        """
         self.status(job)
         with self._changed:
             if not self._changed.wait_for(lambda: self._status[job].outcome.terminal, timeout_s):

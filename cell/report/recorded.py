@@ -50,7 +50,7 @@ from tactile.layout import TaxelLayout
 
 _RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
 """Shares of the grip force at which the eigenvalue along the ramp is drawn."""
-_FILES = (("Data set", "taught.npz"), ("Model", "model.npz"))
+_FILES = (("Data set", "model.grasps.npz"), ("Model", "model.npz"))
 """Files that `run` writes beside the recording."""
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,9 +65,23 @@ OUTCOME_NUMBERS = {
 """Number of each outcome for hosts: GoalStatus of ROS 2 actions; 0 is no job."""
 
 
+class RequestFields(TypedDict, total=False):
+    """Fields of tasks and commands as hosts with plain numbers send them; see `Service.request`."""
+
+    label: str
+    grasps: int
+    max_grasps: int
+    force_n: float
+    keep: bool | str
+    parts: int
+    present: str
+    key: int
+    reboot: bool
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobView:
-    """A job as every door shows it."""
+    """A job as every interface shows it."""
 
     number: int = 0
     task: str = ""
@@ -106,14 +120,14 @@ class JobView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """Everything that a door shows, at one moment."""
+    """Everything that an interface shows, at one moment."""
 
     status: HostStatus
     """States, live values, last answer."""
     job: JobView
     """The newest job."""
     last_answer: JobView | None
-    """The job of the last answer of an identification, as `HostStatus.last_answer`, for doors."""
+    """The job of the last answer of an identification, as `HostStatus.last_answer`."""
     commander: str
     """Name of the client with the lease; empty for none."""
     held_by: tuple[str, ...]
@@ -208,7 +222,7 @@ class Service:
         return names.index(label) + 1 if label in names else 0
 
     def snapshot(self) -> Snapshot:
-        """Return everything that doors show."""
+        """Return everything that interfaces show."""
         with self._lock:
             # The job before the answer, which stands there before the job has succeeded.
             job = self.job()
@@ -349,7 +363,7 @@ class Service:
         lease, number
             As `start`.
         command, reboot
-            As `TactileCellPlugin.begin`.
+            As `TactileCellPlugin.start_command`.
         key
             `RELEASE_KEY` for a release, the only way to let the part go.
 
@@ -360,9 +374,9 @@ class Service:
             if command is Command.RELEASE and key != RELEASE_KEY:
                 raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
             if command is not Command.CLEAR:
-                return self._plugin.begin(command, reboot=reboot)
+                return self._plugin.start_command(command, reboot=reboot)
             gone = self._gone
-            job = self._plugin.begin(command, reboot=reboot, needless=bool(gone))
+            job = self._plugin.start_command(command, reboot=reboot, needless=bool(gone))
             for client in gone:
                 self.end_hold(client)
             return job
@@ -370,7 +384,9 @@ class Service:
         given = {"reboot": True} if reboot else {}
         return self._begin(lease, command.value, given, number, begin)
 
-    def request(self, lease: int, name: str, *, number: int = 0, **fields: Any) -> int:
+    def request(
+        self, lease: int, name: str, *, number: int = 0, **fields: Unpack[RequestFields]
+    ) -> int:
         """Start a task or command as hosts with plain numbers ask for it; return its job.
 
         Parameters
@@ -384,7 +400,8 @@ class Service:
         Raises as `start`.
         """
         if name not in TASKS:
-            return self.command(lease, Command(name), number=number, **fields)
+            key, reboot = fields.get("key", 0), fields.get("reboot", False)
+            return self.command(lease, Command(name), key=key, reboot=reboot, number=number)
         if isinstance(keep := fields.get("keep"), bool):
             fields["keep"] = "always" if keep else "never"
         return self.start(lease, goal_of(name, **fields), number=number)
@@ -394,7 +411,7 @@ class Service:
 
         Raises as `start`.
         """
-        return self._begin(lease, "forget_drift", {}, number, self._plugin.begin_forget_drift)
+        return self._begin(lease, "forget_drift", {}, number, self._plugin.start_forget_drift)
 
     # -- taught objects ------------------------------------------------------------------------
 
@@ -608,7 +625,7 @@ class Service:
     def _count(self, report: PartReport) -> None:
         """Count a part with the id that its label has now."""
         label = "" if report.answer is None else report.answer.label
-        self.shift.add(replace(report, label_id=self.label_id(label)))
+        self.shift.add(replace(report, found=None, label_id=self.label_id(label)))
 
     def _answered(self, status: HostStatus) -> JobView | None:
         """Return the job of the last answer, also where it is no longer among those kept."""

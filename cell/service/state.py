@@ -1,4 +1,4 @@
-"""The state of a service as plain data, for doors that show all of it."""
+"""The state of a service as plain data, for interfaces that show all of it."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""The tables of the Modbus registers and commands, made from those of all doors."""
+"""The tables of the Modbus registers and commands, made from those of all interfaces."""
 
 from cell.interfaces.host_calls import COMMANDS
 from cell.interfaces.host_values import N_TEXT, PLATE, VALUES, Value

@@ -1,6 +1,6 @@
 """The table of the OPC UA variables, made from the variables themselves."""
 
-from cell.interfaces.opc_ua.door import ARRAYS, NODES
+from cell.interfaces.opc_ua.interface import ARRAYS, NODES
 
 
 def opc_ua_page() -> str:

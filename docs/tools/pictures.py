@@ -93,7 +93,7 @@ def draw_page() -> None:
         sync_playwright() as playwright,
     ):
         try:
-            door = json.loads(cell.stdout.readline()) if cell.stdout else {}
+            interface = json.loads(cell.stdout.readline()) if cell.stdout else {}
             browser = playwright.chromium.launch(
                 executable_path=shutil.which(_BROWSER), args=["--no-sandbox", "--disable-gpu"]
             )
@@ -102,7 +102,7 @@ def draw_page() -> None:
                 viewport={"width": 1400, "height": 900}, locale="en-GB", reduced_motion="reduce"
             )
             page.set_default_timeout(_WAIT_MS)
-            page.goto(f"http://127.0.0.1:{door['http_port']}/#token={door['token']}")
+            page.goto(f"http://127.0.0.1:{interface['http_port']}/#token={interface['token']}")
             page.get_by_text("Nobody is in command").wait_for()
             page.click("#command")
             for number in range(_NAMED_BEFORE + 1):

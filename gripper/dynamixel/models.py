@@ -224,3 +224,30 @@ def require_current_control(name: str) -> ServoModel:
             f"position mode, so its grip force cannot be bounded. Use one of {', '.join(MODELS)}"
         )
     raise LimitExceeded(f"servo model {name!r} is not known. Use one of {', '.join(MODELS)}")
+
+
+_OTHER_MODELS = {
+    350: "XL-320",
+    1000: "XH430-W350",
+    1010: "XH430-W210",
+    1040: "XH430-V350",
+    1050: "XH430-V210",
+    1060: "XL430-W250",
+    1070: "XC430-W150",
+    1080: "XC430-W240",
+    1090: "2XL430-W250",
+    1110: "XH540-W270",
+    1120: "XM540-W270",
+    1130: "XM540-W150",
+    1190: "XL330-M077",
+    1210: "XC330-T181",
+    1220: "XC330-T288",
+    1230: "XC330-M181",
+}
+"""Names of further models by Model Number (register 0), for messages (e-Manual)."""
+
+
+def model_name(number: int) -> str:
+    """Return the name of a model number, or the number where it has none here."""
+    known = {model.number: model.name for model in MODELS.values()} | _OTHER_MODELS
+    return known.get(number, f"of model number {number}")

@@ -52,8 +52,16 @@ _MODEL_RATIO_SD, _MODEL_SCALE_SD, _MODEL_STIFFNESS_SD = 0.02, 0.03, 0.05
 _TORQUE_SD = 0.05
 """Standard deviation of the logarithm of the torque of a servo for its current, between days and
 copies of one model; assumed."""
-_FOAM_SD = 0.2
-"""The same of the stiffness of foam, between days, copies and temperatures; assumed."""
+_FOAM_SD, _OTHER_FOAM_SD = 0.1, 0.8
+"""The same of the stiffness of foam: of one foam between days and temperatures, assumed, and of two
+foams. The latter, `_OTHER_FOAM` and `_FOAM_CAUTION` are tuned on nine simulated cells whose foam
+has 1.2 to 2.4 times the modulus: 0.5 to 0.8, and 0.5 to 0.95, name as many."""
+_OTHER_FOAM = 0.5
+"""Probability that the foam is another one than at teaching, before it is measured."""
+_FOAM_CAUTION = 1.5
+"""By so much of their value the odds of a new object grow on another foam."""
+_SHOWN_SIGMAS = 2.0
+"""Standard deviations from which on a change of the foam is reported."""
 _DRAWN_SD_M, _DRAWN_RATIO_SD = 5e-5, 0.05
 """The same of the opening in m, and of what the gains of the pads differ by, in virtual grasps of a
 drawing: each of them has errors of its own beside."""
@@ -206,7 +214,7 @@ def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, ...], n_pads: 
     That is the zero of the opening, what the gains of the gripping pads differ by, and the
     likeliest gain that they have in common; `prior_since` is what then is left.
     """
-    common = _common(taught, today)[0]
+    common = _common(taught, today).log_gain
     apart = 0.5 * (today.log_gain_ratio - taught.log_gain_ratio)
     gains = np.full(n_pads, np.exp(common))
     if len(gripping) == 2:
@@ -243,21 +251,71 @@ def at_zero(
 def prior_since(taught: SelfZero, today: SelfZero) -> DriftPrior:
     """Return what is left unknown of the drift once `since` is undone."""
     offset_sd_m = float(np.hypot(taught.opening_sd_m, today.opening_sd_m))
-    return DriftPrior(log_gain_sd=_common(taught, today)[1], offset_sd_mm=offset_sd_m * 1e3)
+    return DriftPrior(
+        log_gain_sd=_common(taught, today).log_gain_sd, offset_sd_mm=offset_sd_m * 1e3
+    )
 
 
-def _common(taught: SelfZero, today: SelfZero) -> tuple[float, float]:
-    """Return mean and standard deviation of the logarithm of the gain that both pads share.
+def foam_caution(taught: SelfZero, today: SelfZero) -> float:
+    """Return the factor on the odds of a new object: 1 on the foam of the teaching, else more."""
+    return 1.0 + _FOAM_CAUTION * _common(taught, today).other_foam
 
-    Counts for current show it but for the torque, counts for the way but for the foam.
+
+def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
+    """Return how many times as stiff the foam is as at teaching; None where no change is shown."""
+    by_current, current_var, by_way, way_var = _shown(taught, today)
+    log_ratio = by_way - by_current
+    shown = log_ratio**2 > _SHOWN_SIGMAS**2 * (current_var + way_var)
+    return float(np.exp(log_ratio)) if shown else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Common:
+    """What grasps of today are freed of on both pads."""
+
+    log_gain: float
+    log_gain_sd: float
+    """Mean and standard deviation of the logarithm of the counts for each mm over those at
+    teaching: gain of the sensors times stiffness of the foam."""
+    other_foam: float
+    """Probability that the foam is another one."""
+
+
+def _shown(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, float]:
+    """Return the changes of counts for current and of counts for the way since teaching.
+
+    Each is a logarithm with its variance.
     """
-    by_current = today.log_scale - taught.log_scale
-    by_way = today.log_stiffness - taught.log_stiffness
     current_var = taught.log_scale_sd**2 + today.log_scale_sd**2 + _TORQUE_SD**2
-    way_var = taught.log_stiffness_sd**2 + today.log_stiffness_sd**2 + _FOAM_SD**2
-    precision = 1.0 / DriftPrior().log_gain_sd ** 2 + 1.0 / current_var + 1.0 / way_var
-    mean = (by_current / current_var + by_way / way_var) / precision
-    return float(mean), float(precision**-0.5)
+    way_var = taught.log_stiffness_sd**2 + today.log_stiffness_sd**2
+    by_way = today.log_stiffness - taught.log_stiffness
+    return today.log_scale - taught.log_scale, current_var, by_way, way_var
+
+
+def _common(taught: SelfZero, today: SelfZero) -> _Common:
+    """Return what grasps are freed of: by the same foam and by another one, weighted.
+
+    A part that is pressed into foam of s times the modulus with s times the force makes the same
+    footprint with s times the counts. So counts are compared by the way, not by the force. Counts
+    for current show the gain but for the torque, counts for the way its product with the stiffness.
+    """
+    by_current, current_var, by_way, way_var = _shown(taught, today)
+    foam_var = np.array([_FOAM_SD, _OTHER_FOAM_SD]) ** 2
+    apart_var = way_var + current_var + foam_var
+    other = _OTHER_FOAM if way_var < 1.0 else 1e-9  # without a way nothing is known of the foam
+    log_weight = np.log([1.0 - other, other]) - 0.5 * (
+        np.log(apart_var) + (by_way - by_current) ** 2 / apart_var
+    )
+    weight = np.exp(log_weight - np.logaddexp(*log_weight))
+    precision = (
+        1.0 / (DriftPrior().log_gain_sd ** 2 + np.array([0.0, _OTHER_FOAM_SD**2]))
+        + 1.0 / (current_var + foam_var)
+        + 1.0 / way_var
+    )
+    means = (by_current / (current_var + foam_var) + by_way / way_var) / precision
+    mean = float(weight @ means)
+    variance = float(weight @ (1.0 / precision + (means - mean) ** 2))
+    return _Common(log_gain=mean, log_gain_sd=variance**0.5, other_foam=float(weight[1]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -75,9 +75,9 @@ class QualityWatch:
         self._beside = np.flatnonzero(~grips)
         """Taxels that no grasp presses: what they all do is drift."""
         self._aim = (0.0, 0.0)
-        self.begin(None)
+        self.restart(None)
 
-    def begin(self, tare: TareResult | None, last: TactileFrame | None = None) -> None:
+    def restart(self, tare: TareResult | None, last: TactileFrame | None = None) -> None:
         """Start anew with a zero and the last frame of it, or without."""
         n = self._layout.n_taxels
         self._tare = tare

@@ -182,7 +182,7 @@ class TactileSensor:
         self._force_bad: NDArray[np.bool_] | None = None
         self._taxel_noise_n = (inf, inf)
         self._saturated_frames = self._void_frames = 0
-        self._quality.begin(None)
+        self._quality.restart(None)
 
     @property
     def layout(self) -> TaxelLayout:
@@ -337,7 +337,7 @@ class TactileSensor:
         self._tare_status = frames[n_frames - 1].status
         self._touch = self._new_touch(result)
         self._last_s = None
-        self._quality.begin(result, frames[n_frames - 1])
+        self._quality.restart(result, frames[n_frames - 1])
         self._write_zero(result)
         return result
 

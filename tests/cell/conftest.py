@@ -15,7 +15,8 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset
 from cell.interfaces.cli.app import app
-from cell.jobs.run import MainResult, teach_and_identify
+from cell.plugin.main_job import MainResult, teach_and_identify
+from cell.plugin.plugin import TactileCellPlugin
 from cell.pytest_plugin.virtual import VirtualCell
 from gripper.values.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
@@ -152,11 +153,9 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
     folder = tmp_path_factory.mktemp("taught")
     config = small_config(seed=5)
     progress: list[tuple[str, int, int]] = []
-    cell = build_cell(config, folder=folder)
-    try:
-        cell.controller.start()
+    with TactileCellPlugin(config, folder=folder) as running:
         result = teach_and_identify(
-            cell,
+            running,
             config,
             labels=["ball", "box"],
             n_teach=5,
@@ -164,8 +163,6 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
             folder=folder,
             progress=lambda *step: progress.append(step),
         )
-    finally:
-        cell.close()
     assert result.dataset is not None
     return Taught(config, folder, result, read_dataset(result.dataset), tuple(progress))
 

@@ -1,4 +1,4 @@
-"""Services with their doors, on a stub and a clock of the test, and plugins on simulated cells."""
+"""Services with interfaces, on a stub and a virtual clock, and plugins on simulated cells."""
 
 import socket
 import subprocess
@@ -15,7 +15,7 @@ import pytest
 
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.interfaces.opening import open_doors
+from cell.interfaces.opening import open_interfaces
 from cell.plugin.plugin import TactileCellPlugin
 from cell.service.opening import open_service
 from cell.service.service import JobView, Service
@@ -39,7 +39,7 @@ def until(true: Callable[[], Any]) -> Any:
 
 
 def ended(link: socket.socket) -> bool:
-    """Send one more byte of a request; whether the door has closed the connection."""
+    """Send one more byte of a request; whether the interface has closed the connection."""
     try:
         link.sendall(b"x")
         link.setblocking(False)
@@ -52,11 +52,11 @@ def ended(link: socket.socket) -> bool:
 
 @dataclass
 class Served:
-    """A service and its doors, on a stub or on a plugin with a simulated cell."""
+    """A service and its interfaces, on a stub or on a plugin with a simulated cell."""
 
     service: Service
     clock: Clock
-    doors: dict[str, Any] = field(default_factory=dict)
+    interfaces: dict[str, Any] = field(default_factory=dict)
 
     @property
     def plugin(self) -> Any:
@@ -80,7 +80,7 @@ class Served:
     def pass_lease(self) -> None:
         """Let the time of the lease pass."""
         self.clock.now_s += LEASE_S + 1.0
-        self.service.lease.look()
+        self.service.lease.check_expiry()
 
     def ask_pose(self, pose: Pose) -> Future[Pose | bool]:
         """Wait for the host at a pose, as the thread of a cell does; return what it answers."""
@@ -93,11 +93,11 @@ class Served:
 
 @contextmanager
 def serving(
-    *doors: str, cell: dict[str, Any] | None = None, note: Any = print, **changes: Any
+    *interfaces: str, cell: dict[str, Any] | None = None, note: Any = print, **changes: Any
 ) -> Iterator[Served]:
     """Open a service as `serve` does; ``changes`` are those of the config."""
     ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http")}
-    ports |= {f"serve__{name}_port": 0 for name in doors}
+    ports |= {f"serve__{name}_port": 0 for name in interfaces}
     config = small_config(**{"serve__lease_timeout_s": LEASE_S, **ports, **changes})
     clock = Clock()
     if cell is None:
@@ -106,7 +106,7 @@ def serving(
         service = open_service(config, clock=clock, **cell)
     with closing(service):
         served = Served(service, clock)
-        with open_doors(service) if doors else nullcontext({}) as served.doors:
+        with open_interfaces(service) if interfaces else nullcontext({}) as served.interfaces:
             yield served
 
 
@@ -118,17 +118,17 @@ def anyio_backend() -> str:
 
 @pytest.fixture
 def serve(request: pytest.FixtureRequest) -> Iterator[Callable[..., Served]]:
-    """Return the maker of services; ``doors`` opens them.
+    """Return the maker of services; ``interfaces`` opens them.
 
     Each stands on a stub, or with ``cell``, options of the plugin, on a simulated cell that was
     taught.
     """
     with ExitStack() as undo:
 
-        def make(*doors: str, cell: dict[str, Any] | None = None, **more: Any) -> Served:
+        def make(*interfaces: str, cell: dict[str, Any] | None = None, **more: Any) -> Served:
             if cell is not None:
                 cell = {"model": request.getfixturevalue("taught").result.model} | cell
-            return undo.enter_context(serving(*doors, cell=cell, **more))
+            return undo.enter_context(serving(*interfaces, cell=cell, **more))
 
         yield make
 

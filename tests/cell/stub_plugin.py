@@ -148,7 +148,7 @@ class StubPlugin:
             forgotten()
         return self._accept(("forget", last), Command.GRASP, CellState.EXECUTE, self._end)
 
-    def begin_forget_drift(self) -> Job:
+    def start_forget_drift(self) -> Job:
         return self._accept(("forget_drift", False), None, self._cell, (self._cell, False, None))
 
     def health(self) -> dict[str, Any]:
@@ -179,7 +179,9 @@ class StubPlugin:
         end = CellState.COMPLETE if keeps else CellState.IDLE
         return self._accept(goal, command, CellState.EXECUTE, (end, keeps, value))
 
-    def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job:
+    def start_command(
+        self, command: Command, *, reboot: bool = False, needless: bool = False
+    ) -> Job:
         state, holding = self._cell, self._status.holding
         needed: Command | None = self._needed(command)
         path = command_effect(state, needed).path or (state,)
@@ -246,7 +248,7 @@ class StubPlugin:
             self._jobs[job] = JobStatus(outcome=outcome, progress=progress, **end)
 
     def _show(self, state: CellState, *, holding: bool) -> None:
-        """Set the states in one assignment: doors read them in threads of their own."""
+        """Set the states in one assignment: interfaces read them in threads of their own."""
         self._cell = state
         live = LiveValues(
             force_n=GRIP_N if holding else 0.0,

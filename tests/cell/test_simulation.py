@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.errors import ConfigError, PositionerError
@@ -15,6 +16,7 @@ from cell.simulation import (
     simulator_settings,
 )
 from simulator.cell import SimulatedCell
+from simulator.servo.gearing import GEARINGS
 from simulator.servo.mechanics import RackLinkage
 from tests.cell.conftest import plain_grasp, small_config
 
@@ -43,6 +45,27 @@ def test_settings_follow_the_config() -> None:
     assert settings.layout.n_taxels == 156
     assert (settings.noise.kind, settings.noise.level, settings.seed) == ("uniform", 0.5, 5)
     assert set(settings.objects) == {"ball", "box"}
+
+
+def test_the_servos_differ_as_the_config_says() -> None:
+    keys = {"gearing": "mx64", "friction": [1.5, 1.0], "kt": [0.8, 1.1], "start_c": 15.0}
+    config = changed_config(
+        CellConfig(), {f"simulator.servos.{key}": value for key, value in keys.items()}
+    )
+    with SimulatedCell(simulator_settings(config)) as cell:
+        first, second = cell.devices.mechanics.motors
+    assert first.gearing is GEARINGS["mx64"]
+    assert (first.friction_factor, second.friction_factor) == (1.5, 1.0)
+    assert (first.kt_factor, second.kt_factor) == (0.8, 1.1)
+    assert first.temperature_c == second.temperature_c == 15.0
+    for name in GEARINGS:
+        changed_config(CellConfig(), {"simulator.servos.gearing": name})
+
+
+def test_the_servos_of_the_default_cell_are_neither_the_catalogues_nor_alike() -> None:
+    servos = simulator_settings(CellConfig()).servos
+    for factors in zip(*((one.friction_factor, one.kt_factor) for one in servos), strict=True):
+        assert len({1.0, *factors}) == 3
 
 
 def test_the_built_in_objects_are_those_of_the_paper() -> None:

@@ -246,12 +246,13 @@ class CellMachine(RuleBasedStateMachine):
 
 
 MACHINES: dict[str, type[CellMachine]] = {"": CellMachine} | {
-    door: type(f"{door}Machine", (CellMachine,), {"driver_type": driver_of(door)}) for door in WIRES
+    interface: type(f"{interface}Machine", (CellMachine,), {"driver_type": driver_of(interface)})
+    for interface in WIRES
 }
-"""The machine of a host program, and those of clients of each door."""
+"""The machine of a host program, and those of clients of each interface."""
 
 
-def run_machine(steps: int, number: int, *, door: str = "") -> int:
+def run_machine(steps: int, number: int, *, interface: str = "") -> int:
     """Run at least so many steps, from a seed, which an error names; return how many they were."""
     logging.disable(logging.CRITICAL)
     CellMachine.taken = part = 0
@@ -267,7 +268,7 @@ def run_machine(steps: int, number: int, *, door: str = "") -> int:
                 print_blob=False,
                 suppress_health_check=list(HealthCheck),
             )
-            seeded = seed(1000 * number + part)(MACHINES[door])
+            seeded = seed(1000 * number + part)(MACHINES[interface])
             run_state_machine_as_test(seeded, settings=chosen)
     except Exception as error:
         error.add_note(f"seed {number}")

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.interfaces.host_calls import Calls
-from cell.interfaces.modbus.registers import ModbusDoor
+from cell.interfaces.modbus.registers import ModbusInterface
 from cell.plugin.lease import Lease
 from cell.service.service import RELEASE_KEY, Service
 from gripper.dynamixel.control_table import REGISTERS
@@ -31,7 +31,7 @@ from tests.faults.wires import WIRES, driver_of
 from tests.fuzz.harness import seed_of_run
 
 WIRE_STEPS = 50
-"""Steps through each door."""
+"""Steps through each interface."""
 WALKS = [(1, STEPS), *((seed, 50) for seed in (2, 3, 4))]
 """Seed and steps of the walks of each change."""
 CAN_OFF = "can.off@contact+100ms"
@@ -45,9 +45,9 @@ def test_whatever_is_asked_and_whatever_fails_all_invariants_hold(seed: int, ste
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("door", WIRES)
-def test_through_each_door_all_invariants_hold_too(door: str) -> None:
-    assert run_machine(WIRE_STEPS, seed_of_run(1), door=door) >= WIRE_STEPS
+@pytest.mark.parametrize("interface", WIRES)
+def test_through_each_interface_all_invariants_hold_too(interface: str) -> None:
+    assert run_machine(WIRE_STEPS, seed_of_run(1), interface=interface) >= WIRE_STEPS
 
 
 @given(fault_texts())
@@ -201,12 +201,12 @@ def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.Monkey
     assert re.search(r"\n[ |]*after\n", shown)
 
 
-# The same of the doors.
+# The same of the interfaces.
 
 
-def drive_through(door: str) -> None:
+def drive_through(interface: str) -> None:
     """Keep a part, repeat and forget, lose the lease, fail, and go on."""
-    cell = driver_of(door)(self_test=False)
+    cell = driver_of(interface)(self_test=False)
     try:
         cell.identify(3.0, Keep.ALWAYS)
         cell.cancel()
@@ -226,9 +226,9 @@ def drive_through(door: str) -> None:
         cell.close()
 
 
-@pytest.mark.parametrize("door", WIRES)
-def test_nothing_is_broken_behind_a_door(door: str) -> None:
-    drive_through(door)
+@pytest.mark.parametrize("interface", WIRES)
+def test_nothing_is_broken_behind_a_interface(interface: str) -> None:
+    drive_through(interface)
 
 
 def any_key(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,24 +239,24 @@ def any_key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def done_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    begin, write = Service._begin, ModbusDoor.write
+    begin, write = Service._begin, ModbusInterface.write
 
     def forgetful(service: Service, *given: Any) -> int:
         *asked, _number, act = given
         return begin(service, *asked, 0, act)
 
-    def again(modbus: ModbusDoor, client: Any, address: int, values: Any) -> None:
+    def again(modbus: ModbusInterface, client: Any, address: int, values: Any) -> None:
         if len(values) > 1:
             modbus._seq = -1
         write(modbus, client, address, values)
 
     monkeypatch.setattr(Service, "_begin", forgetful)
-    monkeypatch.setattr(ModbusDoor, "write", again)
+    monkeypatch.setattr(ModbusInterface, "write", again)
 
 
 def no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Lease, "alive", lambda *_: None)
-    monkeypatch.setattr(ModbusDoor, "_command", lambda *_: None)
+    monkeypatch.setattr(ModbusInterface, "_command", lambda *_: None)
 
 
 def hold_waits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,26 +277,28 @@ DEFECTS = {
     hold_waits: "stopped, though nobody held it",
     holds_once: "grip: -505 while a button is pressed",
 }
-"""Defects behind a door, and how each is found."""
+"""Defects behind an interface, and how each is found."""
 
 
 @pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: defect.__name__)
-@pytest.mark.parametrize("door", WIRES)
-def test_a_defect_behind_a_door_is_found(
-    door: str, defect: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("interface", WIRES)
+def test_a_defect_behind_a_interface_is_found(
+    interface: str, defect: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     defect(monkeypatch)
     with pytest.raises(InvariantBroken, match=DEFECTS[defect]):
-        drive_through(door)
+        drive_through(interface)
 
 
-def test_a_door_that_shows_another_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_interface_that_shows_another_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Calls, "fault_number", lambda _calls: 500)
-    with pytest.raises(InvariantBroken, match=r"the door shows .*fault_number=500"):
+    with pytest.raises(InvariantBroken, match=r"the interface shows .*fault_number=500"):
         drive_through("xmlrpc")
 
 
-def test_a_command_without_an_end_behind_a_door_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_without_an_end_behind_a_interface_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def hang(controller: CellController) -> None:
         while True:
             controller._clock.sleep(0.1)

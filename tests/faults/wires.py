@@ -1,6 +1,6 @@
-"""The cell of the state machine behind a door: the same commands, sent through a wire.
+"""The cell of the state machine behind an interface: the same commands, sent through a wire.
 
-A wire is a client of one door, as others write them: pymodbus, `xmlrpc.client`, `http.client`.
+A wire is a client of one interface, as others write them: pymodbus, `xmlrpc.client`, `http.client`.
 `WireDriver` is the driver of `tests.faults.driver` with a service between it and the cell. Each
 answer is checked against the table of states, and each request is sent twice.
 """
@@ -30,7 +30,7 @@ from cell.interfaces.modbus.registers import (
     NEEDS_RESET,
     REBOOT,
 )
-from cell.interfaces.opening import open_doors
+from cell.interfaces.opening import open_interfaces
 from cell.service.opening import open_service
 from cell.service.service import RELEASE_KEY, JobView, Service
 from recognition.recognizers.early_classifiers import EarlyClassifiers
@@ -70,7 +70,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """What a door shows of the cell."""
+    """What an interface shows of the cell."""
 
     state_number: int
     needs_reset: bool
@@ -82,10 +82,10 @@ class Shown:
 
 
 class Wire(Protocol):
-    """A client of one door; all methods raise OSError where no answer comes."""
+    """A client of one interface; all methods raise OSError where no answer comes."""
 
     tasks: tuple[str, ...]
-    """Requests that the door knows."""
+    """Requests that the interface knows."""
 
     def adopt(self) -> None:
         """Take command."""
@@ -100,7 +100,7 @@ class Wire(Protocol):
         """Hold over a connection of its own that has no lease: once, or begin or end it."""
 
     def shown(self) -> Shown:
-        """Return what the door shows."""
+        """Return what the interface shows."""
 
     def close(self) -> None:
         """End the connections."""
@@ -118,8 +118,8 @@ class ModbusWire:
 
     tasks = _ALL
 
-    def __init__(self, doors: dict[str, Any]) -> None:
-        self._plc, self._panel = Plc(doors["modbus_port"]), Plc(doors["modbus_port"])
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        self._plc, self._panel = Plc(interfaces["modbus_port"]), Plc(interfaces["modbus_port"])
         self._block: list[int] = []
 
     def adopt(self) -> None:
@@ -164,8 +164,8 @@ class XmlRpcWire:
 
     tasks = _ALL[:-1]
 
-    def __init__(self, doors: dict[str, Any]) -> None:
-        address = f"http://127.0.0.1:{doors['xmlrpc_port']}/RPC2"
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        address = f"http://127.0.0.1:{interfaces['xmlrpc_port']}/RPC2"
         self._cell: Any = ServerProxy(address)
         self._other: Any = ServerProxy(address)
         self._lease = 0
@@ -214,8 +214,8 @@ class HttpWire:
 
     tasks = _ALL
 
-    def __init__(self, doors: dict[str, Any]) -> None:
-        self._host = Client(doors)
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        self._host = Client(interfaces)
         self._lease = 0
         self._last: tuple[str, dict[str, Any]] = ("", {})
 
@@ -265,7 +265,7 @@ WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {
     "xmlrpc": XmlRpcWire,
     "http": HttpWire,
 }
-"""Each door and its client."""
+"""Each interface and its client."""
 
 
 # -- the service -------------------------------------------------------------------------------
@@ -301,14 +301,14 @@ class WitnessModel:
 
 
 class WireDriver(Driver):
-    """The driver of a cell behind a door; see `tests.faults.driver`.
+    """The driver of a cell behind an interface; see `tests.faults.driver`.
 
     Beside the invariants of the cell each command is judged: whether it is refused, where the cell
-    is after it, and what the door shows, as the table of states and the fault catalogue have it. A
+    is after it, and what the interface shows, as the tables of states and faults have it. A
     request that is repeated, at once or later, does nothing more.
     """
 
-    door = ""
+    interface = ""
 
     def __init__(self, *, self_test: bool, fast: bool = False) -> None:
         self.clock = Clock()
@@ -391,7 +391,7 @@ class WireDriver(Driver):
             self._held = True
             if silent:
                 self.clock.now_s += LEASE_S + 1.0
-                self._service.lease.look()
+                self._service.lease.check_expiry()
             else:
                 self._wire.hold()
 
@@ -409,7 +409,7 @@ class WireDriver(Driver):
         The command is that of the table of states; None where the request has to be refused.
         """
         values = (f"{name}={value}" for name, value in asdict(request).items() if value)
-        self._begin(f"{self.door}: {' '.join(values)}")
+        self._begin(f"{self.interface}: {' '.join(values)}")
         if not self._service.lease.has(self._lease()):
             self._refuse_without_lease(request)
         before, self._held = self._seen(), False
@@ -420,7 +420,7 @@ class WireDriver(Driver):
                 done = self._sent(request, command, before)
         except (InvariantBroken, Overrun, OSError, TimeoutError, CellError) as error:
             self._expect(False, f"{type(error).__name__}: {error}")
-        self._look_at_door()
+        self._look_at_interface()
         self._end()
         return done
 
@@ -503,8 +503,8 @@ class WireDriver(Driver):
         now_s = self.simulated.clock.monotonic()
         return now_s, self._service.status(), self._service.job()
 
-    def _look_at_door(self) -> None:
-        """Judge that the door shows what is, and that state and fault number agree."""
+    def _look_at_interface(self) -> None:
+        """Judge that the interface shows what is, and that state and fault number agree."""
         status, job = self._service.status(), self._service.job()
         expected = Shown(
             state_number=status.state_number,
@@ -516,7 +516,7 @@ class WireDriver(Driver):
             outcome=job.outcome_number,
         )
         shown = self._wire.shown()
-        self._expect(shown == expected, f"the door shows {shown}, it is {expected}")
+        self._expect(shown == expected, f"the interface shows {shown}, it is {expected}")
         aborted = status.state == CellState.ABORTED
         self._expect(aborted == (status.fault_number != 0), f"state and fault disagree: {status}")
 
@@ -532,15 +532,18 @@ class WireDriver(Driver):
             self._service = self._new_service()
         plugin: Any = self._service._plugin
         plugin._model = plugin._file.model = WitnessModel(plugin._config, self.witness)
-        doors = open_doors(self._service)
-        self._wire = WIRES[self.door](doors.__enter__())
-        self._ending = [self._wire.close, lambda: doors.__exit__(None, None, None)]
+        interfaces = open_interfaces(self._service)
+        self._wire = WIRES[self.interface](interfaces.__enter__())
+        self._ending = [self._wire.close, lambda: interfaces.__exit__(None, None, None)]
         self._wire.adopt()
         return self._service._plugin._cell
 
     def _new_service(self) -> Service:
         """Start the service; one that a fault keeps from it is started again without faults."""
-        ports = {f"serve.{door}_port": 0 if door == self.door else None for door in WIRES}
+        ports = {
+            f"serve.{interface}_port": 0 if interface == self.interface else None
+            for interface in WIRES
+        }
         config = changed_config(self._config, ports | {"serve.lease_timeout_s": LEASE_S})
         error: Exception | None = None
         for _ in range(STARTS):
@@ -564,6 +567,6 @@ class WireDriver(Driver):
         self._service.close()
 
 
-def driver_of(door: str) -> type[WireDriver]:
-    """Return the driver of cells behind that door."""
-    return type(f"{door}Driver", (WireDriver,), {"door": door})
+def driver_of(interface: str) -> type[WireDriver]:
+    """Return the driver of cells behind that interface."""
+    return type(f"{interface}Driver", (WireDriver,), {"interface": interface})

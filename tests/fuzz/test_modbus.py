@@ -1,4 +1,4 @@
-"""Bad bytes at the Modbus door: every request gets one answer, and writes all or nothing."""
+"""Bad bytes at the Modbus interface: every request gets one answer, and writes all or nothing."""
 
 import socket
 import struct

@@ -5,7 +5,8 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cell.commissioning.engine import Dialog, Engine, Finding, Question, Step, Verdict, Write, leave
+from cell.checks.findings import Finding, ProposedChange, Verdict
+from cell.commissioning.engine import Dialog, Engine, Question, Step, leave
 from cell.interfaces.cli.terminal import ask, out, plain_text, print_line
 
 _LEAVE = "q"
@@ -43,7 +44,7 @@ class TerminalDialog(Dialog):
     def __init__(self) -> None:
         self._running = False
 
-    def begin(self, step: Step, number: int, count: int) -> None:
+    def start_step(self, step: Step, number: int, count: int) -> None:
         """Print which step begins."""
         self._end_line()
         out.print(f"\n[bold]{number}/{count} {plain_text(step.title)}[/]")
@@ -70,7 +71,7 @@ class TerminalDialog(Dialog):
             self._running = True
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
-        """Ask until the answer is one; raises `Left` at q and at the end of input."""
+        """Ask until the answer is one; raises `WizardAborted` at q and at the end of input."""
         self.say(question.text)
         for number, choice in enumerate(question.choices or (), start=1):
             mark = " (Enter)" if choice.key == question.default else ""
@@ -82,7 +83,7 @@ class TerminalDialog(Dialog):
             if answer is not None:
                 return answer
 
-    def approve(self, writes: Sequence[Write]) -> None:
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
         """Print the writes, and ask for each batch of them once."""
         self._end_line()
         for write in writes:

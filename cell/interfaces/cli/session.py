@@ -1,8 +1,9 @@
 """The cell of a command: which one it is, its start, and the grip that outlasts an early end."""
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,12 @@ from cell.build import Cell, build_cell
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
-from cell.control.journal import loop_line
 from cell.control.lifecycle import NO_GRIP
 from cell.control.records import pad_array
 from cell.errors import (
     CellError,
     CellStopped,
     ConfigError,
-    HandLost,
-    PartInGrip,
     PositionerFault,
     RecordingError,
 )
@@ -33,14 +31,14 @@ from cell.interfaces.cli.terminal import (
     write_json,
 )
 from cell.jobs.common import Progress, job_folder
+from cell.plugin.goals import Goal
+from cell.plugin.plugin import TactileCellPlugin
 from gripper.errors import (
     FeedbackImplausible,
     GripperError,
-    LinkTooSlow,
     ServoFault,
     ServoMissing,
     VerificationFailed,
-    fingers_left,
 )
 from recognition.grasp import PadArray
 from tactile.errors import TactileError
@@ -129,6 +127,33 @@ def cell_of_earlier_run(config: CellConfig) -> Iterator[Cell]:
         cell.close()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunningCell:
+    """The started cell of a command."""
+
+    plugin: TactileCellPlugin
+    folder: Path
+    """Folder of the command, for recording and reports."""
+    progress: Progress
+    """Draws a bar for each task."""
+
+    def run(
+        self, goal: Goal, on_progress: Callable[[dict[str, Any]], None] = lambda _progress: None
+    ) -> Any:
+        """Do a job with its bar and return its result. Raises as `TactileCellPlugin.run`."""
+
+        def shown(progress: dict[str, Any]) -> None:
+            on_progress(progress)
+            show_steps(self.progress, progress)
+
+        return self.plugin.run(goal, on_progress=shown)
+
+    @property
+    def made(self) -> dict[str, Any]:
+        """Recording and counters of the run, for ``--json``."""
+        return {"recording": self.plugin.recording_path, "health": self.plugin.counters()}
+
+
 @contextmanager
 def running_cell(
     config: CellConfig,
@@ -137,19 +162,20 @@ def running_cell(
     *,
     config_file: Path | None,
     json_file: Path | None,
-    capture: Path | None = None,
-) -> Iterator[tuple[Cell, Progress]]:
-    """Start a cell, stop it on signals, close it at the end; with bars for the job's progress.
+    **cell: Any,
+) -> Iterator[RunningCell]:
+    """Start a cell, stop it on signals, close it at the end.
 
     Prints how punctual the force loop was. A run that ends early raises CellError with what became
     of the grip, where the recording lies and, on real ports, the command that lets go; it writes
     the same, and the health of loop and links, to ``json_file``. A job that is done has an answer
-    although its recording failed: the caller shows it, then calls `Cell.check_recording`.
+    although its recording failed: the caller shows it, then calls
+    `TactileCellPlugin.check_recording`.
 
     Parameters
     ----------
-    config, capture
-        As `build_cell`.
+    config
+        The cell.
     job, out_folder
         Name of the job's new folder for recording and reports, and where that is made: None is
         the config's folder.
@@ -157,6 +183,8 @@ def running_cell(
         The file that ``config`` was read from.
     json_file
         Where the reason of an early end goes as JSON.
+    cell
+        Model and more, as `TactileCellPlugin` takes them.
 
     Raises
     ------
@@ -164,29 +192,30 @@ def running_cell(
         What ended the run early, or that the folder cannot be made.
     """
     folder = job_folder(out_folder or Path(config.recording.directory), job)
-    cell = build_cell(config, folder=folder, ask=ask, capture=capture, note=print_note)
-    for note in cell.notes:
-        print_note(note)
+    plugin = TactileCellPlugin(config, folder=folder, ask=ask, note=print_note, start=False, **cell)
     done = False
     try:
         with (
-            stopping(cell.controller.cancel, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
-            _closing(cell),
+            stopping(plugin.interrupt, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
+            _closing(plugin),
         ):
-            cell.controller.start()
-            if cell.controller.zero_note:
-                print_note(cell.controller.zero_note)
+            for note in (before := plugin.notes):
+                print_note(note)
+            plugin.reset(timeout_s=None)
+            for note in plugin.notes:
+                if note not in before:
+                    print_note(note)
             with progress_bar() as progress:
-                yield cell, progress
+                yield RunningCell(plugin=plugin, folder=folder, progress=progress)
             done = True
     except (CellError, GripperError, TactileError, OSError) as error:
         if done and isinstance(error, RecordingError) and error.__context__ is None:
             return
+        recording = plugin.recording_path
         if isinstance(error, CellStopped):
-            text = f"{error}. Recording so far: {cell.recording_path}"
+            text = f"{error}. Recording so far: {recording}"
         else:
-            grip = _grip_left(error, cell)
-            text = f"{error}\n{grip}; recording so far: {cell.recording_path}"
+            text = f"{error}\n{plugin.grip_left(error)}; recording so far: {recording}"
         if config_file is not None and not config.simulated:
             limp = isinstance(error, FeedbackImplausible | VerificationFailed) and not isinstance(
                 error, ServoMissing
@@ -202,34 +231,28 @@ def running_cell(
             {
                 "ended_early": text,
                 "fault_number": fault_number(error),
-                "recording": cell.recording_path,
-                "health": cell.health(),
+                "recording": recording,
+                "health": plugin.counters(),
             },
         )
         raise CellError(text) from error
 
 
-def _grip_left(error: BaseException, cell: Cell) -> str:
-    """Return what an early end has left in the grip, as far as it is known."""
-    left = fingers_left(error)
-    if left:
-        return left
-    if isinstance(error, HandLost):
-        return "a part may still be gripped" if cell.controller.holding else NO_GRIP[False]
-    if isinstance(error, PartInGrip | VerificationFailed | LinkTooSlow):
-        return "nothing was moved"
-    return "the grip is kept" if cell.controller.holding else NO_GRIP[cell.controller.shows_nothing]
+def show_steps(show: Progress, progress: Mapping[str, Any]) -> None:
+    """Show the bar of a job by its progress: grasps or parts that are over, of how many."""
+    if done := progress.get("parts", progress.get("grasps", 0) + progress.get("missed", 0)):
+        task = " ".join(filter(None, (progress["task"], progress.get("label") or "")))
+        show(progress["task"] if progress["task"] == "sort" else task, done, progress["of"])
 
 
 @contextmanager
-def _closing(cell: Cell) -> Iterator[None]:
+def _closing(plugin: TactileCellPlugin) -> Iterator[None]:
     """Close the cell at the end, after Ctrl-C too; print how punctual its loop was."""
     try:
         yield
     finally:
         try:
-            cell.close()
+            plugin.close()
         finally:
-            if cell.realtime:
-                hand = cell.controller.hand
-                print_line(loop_line(hand.statistics.loop, hand.period_s))
+            if text := plugin.loop_text:
+                print_line(text)

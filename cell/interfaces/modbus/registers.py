@@ -138,7 +138,7 @@ def input_registers(
     return words
 
 
-class ModbusDoor:
+class ModbusInterface:
     """The cell behind Modbus TCP; one connection at a time writes.
 
     Raises OSError if it cannot listen at the configured address and port, or the file of the secret
@@ -300,16 +300,16 @@ class ModbusDoor:
 class _Client:
     """One connection; implements `cell.interfaces.modbus.protocol.Registers`."""
 
-    def __init__(self, door: ModbusDoor, host: str) -> None:
+    def __init__(self, interface: ModbusInterface, host: str) -> None:
         self.host = host
         self.name = f"Modbus {host}"
         self.hold = 0
         self.secret = [0] * N_SECRET
         self.refusal = Refusal()
-        self.identification = door.identification
-        self.read = partial(door.read, self)
-        self.write = partial(door.write, self)
-        self.disconnected = partial(door.disconnected, self)
+        self.identification = interface.identification
+        self.read = partial(interface.read, self)
+        self.write = partial(interface.write, self)
+        self.disconnected = partial(interface.disconnected, self)
 
     def refuse(self, error: CellError) -> None:
         """Take note why an exception answers a request of this client."""

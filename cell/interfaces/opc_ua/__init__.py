@@ -1,1 +1,1 @@
-"""OPC UA, extra ``opcua``: for `serving`, `door.OpcUaDoor`; inside, `server`: who may do what."""
+"""OPC UA, extra ``opcua``: `interface` is the interface, `server` checks the rights of clients."""

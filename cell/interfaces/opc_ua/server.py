@@ -4,7 +4,7 @@ Whoever may connect reads, without certificate. Methods are for sessions on an e
 (SignAndEncrypt) whose client certificate is in the trust list; no variable can be written. By
 itself asyncua lets anyone call methods, has an administrator without password, takes a certificate
 that a plain channel names for proven, and gives sessions numbers that can be guessed: `Clients`,
-`Session`, `Sessions` and `Plain` close that.
+`Session`, `Sessions` and `UnencryptedPolicy` close that.
 """
 
 import logging
@@ -123,7 +123,7 @@ class Sessions(InternalServer):
         raise ServiceError(StatusCodes.BadServiceUnsupported)
 
 
-class Plain(SecurityPolicyFactory):
+class UnencryptedPolicy(SecurityPolicyFactory):
     """Channels without security: a certificate that they name proves nothing."""
 
     def create(self, peer_certificate: bytes | None) -> Any:
@@ -181,7 +181,7 @@ class CellServer(Server):
         await self._setup_server_nodes()
         plain, *encrypted = self._policies
         self.bserver = Listener(self.iserver, config.listen, config.opcua_port or 0, limits)
-        self.bserver.set_policies([Plain(plain.cls, plain.mode), *encrypted])
+        self.bserver.set_policies([UnencryptedPolicy(plain.cls, plain.mode), *encrypted])
         await self.bserver.start()
         await self.iserver.start()
 

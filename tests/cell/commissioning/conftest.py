@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from cell.checks.findings import Finding, Verdict
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Step, Verdict, carry_out
+from cell.commissioning.engine import Step, carry_out
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings

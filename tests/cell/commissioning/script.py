@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import LineOpener
-from cell.commissioning.engine import Dialog, Finding, Left, Question, Step, Write
+from cell.commissioning.engine import Dialog, Question, Step, WizardAborted
 from cell.simulation import open_can_bus, open_servo_port
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
@@ -29,7 +30,7 @@ class Script(Dialog):
     asked: list[str] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
-    writes: list[Write] = field(default_factory=list)
+    writes: list[ProposedChange] = field(default_factory=list)
     findings: dict[str, Finding] = field(default_factory=dict)
     watched: list[str] = field(default_factory=list)
     began: list[str] = field(default_factory=list)
@@ -39,7 +40,7 @@ class Script(Dialog):
     moment: Callable[[], None] = lambda: None
     """Called at each `live`: time that passes, hands that move."""
 
-    def begin(self, step: Step, number: int, count: int) -> None:
+    def start_step(self, step: Step, number: int, count: int) -> None:
         assert 1 <= number <= count
         self.began.append(step.key)
 
@@ -60,7 +61,7 @@ class Script(Dialog):
         self.said.append(question.text)
         if question.key in self.leave_at:
             self.leave_at.remove(question.key)
-            raise Left("left")
+            raise WizardAborted("left")
         if watch is not None:
             self.watched.append(watch())
         reply = self.replies.get(question.key)
@@ -80,11 +81,11 @@ class Script(Dialog):
             assert question.number.lowest <= float(answer) <= question.number.highest, question
         return answer
 
-    def approve(self, writes: Sequence[Write]) -> None:
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
         for name in ("approve", f"approve.{self.began[-1]}" if self.began else ""):
             if name in self.leave_at:
                 self.leave_at.remove(name)
-                raise Left("refused")
+                raise WizardAborted("refused")
         self.writes += writes
 
     @property

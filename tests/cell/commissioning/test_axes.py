@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from cell.checks.findings import Finding, Verdict
 from cell.commissioning import axes
 from cell.commissioning.axes import AxesStep
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Verdict, carry_out
+from cell.commissioning.engine import carry_out
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.simulation import simulation_of

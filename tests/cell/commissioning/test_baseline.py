@@ -8,19 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.commissioning.baseline import (
-    BaselineStep,
+from cell.checks.changes import (
     Gauge,
     changed_gauge,
-    changed_hardware,
     changed_pads,
     changed_servos,
     changed_unit,
     gauge_of,
 )
-from cell.commissioning.engine import STORE_NAME, Verdict
+from cell.checks.findings import STORE_NAME, Verdict
+from cell.commissioning.baseline import BaselineStep, changed_hardware, gauge_again
 from cell.errors import CellError
-from cell.jobs.doctor import gauge_again
 from simulator.world.taxels import NoiseModel
 from tactile.layout import PadMount, pinch_layout
 from tests.cell.commissioning.conftest import MakeStand

@@ -7,18 +7,9 @@ from typing import Any
 
 import pytest
 
+from cell.checks.findings import STORE_NAME, Finding, Verdict
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    CONFIG_NAME,
-    STORE_NAME,
-    Dialog,
-    Engine,
-    Finding,
-    Left,
-    Question,
-    Step,
-    Verdict,
-)
+from cell.commissioning.engine import CONFIG_NAME, Dialog, Engine, Question, Step, WizardAborted
 from cell.config.file import changed_config, config_text, load_config
 from cell.errors import CellError, ConfigError
 from gripper.errors import PortLost
@@ -68,7 +59,7 @@ def steps() -> list[Asking]:
 
 def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: Path) -> None:
     first = Script(leave_at=["unit.q"])
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         Engine(steps(), Bench(tmp_path)).run(first)
     assert first.asked == ["ports.q", "servos.q", "unit.q"]
     assert not (tmp_path / CONFIG_NAME).exists()
@@ -95,7 +86,7 @@ def test_a_step_that_is_left_keeps_the_values_that_it_has_found(tmp_path: Path) 
                 notes.values["typed"] = typed
 
     first = Script(leave_at=["load2"])
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         Engine([Typing("law")], Bench(tmp_path)).run(first)
     engine = Engine([Typing("law")], bench := Bench(tmp_path))
     assert not engine.done(engine.steps[0])
@@ -105,7 +96,7 @@ def test_a_step_that_is_left_keeps_the_values_that_it_has_found(tmp_path: Path) 
 
 
 def test_what_was_wrong_is_one_list_of_all_steps(tmp_path: Path) -> None:
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         Engine(steps(), Bench(tmp_path)).run(Script(leave_at=["unit.q"]))
     engine = Engine(steps(), Bench(tmp_path))
     engine.run(Script())
@@ -127,7 +118,7 @@ def test_redo_forgets_a_step_and_all_that_need_it(tmp_path: Path) -> None:
 
 def test_a_failed_step_runs_again_or_is_left(tmp_path: Path) -> None:
     step = Asking("ports", settings=REAL, verdicts=[Verdict.FAIL, Verdict.FAIL, Verdict.WARN])
-    with pytest.raises(Left, match="tactile-cell commission"):
+    with pytest.raises(WizardAborted, match="tactile-cell commission"):
         Engine([step], Bench(tmp_path)).run(Script({"ports.again": ["again", "leave"]}))
     engine = Engine([step], Bench(tmp_path))
     assert engine.findings["ports"].status is Verdict.FAIL
@@ -144,7 +135,7 @@ def test_a_line_that_is_lost_fails_the_step_which_keeps_what_it_has_found(tmp_pa
             notes.settings |= REAL
             raise PortLost("the cable is out")
 
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         Engine([Lost("ports")], Bench(tmp_path)).run(script := Script({"ports.again": "leave"}))
     finding = script.findings["ports"]
     assert finding.lines == ["the port opens", "the cable is out"]
@@ -173,7 +164,7 @@ def test_steps_stand_behind_those_they_need(tmp_path: Path) -> None:
 
 
 def test_the_store_is_written_after_each_step(tmp_path: Path) -> None:
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         Engine(steps(), Bench(tmp_path)).run(Script(leave_at=["servos.q"]))
     assert list(json.loads((tmp_path / STORE_NAME).read_text())["steps"]) == ["ports"]
 

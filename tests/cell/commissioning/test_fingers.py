@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from cell.commissioning.engine import Left, Verdict
+from cell.checks.findings import Verdict
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.fingers import (
     KINDS,
     BlockMeasurement,
@@ -169,9 +170,9 @@ def test_a_person_stops_the_first_motion_while_it_runs(limp: MakeStand) -> None:
 
     def stop() -> None:
         if one.torques == [1, 1]:
-            raise Left("stopped at the page")
+            raise WizardAborted("stopped at the page")
 
-    with pytest.raises(Left, match="at the page"):
+    with pytest.raises(WizardAborted, match="at the page"):
         one.run(STEP, moment=stop)
     assert one.torques == [0, 0]
 
@@ -318,7 +319,7 @@ def test_leaving_at_each_question_leaves_no_torque(limp: MakeStand) -> None:
     one = limp()
     one.run(STEP)
     for place in [*one.person.script.asked, "approve"]:
-        with pytest.raises(Left):
+        with pytest.raises(WizardAborted):
             one.run(STEP, leave_at=[place])
         assert one.torques == [0, 0], place
 

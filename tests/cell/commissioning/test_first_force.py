@@ -4,7 +4,8 @@ import re
 
 import pytest
 
-from cell.commissioning.engine import Left, Verdict
+from cell.checks.findings import Verdict
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FirstForceStep
 from simulator.world.taxels import NoiseModel
 from tests.cell.commissioning.conftest import MakeStand, Stand
@@ -39,7 +40,7 @@ def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(
     one.cell.clock.on_advance.append(
         lambda _: opened_m.append(one.cell.devices.mechanics.aperture_m)
     )
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         one.run(STEP, leave_at=["first_force.part"])
     shown = re.fullmatch(r"at most (\S+) mm less.*", one.person.script.writes[1].after)
     assert shown is not None
@@ -48,7 +49,7 @@ def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(
 
 def test_nothing_moves_that_was_not_shown(one: Stand) -> None:
     before = one.cell.devices.mechanics.aperture_m
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         one.run(STEP, leave_at=["approve"])
     assert one.cell.devices.mechanics.aperture_m == before
 
@@ -57,7 +58,7 @@ def test_nothing_moves_that_was_not_shown(one: Stand) -> None:
 def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_time(
     one: Stand,
 ) -> None:
-    with pytest.raises(Left, match="keep their grip: take hold of the part"):
+    with pytest.raises(WizardAborted, match="keep their grip: take hold of the part"):
         one.run(STEP, leave_at=["first_force.release"])
     assert one.torques == [1, 1]
     assert min(one.cell.world.contact_force_n()) > 0.5
@@ -75,9 +76,9 @@ def test_a_person_stops_a_motion_while_it_runs(one: Stand, moment: str) -> None:
         grasping = "first_force.part" in one.person.script.asked
         looks += grasping or moment == "while they open"
         if looks == 3:
-            raise Left("stopped at the page")
+            raise WizardAborted("stopped at the page")
 
-    with pytest.raises(Left, match="at the page"):
+    with pytest.raises(WizardAborted, match="at the page"):
         one.run(STEP, moment=stop)
     stood_m = one.cell.devices.mechanics.aperture_m
     one.cell.clock.sleep(1.0)

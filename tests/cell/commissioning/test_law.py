@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from cell.commissioning.engine import Finding, StepFailed, Verdict
+from cell.checks.findings import Finding, Verdict
+from cell.commissioning.engine import StepFailed
 from cell.commissioning.law import LawStep, fit_factor, judge_law
 from cell.config.tactile import TactileConfig
 from simulator.world.taxels import SensorLaw

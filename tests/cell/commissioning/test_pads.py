@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.commissioning.engine import Finding, Left, Verdict
+from cell.checks.findings import Finding, Verdict
+from cell.commissioning.engine import WizardAborted
 from cell.commissioning.pads import (
     PadsAtRestStep,
     PadsPressedStep,
@@ -119,9 +120,9 @@ def test_each_pad_is_found_by_who_follows_the_words(stand: MakeStand, layout: An
 
 def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: MakeStand) -> None:
     def leave() -> None:
-        raise Left("left")
+        raise WizardAborted("left")
 
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         stand().run(PRESSED, moment=leave)
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from cell.checks.findings import Verdict
 from cell.commissioning import ports
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Verdict, carry_out
+from cell.commissioning.engine import carry_out
 from cell.commissioning.ports import PortsStep, by_id, users_of
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell

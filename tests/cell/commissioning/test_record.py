@@ -6,15 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Engine, Finding, Left, Write
+from cell.commissioning.engine import Dialog, Engine, WizardAborted
 from cell.commissioning.figures import curves, pads, svg
 from cell.commissioning.record import RECORD_NAME, write_record
 from tactile.layout import pinch_layout
 from tests.cell.commissioning.script import Script
 from tests.cell.commissioning.test_engine import REAL, Asking
 
-WRITE = Write(
+WRITE = ProposedChange(
     where="servo 1", what="ID (7)", before="1", after="2 <b>", undo="write the old one back"
 )
 RAMP = curves(
@@ -41,7 +42,7 @@ def test_the_record_has_steps_writes_pictures_and_a_place_to_sign(tmp_path: Path
     pads_step = Asking("pads", figures={"ramp": RAMP, "noise": NOISE})
     walk = [Writing("servos", settings=REAL), pads_step]
     engine = Engine(walk, Bench(tmp_path), finish=write_record)
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         engine.run(Script(leave_at=["servos.q"]))
     files = Engine(walk, Bench(tmp_path), finish=write_record).run(Script())
     assert files[-1] == tmp_path / RECORD_NAME
@@ -59,7 +60,7 @@ def test_the_record_has_steps_writes_pictures_and_a_place_to_sign(tmp_path: Path
 
 def test_the_record_of_a_commissioning_that_is_not_done_says_so(tmp_path: Path) -> None:
     engine = Engine([Asking("ports", settings=REAL), Asking("unit")], Bench(tmp_path))
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         engine.run(Script(leave_at=["unit.q"]))
     (path,) = write_record(engine)
     assert "not done" in path.read_text("utf-8")

@@ -10,7 +10,7 @@ import pytest
 
 from cell.commissioning.backup import restore
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Engine, Left
+from cell.commissioning.engine import Engine, WizardAborted
 from cell.commissioning.ports import PortsStep
 from cell.commissioning.servos import ServosStep
 from cell.errors import CellError, ConfigError
@@ -67,7 +67,7 @@ def test_a_step_that_goes_on_knows_that_two_servos_answered(new: Stand) -> None:
         person = Person(new.cell)
         person.script.leave_at = leave_at
         # Without a control unit there is no whole config yet.
-        with suppress(Left, ConfigError):
+        with suppress(WizardAborted, ConfigError):
             engine.run(person.script)
     assert person.script.asked == ["servos.connect_next"]
     assert [one["id"] for one in engine.findings["servos"].values["servos"]] == [1, 2]
@@ -190,7 +190,7 @@ def test_nothing_is_written_of_a_backup_that_is_damaged(
 
 def test_nothing_is_written_that_was_refused(new: Stand, tmp_path: Path) -> None:
     before = eeproms(new)
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         new.run(STEP, leave_at=["approve"])
     assert eeproms(new) == before
     assert not list(tmp_path.glob("backup*"))
@@ -209,7 +209,7 @@ def test_torque_that_holds_a_part_is_not_switched_off_unasked(stand: MakeStand) 
     one = stand("servo1.wrong=homing_offset:100")
     for servo in one.cell.devices.servo_bus.servos:
         servo.core.set_torque(on=True)
-    with pytest.raises(Left, match="torque"):
+    with pytest.raises(WizardAborted, match="torque"):
         one.run(STEP)
     assert one.torques == [1, 1]
     one.run(STEP, servos__torque="off")

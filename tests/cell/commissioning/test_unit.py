@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from cell.checks.findings import Verdict
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Left, Verdict, carry_out
+from cell.commissioning.engine import WizardAborted, carry_out
 from cell.commissioning.pads import PadsAtRestStep
 from cell.commissioning.unit import UnitStep
 from cell.config.file import changed_config
@@ -50,7 +51,7 @@ def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(stand: MakeStan
 
 def test_nothing_is_written_that_is_refused(stand: MakeStand) -> None:
     one = stand()
-    with pytest.raises(Left):
+    with pytest.raises(WizardAborted):
         one.run(STEP, leave_at=["approve"])
     assert one.cell.unit.dictionary.number(0x1017) == 0
 

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from cell.checks.findings import Verdict
 from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import CONFIG_NAME, Engine, Left, Step, Verdict
+from cell.commissioning.engine import CONFIG_NAME, Engine, Step, WizardAborted
 from cell.commissioning.link_quality import LinkQualityStep
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
@@ -57,7 +58,7 @@ def brought_up(
             engine = Engine(brisk_steps(), bench)
             for change in changed_hardware(bench):
                 engine.redo(change.step)
-            with suppress(Left):
+            with suppress(WizardAborted):
                 engine.run(person.script)
         torque = [s.core.registers.get("torque_enable") for s in cell.devices.servo_bus.servos]
         assert torque == [0, 0]

@@ -2,7 +2,8 @@
 
 import pytest
 
-from cell.commissioning.engine import Step, Verdict
+from cell.checks.findings import Verdict
+from cell.commissioning.engine import Step
 from cell.commissioning.first_force import FirstForceStep
 from cell.commissioning.link_quality import LinkQualityStep
 from cell.commissioning.pads import PadsAtRestStep, PadsPressedStep

@@ -250,16 +250,16 @@ def test_a_number_of_thousands_of_digits_is_named_by_its_place(digits: str) -> N
     )
 
 
-GONE = {"serve.door": None, "sequence.kind": {"old": "grid"}, "sequence.extra": None}
+GONE = {"serve.interface": None, "sequence.kind": {"old": "grid"}, "sequence.extra": None}
 
 
 @pytest.mark.parametrize(
     ("before", "after"),
     [
-        ("name: a\nserve:\n  door: 8  # mine\nseed: 3\n", "name: a\n  # mine\nseed: 3\n"),
+        ("name: a\nserve:\n  interface: 8  # mine\nseed: 3\n", "name: a\n  # mine\nseed: 3\n"),
         (
-            "serve:\n  # the door\n  door: 8\n  # the port\n  http_port: 1\n",
-            "serve:\n  # the door\n  # the port\n  http_port: 1\n",
+            "serve:\n  # the interface\n  interface: 8\n  # the port\n  http_port: 1\n",
+            "serve:\n  # the interface\n  # the port\n  http_port: 1\n",
         ),
         (
             "sequence: {kind: old, extra: [1, 2], max_grasps: 2} # one\n",
@@ -268,7 +268,7 @@ GONE = {"serve.door": None, "sequence.kind": {"old": "grid"}, "sequence.extra": 
         ("sequence: {kind: 'old', extra: {a: 1}}\r\n", "sequence: {kind: grid}\r\n"),
         ("{sequence: {extra: 1}, seed: 3}\n", "{seed: 3}\n"),
         ("sequence:\n  extra:\n    a:\n      - 1\n\n# s\nseed: 3\n", "\n# s\nseed: 3\n"),
-        ("serve: {door: 1}\nsequence:\n  extra: 1\n", ""),
+        ("serve: {interface: 1}\nsequence:\n  extra: 1\n", ""),
     ],
 )
 def test_what_is_gone_is_named_and_converted(
@@ -283,7 +283,7 @@ def test_what_is_gone_is_named_and_converted(
         load_config(path)
     text, changes = converted_text(before, source="x")
     assert text == after
-    assert len(changes) == sum(name in before for name in ("door: ", "old", "extra"))
+    assert len(changes) == sum(name in before for name in ("interface: ", "old", "extra"))
     values = YAML(typ="safe", pure=True).load(before)
     assert recorded_config(json.dumps(values)) == parse_config(after, source="x")
 

@@ -34,7 +34,7 @@ def identified(
     """Identify with a hand whose grasps are all the same; sure at the second one by default."""
 
     def grasp(_step: object, _looks: object, judge: Judge) -> tuple[GraspRecord, bool]:
-        judge.begin(record)
+        judge.start_answer(record)
         return record, False
 
     recognizer = Scripted(*(answers or (UNSURE, SURE)), drawn_m=drawn_m)

@@ -17,8 +17,8 @@ from cell.config.model import CellConfig
 from cell.errors import HandLost
 from cell.hand import client
 from cell.hand.client import HandProcess, LoopProcess
-from cell.hand.interface import HandStatistics, Measured
-from cell.hand.messages import Alive, EndRamp, HandFault, HandPeriod, HandReply, Ready
+from cell.hand.interface import HandStatistics, LatestValues
+from cell.hand.messages import EndRamp, HandFault, HandPeriod, HandReply, LiveUpdate, Ready
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.force.ramp import ForceRamp
@@ -131,23 +131,23 @@ def test_periods_reach_the_watch_and_the_answer_is_returned(hand: HandProcess) -
 
 def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(hand: HandProcess) -> None:
     loop = loop_of(hand)
-    assert hand.measured == Measured()
+    assert hand.latest == LatestValues()
     moved = period()
     loop.script.append([moved, None])
     hand.open(nothing)
-    assert hand.measured.cycle == moved.cycle
+    assert hand.latest.cycle == moved.cycle
     frame = TactileFrame(counter=1, status=0, t_s=2.0, counts=np.zeros(4, dtype=np.uint16))
     force = ForceSample(t_s=2.0, force_n=(3.0, 3.1))
-    shown = Measured(cycle=moved.cycle, force=force, frame=frame)
-    loop.coming.append(Alive(measured=shown))
+    shown = LatestValues(cycle=moved.cycle, force=force, frame=frame)
+    loop.coming.append(LiveUpdate(latest=shown))
     hand.tick()
-    assert hand.measured == shown
-    assert not hand.measured.frame.counts.flags.writeable
+    assert hand.latest == shown
+    assert not hand.latest.frame.counts.flags.writeable
     # A sample that must not be used does not take the place of the last good one.
     spoilt = replace(moved.cycle, force=replace(force, t_s=3.0, valid=False))
     loop.script.append([HandPeriod(cycle=spoilt, frames=()), None])
     hand.open(nothing)
-    assert hand.measured == Measured(cycle=spoilt, force=force, frame=frame)
+    assert hand.latest == LatestValues(cycle=spoilt, force=force, frame=frame)
 
 
 def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand: HandProcess) -> None:
@@ -256,7 +256,7 @@ def test_a_process_that_says_nothing_between_commands_is_lost(
     loop = FakeLoop.made[0]
     # The program was busy for long: what came meanwhile shows that somebody was there.
     now_s += 60.0
-    loop.coming.append(Alive(measured=Measured()))
+    loop.coming.append(LiveUpdate(latest=LatestValues()))
     hand.tick()
     now_s += 4.0
     hand.tick()

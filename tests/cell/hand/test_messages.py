@@ -15,15 +15,15 @@ import pytest
 
 from cell.errors import CellStopped, HostSilent
 from cell.hand import server
-from cell.hand.interface import HandStatistics, Measured
+from cell.hand.interface import HandStatistics, LatestValues
 from cell.hand.messages import (
     HAND_COMMANDS,
-    Alive,
     EndRamp,
     HandFault,
     HandPeriod,
     HandReply,
     HandRequest,
+    LiveUpdate,
     packed,
 )
 from cell.hand.server import HandServer, Outbox
@@ -124,7 +124,7 @@ class FakeHand:
     period_s = 0.001
     phase = GripperPhase.HOLDING
     statistics = statistics()
-    measured = Measured()
+    measured = LatestValues()
 
     def __init__(self) -> None:
         self.calls: list[str] = []
@@ -160,7 +160,7 @@ class FakeHand:
 
     def tick(self) -> None:
         self.calls.append("tick")
-        self.measured = Measured(cycle=make_cycle(float(len(self.calls))), frame=frame())
+        self.latest = LatestValues(cycle=make_cycle(float(len(self.calls))), frame=frame())
         if self.tick_error is not None:
             raise self.tick_error
 
@@ -201,8 +201,8 @@ class Line:
             except EOFError:
                 break
             self.outbox.flush()
-        self.alive = sum(isinstance(event, Alive) for event in found)
-        return [event for event in found if not isinstance(event, Alive)]
+        self.alive = sum(isinstance(event, LiveUpdate) for event in found)
+        return [event for event in found if not isinstance(event, LiveUpdate)]
 
     def close(self) -> None:
         self.near.close()
@@ -324,7 +324,7 @@ def test_between_commands_the_process_sends_what_the_supervision_measures(
         while line.near.poll(0.0):
             sent.append(line.near.recv_bytes())
     assert 40 <= len(sent) <= 51
-    assert len({pickle.loads(data).measured.cycle.t_s for data in sent}) == len(sent)
+    assert len({pickle.loads(data).latest.cycle.t_s for data in sent}) == len(sent)
     assert max(map(len, sent)) < 4000
 
 

@@ -1,4 +1,4 @@
-"""Hosts of the doors as others write them: a PLC with pymodbus, a program with http.client."""
+"""Hosts of the interfaces as others write them: a PLC with pymodbus, a program with http.client."""
 
 import json
 import struct
@@ -118,11 +118,11 @@ class BlockPlc:
 
 
 class Client:
-    """A host with the token; each request has a connection of its own, the door ends idle ones."""
+    """A host with the token; each request has its own connection; the interface ends idle ones."""
 
-    def __init__(self, doors: dict[str, Any]) -> None:
-        self.port = doors["http_port"]
-        self.token = doors["token"]
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        self.port = interfaces["http_port"]
+        self.token = interfaces["token"]
 
     def send(
         self, method: str, path: str, data: Any = None, *, token: str | None = "", **headers: str

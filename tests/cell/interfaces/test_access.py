@@ -1,4 +1,4 @@
-"""Connections of all doors: no address keeps another one out, and dead peers leave."""
+"""Connections of all interfaces: no address keeps another one out, and dead peers leave."""
 
 import socket
 import struct
@@ -21,18 +21,18 @@ CALL = b"<methodCall><methodName>hold</methodName></methodCall>"
 HEAD = b"POST /RPC2 HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/xml\r\n"
 HEAD += b"Content-Length: %d\r\n\r\n" % len(CALL)
 HELLO = b"HELF" + struct.pack("<6I", 57, 0, 65535, 65535, 0, 0) + struct.pack("<I", 25)
-DOORS = {
+INTERFACES = {
     "modbus": (HOLD, HOLD[:5]),
     "xmlrpc": (HEAD + CALL, HEAD[:40]),
     "opcua": (HELLO + b"opc.tcp://127.0.0.1:4840/", HELLO[:10]),
 }
-"""A whole request of each door, and one that never ends."""
+"""A whole request of each interface, and one that never ends."""
 EVERY = ["modbus", "xmlrpc", pytest.param("opcua", marks=pytest.mark.long)]
 
 
 @pytest.fixture
 def link(serve: Any) -> Iterator[Callable[..., socket.socket]]:
-    """Return what connects to a door from an address of this machine."""
+    """Return what connects to an interface from an address of this machine."""
     with ExitStack() as undo:
 
         def connect(port: int, host: str) -> socket.socket:
@@ -51,23 +51,25 @@ def answered(link: socket.socket, request: bytes) -> bytes:
 
 
 LETS_IN = {"modbus": "modbus.registers", "xmlrpc": "http_server", "opcua": "opc_ua.server"}
-"""Module of each door that asks who may connect."""
+"""Module of each interface that asks who may connect."""
 
 
-@pytest.mark.parametrize("door", EVERY)
+@pytest.mark.parametrize("interface", EVERY)
 def test_other_hosts_are_refused(
-    serve: Any, link: Any, monkeypatch: pytest.MonkeyPatch, door: str
+    serve: Any, link: Any, monkeypatch: pytest.MonkeyPatch, interface: str
 ) -> None:
-    port = serve(door).doors[f"{door}_port"]
-    monkeypatch.setattr(f"cell.interfaces.{LETS_IN[door]}.may_connect", lambda *_: False)
-    found = answered(link(port, "127.0.0.1"), DOORS[door][0])
-    assert found.startswith(b"HTTP/1.1 403 ") if door == "xmlrpc" else not found
+    port = serve(interface).interfaces[f"{interface}_port"]
+    monkeypatch.setattr(f"cell.interfaces.{LETS_IN[interface]}.may_connect", lambda *_: False)
+    found = answered(link(port, "127.0.0.1"), INTERFACES[interface][0])
+    assert found.startswith(b"HTTP/1.1 403 ") if interface == "xmlrpc" else not found
 
 
-@pytest.mark.parametrize("door", EVERY)
-def test_one_address_with_all_places_keeps_no_other_out(serve: Any, link: Any, door: str) -> None:
-    request, half = DOORS[door]
-    port = serve(door, serve__request_timeout_s=60.0).doors[f"{door}_port"]
+@pytest.mark.parametrize("interface", EVERY)
+def test_one_address_with_all_places_keeps_no_other_out(
+    serve: Any, link: Any, interface: str
+) -> None:
+    request, half = INTERFACES[interface]
+    port = serve(interface, serve__request_timeout_s=60.0).interfaces[f"{interface}_port"]
     quiet, heard = link(port, "127.0.0.2"), link(port, "127.0.0.1")
     assert answered(heard, request)
     for _ in range(BUSY_MAX + 10):
@@ -79,13 +81,13 @@ def test_one_address_with_all_places_keeps_no_other_out(serve: Any, link: Any, d
     assert answered(quiet, request)  # has kept its place, though it never said a word
     assert answered(link(port, "127.0.0.1"), request)
     # Of a crowd those that were heard stay. OPC UA takes one hello alone.
-    assert door == "opcua" or answered(heard, request)
+    assert interface == "opcua" or answered(heard, request)
 
 
-@pytest.mark.parametrize("door", EVERY)
-def test_half_sent_requests_leave_within_their_time(serve: Any, link: Any, door: str) -> None:
-    _, half = DOORS[door]
-    port = serve(door, serve__request_timeout_s=0.2).doors[f"{door}_port"]
+@pytest.mark.parametrize("interface", EVERY)
+def test_half_sent_requests_leave_within_their_time(serve: Any, link: Any, interface: str) -> None:
+    _, half = INTERFACES[interface]
+    port = serve(interface, serve__request_timeout_s=0.2).interfaces[f"{interface}_port"]
     links = [link(port, "127.0.0.1") for _ in range(8)]
     for one in links:
         one.sendall(half)
@@ -94,9 +96,11 @@ def test_half_sent_requests_leave_within_their_time(serve: Any, link: Any, door:
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the timers of Linux are looked at")
-@pytest.mark.parametrize("door", [*EVERY, "http"])
-def test_the_system_asks_whether_a_peer_is_still_there(serve: Any, link: Any, door: str) -> None:
-    port = serve(door).doors[f"{door}_port"]
+@pytest.mark.parametrize("interface", [*EVERY, "http"])
+def test_the_system_asks_whether_a_peer_is_still_there(
+    serve: Any, link: Any, interface: str
+) -> None:
+    port = serve(interface).interfaces[f"{interface}_port"]
     link(port, "127.0.0.1")
 
     def timer() -> list[str]:
@@ -123,7 +127,7 @@ def test_places_go_to_those_who_have_fewest() -> None:
     assert gone == [2, 3, 5]
 
 
-def test_no_two_values_or_commands_share_a_place_at_a_door() -> None:
+def test_no_two_values_or_commands_share_a_place_at_a_interface() -> None:
     values, numbers = (*PLATE, *VALUES, *REFUSAL), [n for one in COMMANDS for n in one.numbers]
     nodes, methods, registers = (
         [getattr(one, column) for one in values if getattr(one, column)]

@@ -165,7 +165,7 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(
 
 
 def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[str]) -> None:
-    from cell.jobs.run import MainResult
+    from cell.plugin.main_job import MainResult
     from cell.report.build import score
 
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")
@@ -188,6 +188,39 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
     assert sum("5 of 5 right, 0 wrong" in line for line in lines) == 2
     assert lines.count("  ball: ball 1") == 1
     assert "One grasp takes 0.0 s of the cell's time." in lines
+
+
+@pytest.mark.parametrize("folder", ["stays", "goes"])
+def test_what_was_grasped_before_a_stop_is_in_the_data_set(
+    config: Path, tmp_path: Path, meddle: Callable[[Any], list[Any]], folder: str
+) -> None:
+    dataset = tmp_path / "data" / "d.npz"
+    dataset.parent.mkdir()
+
+    def stop_in_the_third_ramp(cell: Any) -> None:
+        phases: list[GripperPhase] = []
+
+        def look(_now_s: float) -> None:
+            phase = cell.controller.hand.phase
+            if phases[-1:] != [phase]:
+                phases.append(phase)
+                if phase is GripperPhase.RAMPING and phases.count(phase) == 3:
+                    cell.controller.cancel()
+                    if folder == "goes":
+                        dataset.parent.rmdir()
+
+        cell.simulated.clock.on_advance.append(look)
+
+    meddle(stop_in_the_third_ramp)
+    command = ["teach", "box", "-n", "20", "-o", str(dataset), "-c", str(config)]
+    ended = CliRunner().invoke(app, command)
+    assert ended.exit_code == 1
+    if folder == "stays":
+        assert [grasp.label for grasp in read_dataset(dataset)] == ["box", "box"]
+        assert f"2 of 20 grasps of box added to {dataset} (0 were there)" in ended.output
+        assert "the grip is kept" in str(ended.exception)
+    else:
+        assert "recording.mcap, which train takes" in str(ended.exception)
 
 
 def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path) -> None:
@@ -823,7 +856,7 @@ def test_a_signal_stops_the_job_keeps_the_grip_and_the_recording(
 def run_at_once(taught: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have `run` return what was taught already."""
     result = replace(taught.result)
-    monkeypatch.setattr("cell.jobs.run.teach_and_identify", lambda *_a, **_k: result)
+    monkeypatch.setattr("cell.plugin.main_job.teach_and_identify", lambda *_a, **_k: result)
 
 
 @pytest.mark.usefixtures("run_at_once")

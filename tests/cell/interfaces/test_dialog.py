@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from cell.commissioning.engine import Choice, Finding, Left, NumberRange, Question, Verdict, Write
+from cell.checks.findings import Finding, ProposedChange, Verdict
+from cell.commissioning.engine import Choice, NumberRange, Question, WizardAborted
 from cell.commissioning.ports import PortsStep
 from cell.interfaces.cli import terminal
 from cell.interfaces.cli.dialog import TerminalDialog
 
 CHOICES = (Choice(key="a", text="the first"), Choice(key="b", text="the second [x]"))
-WRITE = Write(where="servo 1", what="id (7)", before="1", after="2", undo="by --restore")
+WRITE = ProposedChange(where="servo 1", what="id (7)", before="1", after="2", undo="by --restore")
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
 
 @pytest.mark.parametrize("lines", [["q"], []])
 def test_q_and_the_end_of_input_leave(typed, lines) -> None:
-    with pytest.raises(Left, match="run `tactile-cell commission` again"):
+    with pytest.raises(WizardAborted, match="run `tactile-cell commission` again"):
         typed(*lines).ask(Question(key="q", text="?"))
 
 
@@ -64,14 +65,14 @@ def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None
     assert "servo 1: drive_mode (10): 0 -> 4" in shown
     assert shown.count("way back: by --restore") == 1
     for refusal in ("n", "q"):
-        with pytest.raises(Left):
+        with pytest.raises(WizardAborted):
             typed(refusal).approve([WRITE])
 
 
 def test_findings_are_printed_with_their_lines(typed, capsys) -> None:
     dialog = typed()
     step = PortsStep()
-    dialog.begin(step, 1, 3)
+    dialog.start_step(step, 1, 3)
     dialog.live("scan", "57600 bit/s")
     dialog.found(step, Finding(status=Verdict.WARN, lines=["16 ms [slow]"]))
     shown = capsys.readouterr().out

@@ -35,15 +35,15 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from cell.control.states import Command
 from cell.errors import CellError, ConfigError
 from cell.interfaces.host_values import VALUES
-from cell.interfaces.opc_ua.door import (
+from cell.interfaces.opc_ua.interface import (
     FAULT_EVENT,
     NAMESPACE,
     NODES,
     PERIOD_S,
     SHUTDOWN_EVENT,
-    OpcUaDoor,
+    OpcUaInterface,
 )
-from cell.interfaces.opening import open_doors
+from cell.interfaces.opening import open_interfaces
 from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
 from tests.cell.served import LIMIT_S, Served, serving
@@ -98,7 +98,7 @@ def trusting(folder: Path, plc: Identity) -> Path:
 
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory: pytest.TempPathFactory, plc: Identity) -> Iterator[Served]:
-    """A door for what changes nothing: to open one takes more than a second."""
+    """An interface for what changes nothing: to open one takes more than a second."""
     folder = trusting(tmp_path_factory.mktemp("pki"), plc)
     with serving("opcua", serve__opcua_folder=str(folder)) as served:
         yield served
@@ -134,7 +134,7 @@ class Link:
 
 
 def url(served: Any) -> str:
-    return f"opc.tcp://127.0.0.1:{served.doors['opcua_port']}/"
+    return f"opc.tcp://127.0.0.1:{served.interfaces['opcua_port']}/"
 
 
 @asynccontextmanager
@@ -154,7 +154,7 @@ async def linked(served: Any, who: Identity | None = None) -> AsyncIterator[Link
 
 @pytest.fixture
 def open_cell(serve: Any, folder: Path) -> Callable[..., Any]:
-    """Return the maker of services with a door that trusts the PLC."""
+    """Return the maker of services with an interface that trusts the PLC."""
     return lambda **changes: serve("opcua", serve__opcua_folder=str(folder), **changes)
 
 
@@ -287,7 +287,7 @@ async def test_only_encrypted_channels_of_trusted_certificates_command(
         await tried(member)
 
 
-async def test_without_a_folder_the_door_is_read_only(serve: Any, plc: Identity) -> None:
+async def test_without_a_folder_the_interface_is_read_only(serve: Any, plc: Identity) -> None:
     served = serve("opcua")
 
     async with linked(served) as link:
@@ -374,11 +374,11 @@ async def test_faults_refusals_and_the_end_reach_who_subscribes(
     serve: Any, folder: Path, plc: Identity
 ) -> None:
     served = serve(serve__opcua_folder=str(folder))
-    door = OpcUaDoor(served.service)
+    interface = OpcUaInterface(served.service)
     events: asyncio.Queue[Any] = asyncio.Queue()
     listener = SimpleNamespace(event_notification=events.put_nowait)
-    own = SimpleNamespace(doors={"opcua_port": door.port})
-    with suppress(ConnectionError):  # the door is closed before its client
+    own = SimpleNamespace(interfaces={"opcua_port": interface.port})
+    with suppress(ConnectionError):  # the interface is closed before its client
         async with linked(own, plc) as link, asyncio.timeout(LIMIT_S):
             types = link.client.nodes.base_event_type
             kinds = [
@@ -398,7 +398,7 @@ async def test_faults_refusals_and_the_end_reach_who_subscribes(
             assert event.FaultNumber == served.service.status().fault_number
             assert event.FaultText == event.Message.Text == served.service.status().fault
             assert (event.Remedy.startswith("Check"), event.SourceName) == (True, "Cell")
-            closing = asyncio.create_task(asyncio.to_thread(door.close))
+            closing = asyncio.create_task(asyncio.to_thread(interface.close))
             event = await events.get()
             assert event.Message.Text.startswith("The program of the cell ends")
             await closing
@@ -436,7 +436,7 @@ async def test_endless_requests_are_cut_off(
         """Stand for the time after which a connection without session is closed anyhow."""
 
     monkeypatch.setattr(OPCUAProtocol, "_activation_watchdog", never)
-    address = ("127.0.0.1", opened.doors["opcua_port"])
+    address = ("127.0.0.1", opened.interfaces["opcua_port"])
     header = b"HELF" + struct.pack("<I", 2**31)
     with socket.create_connection(address, LIMIT_S) as link, suppress(ConnectionError):
         link.sendall(header)
@@ -454,15 +454,17 @@ def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_pa
     made = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     assert set(made) == {"certificate.der", "key.pem"}
     assert (folder / "key.pem").stat().st_mode & 0o777 == 0o600
-    busy = served.service.config.serve.model_copy(update={"opcua_port": served.doors["opcua_port"]})
+    busy = served.service.config.serve.model_copy(
+        update={"opcua_port": served.interfaces["opcua_port"]}
+    )
     served.service.config = served.service.config.model_copy(update={"serve": busy})
-    with pytest.raises(CellError, match="cannot be opened"), open_doors(served.service):
+    with pytest.raises(CellError, match="cannot be opened"), open_interfaces(served.service):
         pass
     assert made == {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     (folder / "trusted" / "bad.pem").write_bytes(b"no certificate")
     with pytest.raises(ConfigError, match="opcua_folder"):
-        OpcUaDoor(served.service)
+        OpcUaInterface(served.service)
     (folder / "trusted" / "bad.pem").unlink()
     (folder / "key.pem").unlink()
-    with pytest.raises(CellError, match=r"key\.pem"), open_doors(served.service):
+    with pytest.raises(CellError, match=r"key\.pem"), open_interfaces(served.service):
         pass

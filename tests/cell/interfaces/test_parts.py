@@ -53,9 +53,9 @@ def test_each_part_of_a_sort_reaches_plc_robot_and_program_once(
 
     monkeypatch.setattr(tasks, "Tally", tally)
     served = serve("modbus", "xmlrpc", "http", cell={}, serve__objects=["box", "ball"])
-    host = Client(served.doors)
-    cell = ServerProxy(f"http://127.0.0.1:{served.doors['xmlrpc_port']}/RPC2")
-    plc = BlockPlc(Plc(served.doors["modbus_port"])).ready()
+    host = Client(served.interfaces)
+    cell = ServerProxy(f"http://127.0.0.1:{served.interfaces['xmlrpc_port']}/RPC2")
+    plc = BlockPlc(Plc(served.interfaces["modbus_port"])).ready()
     over, over_rpc = threading.Event(), list[Any]()
     robot = threading.Thread(target=lambda: over_rpc.extend(seen_over_xml_rpc(cell, over)))
     with cell, host.live("&parts_after=0") as link, closing(plc.plc.link):

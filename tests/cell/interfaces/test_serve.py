@@ -18,7 +18,7 @@ import pytest
 from cell.config.model import CellConfig
 from cell.errors import CellError
 from cell.interfaces.cli.commands import serve as serving
-from cell.interfaces.opening import open_doors, page_address
+from cell.interfaces.opening import open_interfaces, page_address
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
 from tests.cell.interfaces.hosts import Client
@@ -112,7 +112,7 @@ def copied(model: Path) -> Callable[[Path], None]:
 
     def write(folder: Path) -> None:
         shutil.copyfile(model, folder / MODEL_FILE)
-        shutil.copyfile(model.with_name("taught.npz"), folder / "taught.npz")
+        shutil.copyfile(model.with_name("model.grasps.npz"), folder / "model.grasps.npz")
 
     return write
 
@@ -147,19 +147,19 @@ def test_without_its_extra_there_is_no_page_but_a_note(
 
 
 @pytest.mark.parametrize(
-    ("door", "option"),
+    ("interface", "option"),
     [("modbus", "--modbus"), ("xmlrpc", "--xml-rpc"), ("http", "--http"), ("opcua", "--opcua")],
 )
 def test_a_taken_port_names_the_option_that_takes_another(
-    serve: Any, door: str, option: str
+    serve: Any, interface: str, option: str
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http", "opcua")}
-        served = serve(**ports | {f"serve__{door}_port": port})
+        served = serve(**ports | {f"serve__{interface}_port": port})
         with (
             pytest.raises(CellError, match=f"127.0.0.1:{port} .*{option} PORT takes another one"),
-            open_doors(served.service),
+            open_interfaces(served.service),
         ):
             pass
 

@@ -1,6 +1,7 @@
 """The cell over HTTP and WebSocket, with the standard library and `websockets` as clients."""
 
 import asyncio
+import gc
 import json
 import math
 import os
@@ -25,8 +26,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 from cell.errors import CellError, ConfigError
-from cell.interfaces.opening import open_doors, warnings
-from cell.interfaces.web import WebDoor
+from cell.interfaces.http_server import HttpConnection
+from cell.interfaces.opening import open_interfaces, warnings
+from cell.interfaces.web import WebInterface
 from cell.plugin.goals import TASKS, checked_goal
 from cell.service.service import RELEASE_KEY, Service
 from tactile.errors import HeartbeatLost
@@ -42,7 +44,7 @@ def connect(serve: Any) -> Callable[..., tuple[Served, Client]]:
 
     def make(**changes: Any) -> tuple[Served, Client]:
         served = serve("http", **changes)
-        return served, Client(served.doors)
+        return served, Client(served.interfaces)
 
     return make
 
@@ -412,7 +414,7 @@ def test_the_example_of_the_page_runs(connect: Any, capsys: pytest.CaptureFixtur
 
 
 def page_examples(host: Client) -> list[str]:
-    """Return the examples in Python of the page, with the address and token of this door."""
+    """Return the examples in Python of the page, with the address and token of this interface."""
     page = PAGE.read_text("utf-8")
     for there, here in (
         ("http://127.0.0.1:8080", f"http://127.0.0.1:{host.port}"),
@@ -578,29 +580,46 @@ def test_the_token_comes_as_subprotocol_or_first_message(connect: Any) -> None:
 
 
 def test_a_socket_that_takes_nothing_is_cut(serve: Any) -> None:
-    door = WebDoor(serve(serve__http_port=0, serve__request_timeout_s=0.3).service)
+    interface = WebInterface(serve(serve__http_port=0, serve__request_timeout_s=0.3).service)
     link = socket.socket()
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    link.connect(("127.0.0.1", door.port))
+    link.connect(("127.0.0.1", interface.port))
     request = (
-        f"GET /api/live?frames=newtons&token={door.token} HTTP/1.1\r\nHost: localhost\r\n"
+        f"GET /api/live?frames=newtons&token={interface.token} HTTP/1.1\r\nHost: localhost\r\n"
         "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n"
     )
     link.sendall(request.encode())
-    links = door._server.server_state.connections
+    links = interface._server.server_state.connections
     until(lambda: any("WebSocket" in type(one).__name__ for one in links))
     until(lambda: not links)
     link.close()
-    door.close()
+    interface.close()
 
 
-def test_the_end_of_the_door_ends_sockets_and_threads(serve: Any) -> None:
+def test_nothing_is_left_of_sockets_that_have_ended(serve: Any) -> None:
+    with ExitStack() as undo:
+        served = serve()
+        client = Client(undo.enter_context(open_interfaces_with_http(served.service)))
+        before = connections_in_memory()
+        for _ in range(5):
+            with client.live() as link:
+                link.recv(timeout=20)
+        # A new connection drops those that ended; the last one may still be there.
+        until(lambda: client.get("/api/state") and connections_in_memory() <= before + 2)
+
+
+def connections_in_memory() -> int:
+    gc.collect()
+    return sum(issubclass(type(one), HttpConnection) for one in gc.get_objects())
+
+
+def test_the_end_of_the_interface_ends_sockets_and_threads(serve: Any) -> None:
     before = set(threading.enumerate())
     served = serve()
     with ExitStack() as undo:
-        served.doors = undo.enter_context(open_doors_with_http(served.service))
-        with Client(served.doors).live() as link:
+        served.interfaces = undo.enter_context(open_interfaces_with_http(served.service))
+        with Client(served.interfaces).live() as link:
             link.recv(timeout=20)
             undo.close()
             until(lambda: _closed(link))
@@ -617,10 +636,10 @@ def _closed(link: Any) -> bool:
     return False
 
 
-def open_doors_with_http(service: Service) -> Any:
+def open_interfaces_with_http(service: Service) -> Any:
     opened = service.config.serve.model_copy(update={"http_port": 0})
     service.config = service.config.model_copy(update={"serve": opened})
-    return open_doors(service)
+    return open_interfaces(service)
 
 
 def test_tls_by_certificate_files(connect: Any, tls: dict[str, str], tmp_path: Path) -> None:
@@ -644,20 +663,20 @@ def test_tls_by_certificate_files(connect: Any, tls: dict[str, str], tmp_path: P
     asyncio.run(asyncio.wait_for(watch(), 20.0))
 
 
-# -- opening the doors -------------------------------------------------------------------------
+# -- opening the interfaces -------------------------------------------------------------------
 
 
-def test_doors_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no door is open"), open_doors(serve().service):
+def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no interface is open"), open_interfaces(serve().service):
         pass
     with pytest.raises(CellError, match=r"cannot read token or secret .*missing"):
         serve("http", serve__token_file=str(tmp_path / "missing"))
     os.mkfifo(tmp_path / "pipe")
     keys = {"secret_file": "modbus", "token_file": "http", "tls_key": "http"}
-    for key, door in keys.items():
+    for key, interface in keys.items():
         files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
         with pytest.raises(ConfigError, match="pipe: not a plain file"):
-            serve(door, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
+            serve(interface, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
     (tmp_path / "bad").write_bytes(b"\xff" * 20)
     with pytest.raises(ConfigError, match="of ASCII characters"):
         serve("xmlrpc", serve__secret_file=str(tmp_path / "bad"))

@@ -1,4 +1,4 @@
-"""The commissioning wizard behind the web door, without a browser."""
+"""The commissioning wizard behind the web interface, without a browser."""
 
 import json
 import signal
@@ -13,29 +13,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cell.checks.findings import Finding, ProposedChange
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    Choice,
-    Dialog,
-    Engine,
-    Finding,
-    NumberRange,
-    Question,
-    StepFailed,
-    Write,
-)
+from cell.commissioning.engine import Choice, Dialog, Engine, NumberRange, Question, StepFailed
 from cell.commissioning.figures import curves, pads
 from cell.commissioning.record import RECORD_NAME, write_record
 from cell.config.serve import ServeConfig
 from cell.errors import NotInCommand
-from cell.interfaces.wizard import Wizard, WizardDoor
+from cell.interfaces.wizard import Wizard, WizardServer
 from tactile.layout import paper_layout
 from tests.cell.commissioning.test_engine import REAL, Asking
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import until
 
 WRITES = tuple(
-    Write(
+    ProposedChange(
         where=f"servo {number}",
         what="Baud Rate (8)",
         before="57,600 bit/s",
@@ -170,10 +162,10 @@ def wizard(tmp_path: Path, walk: list[Any]) -> Iterator[Wizard]:
 
 @pytest.fixture
 def client(wizard: Wizard) -> Iterator[Page]:
-    """A page on the door of the wizard."""
-    door = WizardDoor(wizard)
-    yield Page({"http_port": door.port, "token": door.token})
-    door.close()
+    """A page on the interface of the wizard."""
+    interface = WizardServer(wizard)
+    yield Page({"http_port": interface.port, "token": interface.token})
+    interface.close()
 
 
 @pytest.fixture

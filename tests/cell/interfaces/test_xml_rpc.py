@@ -42,11 +42,11 @@ def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Any]]]:
 
 
 def address(served: Served) -> str:
-    return f"http://127.0.0.1:{served.doors['xmlrpc_port']}/RPC2"
+    return f"http://127.0.0.1:{served.interfaces['xmlrpc_port']}/RPC2"
 
 
 def post(served: Served, body: bytes, *hosts: str, **headers: str) -> tuple[int, bytes]:
-    link = http.client.HTTPConnection("127.0.0.1", served.doors["xmlrpc_port"], timeout=20.0)
+    link = http.client.HTTPConnection("127.0.0.1", served.interfaces["xmlrpc_port"], timeout=20.0)
     link.putrequest("POST", "/RPC2", skip_host=True, skip_accept_encoding=True)
     given = {"Content-Type": "text/xml", "Content-Length": str(len(body))} | headers
     for name, value in (*given.items(), *(("Host", host) for host in hosts or ("127.0.0.1",))):
@@ -383,7 +383,7 @@ def test_torn_requests_change_nothing(connect: Any) -> None:
     request = head + b"Content-Length: %d\r\n\r\n" % len(body) + body
     # The last byte is a line's end: without it the call is whole, and the request is not.
     for cut in (*range(0, len(request), 7), len(request) - 1):
-        place = ("127.0.0.1", served.doors["xmlrpc_port"])
+        place = ("127.0.0.1", served.interfaces["xmlrpc_port"])
         with suppress(OSError), socket.create_connection(place, timeout=20.0) as link:
             link.sendall(request[:cut])
     assert cell.held_by() == ""

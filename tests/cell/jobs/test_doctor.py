@@ -13,11 +13,11 @@ import pytest
 
 import cell.jobs.doctor
 from cell.build import build_cell
-from cell.commissioning.engine import Verdict
+from cell.checks.findings import CheckResult, Verdict
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.jobs.doctor import CheckResult, _boards, examine
+from cell.jobs.doctor import _boards, examine
 from cell.simulation import simulation_of
 from tests.cell.conftest import once, small_config
 from tests.faults.scenarios.axes import CHANGES

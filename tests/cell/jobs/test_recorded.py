@@ -12,11 +12,13 @@ from cell.data.files import json_bytes
 from cell.errors import CellError, ConfigError, ModelError, PositionerError
 from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
-from cell.jobs.identify import identify_on_cell, identify_recorded
+from cell.jobs.identify import drawn_object, identify_recorded
 from cell.jobs.replay import replay_grasps
 from cell.learning.model import load_model
 from cell.learning.taught_model import TaughtModel
-from tests.cell.conftest import MakeBench, plain_grasp, small_config
+from cell.plugin.goals import IdentifyGoal
+from cell.plugin.plugin import TactileCellPlugin
+from tests.cell.conftest import plain_grasp, small_config
 
 SPLIT = "chronological:0.6"
 
@@ -145,7 +147,7 @@ def test_grasps_on_other_pads_are_refused(taught: Any) -> None:
         identify_recorded(load_model(taught.result.model), [plain_grasp("a")])
 
 
-def test_a_real_cell_is_not_told_what_it_holds(make_bench: MakeBench, taught: Any) -> None:
+def test_a_real_cell_is_not_told_what_it_holds(taught: Any) -> None:
     asked: list[str] = []
 
     def ask(text: str) -> str:
@@ -153,11 +155,11 @@ def test_a_real_cell_is_not_told_what_it_holds(make_bench: MakeBench, taught: An
         return "" if len(asked) == 1 else "q"
 
     config = small_config(positioner__kind="operator")
-    bench = make_bench(config, ask=ask)
-    bench.controller.start()
-    model = TaughtModel(config, load_model(taught.result.model))
-    with pytest.raises(PositionerError, match="operator stopped"):
-        identify_on_cell(bench.cell, config, model, held=None, progress=silent)
+    with (
+        TactileCellPlugin(config, ask=ask, model=taught.result.model) as plugin,
+        pytest.raises(PositionerError, match="operator stopped"),
+    ):
+        plugin.run(IdentifyGoal(present=drawn_object(config)))
     assert "the object to identify" in asked[0]
 
 

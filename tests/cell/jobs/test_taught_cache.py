@@ -20,7 +20,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
 
     def write(folder: Path) -> None:
         shutil.copyfile(taught.result.model, folder / MODEL_FILE)
-        shutil.copyfile(taught.result.dataset, folder / "taught.npz")
+        shutil.copyfile(taught.result.dataset, folder / "model.grasps.npz")
 
     return keep_model(taught.config, write)
 
@@ -60,7 +60,7 @@ def test_few_models_are_kept(kept: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize(
-    ("broken", "left"), [(MODEL_FILE, 1000), ("taught.npz", 1000), ("taught.npz", 0)]
+    ("broken", "left"), [(MODEL_FILE, 1000), ("model.grasps.npz", 1000), ("model.grasps.npz", 0)]
 )
 def test_a_model_that_is_broken_or_cannot_be_extended_is_removed(
     kept: Path, taught: Any, broken: str, left: int

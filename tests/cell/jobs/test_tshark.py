@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from cell.build import build_cell
 from cell.jobs.common import silent
-from cell.jobs.run import teach_and_identify
+from cell.plugin.main_job import teach_and_identify
+from cell.plugin.plugin import TactileCellPlugin
 from simulator.can.capture import PcapWriter
 from tests.cell.conftest import small_config
 
@@ -37,19 +37,17 @@ def decode(capture: Path, *arguments: str) -> list[str]:
 def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
     capture = tmp_path / "sequence.pcap"
     config = small_config()
-    cell = build_cell(config, capture=capture)
-    cell.controller.start()
-    result = teach_and_identify(
-        cell,
-        config,
-        labels=["ball", "box"],
-        n_teach=4,
-        n_trials=1,
-        folder=tmp_path,
-        progress=silent,
-    )
-    statistics = cell.controller.hand.statistics.source
-    cell.close()
+    with TactileCellPlugin(config, capture=capture) as plugin:
+        result = teach_and_identify(
+            plugin,
+            config,
+            labels=["ball", "box"],
+            n_teach=4,
+            n_trials=1,
+            folder=tmp_path,
+            progress=silent,
+        )
+        statistics = plugin._cell.controller.hand.statistics.source
     assert (result.n_taught, len(result.trials)) == (8, 2)
     assert statistics.frames.lost == statistics.frames.torn == statistics.error_frames == 0
 

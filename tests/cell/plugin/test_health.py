@@ -15,7 +15,7 @@ def test_heat_is_judged_by_the_limit_and_where_the_current_is_lowered(
     make_bench: Any, limit_c: float | None, level: str
 ) -> None:
     bench = make_bench().ready()
-    warm_c = bench.controller.measured.cycle.state.temperature_c
+    warm_c = bench.controller.latest.cycle.state.temperature_c
     limits = {None: warm_c + 1.0, -1.0: warm_c - 1.0}
     limit = {"temperature_max_c": limits.get(limit_c, limit_c)}
     config = bench.config.model_copy(

@@ -480,7 +480,7 @@ def test_requests_name_this_machine(host: str, may: bool) -> None:
         ({"serve__modbus_port": 65536}, "65535"),
     ],
 )
-def test_a_config_that_opens_doors_to_nobody_in_particular_is_refused(
+def test_a_config_that_opens_interfaces_to_nobody_in_particular_is_refused(
     changes: dict[str, Any], complaint: str
 ) -> None:
     with pytest.raises(ConfigError, match=complaint):

@@ -27,6 +27,7 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStateError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.session import running_cell
+from cell.plugin.goals import TeachGoal
 from cell.plugin.plugin import TactileCellPlugin
 from cell.pytest_plugin.process import CellProcess
 from gripper.dynamixel.bus import ServoBus
@@ -129,19 +130,17 @@ def signal_in_the_ramp(row: FaultRow) -> Observed:
         sent_s: list[float] = []
         try:
             config = campaign_config(row.changes)
-            with running_cell(config, "run", Path(name), config_file=None, json_file=None) as (
-                cell,
-                _,
-            ):
-                simulated = cell.simulated
+            with running_cell(
+                *(config, "run", Path(name)), config_file=None, json_file=None
+            ) as cell:
+                simulated = cell.plugin._cell.simulated
                 assert simulated is not None
                 sent_s = once(
                     simulated.clock,
                     lambda: min(simulated.world.contact_force_n()) > _GRIPPED_N,
                     lambda: signal.raise_signal(signal.Signals[row.variant]),
                 )
-                cell.controller.present("ball")
-                cell.controller.grasp(_STEP)
+                cell.run(TeachGoal(label="ball", grasps=1, train=False))
         except CellError as error:
             message = str(error).partition(" Recording so far")[0]
             recording = read_recording(next(Path(name).glob("*/recording.mcap")))

@@ -12,6 +12,8 @@ from recognition.drift.drift import Drift
 from recognition.drift.self_zero import (
     ZeroMeasurement,
     drawn_zero,
+    foam_caution,
+    foam_change,
     measure_zero,
     prior_since,
     since,
@@ -124,6 +126,22 @@ def test_what_has_changed_is_undone_and_the_rest_is_known_so_well() -> None:
     assert prior.offset_sd_mm < 0.3
     assert prior.log_gain_sd < 0.12
     assert since(taught, taught, (0, 1), 2) == Drift(gains=(1.0, 1.0))
+
+
+def test_another_foam_is_told_from_another_gain_and_makes_cautious() -> None:
+    taught = replace(measured().zero, log_scale_sd=0.04, log_stiffness_sd=0.05, log_gain_ratio=0.0)
+    gain = replace(
+        taught, log_scale=taught.log_scale - 0.5, log_stiffness=taught.log_stiffness - 0.5
+    )
+    foam = replace(taught, log_stiffness=taught.log_stiffness + math.log(2.2))
+    for today in (taught, gain):
+        assert foam_change(taught, today) is None
+        assert foam_caution(taught, today) < 1.4
+    assert foam_change(taught, foam) == pytest.approx(2.2)
+    assert foam_caution(taught, foam) == pytest.approx(2.5, abs=0.1)
+    # Counts are compared by the way: the same footprint has 2.2 times the counts.
+    assert since(taught, foam, (0, 1), 2).gain == pytest.approx(2.2, rel=0.05)
+    assert since(taught, gain, (0, 1), 2).gain == pytest.approx(math.exp(-0.5), rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["opening_m", "log_scale_sd"])

@@ -16,7 +16,7 @@ from cell.interfaces.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from cell.build import Cell
+    from cell.interfaces.cli.session import RunningCell
     from recognition.grasp import Grasp
 
 
@@ -49,16 +49,15 @@ def calibrate(
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_line, write_json
     from cell.jobs.calibrate import calibrate_model, follow_shift
-    from cell.jobs.collection import grasps_of
-    from cell.jobs.common import progress_of
     from cell.learning.model import load_model, save_model
     from cell.learning.training import gaugeable
+    from cell.plugin.goals import TeachGoal
     from recognition.drift.drift import drift_text
 
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
     taken: dict[str, list[Grasp]] = {}
-    cell: Cell | None = None
+    cell: RunningCell | None = None
     if dataset is not None:
         loaded = load_model(model)
         found = list(read_grasps(dataset))
@@ -76,16 +75,11 @@ def calibrate(
         gaugeable(loaded, *gauge)
         with running_cell(
             checked, "calibrate", out_folder, config_file=config, json_file=json_file
-        ) as (cell, progress):
+        ) as cell:
             for label in gauge:
-                taken[label] = grasps_of(
-                    cell.controller,
-                    checked.sequence,
-                    [label],
-                    grasps,
-                    seed=checked.seed,
-                    on_grasp=progress_of(progress),
-                )
+                cell.run(TeachGoal(label=label, grasps=grasps, seed=checked.seed, train=False))
+        for label in gauge:
+            taken[label] = [g for g in cell.plugin.training_set if g.label == label]
         corrected = calibrate_model(loaded, taken)
         n_grasps = sum(map(len, taken.values()))
     save_model(
@@ -103,7 +97,7 @@ def calibrate(
         f"{output}"
     )
     if cell is not None:
-        cell.check_recording()
+        cell.plugin.check_recording()
 
 
 def _grasps_of(gauge: str, grasps: "list[Grasp]", dataset: Path, *, alone: bool) -> "list[Grasp]":

@@ -69,7 +69,7 @@ def commission(
     from cell.commissioning.backup import restore as restore_servos
     from cell.commissioning.baseline import changed_hardware
     from cell.commissioning.bench import Bench
-    from cell.commissioning.engine import Engine, Left
+    from cell.commissioning.engine import Engine, WizardAborted
     from cell.commissioning.record import write_record
     from cell.commissioning.walk import all_steps
     from cell.config.file import load_config
@@ -117,7 +117,7 @@ def commission(
     except KeyboardInterrupt:
         print_note("left; what was found is kept. The same command goes on there")
         raise typer.Exit(1) from None
-    except Left as left:
+    except WizardAborted as left:
         print_note(str(left))
         raise typer.Exit(1) from None
     dialog.finished(engine, files)
@@ -132,7 +132,7 @@ def _on_page(engine: "Engine", http_port: int | None) -> None:
     from cell.interfaces.opening import page_address
 
     with extra("serve", needed_by="--page"):
-        from cell.interfaces.wizard import Phase, Wizard, WizardDoor
+        from cell.interfaces.wizard import Phase, Wizard, WizardServer
 
     serve = ServeConfig()
     port = free_page_port(serve.listen) if http_port is None else http_port
@@ -140,9 +140,9 @@ def _on_page(engine: "Engine", http_port: int | None) -> None:
     with (
         suppress(KeyboardInterrupt),
         closing(Wizard(engine, serve)) as wizard,
-        closing(WizardDoor(wizard)) as door,
+        closing(WizardServer(wizard)) as interface,
     ):
-        found = {"listen": serve.listen, "http_port": door.port, "token": door.token}
+        found = {"listen": serve.listen, "http_port": interface.port, "token": interface.token}
         typer.echo(json.dumps(found))
         address = page_address(found, serve)
         assert address is not None

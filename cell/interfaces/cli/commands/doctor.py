@@ -25,13 +25,14 @@ def doctor(
 
     Of two lines one may be missing: what the other one shows is listed.
     """
+    from cell.checks.findings import CheckResult, Verdict
+    from cell.commissioning.baseline import gauge_again
     from cell.commissioning.bench import Bench
-    from cell.commissioning.engine import Verdict
     from cell.errors import CellError
     from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import out, print_line, write_json
-    from cell.jobs.doctor import CheckResult, examine, gauge_again
+    from cell.jobs.doctor import examine
 
     colours = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
     findings = []

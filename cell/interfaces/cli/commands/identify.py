@@ -22,6 +22,7 @@ from cell.interfaces.cli.options import (
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
     from cell.control.identification import ReadShape
+    from cell.plugin.part_report import PartReport
     from recognition.shape.answer import ShapeAnswer
 
 
@@ -53,23 +54,20 @@ def identify(
 
     Recorded grasps are those of a data set or a recording.
     """
-    from cell.control.keeping import Keep
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
     from cell.interfaces.cli.terminal import percent, print_line, write_json
-    from cell.jobs.identify import identify_on_cell
+    from cell.jobs.identify import drawn_object
     from cell.learning.model import load_model
     from cell.learning.pad_knowledge import pad_knowledge
     from cell.learning.shape_reading import NO_SHAPE, beside, shape_reader
-    from cell.learning.taught_model import TaughtModel
+    from cell.plugin.goals import IdentifyGoal
     from recognition.recognizer import UNKNOWN
     from recognition.statistics.fusion import fuse
 
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
     checked = cell_config(config, seed=seed, faults=faults)
-    known = pad_knowledge(checked, gauge, gauge_shape)
-    read_shape = shape_reader(checked, known)
     if dataset is not None:
         if faults:
             raise ConfigError(
@@ -77,19 +75,30 @@ def identify(
             )
         if keep != "never":
             raise ConfigError("--keep is for a cell; recorded grasps hold nothing any more")
+        read_shape = shape_reader(checked, pad_knowledge(checked, gauge, gauge_shape))
         _identify_recorded(checked, model, dataset, read_shape, follow=follow, json_file=json_file)
         return
     if follow:
         raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
-    taught = TaughtModel(checked, load_model(model, pads_of(checked)), known=known)
-    keeps = Keep(keep.replace("-", "_"))
-    with running_cell(checked, "identify", out_folder, config_file=config, json_file=json_file) as (
-        cell,
-        progress,
-    ):
-        found, truth = identify_on_cell(
-            cell, checked, taught, held=held, keep=keeps, progress=progress
-        )
+    load_model(model, pads_of(checked))
+    goal = IdentifyGoal(
+        seed=checked.seed + 1,
+        present=drawn_object(checked) if held is None else held,
+        keep=keep.replace("-", "_"),  # type: ignore[arg-type]
+    )
+    parts: list[PartReport] = []
+    with running_cell(
+        *(checked, "identify", out_folder),
+        config_file=config,
+        json_file=json_file,
+        model=model,
+        gauge=gauge,
+        gauge_shape=gauge_shape,
+    ) as cell:
+        cell.plugin.watch_parts(parts.append)
+        cell.run(goal)
+    found, truth = parts[0].found, goal.present
+    assert found is not None
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
@@ -123,11 +132,10 @@ def identify(
             "ramps": [record.ramp_as_json() for record in found.records],
             "drift": None if found.drift is None else found.drift.values,
             "held": truth,
-            "recording": cell.recording_path,
-            "health": cell.health(),
-        },
+        }
+        | cell.made,
     )
-    cell.check_recording()
+    cell.plugin.check_recording()
 
 
 def _identify_recorded(

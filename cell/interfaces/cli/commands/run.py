@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from cell.config.model import CellConfig
-    from cell.jobs.run import MainResult
-    from cell.learning.taught_model import TaughtModel
+    from cell.plugin.main_job import MainResult
     from cell.report.data import ConfusionTable
 
 ObjectsOption = Annotated[
@@ -52,33 +51,34 @@ def run(
     from cell.installation import missing_note
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import print_note, write_json
-    from cell.jobs.run import teach_and_identify
     from cell.learning.model import load_model
-    from cell.learning.taught_model import TaughtModel
+    from cell.plugin.main_job import teach_and_identify
     from cell.report.page import write_report
     from cell.report.recorded import recorded_report
 
     checked = cell_config(config, seed=seed, faults=faults)
-    taught = None if model is None else TaughtModel(checked, load_model(model, pads_of(checked)))
+    taught = () if model is None else load_model(model, pads_of(checked)).labels
     labels = _labels(checked, objects, taught)
     no_report = missing_note("report", "report page")
     if no_report:
         print_note(no_report)
     failed: CellError | None = None
     with running_cell(
-        *(checked, "run", out_folder), config_file=config, json_file=json_file, capture=capture
-    ) as (cell, progress):
-        assert cell.recording_path is not None
-        folder = cell.recording_path.parent
+        *(checked, "run", out_folder),
+        config_file=config,
+        json_file=json_file,
+        capture=capture,
+        model=model,
+    ) as cell:
+        folder = cell.folder
         result = teach_and_identify(
-            cell,
+            cell.plugin,
             checked,
             labels=labels,
             n_teach=teach_grasps,
             n_trials=trials,
             folder=folder,
-            progress=progress,
-            model=taught,
+            progress=cell.progress,
         )
     if not no_report:
         assert result.recording is not None
@@ -93,9 +93,9 @@ def run(
     print_result(result)
     if no_report:
         print_note(no_report)
-    result.extra = {"health": cell.health()}
+    result.extra = {"health": cell.plugin.counters()}
     write_json(json_file, result.as_json())
-    cell.check_recording()
+    cell.plugin.check_recording()
     if failed is not None:
         raise failed
 
@@ -124,7 +124,7 @@ def _keep_for_serve(result: "MainResult", config: "CellConfig") -> None:
 
 
 def _labels(
-    config: "CellConfig", objects: Sequence[str] | None, taught: "TaughtModel | None"
+    config: "CellConfig", objects: Sequence[str] | None, taught: Sequence[str]
 ) -> list[str]:
     """Return the objects of a run. Raises ConfigError where the cell does not have them."""
     from cell.errors import ConfigError
@@ -134,7 +134,7 @@ def _labels(
             raise ConfigError("name the objects that are at hand, as --object ball --object box")
         return list(objects)
     configured = [entry.label for entry in config.simulator.objects]
-    labels = list(objects or (taught.labels if taught else configured))
+    labels = list(objects or taught or configured)
     strange = [label for label in labels if label not in configured]
     if strange:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""`serve`: owns the cell and opens doors for PLCs, robot programs and other hosts."""
+"""`serve`: owns the cell and opens interfaces for PLCs, robot programs and other hosts."""
 
 import json
 import socket
@@ -38,10 +38,10 @@ SaveOption = Annotated[
 ]
 
 
-def _port(flag: str, door: str, key: str) -> typer.models.OptionInfo:
-    """Return the option of a door's port."""
+def _port(flag: str, interface: str, key: str) -> typer.models.OptionInfo:
+    """Return the option of an interface's port."""
     found: typer.models.OptionInfo = typer.Option(
-        flag, help=f"Port of {door}; 0: any [default: serve.{key}]."
+        flag, help=f"Port of {interface}; 0: any [default: serve.{key}]."
     )
     return found
 
@@ -135,7 +135,7 @@ def serve(
         service = Service(
             plugin, checked, poses=poses, photos_beside=save or model, note=print_note
         )
-        with _announced_doors(service):
+        with _announced_interfaces(service):
             if untaught and model is None:
                 _teach_first(service, plugin, own, over, keep=not faults)
             plugin.follow_real_time(speed)
@@ -144,12 +144,12 @@ def serve(
 
 
 @contextmanager
-def _announced_doors(service: "Service") -> Iterator[None]:
-    """Open the doors of a service and print their addresses; close all at the end."""
+def _announced_interfaces(service: "Service") -> Iterator[None]:
+    """Open the interfaces of a service and print their addresses; close all at the end."""
     from cell.interfaces.cli.terminal import print_note, print_page
-    from cell.interfaces.opening import open_doors, page_address, warnings
+    from cell.interfaces.opening import open_interfaces, page_address, warnings
 
-    with closing(service), open_doors(service) as found:
+    with closing(service), open_interfaces(service) as found:
         for note in warnings(service):
             print_note(note)
         typer.echo(json.dumps(found))

@@ -1,6 +1,6 @@
 """`sort`: names parts, keeps each, and lets it go at its place."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -13,8 +13,11 @@ from cell.interfaces.cli.options import (
     SeedOption,
 )
 
-if TYPE_CHECKING:
-    from cell.jobs.sort import Tally
+PART_KEYS = ("number", "label", "probability", "place", "n_grasps", "changed", "was")
+TALLY_KEYS = (
+    *("n_parts", "n_missed", "n_rejected", "share_named", "places", "matrix", "mistakes"),
+)
+"""Keys of the progress of a sort for its newest part, and for all parts together."""
 
 
 def sort(
@@ -39,69 +42,70 @@ def sort(
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import write_json
-    from cell.jobs.run import teach_objects
-    from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
+    from cell.jobs.sort import Places, simulated_feed
     from cell.learning.model import load_model
-    from cell.learning.taught_model import TaughtModel
+    from cell.plugin.goals import FEED_MAX, SortGoal
+    from cell.plugin.main_job import teach_objects
 
     checked = cell_config(config, seed=seed, faults=faults)
     simulated = checked.brings_objects
     if model is None and not simulated:
         raise ConfigError("--model is missing; `tactile-cell teach` and `train` make one")
-    taught = TaughtModel(checked, None if model is None else load_model(model, pads_of(checked)))
     objects = [entry.label for entry in checked.simulator.objects]
-    tally = Tally(places=Places(checked, objects if model is None else taught.labels))
-    feed = simulated_feed(checked, parts) if simulated else None
+    Places(checked, objects if model is None else load_model(model, pads_of(checked)).labels)
+    feed = simulated_feed(checked, min(parts, FEED_MAX)) if simulated else ()
+    goal = SortGoal(parts=parts, feed=tuple(feed), seed=checked.seed + 1)
+    tally: dict[str, Any] = {}
+    each: list[dict[str, Any]] = []
+
+    def on_progress(progress: dict[str, Any]) -> None:
+        tally.update(progress)
+        if progress.get("number", 0) > len(each):
+            each.append({name: progress[name] for name in PART_KEYS})
+
     try:
-        with running_cell(checked, "sort", out_folder, config_file=config, json_file=json_file) as (
-            cell,
-            progress,
-        ):
+        with running_cell(
+            *(checked, "sort", out_folder), config_file=config, json_file=json_file, model=model
+        ) as cell:
             if model is None:
-                teach_objects(cell, checked, taught, objects, teach_grasps, progress=progress)
-                taught.train()
-            sort_parts(
-                cell.controller,
-                taught,
-                tally,
-                n_parts=parts,
-                feed=lambda turn: None if feed is None else feed[turn],
-                seed=checked.seed + 1,
-                on_part=lambda part, _found: progress("sort", part.number, parts),
-            )
+                teach_objects(cell.plugin, checked, objects, teach_grasps, cell.progress)
+                cell.plugin.train()
+            cell.run(goal, on_progress)
     finally:
         print_tally(tally)
-    made = {"recording": cell.recording_path, "health": cell.health()}
-    write_json(json_file, tally.as_json() | made)
-    cell.check_recording()
+    write_json(json_file, {name: tally[name] for name in TALLY_KEYS} | {"parts": each} | cell.made)
+    cell.plugin.check_recording()
 
 
-def print_tally(tally: "Tally") -> None:
-    """Print how many parts lie where, and which of them do not belong there."""
+def print_tally(tally: dict[str, Any]) -> None:
+    """Print how many parts lie where, and which of them do not belong there.
+
+    ``tally`` is the progress of a sort.
+    """
     from rich.table import Table
 
     from cell.interfaces.cli.terminal import plain_text, print_line, print_table
 
-    if not tally.parts:
+    if not tally.get("n_parts"):
         print_line("no part was sorted")
         return
     table = Table(header_style="bold")
     table.add_column("part")
-    for place in tally.places.names:
+    for place in tally["places"]:
         table.add_column(plain_text(place), justify="right")
-    for truth, counts in tally.matrix().items():
+    for truth, counts in tally["matrix"].items():
         table.add_row(
             plain_text(truth), *(str(count) if count else "" for count in counts.values())
         )
-    table.add_row("all", *(str(count) for count in tally.counts.values()), style="bold")
+    table.add_row("all", *(str(count) for count in tally["places"].values()), style="bold")
     print_table(table)
-    missed = f", {tally.n_missed} times no part was found" if tally.n_missed else ""
+    missed = f", {tally['n_missed']} times no part was found" if tally["n_missed"] else ""
     print_line(
-        f"{len(tally.parts)} parts sorted, {100 * tally.share_named:.0f} % with a name, "
-        f"{tally.n_rejected} rejected{missed}"
+        f"{tally['n_parts']} parts sorted, {100 * tally['share_named']:.0f} % with a name, "
+        f"{tally['n_rejected']} rejected{missed}"
     )
-    if tally.matrix():
+    if tally["matrix"]:
         wrong = ", ".join(
-            f"part {part.number}, {part.truth} to {part.place}" for part in tally.mistakes
+            f"part {part['number']}, {part['was']} to {part['place']}" for part in tally["mistakes"]
         )
         print_line(f"mistakes: {wrong or 'none'}")

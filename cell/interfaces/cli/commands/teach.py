@@ -1,7 +1,7 @@
 """`teach`: grasps a known object, or a drawing of it, and adds that to a data set."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,7 +18,7 @@ from cell.interfaces.cli.options import (
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
-    from cell.jobs.collection import Collection
+    from cell.plugin.goals import TeachGoal
 
 _GRASPS = 20
 """Grasps of an object where no number is given."""
@@ -79,7 +79,7 @@ def teach(
     from cell.config.simulator import checked_label
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config
-    from cell.jobs.collection import Collection
+    from cell.plugin.goals import TeachGoal
 
     try:
         checked_label(label)
@@ -92,8 +92,8 @@ def teach(
     if shape is None and mesh is None:
         if gauge is not None or gauge_shape is not None:
             raise ConfigError("a gauge serves drawings: add --shape or --mesh")
-        collection = Collection(label=label, n_planned=grasps or _GRASPS, present=present)
-        _teach_grasps(checked, config, collection, dataset, out_folder, json_file)
+        goal = TeachGoal(label=label, grasps=grasps or _GRASPS, present=present, train=False)
+        _teach_grasps(checked, config, goal, dataset, out_folder, json_file)
         return
     if shape is not None and mesh is not None:
         raise ConfigError("--shape and --mesh are two drawings; give one of them")
@@ -114,35 +114,44 @@ def teach(
 def _teach_grasps(
     config: "CellConfig",
     config_file: Path | None,
-    collection: "Collection",
+    goal: "TeachGoal",
     dataset: Path,
     out_folder: Path | None,
     json_file: Path | None,
 ) -> None:
+    from cell.errors import DatasetError
     from cell.interfaces.cli.session import pads_of, running_cell
     from cell.interfaces.cli.terminal import print_line, write_json
-    from cell.jobs.teach import dataset_to_extend, teach_to_dataset
+    from cell.jobs.teach import append_to_dataset, dataset_to_extend
 
     before = dataset_to_extend(dataset, pads_of(config))
+    goal = goal.model_copy(update={"seed": config.seed + len(before)})
+    shown: dict[str, Any] = {}
     with running_cell(
-        config, "teach", out_folder, config_file=config_file, json_file=json_file
-    ) as (cell, progress):
-        teach_to_dataset(
-            cell, config, collection, dataset, before, progress=progress, note=print_line
-        )
-    print_line(f"recording: {cell.recording_path}")
-    write_json(
-        json_file,
-        {
-            "label": collection.label,
-            "n_grasps": len(collection.records),
-            "n_missed": collection.n_missed,
-            "dataset": dataset,
-            "recording": cell.recording_path,
-            "health": cell.health(),
-        },
-    )
-    cell.check_recording()
+        *(config, "teach", out_folder), config_file=config_file, json_file=json_file
+    ) as cell:
+        try:
+            cell.run(goal, shown.update)
+        finally:
+            if taken := cell.plugin.training_set:
+                try:
+                    append_to_dataset(dataset, before, taken)
+                except DatasetError as error:
+                    raise DatasetError(
+                        f"{error}; the grasps are in {cell.plugin.recording_path}, which train "
+                        "takes"
+                    ) from error
+                missed = f" ({shown['missed']} found no part)" if shown["missed"] else ""
+                print_line(
+                    f"{len(taken)} of {goal.grasps} grasps of {goal.label}{missed} added to "
+                    f"{dataset} ({len(before)} were there)"
+                )
+                if shown["short"]:
+                    print_line(shown["short"])
+    values = {"label": goal.label, "n_grasps": shown["grasps"], "n_missed": shown["missed"]}
+    print_line(f"recording: {cell.plugin.recording_path}")
+    write_json(json_file, values | {"dataset": dataset} | cell.made)
+    cell.plugin.check_recording()
 
 
 def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:

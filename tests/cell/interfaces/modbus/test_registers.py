@@ -57,7 +57,7 @@ def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Plc]]]:
 
     def make(served: Served | None = None, **changes: Any) -> tuple[Served, Plc]:
         served = served or serve("modbus", **changes)
-        made.append(Plc(served.doors["modbus_port"]))
+        made.append(Plc(served.interfaces["modbus_port"]))
         return served, made[-1]
 
     yield make
@@ -221,7 +221,7 @@ def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     served.clock.now_s += 50.0
     plc.write(LIFE, plc.life)  # written, but the same: the PLC's program stands
     served.clock.now_s += 11.0
-    served.service.lease.look()
+    served.service.lease.check_expiry()
     assert "was silent for 61.00 s" in served.ended().error
     assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
     assert text_of(plc.inputs()).startswith("Release, then go on. stopped because 'Modb")
@@ -229,7 +229,7 @@ def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     assert plc.write(7, 1) == 0
     assert served.service.held_by == ("Modbus 127.0.0.1",)
     assert plc.write(7, 0) == 0
-    # Another door is in command meanwhile.
+    # Another interface is in command meanwhile.
     served.service.lease.acquire("robot")
     assert plc.live() == 6
     assert not plc.inputs()[2] & REMOTE
@@ -421,7 +421,7 @@ def test_a_client_that_never_reads_holds_nobody_up(connect: Any) -> None:
     served, plc = connect()
     plc.adopt()
     read = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 64)
-    with socket.create_connection(("127.0.0.1", served.doors["modbus_port"])) as greedy:
+    with socket.create_connection(("127.0.0.1", served.interfaces["modbus_port"])) as greedy:
         greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         greedy.setblocking(False)
         until(lambda: _full(greedy, read * 5000))
@@ -589,7 +589,7 @@ def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
 def test_mbpoll_reads_the_cell(connect: Any) -> None:
     served, _ = connect()
-    port = str(served.doors["modbus_port"])
+    port = str(served.interfaces["modbus_port"])
     asked = ["mbpoll", "-1", "-q", "-t", "3", "-r", "1", "-c", "4", "-p", port, "127.0.0.1"]
     found = subprocess.run(asked, capture_output=True, text=True, timeout=30, check=True).stdout
     assert str(SIGNATURE) in found

@@ -1,4 +1,4 @@
-"""The web door on a stub that is brought into any state; a test may show other values of it."""
+"""The web interface on a stub in any state; a test may show other values."""
 
 import threading
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from cell.config.model import CellConfig
-from cell.interfaces.web import WebDoor
+from cell.interfaces.web import WebInterface
 from cell.plugin.goals import Goal
 from cell.plugin.plugin import cell_values
 from cell.service.service import Service
@@ -32,7 +32,7 @@ SORTING: dict[str, Any] = {
 
 
 class FakeCell:
-    """A service behind its web door, on a stub."""
+    """A service behind its web interface, on a stub."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.changes: dict[str, Any] = {}
@@ -62,12 +62,12 @@ class FakeCell:
         patch.setattr("cell.interfaces.web.state_values", self._shown)
         for label in BEFORE:
             self._name(label)
-        self.door = WebDoor(self.service)
+        self.interface = WebInterface(self.service)
 
     @property
     def url(self) -> str:
         """Address as `serve` prints it."""
-        return f"http://127.0.0.1:{self.door.port}/#token={self.door.token}"
+        return f"http://127.0.0.1:{self.interface.port}/#token={self.interface.token}"
 
     @property
     def state(self) -> dict[str, Any]:
@@ -88,7 +88,7 @@ class FakeCell:
 
     def close(self) -> None:
         self.sends.set()
-        self.door.close()
+        self.interface.close()
         self.service.close()
 
     # -- states ----------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine
 from cell.commissioning.record import write_record
 from cell.config.serve import ServeConfig
-from cell.interfaces.wizard import Wizard, WizardDoor
+from cell.interfaces.wizard import Wizard, WizardServer
 from tests.cell.commissioning.test_engine import Asking
 from tests.cell.interfaces.page.test_page import OpenPage, becomes, fits
 from tests.cell.interfaces.test_wizard import Moving, Ports
@@ -30,10 +30,10 @@ def address(tmp_path: Path, walk: list[Any]) -> Iterator[str]:
     """Address of a wizard's page, with its token."""
     serve = ServeConfig(http_port=0)
     wizard = Wizard(Engine(walk, Bench(tmp_path), finish=write_record), serve)
-    door = WizardDoor(wizard)
-    yield f"http://127.0.0.1:{door.port}/#token={door.token}"
+    interface = WizardServer(wizard)
+    yield f"http://127.0.0.1:{interface.port}/#token={interface.token}"
     wizard.close()
-    door.close()
+    interface.close()
 
 
 def first_motion(page: Any) -> None:

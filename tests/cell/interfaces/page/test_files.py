@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import pytest
 
-from cell.commissioning.engine import Verdict
+from cell.checks.findings import Verdict
 from cell.commissioning.walk import all_steps
 from cell.control.states import CellState, GraspState
 from cell.fault_catalogue import CATALOGUE, RecoveryStep
@@ -123,7 +123,7 @@ def test_nothing_is_written_as_html_and_nothing_comes_from_elsewhere() -> None:
 
 def test_files_are_served_without_token_and_with_their_headers(serve: Any) -> None:
     served = serve("http")
-    link = HTTPConnection("127.0.0.1", served.doors["http_port"], timeout=20.0)
+    link = HTTPConnection("127.0.0.1", served.interfaces["http_port"], timeout=20.0)
 
     def ask(path: str, **headers: str) -> Any:
         link.request("GET", path, headers=headers)

@@ -1,4 +1,4 @@
-"""The page on the real door: on a stub of the cell, and once on the simulated cell."""
+"""The page on the real interface: on a stub of the cell, and once on the simulated cell."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -31,7 +31,8 @@ def line() -> Iterator[Callable[[int], Line]]:
 
 
 def address(served: Served, port: int = 0) -> str:
-    return f"http://127.0.0.1:{port or served.doors['http_port']}/#token={served.doors['token']}"
+    found = served.interfaces
+    return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
 
 
 def test_a_part_is_named_kept_verified_and_let_go(serve: Any, open_page: OpenPage) -> None:
@@ -158,7 +159,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(
     serve: Any, line: Any, open_page: OpenPage
 ) -> None:
     served = serve("http")
-    wire = line(served.doors["http_port"])
+    wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port), command=True)
     becomes(page, "#state", "Ready")
     wire.cut()
@@ -180,7 +181,7 @@ def test_a_command_whose_answer_is_lost_is_done_once(
     serve: Any, line: Any, open_page: OpenPage
 ) -> None:
     served = serve("http")
-    wire = line(served.doors["http_port"])
+    wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port), command=True)
     wire.mute = True
     page.click("#do_grip")
@@ -194,7 +195,7 @@ def test_a_command_whose_answer_is_lost_is_done_once(
 
 def test_a_slow_line_is_not_shown_as_live(serve: Any, line: Any, open_page: OpenPage) -> None:
     served = serve("http")
-    wire = line(served.doors["http_port"])
+    wire = line(served.interfaces["http_port"])
     page = open_page(address(served, wire.port))
     becomes(page, "#state", "Ready")
     wire.delay_s = 1.5
@@ -218,7 +219,7 @@ def test_over_tls(serve: Any, tls: dict[str, str], open_page: OpenPage) -> None:
 
 def test_a_page_that_slept_shows_now(serve: Any, line: Any, open_page: OpenPage) -> None:
     served = serve("http")
-    wire = line(served.doors["http_port"])
+    wire = line(served.interfaces["http_port"])
     page = open_page("about:blank")
     page.clock.install()
     page.goto(address(served, wire.port))

@@ -362,7 +362,7 @@ def test_the_keyboard_alone_is_enough(open_page: OpenPage, cell: FakeCell) -> No
 
 @pytest.mark.long
 def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -> None:
-    page = open_page(f"http://127.0.0.1:{cell.door.port}/#token=wrong")
+    page = open_page(f"http://127.0.0.1:{cell.interface.port}/#token=wrong")
     becomes(page, "#login_wrong", "refused")
     page.fill("#login_token", cell.url.partition("token=")[2])
     page.keyboard.press("Enter")
@@ -372,7 +372,7 @@ def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -
 
 @pytest.mark.real_time
 def test_the_first_paint_is_quick(open_page: OpenPage, cell: FakeCell) -> None:
-    """Measured at the second visit: at the first one the browser itself still starts."""
+    """LatestValues at the second visit: at the first one the browser itself still starts."""
     page = open_page()
     becomes(page, "#state", "Ready")
     page.reload()

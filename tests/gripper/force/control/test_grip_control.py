@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.performance._force_plant import Rig, Truth
+from benchmarks.performance._force_plant import CREEP, Rig, Truth
 from benchmarks.performance.force_ramps import PARTS
 from gripper.errors import (
     ForceSensorStale,
@@ -18,6 +18,7 @@ from gripper.settings import ForceLoopSettings, GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
+from simulator.servo.gearing import XM430_W350_GEARING
 from tests.gripper.force.pads import WrongPads
 
 
@@ -146,7 +147,15 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
     """Friction keeps small errors; after 1 s of a hold its drive is given back beside."""
     truth = Truth(kt_error=0.1, friction_error=-0.15, seed=103)
     part = PARTS["cork, 5 N/mm"]
-    rig = Rig(part, truth, 0.2, ForceLoopSettings(), rate_hz=500.0, further_truths=True)
+    rig = Rig(
+        part,
+        truth,
+        0.2,
+        ForceLoopSettings(),
+        rate_hz=500.0,
+        gearing=XM430_W350_GEARING,
+        creep=CREEP,
+    )
     quality = rig.grasp(4.0, 3.0)
     assert not quality.lost
     assert max(quality.holding_n, quality.overshoot_n) <= 0.15

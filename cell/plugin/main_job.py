@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from cell.build import Cell
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.records import GraspRecord
-from cell.jobs.collection import Collection
-from cell.jobs.common import Progress, progress_of
-from cell.jobs.identify import identify
-from cell.jobs.teach import teach
+from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
-from cell.learning.taught_model import TaughtModel
+from cell.learning.taught_model import training_set_file
 from cell.learning.training import train
+from cell.plugin.goals import IdentifyGoal, TeachGoal
+from cell.plugin.part_report import PartReport
+from cell.plugin.plugin import TactileCellPlugin
 from cell.report.build import BASELINE, score_tables
 from cell.report.data import ConfusionTable
 from recognition.drift.grid import DriftGrid
+from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
 
 
@@ -115,9 +115,8 @@ class MainResult:
         }
 
 
-@one_blas_thread()
 def teach_and_identify(
-    cell: Cell,
+    plugin: TactileCellPlugin,
     config: CellConfig,
     *,
     labels: Sequence[str],
@@ -125,11 +124,10 @@ def teach_and_identify(
     n_trials: int,
     folder: Path,
     progress: Progress,
-    model: TaughtModel | None = None,
 ) -> MainResult:
     """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
 
-    With a ``model`` nothing is taught. Plans of teaching and of identifying are drawn with
+    A plugin with a model teaches nothing. Plans of teaching and of identifying are drawn with
     different seeds, so no pose and force is met twice. Ramps are whole: all recognisers judge the
     same grasps.
 
@@ -139,82 +137,86 @@ def teach_and_identify(
         What the cell raises; the recording has all that happened until then.
     """
     started_s = time.monotonic()
-    taught: list[Collection] = []
-    files: dict[str, Path] = {}
+    remarks: list[str] = []
+    default, model, n_taught = config.recognition.recognizer, None, 0
     recognizers: dict[str, Recognizer] = {}
-    if model is None:
-        model = TaughtModel(config)
-        files = {"dataset": folder / "taught.npz", "model": folder / "model.npz"}
-        taught = teach_objects(cell, config, model, labels, n_teach, progress=progress)
-        model.save_training_set(files["dataset"])
+    if not plugin.labels:
+        remarks += teach_objects(plugin, config, labels, n_teach, progress)
+        n_taught = len(plugin.training_set)
         progress("train", 0, 2)
-        model.train()
-        model.save(files["model"])
+        plugin.train()
+        model = folder / "model.npz"
+        plugin.save(model)
         progress("train", 1, 2)
-        recognizers = baseline(config.recognition.recognizer, taught)
+        recognizers = baseline(default, plugin.training_set)
         progress("train", 2, 2)
-    default = model.check_taught().trainer_name
-    recognizers = {default: model.recognizer} | recognizers
+    else:
+        default = plugin.trainer_name
+    parts: list[PartReport] = []
+    plugin.watch_parts(parts.append)
     trials = []
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
             seed = _seed(config, 1 + repeat, number)
-            found = identify(cell.controller, model, held=label, seed=seed, whole_ramps=True)
-            others = {
+            plugin.run(IdentifyGoal(present=label, seed=seed, whole_ramps=True))
+            found = parts.pop().found
+            assert found is not None
+            first = {default: found.posteriors[0]} | {
                 name: recognizer.posterior(found.records[0].grasp)
                 for name, recognizer in recognizers.items()
-                if name != default
             }
-            first = {default: found.posteriors[0]} | others
             trials.append(Trial(truth=label, found=found, first=first))
             progress(f"identify {label}", repeat + 1, n_trials)
     return MainResult(
         labels=tuple(labels),
         default=default,
-        n_taught=sum(len(one.records) for one in taught),
+        n_taught=n_taught,
         seconds=time.monotonic() - started_s,
         scores=score_tables(
             [(trial.truth, trial.found.label, trial.first) for trial in trials], labels, default
         ),
         trials=tuple(trials),
-        dataset=files.get("dataset"),
-        model=files.get("model"),
-        recording=cell.recording_path,
-        drift=model.drift,
-        remarks=(
-            *(str(one) for one in taught if one.n_missed),
-            *(f"{one.label}: {one.short}" for one in taught if one.short),
-            *(trial.found.remark for trial in trials if trial.found.remark),
-        ),
+        dataset=None if model is None else training_set_file(model),
+        model=model,
+        recording=plugin.recording_path,
+        drift=plugin.drift,
+        remarks=(*remarks, *(trial.found.remark for trial in trials if trial.found.remark)),
     )
 
 
-def baseline(default: str, taught: Sequence[Collection]) -> dict[str, Recognizer]:
+@one_blas_thread()
+def baseline(default: str, grasps: Sequence[Grasp]) -> dict[str, Recognizer]:
     """Return the paper's classifier, by its name, taught the same; none where the model is one."""
-    if default == BASELINE:
-        return {}
-    grasps = [grasp for one in taught for grasp in one.grasps]
-    return {BASELINE: train(grasps, BASELINE).recognizer}
+    return {} if default == BASELINE else {BASELINE: train(grasps, BASELINE).recognizer}
 
 
 def teach_objects(
-    cell: Cell,
+    plugin: TactileCellPlugin,
     config: CellConfig,
-    model: TaughtModel,
     labels: Sequence[str],
     n_grasps: int,
-    *,
     progress: Progress,
-) -> list[Collection]:
-    """Grasp each object ``n_grasps`` times for the training set of the model.
+) -> list[str]:
+    """Grasp each object ``n_grasps`` times for the training set; return remarks on it.
 
-    Raises as `cell.jobs.teach.teach`.
+    `TactileCellPlugin.train` is to follow. Raises as `TactileCellPlugin.run`.
     """
-    taught = [Collection(label=label, n_planned=n_grasps) for label in labels]
-    for number, one in enumerate(taught):
+    missed, short = list[str](), list[str]()
+    for number, label in enumerate(labels):
+        shown: dict[str, Any] = {}
+
+        def on_progress(now: dict[str, Any], shown: dict[str, Any] = shown) -> None:
+            shown.update(now)
+            progress(f"teach {now['label']}", now["grasps"] + now["missed"], n_grasps)
+
         seed = _seed(config, 0, number)
-        teach(cell.controller, model, one, seed=seed, on_grasp=progress_of(progress))
-    return taught
+        goal = TeachGoal(label=label, grasps=n_grasps, seed=seed, train=False)
+        plugin.run(goal, on_progress=on_progress)
+        if shown["missed"]:
+            missed.append(f"{label}: {shown['missed']} grasps found no part")
+        if shown["short"]:
+            short.append(f"{label}: {shown['short']}")
+    return missed + short
 
 
 def _seed(config: CellConfig, use: int, number: int) -> int:

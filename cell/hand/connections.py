@@ -12,7 +12,7 @@ MISSING = "this line is missing: "
 """Begin of the note on a line that could not be opened."""
 
 
-class Lines:
+class HandConnections:
     """Servo line and CAN bus of one hand; each can be missing, and be opened anew.
 
     Raises gripper.errors.PortLost or tactile.errors.BusNotOpened if a line cannot be opened; with

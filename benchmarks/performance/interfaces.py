@@ -1,4 +1,4 @@
-"""What a question and a command take over each door, against the plain call of the service.
+"""What a question and a command take over each interface, against the plain call of the service.
 
 The question is the state of the cell. The command is a reset, which goes all the way to the cell
 and is refused there, because it is ready: nothing moves, so that nothing but the way is measured.
@@ -25,11 +25,11 @@ from cell.config.model import CellConfig
 from cell.control.states import Command
 from cell.errors import CellStateError
 from cell.fault_catalogue import fault_number
-from cell.interfaces.opening import open_doors
+from cell.interfaces.opening import open_interfaces
 from cell.service.opening import open_service
 from cell.service.service import RELEASE_KEY, Service
 
-_DOORS = {
+_INTERFACES = {
     "serve.modbus_port": 0,
     "serve.xmlrpc_port": 0,
     "serve.http_port": 0,
@@ -108,11 +108,11 @@ def plain_reset(service: Service, lease: int) -> int:
 
 
 def compare(rounds: int, count: int) -> None:
-    """Print question and command over both doors and by the plain call."""
-    service = open_service(changed_config(CellConfig(), _DOORS))
-    with contextlib.closing(service), open_doors(service) as doors:
+    """Print question and command over both interfaces and by the plain call."""
+    service = open_service(changed_config(CellConfig(), _INTERFACES))
+    with contextlib.closing(service), open_interfaces(service) as interfaces:
         ready = service.status().state_number
-        with ServerProxy(f"http://127.0.0.1:{doors['xmlrpc_port']}") as robot:
+        with ServerProxy(f"http://127.0.0.1:{interfaces['xmlrpc_port']}") as robot:
             lease = robot.acquire("benchmark")
             own: dict[str, tuple[Callable[[], int], Callable[[], int]]] = {
                 "plain call": (
@@ -123,7 +123,7 @@ def compare(rounds: int, count: int) -> None:
             }
             found = measured(own, ready, rounds, count)
             robot.give_up(lease)
-        modbus = Modbus(doors["modbus_port"])
+        modbus = Modbus(interfaces["modbus_port"])
         found |= measured({"Modbus": (modbus.state, modbus.reset)}, ready, rounds, count)
         modbus.close()
     for what in ("question", "command"):
@@ -168,17 +168,17 @@ def clients(n_clients: int, port: int) -> Iterator[None]:
 
 def lateness(n_clients: int) -> str:
     """Grip on pseudo-terminals with so many clients; return the loop's figures."""
-    with real_time_cell(**_DOORS) as (_, config):
+    with real_time_cell(**_INTERFACES) as (_, config):
         service = open_service(config)
-        with contextlib.closing(service), open_doors(service) as doors:
+        with contextlib.closing(service), open_interfaces(service) as interfaces:
             lease = service.lease.acquire("benchmark")
             grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
-            with clients(n_clients, doors["xmlrpc_port"]):
+            with clients(n_clients, interfaces["xmlrpc_port"]):
                 for _ in range(_GRIPS):
                     wait_for(service, service.start(lease, grip))
                     release = service.command(lease, Command.RELEASE, key=RELEASE_KEY)
                     wait_for(service, release)
-            hand = service._plugin._cell.controller.hand  # noqa: SLF001  its figures are no door's
+            hand = service._plugin._cell.controller.hand  # noqa: SLF001  its figures are no interface's
             return figures(hand.statistics.loop)
 
 
@@ -190,7 +190,9 @@ def wait_for(service: Service, number: int) -> None:
 
 
 def main(effort: float = 1.0) -> None:
-    print("compared: the state of the cell and a refused reset, over each door and by a plain call")
+    print(
+        "compared: state of the cell and a refused reset, over each interface and by a plain call"
+    )
     compare(repeats(5, effort), repeats(_CALLS, effort, least=20))
     if effort < 1.0:
         return  # real time is for a machine that does nothing else

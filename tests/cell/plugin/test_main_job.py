@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.data.dataset import read_dataset, read_grasps, write_dataset
+from cell.data.dataset import read_grasps, write_dataset
 from cell.data.files import json_bytes
 from cell.data.recording_reader import read_recording
-from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
-from cell.jobs.collection import Collection, grasps_of
+from cell.errors import CellError, NoPartFound
+from cell.jobs.collection import grasps_of
 from cell.jobs.common import job_folder, progress_of
-from cell.jobs.run import baseline
-from cell.jobs.teach import name_recorded, read_labelled_grasps, teach_to_dataset
+from cell.jobs.teach import name_recorded, read_labelled_grasps
 from cell.learning.model import load_model
 from cell.learning.training import train
+from cell.plugin.main_job import baseline
 from cell.report.build import BASELINE, score, score_tables
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
@@ -130,40 +130,6 @@ def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_o
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
     with pytest.raises(NoPartFound):
         grasps_of(*cell, ["box"], 1, seed=1)
-
-
-@pytest.mark.parametrize("dataset", ["d.npz", "gone/d.npz"])
-def test_what_was_grasped_before_a_stop_is_in_the_data_set(
-    make_bench: MakeBench, taught: Any, tmp_path: Path, dataset: str
-) -> None:
-    bench = make_bench(taught.config, folder=tmp_path)
-    bench.controller.start()
-    collection, notes = Collection(label="box", n_planned=20), list[str]()
-
-    def progress(_task: str, done: int, _total: int) -> None:
-        if done == 2:
-            bench.once_in(GripperPhase.RAMPING, bench.controller.cancel)
-
-    def run() -> None:
-        teach_to_dataset(
-            bench.cell,
-            taught.config,
-            collection,
-            tmp_path / dataset,
-            (),
-            progress=progress,
-            note=notes.append,
-        )
-
-    if dataset == "d.npz":
-        with pytest.raises(CellStopped, match="the grip is kept"):
-            run()
-        assert [grasp.label for grasp in read_dataset(tmp_path / dataset)] == ["box", "box"]
-        assert notes == [f"2 of 20 grasps of box added to {tmp_path / dataset} (0 were there)"]
-    else:
-        with pytest.raises(DatasetError, match=r"recording\.mcap, which train takes"):
-            run()
-    assert str(collection) == "2 of 20 grasps of box"
 
 
 def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(

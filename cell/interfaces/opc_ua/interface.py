@@ -1,4 +1,4 @@
-"""OPC UA: the door for plants that browse, as SCADA, MES and controllers; nodes and methods."""
+"""OPC UA: the interface for plants that browse (SCADA, MES, controllers); nodes and methods."""
 
 import asyncio
 import inspect
@@ -41,13 +41,13 @@ ARRAYS = ("Identification.Labels", "Pose.Value", "Taxels")
 """Paths of variables that are arrays."""
 FAULT_EVENT, SHUTDOWN_EVENT = "CellFault", "CellShutdown"
 """Event types, sent by the object Server: a fault is latched, with its fields as in the variables
-of these names and its remedy; the door closes."""
+of these names and its remedy; the interface closes."""
 _SEVERITY = 700
 """Severity of events, 1 to 1000: high."""
 _EVENT_FIELDS = (("FaultNumber", _INT), ("FaultText", _TEXT), ("Remedy", _TEXT))
 
 
-class OpcUaDoor:
+class OpcUaInterface:
     """The cell behind OPC UA.
 
     Raises OSError if it cannot listen at the configured address and port, or a file cannot be read,
@@ -56,7 +56,7 @@ class OpcUaDoor:
 
     def __init__(self, service: Service) -> None:
         self._service = service
-        self._calls = Calls(service, door="OPC UA")
+        self._calls = Calls(service, interface="OPC UA")
         self._fault: str | None = None
         started: Future[int] = Future()
         self._thread = threading.Thread(

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from cell.hand.lines import MISSING, Lines
+from cell.hand.connections import MISSING, HandConnections
 from gripper.errors import PortLost
 from tactile.errors import BusNotOpened
 
@@ -47,13 +47,13 @@ def test_a_line_that_is_missing_is_refused_and_the_other_one_given_back(
 ) -> None:
     openers = Openers(failing)
     with pytest.raises(error):
-        Lines(openers.servos, openers.can)
+        HandConnections(openers.servos, openers.can)
     assert all(line.closed == 1 for line in openers.made)
 
 
 def test_one_line_may_be_missing_where_that_is_allowed_but_not_both() -> None:
     openers = Openers("servos")
-    lines = Lines(openers.servos, openers.can, partial=True)
+    lines = HandConnections(openers.servos, openers.can, partial=True)
     assert lines.notes == (f"{MISSING}no port",)
     for use in (lambda: lines.stream.write(b""), lambda: lines.stream.read(1, 0.0)):
         with pytest.raises(PortLost, match="no port"):
@@ -63,7 +63,7 @@ def test_one_line_may_be_missing_where_that_is_allowed_but_not_both() -> None:
     assert (lines.notes, lines.servos_are_missing) == ((), False)
 
     openers = Openers("can")
-    lines = Lines(openers.servos, openers.can, partial=True)
+    lines = HandConnections(openers.servos, openers.can, partial=True)
     assert lines.notes == (f"{MISSING}no bus",)
     with pytest.raises(BusNotOpened):
         lines.reopen_can()
@@ -75,13 +75,13 @@ def test_one_line_may_be_missing_where_that_is_allowed_but_not_both() -> None:
 
     openers = Openers("servos", "can")
     with pytest.raises(PortLost, match="no port; no bus"):
-        Lines(openers.servos, openers.can, partial=True)
+        HandConnections(openers.servos, openers.can, partial=True)
 
 
 def test_ends_of_somebody_else_are_not_closed() -> None:
     openers = Openers()
     stream, bus = openers.servos(), openers.can()
-    lines = Lines(openers.servos, openers.can, stream=stream, can_bus=bus)
+    lines = HandConnections(openers.servos, openers.can, stream=stream, can_bus=bus)
     assert (lines.stream, lines.can_bus) == (stream, bus)
     assert lines.reopen_servos() is not stream
     lines.close()

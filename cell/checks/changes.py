@@ -1,0 +1,239 @@
+"""What differs in a cell from its commissioning, and which step is to be done again."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from shlex import quote
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from cell.checks.findings import CheckResult, check_result, kept_values
+from tactile.layout import PadMount, TaxelLayout, taxel_order
+from tactile.sensor.tare import assess_health
+
+_OPENING_MM = 0.3
+"""Difference of the opening in mm that placing a gauge object by hand does not make: a box that
+stands askew by 1 degree over 15 mm is 0.26 mm wider."""
+_FINGERS_SHARE = 0.15
+"""Difference of both fingers' forces, as a share of the grip force, that is none in equilibrium."""
+_CURRENT_SHARE = 0.3
+"""Change of the motors' current at the same force: friction that grows by more wears something."""
+_ZERO_SHARE = 0.03
+"""Change of the zero of a pad, as a share of the full scale: drift of hours is a third of it."""
+_NOISE_FACTOR = 2.0
+"""Noise of a pad over that at commissioning from which it is worth a word."""
+_LEAST_NOISE = 1.0
+"""Noise in counts below which the factor means nothing."""
+_TAXELS_NAMED = 6
+"""Taxels that are named one by one; of more the number is given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """Something that is not as it was at commissioning."""
+
+    what: str
+    was: str
+    found: str
+    """What it is, how it was, and how it was found."""
+    step: str
+    """Key of the step that is to be done again, with all that needs it."""
+
+    def advice(self, folder: Path) -> str:
+        """Return what to do with the commissioning in a folder."""
+        place = "" if folder == Path() else f" {quote(str(folder))}"
+        return f"`tactile-cell commission{place} --redo {self.step}` does what depends on it again"
+
+
+def _change(
+    what: str, step: str, was: Any, now: Any, text: str, *, differs: bool | None = None
+) -> list[Change]:
+    """Return the change of one value, none where it is equal, or ``differs`` denies it.
+
+    ``text`` formats the value as it was and as it is.
+    """
+    if (was == now) if differs is None else not differs:
+        return []
+    return [Change(what=what, was=text.format(was), found=text.format(now), step=step)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gauge:
+    """How a gauge object felt."""
+
+    gauge: str
+    """Its name, as the person typed it."""
+    force_n: float
+    """Force asked for in N."""
+    held_n: tuple[float, float]
+    """Force on finger 0 and 1 while it was held, in N."""
+    contact_mm: float
+    held_mm: float
+    """Opening at the contact and while it was held, in mm."""
+    current_ma: float
+    """Mean goal current of the motors while it was held, in mA."""
+    patch_taxels: tuple[int, int]
+    """Touched taxels of the inner pad of finger 0 and 1."""
+
+
+def changed_unit(
+    found: Mapping[str, Mapping[str, Any]],
+    *,
+    serial: int,
+    revision: int,
+    boards: tuple[int, int],
+) -> list[Change]:
+    """Return how a control unit and its pads differ from those that were commissioned.
+
+    ``found`` has the values of the findings by the key of the step; the rest is of the unit that
+    answers now.
+    """
+    unit, pads = found.get("unit", {}), found.get("pads_at_rest", {})
+    was_serial, was_revision = unit.get("serial_number", serial), unit.get("revision", revision)
+    firmware = "firmware of the control unit"
+    changes = _change("control unit", "unit", was_serial, serial, "serial {}") or _change(
+        firmware, "unit", was_revision, revision, "revision {:#x}"
+    )
+    step, was = "pads_at_rest", tuple(pads.get("board_serial_numbers", boards))
+    if was == boards[::-1] != boards:
+        both = f"serial {was[0]} on finger 0, {was[1]} on finger 1"
+        return [*changes, Change(what="pads", was=both, found="exchanged", step=step)]
+    for finger in (0, 1):
+        changes += _change(
+            f"pads of finger {finger}", step, was[finger], boards[finger], "serial {}"
+        )
+    return changes
+
+
+def changed_servos(
+    found: Mapping[str, Mapping[str, Any]], servos: Mapping[int, tuple[str, int]]
+) -> list[Change]:
+    """Return how servos differ from those that were commissioned; ``servos``: model, firmware."""
+    changes = []
+    for was in found.get("servos", {}).get("servos", ()):
+        before = (was["model"], was["firmware"])
+        now = servos.get(was["id"], before)
+        changes += _change(f"servo {was['id']}", "servos", before, now, "{0[0]}, firmware {0[1]}")
+    return changes
+
+
+def changed_pads(
+    found: Mapping[str, Mapping[str, Any]],
+    layout: TaxelLayout,
+    frames: NDArray[np.uint16],
+    mounts: Sequence[PadMount] = (),
+) -> list[Change]:
+    """Return how pads at rest differ from those that were commissioned.
+
+    Parameters
+    ----------
+    found
+        Values of the findings by the key of the step.
+    layout, frames
+        The taxels, and frames (n, n_taxels) that nothing touched, at least 8.
+    mounts
+        How pads sit; what was found at rest is in the order in which the unit sends them.
+    """
+    was = found.get("pads_at_rest", {})
+    if len(was.get("zero_counts", ())) != layout.n_pads:
+        return []
+    zero, noise = frames.mean(axis=0), frames.std(axis=0)
+    sent_as = {mount.pad: mount.sent_as for mount in mounts}
+    known = np.isin(taxel_order(layout, mounts), was["bad_taxels"])
+    bad = assess_health(frames, layout.adc_max).bad
+    new = np.flatnonzero(bad & ~known).tolist()
+    step, changes = "pads_at_rest", []
+    if new:
+        broken = f"{np.count_nonzero(bad)}, new: {taxel_names(layout, new)}"
+        was_broken = str(len(was["bad_taxels"]))
+        changes.append(Change(what="broken taxels", was=was_broken, found=broken, step=step))
+    for number, pad in enumerate(layout.pads):
+        taxels, place = layout.taxels_of(number), sent_as.get(number, number)
+        before, now = was["zero_counts"][place], float(np.median(zero[taxels]))
+        drifted = abs(now - before) > _ZERO_SHARE * layout.adc_max
+        text = "{:.1f} counts"
+        changes += _change(f"zero of {pad.name}", step, before, now, text, differs=drifted)
+        before, now = was["noise_counts"][place], float(np.median(noise[taxels]))
+        noisy = now > _NOISE_FACTOR * max(before, _LEAST_NOISE)
+        changes += _change(f"noise of {pad.name}", step, before, now, text, differs=noisy)
+    return changes
+
+
+def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
+    """Return taxels by pad, row and column, the first few of many."""
+    named = []
+    for taxel in taxels[:_TAXELS_NAMED]:
+        pad = int(layout.taxel_pad[taxel])
+        row, column = divmod(taxel - layout.taxels_of(pad).start, layout.pads[pad].columns)
+        named.append(f"{layout.pads[pad].name} row {row} column {column}")
+    if (more := len(taxels) - len(named)) > 0:
+        named.append(f"and {more} more")
+    return ", ".join(named)
+
+
+def changed_gauge(was: Gauge, now: Gauge) -> list[Change]:
+    """Return how the gauge object feels otherwise than at commissioning."""
+    changes = []
+    for what, before, after in (
+        ("opening at the contact", was.contact_mm, now.contact_mm),
+        ("opening on the gauge object", was.held_mm, now.held_mm),
+    ):
+        moved = abs(after - before) > _OPENING_MM
+        changes += _change(what, "fingers", before, after, "{:.2f} mm", differs=moved)
+    ratio = [(one.held_n[0] - one.held_n[1]) / (0.5 * sum(one.held_n)) for one in (was, now)]
+    changes += _change(
+        "forces of both fingers",
+        "pads_law",
+        was.held_n,
+        now.held_n,
+        "{0[0]:.2f} and {0[1]:.2f} N",
+        differs=abs(ratio[1] - ratio[0]) > _FINGERS_SHARE,
+    )
+    current = _change(
+        "current of the motors at the same force",
+        "pads_law",
+        was.current_ma,
+        now.current_ma,
+        "{:.0f} mA",
+        differs=abs(now.current_ma - was.current_ma) > _CURRENT_SHARE * was.current_ma,
+    )
+    cause = "friction, or another law of the pads"
+    changes += [replace(one, found=f"{one.found}: {cause}") for one in current]
+    return changes
+
+
+def gauge_of(found: Mapping[str, Mapping[str, Any]]) -> Gauge | None:
+    """Return the gauge object of the commissioning; None where there is none."""
+    values = found.get("baseline", {}).get("gauge")
+    return None if values is None else TypeAdapter(Gauge).validate_python(values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommissionedValues:
+    """What was found at commissioning, in which folder; nothing where there was none."""
+
+    folder: Path
+    found: Mapping[str, Mapping[str, Any]]
+
+    def findings(self, what: str, changes: Sequence[Change]) -> list[CheckResult]:
+        """Return what has changed since the commissioning, or one finding that nothing has."""
+        if not self.found:
+            return []
+        return [
+            check_result(
+                change.what,
+                f"{change.found}, at commissioning {change.was}",
+                change.advice(self.folder),
+            )
+            for change in changes
+        ] or [check_result(what, "as at commissioning", ok=True)]
+
+    @classmethod
+    def beside(cls, config_file: Path | None) -> Self:
+        """Return the values beside a config file. Raises CellError if they cannot be read."""
+        if config_file is None:
+            return cls(folder=Path(), found={})
+        return cls(folder=config_file.parent, found=kept_values(config_file.parent))
