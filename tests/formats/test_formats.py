@@ -110,7 +110,7 @@ def test_a_commissioned_cell_is_done_and_its_servos_come_back(
 def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
     call("config", "convert", "small.yaml")
     said = " ".join(call("doctor", "-c", "small.yaml").split())
-    assert "it names no format, expected tactile-cell-self-zero/1; `tactile-cell zero`" in said
+    assert "it names no format, expected tactile-cell-self-zero/2; `tactile-cell zero`" in said
     call("zero", "-c", "small.yaml")
     said = call("doctor", "-c", "small.yaml")
     assert "pads meet at" in said
