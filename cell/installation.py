@@ -16,7 +16,7 @@ from cell.errors import MissingExtraError
 EXTRAS = {
     "report": ("jinja2", "matplotlib"),
     "mesh": ("trimesh",),
-    "serve": ("fastapi", "uvicorn", "websockets"),
+    "serve": ("fastapi", "segno", "uvicorn", "websockets"),
 }
 """Extra -> the modules that it brings, which `doctor` or a note names before they are needed."""
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -31,7 +31,7 @@ from recognition.grasp import Grasp
 from simulator.can.capture import PcapWriter
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
-from simulator.errors import SimulatorError
+from simulator.errors import PartGripped, SimulatorError
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.realtime.requests import CellRequests
 from simulator.servo.gearing import GEARINGS
@@ -39,9 +39,10 @@ from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, RackL
 from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.world.press import PadPair
-from simulator.world.shape_files import parse_shape
+from simulator.world.shape_files import MeshShape, parse_shape, read_mesh
 from simulator.world.shapes import ObjectPose, Shape
 from simulator.world.taxels import NoiseModel, SensorLaw
+from simulator.world.world import NOTHING
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
 from tactile.layout import TaxelLayout
@@ -259,6 +260,15 @@ def drawn_shape(text: str) -> Shape:
     return _shape(text, f"shape {text!r}")
 
 
+def shape_of_stl(data: bytes, name: str) -> MeshShape:
+    """Return the shape in an STL file in mm. Raises ConfigError if it holds none."""
+    try:
+        with extra("mesh", needed_by=name):
+            return read_mesh(data, name)
+    except SimulatorError as error:
+        raise ConfigError(str(error)) from error
+
+
 def _shape(text: str, where: str) -> Shape:
     try:
         with extra("mesh", needed_by=f"{where}: a mesh file"):
@@ -299,6 +309,7 @@ class SimulationRequests:
     def __init__(
         self, cell: SimulatedCell, between_jobs: Callable[[Callable[[], None]], None]
     ) -> None:
+        self._cell = cell
         self._requests = CellRequests(cell.devices, cell.injector)
         self._waiting: SimpleQueue[tuple[dict[str, Any], Future[dict[str, Any]]]] = SimpleQueue()
         self._between_jobs = between_jobs
@@ -307,19 +318,52 @@ class SimulationRequests:
     def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out a request of `simulator.realtime.requests` and return its reply.
 
-        Raises RequestRefused if it cannot be carried out, CellStateError if the cell has no time
-        for it.
+        Raises RequestRefused if it cannot be carried out, CellStateError if the part in the grip is
+        in its way, or the cell has no time for it.
         """
         reply: Future[dict[str, Any]] = Future()
         self._waiting.put((request, reply))
         self._between_jobs(self._answer)
         try:
             return reply.result(_REPLY_S)
+        except PartGripped as error:
+            raise CellStateError(f"simulation: {error}") from error
         except SimulatorError as error:
             raise RequestRefused(f"simulation: {error}") from error
         except TimeoutError as error:
             reply.cancel()
             raise CellStateError(f"the cell was busy for {_REPLY_S:g} s: ask again") from error
+
+    def part_for(self, label: str, present: str | None) -> str:
+        """Return the object to place for a label, which is a name of this object from then on.
+
+        It is ``present``, or else that of the label, or else what lies between the fingers. Raises
+        CellStateError if nothing does, ConfigError if ``present`` is no object.
+        """
+        world, placed = self._cell.devices.physical, self._cell.devices.physical.placed
+        with suppress(SimulatorError):
+            if present is None and world.shape(label):
+                return label
+        part = present or (NOTHING if placed is None else placed[0])
+        if part == NOTHING:
+            raise CellStateError(
+                f"{label!r:.60} is to be grasped, and nothing lies between the fingers of the "
+                "simulated cell: choose a part on the page under Simulation, or name one as "
+                "`present` (`--object`)"
+            )
+        shape = world.objects.get(part) or drawn_shape(part)
+        if label not in self._cell.settings.objects:
+            world.objects[label] = shape
+        return part
+
+    def end_faults(self) -> None:
+        """End all faults; on the thread of the cell."""
+        self._cell.injector.clear_all()
+
+    def empty(self) -> None:
+        """Take the part away, and the offset of its pose; on the thread of the cell."""
+        self._cell.devices.offset = ObjectPose()
+        self._cell.remove()
 
     def _answer(self) -> None:
         while not self._waiting.empty():

@@ -102,6 +102,8 @@ class CellDevices:
         """The drives on a bus of their own; None without any."""
         self.stage = Stage(self.world, self.axes) if isinstance(self.world, PhysicalWorld) else None
         """What carries the object, None in a cell that plays recorded grasps."""
+        self.offset = ObjectPose()
+        """How far each object is placed beside the pose that is asked for."""
 
     def second_unit(self, now_s: float) -> SimulatedControlUnit:
         """Return another control unit with the same node id, switched on at ``now_s`` s."""
@@ -154,10 +156,10 @@ class CellDevices:
 
         See `PhysicalWorld.place` and `Stage.place`.
         """
-        world = self.physical
+        world, pose = self.physical, (pose or ObjectPose()) + self.offset
         if self.stage is None or self.stage.empty:
             return world.place(label, pose)
-        return self.stage.place(label, pose or ObjectPose())
+        return self.stage.place(label, pose)
 
     def advance_to(self, now_s: float) -> None:
         """Let the time pass for axes, fingers, object and servos until ``now_s`` s."""

@@ -19,6 +19,10 @@ class SimulatorStateError(SimulatorError, RuntimeError):
     """Something was asked for in the wrong order, such as polling an endpoint that is closed."""
 
 
+class PartGripped(SimulatorStateError):
+    """An object is to be exchanged while the fingers hold one."""
+
+
 class PortUnplugged(SimulatorError, OSError):
     """The simulated cable is out: reading and writing fail as on an adapter that went away."""
 

@@ -86,6 +86,14 @@ def read_secret(path: str) -> str:
     return found
 
 
+def view_token(token: str) -> str:
+    """Return the token that may read and not command, made of the one that may: no way leads back.
+
+    It stays as long as the other one does.
+    """
+    return hmac.new(token.encode(), b"view only", "sha256").hexdigest()[:32]
+
+
 def same_secret(given: str, secret: str) -> bool:
     """Whether both are the same, in a time that does not depend on where they differ."""
     return hmac.compare_digest(given.encode(), secret.encode())

@@ -1,7 +1,6 @@
 """Opening all configured interfaces of a service, closed in order."""
 
-import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from errno import EACCES, EADDRINUSE
 from importlib import import_module
@@ -9,7 +8,6 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
-from cell.config.serve import ServeConfig
 from cell.errors import CellError, ConfigError
 from cell.installation import extra
 from cell.service.service import Service
@@ -73,18 +71,7 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
             undo.callback(interface.close)
             found[name] = interface.port
             if name == "http_port":
-                found["token"] = interface.token
+                found |= {"token": interface.token, "view_token": interface.view_token}
         if len(found) == 1:
             raise ConfigError("no interface is open: set a port in `serve`, or give --modbus 0")
         yield found
-
-
-def page_address(found: Mapping[str, Any], config: ServeConfig) -> str | None:
-    """Return the address of the page, with its token, for a browser; None without HTTP."""
-    if "http_port" not in found:
-        return None
-    anywhere = ip_address(config.listen).is_unspecified
-    host = socket.gethostname() if anywhere else config.listen
-    host = f"[{host}]" if ":" in host else host
-    scheme = "https" if config.tls_certificate else "http"
-    return f"{scheme}://{host}:{found['http_port']}/#token={found['token']}"

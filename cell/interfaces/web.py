@@ -15,6 +15,7 @@ from fastapi import Body, HTTPException, Query, Request
 from fastapi.responses import Response
 from pydantic import Field, WithJsonSchema
 
+from cell.config.simulator import LONGEST_LABEL
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import RequestRefused
@@ -27,6 +28,8 @@ from cell.service.photos import LONGEST_PHOTO
 from cell.service.service import Service
 from cell.service.state import plain_data, state_values
 
+LONGEST_STL = 10_000_100
+"""Largest STL file in bytes: 200,000 triangles as binary."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A number in a request."""
 
@@ -97,6 +100,23 @@ class PoseBody(RequestBody):
     pose: PoseFields | None = None
 
 
+class PartBody(RequestBody):
+    """What lies between the fingers of the simulated cell in all jobs from now on."""
+
+    lease: int
+    part: str | None = Field(default=None, min_length=1, max_length=LONGEST_LABEL)
+    """Name of an object, a shape as ``cylinder:diameter=8mm,length=20mm``, or ``nothing``; null:
+    each job brings the next object."""
+    pose: PoseFields = PoseFields()
+    """How far it lies beside the pose that a job asks for."""
+
+
+class ResetBody(RequestBody):
+    """The lease."""
+
+    lease: int
+
+
 def taught_values(one: dict[str, Any]) -> dict[str, Any]:
     """Return a taught object with the address of its photo, null for none."""
     address = f"/api/taught/{quote(one['label'], safe='')}/photo"
@@ -148,14 +168,21 @@ class WebInterface(WebServer):
                 ("/simulation/faults", "GET", self.simulated_faults),
                 ("/simulation/faults", "POST", self.begin_fault),
                 ("/simulation/faults", "DELETE", self.end_fault),
+                ("/simulation/part", "GET", self.simulated_part),
+                ("/simulation/part", "POST", self.choose_part),
+                ("/simulation/objects/{label:path}", "PUT", self.define_object),
+                ("/simulation/reset", "POST", self.reset_simulation),
             )
         config = service.config.serve
         super().__init__(service.lease, config, lambda: state_moment(service), paths)
 
     def longest(self, scope: Scope) -> int:
-        """Return the most bytes of a body: more for a photo."""
-        photo = scope.get("method") == "PUT" and scope["path"].endswith("/photo")
-        return LONGEST_PHOTO if photo else REQUEST_BYTES
+        """Return the most bytes of a body: more for a photo or an STL file."""
+        if scope.get("method") != "PUT":
+            return REQUEST_BYTES
+        if scope["path"].startswith("/api/simulation/objects/"):
+            return LONGEST_STL
+        return LONGEST_PHOTO if scope["path"].endswith("/photo") else REQUEST_BYTES
 
     def info(self) -> dict[str, Any]:
         """Name, mode, version, pads, limits, forces, taught objects, labels by id, places."""
@@ -261,6 +288,27 @@ class WebInterface(WebServer):
         """End the faults with this text or name, those of `serve --fault` too."""
         self._service.simulate_fault(fault, end=True)
         return self._service.simulated_faults()
+
+    def simulated_part(self) -> dict[str, Any]:
+        """Return the chosen part and its pose, what lies between the fingers, and all objects."""
+        return self._service.simulated_part()
+
+    def choose_part(self, body: PartBody) -> dict[str, Any]:
+        """Put a part between the open fingers, for all jobs from now on. Returns what GET does.
+
+        A part in the grip is not exchanged: release it first.
+        """
+        self._service.choose_part(body.lease, body.part, Pose(**body.pose.model_dump()))
+        return self._service.simulated_part()
+
+    async def define_object(self, label: str, lease: int, request: Request) -> dict[str, Any]:
+        """Add an object to the simulated cell, an STL file in mm of at most 10 MB as the body."""
+        stl = await request.body()
+        return {"objects": await asyncio.to_thread(self._service.define_object, lease, label, stl)}
+
+    def reset_simulation(self, body: ResetBody) -> dict[str, int]:
+        """Start to make the simulated cell ready: faults end, the part is let go and taken away."""
+        return {"job": self._service.reset_simulation(body.lease)}
 
     def hold(
         self,

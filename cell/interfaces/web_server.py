@@ -29,10 +29,11 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import Refusal
-from cell.interfaces.access import read_secret, same_secret
+from cell.interfaces.access import read_secret, same_secret, view_token
 from cell.interfaces.http_server import REQUEST_BYTES, HttpServer, Scope, refusal_values
 from cell.interfaces.live_socket import LiveFeed, LiveMessage
 from cell.interfaces.page import mount_page
+from cell.interfaces.page_address import page_address, qr_code, view_note
 from cell.plugin.lease import Lease
 from gripper.errors import GripperError
 from tactile.errors import TactileError
@@ -112,6 +113,9 @@ class WebServer(HttpServer):
         file = config.token_file
         self.token = read_secret(file) if file else secrets.token_urlsafe(24)
         """What clients authenticate with."""
+        self.view_token = view_token(self.token)
+        """What clients authenticate with that read and do not command."""
+        self._config = config
         self._lease = lease
         self._request_timeout_s = config.request_timeout_s
         self._feed = LiveFeed(look, config.request_timeout_s)
@@ -123,6 +127,7 @@ class WebServer(HttpServer):
             app.add_exception_handler(kind, _refused)
         router = APIRouter(prefix="/api", dependencies=[Depends(self._authorize)])
         leasing: Paths = (
+            ("/access", "GET", self.access),
             ("/lease", "POST", self.acquire),
             ("/lease/{lease}/alive", "POST", self.alive),
             ("/lease/{lease}", "DELETE", self.give_up),
@@ -152,10 +157,35 @@ class WebServer(HttpServer):
         return REQUEST_BYTES
 
     def _authorize(
-        self, found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())]
+        self,
+        found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
+        request: Request,
     ) -> None:
-        if not same_secret(found.credentials, self.token):
+        if not self._may_read(found.credentials):
             raise HTTPException(401, "wrong token")
+        request.state.commands = same_secret(found.credentials, self.token)
+        if request.method != "GET" and not request.state.commands:
+            raise NotInCommand(
+                "this token reads and does not command: open the page with the address that "
+                "`serve` prints after `page`"
+            )
+
+    def _may_read(self, token: str) -> bool:
+        return any(same_secret(token, one) for one in (self.token, self.view_token))
+
+    def access(self, request: Request) -> dict[str, Any]:
+        """Return whether this token commands, and the link for a second person, who only reads.
+
+        ``qr`` has the rows of its QR code, 1 for dark; ``note`` is what to set where no other
+        machine reaches it.
+        """
+        address = page_address({"http_port": self.port, "token": self.view_token}, self._config)
+        return {
+            "commands": request.state.commands,
+            "address": address,
+            "note": view_note(self._config),
+            "qr": ["".join(map(str, row)) for row in qr_code(address or "").matrix],
+        }
 
     def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
         """Acquire the lease to command with."""
@@ -187,7 +217,7 @@ class WebServer(HttpServer):
         chosen = _SUBPROTOCOL if _SUBPROTOCOL in offered else None
         tokens = [one.removeprefix("token.") for one in offered if one.startswith("token.")]
         tokens += link.query_params.getlist("token")
-        if tokens and not any(same_secret(token, self.token) for token in tokens):
+        if tokens and not any(map(self._may_read, tokens)):
             await link.close(1008, "wrong token")
             return
         await link.accept(chosen)
@@ -195,7 +225,7 @@ class WebServer(HttpServer):
             if not tokens:
                 async with asyncio.timeout(self._request_timeout_s):
                     first = await link.receive_text()
-                if not same_secret(_token_of(first), self.token):
+                if not self._may_read(_token_of(first)):
                     await link.close(1008, "wrong token")
                     return
             after = link.query_params.get("parts_after", "")

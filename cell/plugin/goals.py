@@ -39,7 +39,8 @@ class TeachGoal(_Goal):
     seed: int = Field(default=0, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
     present: str | None = None
-    """Object to place where it is called otherwise than the label (simulated cell)."""
+    """Object to place where the positioner can do so (simulated cell); None: that of this label, or
+    what lies between the fingers. The label names it there from then on."""
     train: bool = True
     """Whether the model is trained at the end. False where more objects follow, and then a
     training of all: `TactileCellPlugin.train`. The progress has no sizes then."""
@@ -55,6 +56,8 @@ class GaugeGoal(_Goal):
     """How many times it is grasped, 1 to 100."""
     seed: int = Field(default=0, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
+    present: str | None = None
+    """As in `TeachGoal`."""
 
 
 class ZeroGoal(_Goal):

@@ -19,8 +19,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
-from cell.control.journal import loop_line
-from cell.control.lifecycle import NO_GRIP
 from cell.control.plan import Pose
 from cell.control.states import CellState, Command, command_effect
 from cell.errors import (
@@ -63,6 +61,7 @@ if TYPE_CHECKING:
     from cell.control.positioner import CarryCallback
     from cell.jobs.sort import Places
     from cell.plugin.part_report import OnPart
+    from cell.simulation import SimulationRequests
     from gripper.clock import Clock
     from gripper.values.outcome import ReleaseReport
     from recognition.drift.grid import DriftGrid
@@ -299,11 +298,15 @@ class TactileCellPlugin:
     @property
     def loop_text(self) -> str:
         """How punctual the force loop was; empty in virtual time."""
+        from cell.control.journal import loop_line  # noqa: PLC0415
+
         hand = self._cell.controller.hand
         return loop_line(hand.statistics.loop, hand.period_s) if self._cell.realtime else ""
 
     def grip_left(self, error: BaseException) -> str:
         """Return what an error has left in the grip, as far as it is known, as text."""
+        from cell.control.lifecycle import NO_GRIP  # noqa: PLC0415
+
         controller = self._cell.controller
         if left := fingers_left(error):
             return left
@@ -431,10 +434,19 @@ class TactileCellPlugin:
         CellStateError
             If another job runs, the cell is not IDLE (for a verify: not COMPLETE) or is being
             closed, nothing was taught yet, or a model was loaded whose training set is not at hand:
-            teaching would lose its objects.
+            teaching would lose its objects. If nothing lies between the fingers of the simulated
+            cell, and it has no object of the name to teach.
         """
         checked = checked_goal(goal)
         self._check_taught(checked.task)
+        if (
+            isinstance(checked, TeachGoal | GaugeGoal)
+            and self._config.positioner.kind != "operator"
+        ):
+            self._worker.check_free()
+            if self._simulation is not None:
+                part = self._simulation.part_for(checked.label, checked.present)
+                checked = checked.model_copy(update={"present": part})
         if isinstance(checked, GaugeGoal):
             self._model.check_gauge(checked.label)
         if isinstance(checked, ZeroGoal):
@@ -653,18 +665,48 @@ class TactileCellPlugin:
         """Ask the simulated cell for something and return its reply, also while a job runs.
 
         As ``{"inject": "servo1.off"}`` and ``{"clear": "servo1.off"}``, which begin and end a
-        fault. `simulator.realtime.requests` has all requests.
+        fault, and ``{"place": "cylinder:diameter=8mm,length=20mm"}``, which exchanges the part.
+        `simulator.realtime.requests` has all requests.
 
         Raises
         ------
         RequestRefused
             If the request cannot be carried out, or the cell has real ports.
         CellStateError
-            If the cell has no time for it: ask again.
+            If a part is exchanged that the fingers hold: release it first. If the cell has no time
+            for it: ask again.
         """
+        return self._simulated()(dict(request))
+
+    def begin_simulation_reset(self) -> Job:
+        """Start to make a simulated cell ready, whatever has happened, and return the job.
+
+        All faults of the simulation end, a fault of the cell is cleared, the fingers open, and
+        nothing lies between them. Raises RequestRefused if the cell has real ports, CellStateError
+        while a job runs.
+        """
+        simulation, controller = self._simulated(), self._cell.controller
+
+        def work(_report: Report) -> None:
+            simulation.end_faults()
+            if controller.state is CellState.ABORTED:
+                controller.clear(reboot=True)
+            if controller.state in (CellState.RESETTING, CellState.STOPPED):
+                controller.release_held()
+            else:
+                controller.release()
+            simulation.empty()
+            if controller.state is CellState.RESETTING:
+                controller.reset()
+            if controller.state is CellState.STOPPED:
+                controller.start()
+
+        return self._accept(work, None, "simulation_reset")
+
+    def _simulated(self) -> "SimulationRequests":
         if self._simulation is None:
             raise RequestRefused("this cell has real ports: nothing of it is simulated")
-        return self._simulation(dict(request))
+        return self._simulation
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the taught model, and its training set as a data set beside it.

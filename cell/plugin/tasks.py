@@ -116,6 +116,7 @@ class Tasks:
         shown: dict[str, Any] = {"task": "teach", "label": goal.label, "grasps": 0, "missed": 0}
         shown |= {"of": goal.grasps, "each": []}
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
+        report(dict(shown))
         self.file.due |= goal.train
         teach(self.controller, self.model, collection, seed=goal.seed, on_grasp=progress)
         if not goal.train:
@@ -147,7 +148,7 @@ class Tasks:
             report(dict(shown))
 
         shown["of"] = goal.grasps
-        collection = Collection(label=goal.label, n_planned=goal.grasps)
+        collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         self.model.check_gauge(goal.label)
         sequence = self.model.config.sequence
         collection.fill(self.controller, sequence, seed=goal.seed, on_grasp=progress)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.config.model import CellConfig
+from cell.config.simulator import checked_label
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import CellError, HeldByClient, RequestRefused
@@ -41,6 +42,7 @@ from cell.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.service.photos import Photos
 from cell.service.pose_handshake import PoseHandshake
 from cell.service.shift import KEPT_ANSWERS, Shift
+from cell.simulation import shape_of_stl
 from gripper.clock import Clock
 
 RELEASE_KEY = 0x4F50
@@ -206,6 +208,7 @@ class Service:
         self._newest = self._gripped_by = 0
         self._health: tuple[float, dict[str, Any]] = (-inf, {})
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
+        self._part: str | None = None
         self.lease.watch(note)
 
     # -- questions -----------------------------------------------------------------------------
@@ -343,15 +346,22 @@ class Service:
             that of the newest job, this is the job, and nothing is done twice. 0: not checked.
         """
         checked: Goal = checked_goal(goal)
-        placed = self.config.simulated or self.config.positioner.kind == "simulated"
-        if placed and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
-            # Nobody brings parts to a simulated cell: they come in turn.
-            checked = checked.model_copy(update={"present": next(self._parts)})
-        if placed and isinstance(checked, SortGoal) and not checked.feed:
-            fed = tuple(entry.label for entry in self.config.simulator.objects)
-            checked = checked.model_copy(update={"feed": fed})
+        if self.config.simulated or self.config.positioner.kind == "simulated":
+            checked = self._with_part(checked)
         given = checked.model_dump(exclude_defaults=True)
         return self._begin(lease, checked.task, given, number, lambda: self._plugin.start(checked))
+
+    def _with_part(self, goal: Goal) -> Goal:
+        """Return a goal with the chosen part, or the next one: nobody brings them here."""
+        part = self._part
+        if isinstance(goal, SortGoal) and not goal.feed:
+            every = tuple(entry.label for entry in self.config.simulator.objects)
+            return goal.model_copy(update={"feed": every if part is None else (part,)})
+        if getattr(goal, "present", "") is not None:
+            return goal
+        if part is None and isinstance(goal, IdentifyGoal | GripGoal):
+            part = next(self._parts)
+        return goal.model_copy(update={"present": part})
 
     def command(
         self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0
@@ -479,6 +489,58 @@ class Service:
         """
         self._plugin.simulate({"clear" if end else "inject": text})
         self._plugin.remark("simulation", f"{text} {'ended' if end else 'injected'}")
+
+    def simulated_part(self) -> dict[str, Any]:
+        """Return the chosen ``part``, its ``pose``, what lies between the fingers, all objects."""
+        found = self._plugin.simulate({"state": True})
+        pose = {name: found["offset"][name] for name in Pose().as_dict()}
+        return {
+            "part": self._part,
+            "pose": pose,
+            "placed": found["placed"],
+            "objects": found["objects"],
+        }
+
+    def choose_part(self, lease: int, part: str | None, pose: Pose) -> None:
+        """Put a part between the fingers of the simulated cell, for all jobs from now on.
+
+        Raises NotInCommand as `Lease.alive`, and as `TactileCellPlugin.simulate`.
+
+        Parameters
+        ----------
+        part
+            Name of an object, shape as text, ``nothing``; None: each job brings the next object.
+        pose
+            How far it lies beside the pose that a job asks for.
+        """
+        self.lease.alive(lease)
+        placed = self._plugin.simulate({"state": True})["placed"] if part is None else part
+        self._plugin.simulate({"place": placed or "nothing", "offset": pose.as_dict()})
+        self._part = part
+        self._plugin.remark("simulation", f"part {part or 'in turn'} at {pose}")
+
+    def define_object(self, lease: int, label: str, stl: bytes) -> list[str]:
+        """Add an object from an STL file to the simulated cell; return the names of all.
+
+        Raises NotInCommand as `Lease.alive`, ConfigError if the file holds no part, RequestRefused
+        if the name is taken or none.
+        """
+        self.lease.alive(lease)
+        try:
+            shape = shape_of_stl(stl, checked_label(label))
+        except ValueError as error:
+            raise RequestRefused(str(error)) from error
+        names: list[str] = self._plugin.simulate({"define": label, "shape": shape})["objects"]
+        return names
+
+    def reset_simulation(self, lease: int) -> int:
+        """Start to make the simulated cell ready and empty; return the number of the job.
+
+        Raises as `start`, and as `TactileCellPlugin.begin_simulation_reset`.
+        """
+        number = self._begin(lease, "simulation_reset", {}, 0, self._plugin.begin_simulation_reset)
+        self._part = None
+        return number
 
     def hold(self, reason: str = "on request") -> None:
         """Stop what runs and keep the grip; anyone may."""

@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 
 from simulator.devices import CellDevices
-from simulator.errors import SimulatorSettingsError
+from simulator.errors import SimulatorError, SimulatorSettingsError
 from simulator.faults.injector import FaultInjector
+from simulator.world.shape_files import MeshShape
 from simulator.world.shapes import ObjectPose
+from simulator.world.world import NOTHING
 from tactile.layout import Pad
 
 _POSE_FIELDS = tuple(entry.name for entry in fields(ObjectPose))
 _FARTHEST = 100.0
 """Largest coordinate or angle of a pose in m or rad: far beyond any cell, and safe to square."""
+_MOST_OBJECTS = 2000
+"""Objects that can be placed by a name."""
 _NEAR_EDGE = 0.7
 """Distance of a fingertip at an edge from the middle of the pad, over that of the edge."""
 
@@ -25,7 +29,10 @@ class CellRequests:
 
     Requests and their replies:
 
-    - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest
+    - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest; the
+      label ``nothing`` takes the object away. With ``"offset": {"x_m": ..}`` this object and all
+      later ones are placed so far beside their poses
+    - ``{"define": label, "shape": text}``: ``{"objects": [..]}``, with another name for a shape
     - ``{"remove": true}``: ``{"removed": true}``
     - ``{"press": "finger0.inner", "at": ["tip", "left"], "force_n": 2.0}``: ``{"pressed": pad}``, a
       person's fingertip on a pad, in its middle or at some of tip, base, left, right, inside,
@@ -33,8 +40,9 @@ class CellRequests:
     - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
     - ``{"hand": {"1": 0.02, "2": 0}}``: a person moves the fingers of these servos, without torque,
       to half openings in m: ``{"moving": true}``; "state" shows when they are left
-    - ``{"state": true}``: what is placed and pressed, forces, opening, half openings, number of
-      servos, kind of the linkage, names of the pads, frames left, axes, faults
+    - ``{"state": true}``: what is placed and pressed, the names of objects, the offset of their
+      poses, forces, opening, half openings, number of servos, kind of the linkage, names of the
+      pads, frames left, axes, faults
     - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, kind, meaning,
       value (null for none), and whether it is a moment, without an end
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
@@ -47,6 +55,7 @@ class CellRequests:
         self._pressed: str | None = None
         self._requests: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
             "place": self._place,
+            "define": self._define,
             "remove": self._remove,
             "press": self._press,
             "lift": self._lift,
@@ -76,23 +85,33 @@ class CellRequests:
         return self._devices.settings.layout.pads
 
     def _place(self, request: dict[str, Any]) -> dict[str, Any]:
-        label, wanted = request["place"], request.get("pose", {})
-        if not isinstance(label, str) or not isinstance(wanted, dict):
-            raise SimulatorSettingsError("place takes a label, pose an object of numbers")
-        if label.startswith("mesh:") and label not in self._devices.settings.objects:
+        devices, label = self._devices, self._label(request["place"])
+        pose, before = _pose(request.get("pose", {})), devices.offset
+        devices.offset = _pose(request["offset"]) if "offset" in request else before
+        try:
+            return {"pose": asdict(devices.place(label, pose))}
+        except SimulatorError:
+            devices.offset = before
+            raise
+
+    def _define(self, request: dict[str, Any]) -> dict[str, Any]:
+        name, shape, world = request["define"], request.get("shape"), self._devices.physical
+        if not isinstance(name, str) or name in (*self._devices.settings.objects, NOTHING, ""):
+            raise SimulatorSettingsError(f"{name!r:.60} cannot be defined: take another name")
+        if len(world.objects) >= _MOST_OBJECTS and name not in world.objects:
+            raise SimulatorSettingsError(f"{_MOST_OBJECTS} objects are defined, the limit")
+        if not isinstance(shape, MeshShape):
+            shape = world.shape(self._label(shape))
+        world.objects[name] = shape
+        return {"objects": list(world.objects)}
+
+    def _label(self, label: Any) -> str:
+        """Return the name or text of a shape; files are read for nobody."""
+        if not isinstance(label, str):
+            raise SimulatorSettingsError(f"a shape is a name or text, got {label!r:.40}")
+        if label.startswith("mesh:") and label not in self._devices.physical.objects:
             raise SimulatorSettingsError("mesh files are named in the settings, not in requests")
-        unknown = set(wanted) - set(_POSE_FIELDS)
-        if unknown:
-            raise SimulatorSettingsError(
-                f"a pose has {', '.join(_POSE_FIELDS)}; got {', '.join(sorted(unknown))}"
-            )
-        numbers = {name: _number(name, value) for name, value in wanted.items()}
-        for name, number in numbers.items():
-            if abs(number) > _FARTHEST:
-                raise SimulatorSettingsError(f"{name} is {number:g}, limit {_FARTHEST:g} m or rad")
-        pose = ObjectPose(**numbers)
-        reached = self._devices.place(label, pose)
-        return {"pose": {name: getattr(reached, name) for name in _POSE_FIELDS}}
+        return label
 
     def _remove(self, request: dict[str, Any]) -> dict[str, Any]:
         _is_true(request, "remove")
@@ -147,6 +166,8 @@ class CellRequests:
         placed = None if plays else devices.physical.placed
         return {
             "placed": None if placed is None else placed[0],
+            "objects": [] if plays else list(devices.physical.objects),
+            "offset": asdict(devices.offset),
             "pressed": self._pressed,
             "pads": [pad.name for pad in self._pads],
             "servos": len(devices.settings.servos),
@@ -185,6 +206,18 @@ class CellRequests:
 
     def _clear(self, request: dict[str, Any]) -> dict[str, Any]:
         return {"cleared": self._injector.clear(_text(request, "clear"))}
+
+
+def _pose(wanted: Any) -> ObjectPose:
+    if not isinstance(wanted, dict) or not set(wanted) <= set(_POSE_FIELDS):
+        raise SimulatorSettingsError(
+            f"a pose is an object of {', '.join(_POSE_FIELDS)}; got {wanted!r:.80}"
+        )
+    numbers = {name: _number(name, value) for name, value in wanted.items()}
+    for name, number in numbers.items():
+        if abs(number) > _FARTHEST:
+            raise SimulatorSettingsError(f"{name} is {number:g}, limit {_FARTHEST:g} m or rad")
+    return ObjectPose(**numbers)
 
 
 def _place_on(pad: Pad, places: Any) -> tuple[float, float]:

@@ -155,19 +155,37 @@ def _ranges(
 
 
 def load_mesh(path: Path) -> MeshShape:
-    """Read an STL file, centred on its bounding box.
+    """Read an STL file, as `read_mesh`; SimulatorSettingsError if it cannot be read."""
+    import trimesh  # noqa: F401, PLC0415 (where it is missing, the file does not matter)
+
+    try:
+        if not path.is_file():
+            raise SimulatorSettingsError(f"{path} is no file; check the path")
+        size = path.stat().st_size
+        if size > _MAX_BYTES:
+            raise SimulatorSettingsError(f"{path} has {size} bytes, at most {_MAX_BYTES} are read")
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise SimulatorSettingsError(f"{path} cannot be read: {error}") from error
+    return read_mesh(data, str(path))
+
+
+def read_mesh(data: bytes, path: str) -> MeshShape:
+    """Return the shape in an STL file, centred on its bounding box.
 
     Raises SimulatorSettingsError if the file is no STL, too large, no closed surface, or smaller
     than any part. Raises ModuleNotFoundError if the extra ``mesh`` is not installed.
 
     Parameters
     ----------
-    path
+    data
         The STL file, binary or text; its unit is 1 mm.
+    path
+        Name of the file in messages.
     """
     import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
 
-    triangles_m = _UNIT_M * _triangles(path)
+    triangles_m = _UNIT_M * _triangles(data, path)
     mesh = trimesh.Trimesh(
         vertices=triangles_m.reshape(-1, 3) / _UNIT_M,
         faces=np.arange(3 * len(triangles_m)).reshape(-1, 3),
@@ -223,17 +241,8 @@ def _bodies_apart(triangles: NDArray[np.float64], adjacent: NDArray[np.int64]) -
     return int(connected_components(meet & meet.T, directed=False, return_labels=False))
 
 
-def _triangles(path: Path) -> NDArray[np.float64]:
-    """Return the corners of an STL file in its units, (n, 3, 3); sizes are checked before."""
-    try:
-        if not path.is_file():
-            raise SimulatorSettingsError(f"{path} is no file; check the path")
-        size = path.stat().st_size
-        if size > _MAX_BYTES:
-            raise SimulatorSettingsError(f"{path} has {size} bytes, at most {_MAX_BYTES} are read")
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise SimulatorSettingsError(f"{path} cannot be read: {error}") from error
+def _triangles(data: bytes, path: str) -> NDArray[np.float64]:
+    """Return the corners of an STL file in its units, (n, 3, 3)."""
     n_faces = int.from_bytes(data[80:84], "little")
     if len(data) == _HEAD_BYTES + n_faces * _FACE.itemsize:
         faces = np.frombuffer(data, dtype=_FACE, offset=_HEAD_BYTES)

@@ -7,7 +7,7 @@ surface reaches from the centre plane towards finger 0 (in -z) and towards finge
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Protocol
 
@@ -44,6 +44,11 @@ class ObjectPose:
             value = getattr(self, name)
             if not math.isfinite(value):
                 raise SimulatorSettingsError(f"pose: {name} is {value}, must be finite")
+
+    def __add__(self, offset: "ObjectPose") -> "ObjectPose":
+        """Return this pose moved and turned by another one, each coordinate by itself."""
+        names = [one.name for one in fields(self)]
+        return ObjectPose(**{name: getattr(self, name) + getattr(offset, name) for name in names})
 
 
 class Shape(Protocol):

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from simulator.errors import SimulatorSettingsError
 from simulator.world.shapes import ObjectPose
-from simulator.world.world import PhysicalWorld
+from simulator.world.world import NOTHING, PhysicalWorld
 
 FIELDS = {"x": "x_m", "y": "y_m", "rotation": "rotation_rad", "roll": "roll_rad"}
 """What an axis can move, and the field of the pose that it is."""
@@ -64,6 +64,10 @@ class Stage:
         unknown shape and for fingers that are in the way.
         """
         wanted = self._at(pose)
+        if label == NOTHING:
+            self._world.place(label)
+            self._carried = None
+            return wanted
         self._world.shape(label)
         try:
             rested, self._beside = self._world.place(label, wanted), False

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.clock import ROUNDING_S
-from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.errors import PartGripped, SimulatorSettingsError, SimulatorStateError
 from simulator.world.foam import Foam
 from simulator.world.press import PadPair, PadsMeet, Press
 from simulator.world.shape_files import parse_shape
@@ -21,6 +21,8 @@ STEP_S = 1e-3
 """Length of a step of the world in s."""
 
 
+NOTHING = "nothing"
+"""Label under which nothing is placed."""
 FINGERTIP_RADIUS_M = 5e-3
 """Radius in m of the patch in which a person's fingertip touches a pad."""
 
@@ -88,6 +90,8 @@ class PhysicalWorld:
         self._layout = layout
         self._fingers = fingers
         self._settings = settings or WorldSettings()
+        self.objects = dict(self._settings.objects)
+        """Shapes that can be placed by their name: those of the settings, and further ones."""
         self._grids = tuple(
             PressureGrid(layout.pads[pad], self._settings.foam) for pad in layout.gripping_pads
         )
@@ -117,13 +121,13 @@ class PhysicalWorld:
         """Put an object between the open pads, in the place of the present one.
 
         Raises SimulatorSettingsError if the shape is unknown or lies beside the pads. Raises
-        SimulatorStateError if the fingers are not open wide enough for it, or hold an object.
+        PartGripped if the fingers hold an object, and SimulatorStateError if they are not open wide
+        enough for it.
 
         Parameters
         ----------
         label
-            Name of one of the settings' objects, or a shape as text
-            (`simulator.world.shape_files`).
+            Name of one of `objects`, a shape as text (`simulator.world.shape_files`), or `NOTHING`.
         pose
             Where it goes; by default the pads' centre.
 
@@ -133,9 +137,12 @@ class PhysicalWorld:
             Where it came to rest: a box settles on a face.
         """
         if max(self._force_n) > self._settings.nest_friction_n:
-            raise SimulatorStateError(
+            raise PartGripped(
                 f"the fingers hold an object with {max(self._force_n):.2f} N: release it first"
             )
+        if label == NOTHING:
+            self.remove()
+            return pose or ObjectPose()
         shape = self.shape(label)
         pose = resting_pose(shape, pose or ObjectPose())
         press = Press(shape, pose, self._grids, self._foams)
@@ -177,7 +184,7 @@ class PhysicalWorld:
 
     def shape(self, label: str) -> Shape:
         """Return the shape of a label or text. Raises SimulatorSettingsError for an unknown one."""
-        return self._settings.objects.get(label) or parse_shape(label)
+        return self.objects.get(label) or parse_shape(label)
 
     def _put(self, label: str, pose: ObjectPose) -> bool:
         """Move the object in the plane of the pads; across it stays as it floats."""

@@ -107,8 +107,8 @@ def test_an_object_comes_to_rest_and_a_box_on_a_face() -> None:
         assert placer.place("ball", Pose(x_m=1e-3, roll_rad=0.5)).x_m == 1e-3
         reached = placer.place("box", Pose(roll_rad=0.2))
         assert reached.roll_rad % (np.pi / 2) == pytest.approx(0.0, abs=1e-9)
-        with pytest.raises(PositionerError, match="nothing cannot be placed"):
-            placer.place("nothing", Pose())
+        with pytest.raises(PositionerError, match="dice cannot be placed"):
+            placer.place("dice", Pose())
 
 
 def test_the_widest_opening_of_records() -> None:

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, TextIO, cast
 
 import typer
 from rich.console import Console
@@ -114,6 +114,20 @@ def print_cell(text: str) -> None:
 def print_page(address: str) -> None:
     """Print the address of the page, for a person to open, on standard error."""
     err.print(f"[bold]page:[/] {plain_text(address)}", soft_wrap=True)
+
+
+def print_view(address: str, note: str) -> None:
+    """Print the address of the page for a second person, who only watches, on standard error.
+
+    A terminal shows its QR code too, where other machines reach it; ``note`` says why none does.
+    """
+    err.print(f"[bold]view only:[/] {plain_text(address)}", soft_wrap=True)
+    if note:
+        err.print(f"  {plain_text(note)}", soft_wrap=True)
+    elif err.is_terminal:
+        from cell.interfaces.page_address import qr_code  # noqa: PLC0415
+
+        qr_code(address).terminal(cast("TextIO", err.file), compact=True)
 
 
 def print_note(text: str) -> None:

@@ -14,6 +14,7 @@ from cell.control.positioner import Destination
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
 from gripper.values.state import GripperPhase
+from simulator.world.shapes import ObjectPose
 from tests.cell.conftest import MakeBench, once, small_config
 from tests.faults.scenarios.axes import CHANGES
 
@@ -50,6 +51,17 @@ def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
     make_bench: MakeBench, config: CellConfig
 ) -> None:
     assert make_bench(config, places=lambda _destination: None).cell.axes is not None
+
+
+def test_an_object_that_is_taken_off_the_axes_does_not_come_back(bench: Any) -> None:
+    cell = bench.simulated
+    for y_m in (0.0, 0.2):  # between the pads, and beside them
+        cell.place("ball", ObjectPose(y_m=y_m))
+        assert (cell.world.placed is None) is (y_m > 0.0)
+        cell.place("nothing")
+        assert cell.devices.stage._carried is None
+        bench.controller._positioner.move_to(POSE)
+        assert cell.world.placed is None
 
 
 def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(bench: Any) -> None:

@@ -1,6 +1,7 @@
 """`tactile-cell serve` as a process: its line, its notes, and its end with the part held."""
 
 import json
+import re
 import shutil
 import signal
 import socket
@@ -18,7 +19,8 @@ import pytest
 from cell.config.model import CellConfig
 from cell.errors import CellError
 from cell.interfaces.cli.commands import serve as serving
-from cell.interfaces.opening import open_interfaces, page_address
+from cell.interfaces.opening import open_interfaces
+from cell.interfaces.page_address import page_address, view_note
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
 from tests.cell.interfaces.hosts import Client
@@ -63,6 +65,17 @@ def ended(process: subprocess.Popen[str]) -> list[str]:
     return said.splitlines()
 
 
+def pages(line: dict[str, Any]) -> list[str]:
+    """Return what is printed of the page by the line of all addresses, at this machine alone."""
+    at = f"http://127.0.0.1:{line['http_port']}/#token="
+    return [
+        f"page: {at}{line['token']}",
+        f"view only: {at}{line['view_token']}",
+        "  only this machine reaches 127.0.0.1: set serve.listen to 0.0.0.0, and serve.allow to "
+        "the hosts that may connect",
+    ]
+
+
 def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
     start: Any, tmp_path: Path
 ) -> None:
@@ -70,7 +83,7 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
     ports = ("--modbus", "0", "--xml-rpc", "0", "--http", "0", "--opcua", "0")
     process, line = start(*ports, "--opcua-folder", "pki", config=CALLBACK)
     assert set(line) == {
-        *("listen", "modbus_port", "xmlrpc_port", "http_port", "token", "opcua_port")
+        *("listen", "modbus_port", "xmlrpc_port", "http_port", "token", "view_token", "opcua_port")
     }
     assert (tmp_path / "pki" / "key.pem").exists()
     with ServerProxy(f"http://127.0.0.1:{line['xmlrpc_port']}") as cell:
@@ -82,7 +95,18 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
         until(lambda: cell.alive(lease) or cell.job_state(1) == 4)
         assert cell.holding()
         said = ended(process)
-    assert said[1:] == [f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"]
+    assert said[1:] == pages(line)
+
+
+def test_the_command_for_a_second_person_prints_a_link_for_other_machines(start: Any) -> None:
+    page = Path("docs/how-to/watch-and-command-in-a-browser.md").read_text("utf-8")
+    (typed,) = re.findall(r"tactile-cell serve (--listen .*)", page)
+    process, line = start(*typed.split(), "--http", "0", "--modbus", "0", "--xml-rpc", "0")
+    host = Client(line | {"token": line["view_token"]})
+    address = host.get("/api/access")["address"]
+    assert f"view only: {address}" in ended(process)
+    assert "0.0.0.0" not in address
+    assert "127.0.0.1" not in address
 
 
 def test_a_model_is_loaded_and_saved_and_other_addresses_get_a_warning(
@@ -124,8 +148,7 @@ def test_without_a_config_the_taught_cell_is_there_with_its_page(
     process, line = start("--modbus", "0", "--xml-rpc", "0", config=None)
     assert 8080 <= line["http_port"] < 8180
     assert Client(line).get("/api/info")["labels"] == ["ball", "box"]
-    page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"
-    assert ended(process)[1:] == [page]
+    assert ended(process)[1:] == pages(line)
 
 
 def test_the_page_takes_the_next_port_where_its_own_is_taken(
@@ -165,20 +188,58 @@ def test_a_taken_port_names_the_option_that_takes_another(
 
 
 @pytest.mark.parametrize(
-    ("changes", "address"),
+    ("changes", "address", "note"),
     [
-        ({}, "http://127.0.0.1:7/#token=t"),
-        ({"listen": "::1", "tls_certificate": "c", "tls_key": "k"}, "https://[::1]:7/#token=t"),
+        ({}, "http://127.0.0.1:7/#token=t", "set serve.listen"),
         (
-            {"listen": "0.0.0.0", "allow": ("10.0.0.0/8",)},
+            {"listen": "::1", "tls_certificate": "c", "tls_key": "k"},
+            "https://[::1]:7/#token=t",
+            "set serve.listen",
+        ),
+        ({"listen": "10.0.0.3", "allow": ("10.0.0.0/8",)}, "http://10.0.0.3:7/#token=t", ""),
+        (
+            {"listen": "0.0.0.0", "allow": ("10.0.0.0/8",), "hosts": ("cell3.lan",)},
+            "http://cell3.lan:7/#token=t",
+            "",
+        ),
+        (
+            {"listen": "0.0.0.0", "allow": ("127.0.0.1",)},
             f"http://{socket.gethostname()}:7/#token=t",
+            "set serve.hosts",
         ),
     ],
 )
-def test_the_address_of_the_page_suits_a_browser(changes: dict[str, Any], address: str) -> None:
+def test_the_address_of_the_page_suits_a_browser(
+    changes: dict[str, Any], address: str, note: str
+) -> None:
     config = CellConfig(serve=changes).serve
     assert page_address({"http_port": 7, "token": "t"}, config) == address
     assert page_address({"modbus_port": 7}, config) is None
+    assert note in view_note(config)
+    assert bool(note) is bool(view_note(config))
+
+
+def test_the_address_for_others_is_that_of_this_machine_on_their_way(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = []
+
+    class Link(socket.socket):
+        def connect(self, address: Any) -> None:
+            asked.append(address[0])
+            if address[0].startswith("10."):
+                raise OSError("no route")
+
+        def getsockname(self) -> Any:
+            return ("192.168.7.3", 40000)
+
+    monkeypatch.setattr(socket, "socket", Link)
+    config = CellConfig(
+        serve={"listen": "0.0.0.0", "allow": ("10.0.0.0/8", "192.168.7.0/24")}
+    ).serve
+    found = page_address({"http_port": 7, "view_token": "v"}, config, "view_token")
+    assert (found, view_note(config)) == ("http://192.168.7.3:7/#token=v", "")
+    assert asked[:2] == ["10.128.0.0", "192.168.7.128"]
 
 
 def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(

@@ -316,7 +316,7 @@ def test_faults_of_a_simulated_cell_begin_and_end_on_request(
         return served.ended(host.post(path, lease=lease, **body)["job"])
 
     assert done(goal={"task": "grip", "force_n": 3.0}).error == ""
-    first, faults = page_examples(host)
+    first, faults, _ = page_examples(host)
     typed: dict[str, Any] = {}
     exec(first.partition("\nlease =")[0], typed)
     begin, show, end = faults.splitlines()
@@ -343,6 +343,90 @@ def test_faults_of_a_simulated_cell_begin_and_end_on_request(
     check_refusal(*host.ask("DELETE", "/api/simulation/faults?fault=can.loss"), status=422)
 
 
+def stl(size_mm: float) -> bytes:
+    """Return a tetrahedron as an STL file."""
+    corners = size_mm * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    faces = np.zeros(4, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("end", "<u2")])
+    faces["corners"] = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
+    return bytes(80) + len(faces).to_bytes(4, "little") + faces.tobytes()
+
+
+def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(
+    connect: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("trimesh", reason="the extra mesh is not installed")
+    served, host = connect(cell={})
+    lease = host.post("/api/lease", name="trainer")["lease"]
+    place = "/api/simulation/part"
+
+    def done(**goal: Any) -> Any:
+        return served.ended(host.post("/api/jobs", lease=lease, goal=goal)["job"])
+
+    mug = {"lease": lease, "goal": {"task": "teach", "label": "my mug", "grasps": 4}}
+    refused = host.ask("POST", "/api/jobs", mug)
+    check_refusal(*refused, status=409)
+    assert "nothing lies between the fingers" in refused[1]["error"]
+    check_refusal(*host.ask("POST", place, {"lease": lease + 1, "part": "box"}), status=403)
+    for part in ("dice", "mesh:file=/etc/passwd", "cylinder:diameter=8mm"):
+        check_refusal(*host.ask("POST", place, {"lease": lease, "part": part}), status=422)
+    assert host.get(place)["placed"] is None
+    typed: dict[str, Any] = {"lease": lease, "Path": Path}
+    first, _, trainer = page_examples(host)
+    exec(first.partition("\nlease =")[0], typed)
+    typed["done"] = served.ended
+    exec(trainer, typed)
+    assert "my mug" in capsys.readouterr().out
+    assert "my mug" in host.get("/api/info")["labels"]
+    found = host.get(place)
+    assert found["part"] == found["placed"] == "cylinder:diameter=8mm,length=20mm"
+    assert (found["pose"]["x_m"], "my mug" in found["objects"]) == (0.002, True)
+    # All jobs take it where it lies, and it stays in the grip.
+    assert done(task="grip", force_n=3.0).held
+    world = served.plugin._cell.simulated.world
+    assert world.placed[1].x_m == pytest.approx(0.002)
+    for part in ("my mug", "nothing", None):
+        refused = host.ask("POST", place, {"lease": lease, "part": part})
+        check_refusal(*refused, status=409)
+        assert "release it first" in refused[1]["error"]
+    host.post("/api/simulation/faults", fault="servo1.off")
+    assert done(task="verify").fault_number in (102, 103)
+    assert served.ended(host.post("/api/simulation/reset", lease=lease)["job"]).error == ""
+    assert (served.state, served.grip_n) == ("IDLE", 0.0)
+    assert host.get("/api/simulation/faults")["running"] == []
+    found = host.get(place)
+    assert (found["part"], found["placed"], found["pose"]["x_m"]) == (None, None, 0.0)
+    # An STL file is an object with the name that it is given.
+    at = f"/api/simulation/objects/pyramid?lease={lease}"
+    for data, path in ((b"solid", at), (stl(12.0), at.replace("pyramid", "ball"))):
+        check_refusal(*host.send("PUT", path, data)[:2], status=422)
+    assert "pyramid" in host.send("PUT", at, stl(12.0))[1]["objects"]
+    host.post(place, lease=lease, part="pyramid", pose={"rotation_rad": 0.3})
+    assert world.placed[0] == "pyramid"
+    host.post(place, lease=lease, part="nothing")
+    assert done(task="identify").fault_number == 511
+    host.post(place, lease=lease, part=None)
+    assert done(task="grip", force_n=3.0).held
+    assert world.placed[0] in ("ball", "box")
+
+
+def test_the_view_only_link_reads_and_gives_no_command(connect: Any) -> None:
+    served, host = connect()
+    found = served.interfaces
+    view = {"http_port": host.port, "token": found["view_token"]}
+    watcher = Client(view)
+    told = watcher.get("/api/access")
+    assert told["address"] == f"http://127.0.0.1:{host.port}/#token={found['view_token']}"
+    assert (told["commands"], host.get("/api/access")["commands"]) == (False, True)
+    assert "set serve.listen" in told["note"]
+    assert {len(told["qr"])} == {len(row) for row in told["qr"]}
+    with watcher.live() as link:
+        assert json.loads(link.recv())["status"]["state"] == "IDLE"
+    lease = host.post("/api/lease", name="host")["lease"]
+    check_refusal(*watcher.ask("POST", f"/api/lease/{lease}/alive"), status=403)
+    check_refusal(*watcher.ask("POST", "/api/lease", {"name": "x", "take": True}), status=403)
+    assert watcher.ask("POST", "/api/hold", {})[0] == 200
+
+
 def test_a_cell_with_real_ports_has_no_faults_on_request(connect: Any) -> None:
     ports = {
         "gripper__port": "/dev/ttyUSB0",
@@ -351,22 +435,30 @@ def test_a_cell_with_real_ports_has_no_faults_on_request(connect: Any) -> None:
     }
     served, host = connect(**ports, positioner__kind="operator")
     assert not served.service.config.simulated
-    for way, body in (("GET", None), ("POST", {"fault": "can.off"}), ("DELETE", None)):
-        found = host.ask(way, "/api/simulation/faults?fault=can.off", body)
-        check_refusal(*found, status=404)
+    for path in ("faults?fault=can.off", "part", "objects/pin?lease=1", "reset"):
+        for way in ("GET", "POST", "PUT", "DELETE"):
+            body = {"fault": "can.off"} if way == "POST" else None
+            check_refusal(*host.ask(way, f"/api/simulation/{path}", body), status=404)
 
 
 def test_all_but_hold_needs_the_token(connect: Any) -> None:
     served, host = connect()
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
     guarded = [(path, method) for path, ways in paths.items() for method in ways]
-    assert len(guarded) == 21
+    assert len(guarded) == 26
     for path, method in guarded:
         if path == "/api/hold":
             continue
         place = path.format(lease=1, number=1, label="ball")
         for token in (None, "wrong"):
             assert host.ask(method.upper(), place, {}, token=token)[0] == 401, path
+        view = served.interfaces["view_token"]
+        status, found = host.ask(method.upper(), place, {}, token=view)
+        assert (status == 403) is (method != "get"), path
+        assert status != 403 or (found["fault_number"], "does not command" in found["error"]) == (
+            514,
+            True,
+        )
     served.plugin.pause()
     lease = host.post("/api/lease", name="host")["lease"]
     host.post("/api/jobs", lease=lease, goal={"task": "identify"})

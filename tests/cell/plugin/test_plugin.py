@@ -2,6 +2,7 @@
 
 import gc
 import importlib.metadata
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -81,6 +82,36 @@ def test_a_gauge_says_under_which_foam_shapes_are_read(
 
 
 # -- jobs --------------------------------------------------------------------------------------
+
+
+def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
+    page = Path("docs/how-to/use-from-a-host-program.md").read_text("utf-8")
+    (typed,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.S) if "my mug" in one)
+    with pytest.raises(CellStateError, match="nothing lies between the fingers"):
+        plugin.start(TeachGoal(label="my mug"))
+    exec(typed, {"cell": plugin})
+    assert plugin.labels == ("ball", "box", "my mug")
+    assert (plugin.state(), plugin.simulate({"state": True})["placed"]) == ("IDLE", None)
+    with pytest.raises(JobFailed, match="no contact"):
+        done(plugin, IdentifyGoal(present="nothing"))
+    # The part that is named as present counts, not the one that lies there.
+    assert done(plugin, TeachGoal(label="cup", grasps=3, present="my mug")) == 3
+    assert plugin.simulate({"state": True})["placed"] == "my mug"
+
+
+def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(
+    plugin: Any,
+) -> None:
+    for fault in (None, "servo1.off", "can.unplugged"):
+        assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
+        if fault is not None:
+            plugin.simulate({"inject": fault})
+            with pytest.raises(JobFailed):
+                done(plugin, VerifyGoal())
+            assert plugin.state() == "ABORTED"
+        plugin.result(plugin.begin_simulation_reset(), LIMIT_S)
+        assert (plugin.state(), grip_n(plugin)) == ("IDLE", 0.0)
+        assert plugin.simulate({"state": True})["faults"] == {}
 
 
 def test_teach_then_identify(make_plugin: Any) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simulator.devices import CellDevices
-from simulator.errors import SimulatorError, SimulatorSettingsError
+from simulator.errors import PartGripped, SimulatorError, SimulatorSettingsError
 from simulator.faults.injector import FaultInjector
 from simulator.realtime.requests import CellRequests
 from simulator.realtime.socket_server import CLIENT_LIMIT, LINE_LIMIT, PositionerServer
@@ -54,6 +54,29 @@ def test_objects_are_placed_and_the_reply_says_where_they_rest(
     assert requests({"place": "sphere:diameter=8mm"})["pose"]["x_m"] == 0.0
     assert requests({"remove": True}) == {"removed": True}
     assert devices.physical.placed is None
+
+
+def test_objects_get_names_and_lie_beside_their_pose(
+    requests: CellRequests, devices: CellDevices
+) -> None:
+    assert "mug" in requests({"define": "mug", "shape": "sphere:diameter=8mm"})["objects"]
+    for wrong in ({"x_m": 9.0}, {"w": 1}, 3):  # beside the pads, no pose
+        with pytest.raises(SimulatorSettingsError):
+            requests({"place": "mug", "offset": wrong})
+    assert requests({"place": "mug"})["pose"]["x_m"] == 0.0
+    requests({"place": "mug", "offset": {"x_m": 0.001}})
+    assert requests({"place": "mug", "pose": {"x_m": 0.002}})["pose"]["x_m"] == 0.003
+    assert requests({"state": True})["offset"]["x_m"] == 0.001
+    for name, shape in (("ball", "box"), ("nothing", "box"), ("", "box"), ("a", "mesh:file=a")):
+        with pytest.raises(SimulatorSettingsError):
+            requests({"define": name, "shape": shape})
+    devices.physical._force_n = (1.0, 1.0)
+    for label in ("mug", "nothing"):
+        with pytest.raises(PartGripped, match="release it first"):
+            requests({"place": label})
+    devices.physical._force_n = (0.0, 0.0)
+    requests({"place": "nothing"})
+    assert requests({"state": True})["placed"] is None
 
 
 def test_a_fingertip_presses_a_pad_and_lifts(requests: CellRequests, devices: CellDevices) -> None:

@@ -129,7 +129,7 @@ def _on_page(engine: "Engine", http_port: int | None) -> None:
     from cell.installation import extra
     from cell.interfaces.cli.commands.serve import SIGNAL_LOOK_S, free_page_port
     from cell.interfaces.cli.terminal import print_page
-    from cell.interfaces.opening import page_address
+    from cell.interfaces.page_address import page_address
 
     with extra("serve", needed_by="--page"):
         from cell.interfaces.wizard import Phase, Wizard, WizardServer

@@ -146,8 +146,9 @@ def serve(
 @contextmanager
 def _announced_interfaces(service: "Service") -> Iterator[None]:
     """Open the interfaces of a service and print their addresses; close all at the end."""
-    from cell.interfaces.cli.terminal import print_note, print_page
-    from cell.interfaces.opening import open_interfaces, page_address, warnings
+    from cell.interfaces.cli.terminal import print_note, print_page, print_view
+    from cell.interfaces.opening import open_interfaces, warnings
+    from cell.interfaces.page_address import page_address, view_note
 
     with closing(service), open_interfaces(service) as found:
         for note in warnings(service):
@@ -155,6 +156,8 @@ def _announced_interfaces(service: "Service") -> Iterator[None]:
         typer.echo(json.dumps(found))
         if (page := page_address(found, service.config.serve)) is not None:
             print_page(page)
+            view = page_address(found, service.config.serve, "view_token")
+            print_view(view or "", view_note(service.config.serve))
         elif service.config.serve.http_port is None:
             print_note("no page for a browser is open: --http 8080, or serve.http_port, opens it")
         yield

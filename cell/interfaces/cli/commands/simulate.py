@@ -31,8 +31,8 @@ def simulate(
             help="Be the hands at the cell that runs in --out, and end: look, close, open, half, "
             "block, part, press, load, lift, empty, disconnect, connect, as 'open finger 0', "
             "'block 10', 'press finger0.inner tip left'; 'help' explains them. '-' asks for them "
-            """line by line. Programs send JSON, as '{"state": true}': place, remove, press, """
-            "lift, play, hand, state, kinds, inject, clear.",
+            """line by line. Programs send JSON, as '{"state": true}': place, define, remove, """
+            "press, lift, play, hand, state, kinds, inject, clear.",
         ),
     ] = None,
     with_parent: Annotated[

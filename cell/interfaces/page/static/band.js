@@ -1,6 +1,6 @@
 // The band across the top: state, what is done, who is in command, and whether this is now.
 
-import { byId, setText, show } from "./dom.js";
+import { byId, setText } from "./dom.js";
 import { clock, duration, faultText, has, percent, t } from "./words.js";
 
 // Shapes in a square of 24: the symbol of a state is its own, also without its colour.
@@ -66,7 +66,6 @@ export function doing(state) {
 
 export function renderBand({ link, info, state }) {
   setText(byId("cell"), info?.name ?? "");
-  show(byId("simulated"), Boolean(info?.simulated));
   document.body.classList.toggle("stale", link.stale);
   document.body.classList.toggle("starting", !state && Number.isFinite(link.age_s));
   let level = "bad";

@@ -10,8 +10,9 @@ const RELEASE_KEY = 0x4f50;
 // Why a command is not allowed now, in words; empty where it is. `any`: whoever is in command.
 export function reasonOf({ link, state, taught }, command, any = false) {
   if (!state || link.stale) return t("why.connection");
-  if (!any && !link.commands) return t("why.lease");
+  if (!any && !link.commands) return t(link.viewOnly ? "why.view_only" : "why.lease");
   if (!any && link.pending) return t("why.sent");
+  if (command === "simulation") return ""; // the simulator itself refuses what cannot be
   const { status, allowed, held_by: heldBy = [] } = state;
   const refusal = allowed[command];
   if (!refusal) return command in allowed ? "" : t("why.not_offered");

@@ -36,6 +36,7 @@ export class Link {
       sessionStorage.setItem("own", JSON.stringify({ name: this.name, lease: this.lease }));
     });
     this.leaseTimeout_s = 2;
+    this.viewOnly = false;
     this.state = null;
     this.pending = false;
     this.heard_s = 0;

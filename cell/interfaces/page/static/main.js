@@ -13,6 +13,8 @@ import { beginPage, reasonOf, renderCommands, setupCommands, setupLease } from "
 import { renderTeach, setupTeach, teachEnded } from "./teach.js";
 import { renderGauge, setupGauge } from "./gauge.js";
 import { renderSort, setupSort } from "./sort.js";
+import { renderSimulation, setupSimulation } from "./simulation.js";
+import { renderShare, setupShare } from "./share.js";
 
 const TABS = ["held", "teach", "sort"];
 const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", gauge: "teach", zero: "teach", sort: "sort" };
@@ -63,6 +65,7 @@ async function refreshInfo() {
   try {
     view.info = await view.link.call("GET", "api/info", { timeout_ms: 5000 });
     view.link.leaseTimeout_s = view.info.lease_timeout_s ?? 2;
+    await view.askAccess();
     await refreshTaught();
   } catch {
     setTimeout(refreshInfo, 1000);
@@ -119,15 +122,17 @@ function render() {
   dirty = false;
   if (stale) forget();
   for (const part of [renderBand, renderFault, renderHeld, renderFelt, renderShift, renderHealth,
-    renderCommands, renderTeach, renderGauge, renderSort, renderPose]) part(view);
+    renderCommands, renderTeach, renderGauge, renderSort, renderPose, renderSimulation, renderShare]) part(view);
 }
 
 function setup() {
-  setupLease(view, ["grasp", "sure", "camera"]);
+  setupLease(view, ["grasp", "sure", "camera", "simulation", "share"]);
   setupCommands(view);
   setupTeach(view);
   setupGauge(view);
   setupSort(view);
+  setupSimulation(view);
+  setupShare(view);
   byId("tabs").addEventListener("click", (event) => {
     const name = event.target.id?.replace("tab_", "");
     if (TABS.includes(name)) chooseTab(name);

@@ -3,7 +3,7 @@
 import { allow, byId, drawing, isAllowed, make, renew, setText, show } from "./dom.js";
 import { runs } from "./band.js";
 import { shapeParts, shapeWord } from "./held.js";
-import { millimetres, newtons, number, percent, t } from "./words.js";
+import { faultText, millimetres, newtons, number, percent, t } from "./words.js";
 
 const PHOTO_PX = 640;
 const PHOTO_MAX = 500_000;
@@ -117,7 +117,7 @@ export function renderTeach(view) {
       ...[number(i + 1), newtons(one.force_n), millimetres(one.opening_mm), one.size_mm ? `⌀ ${millimetres(one.size_mm)}` : ""]
         .map((text) => make("span", {}, text)))).reverse());
     setText(byId("teach_end"), runs(job) ? "" : job.taught ? result(job.taught)
-      : job.outcome === "SUCCEEDED" ? t("teach.done") : t(`teach.${job.outcome}`));
+      : job.outcome === "SUCCEEDED" ? t("teach.done") : t(`teach.${job.outcome}`, { reason: faultText({ number: job.fault_number, text: job.error }) }));
   }
   renew(byId("teach_names"), taught.map((one) => one.label), () => taught.map((one) => make("option", { value: one.label })));
   const off = Boolean(reason);

@@ -8,13 +8,14 @@ export const language = locale.slice(0, 2).toLowerCase();
 let texts = {};
 let faults = {};
 let exact = {};
+let simulated = {};
 let sentences = []; // pattern of an English sentence, and the own one with {0} in the places of its figures
 const plural = new Intl.PluralRules(locale);
 
 export async function loadWords() {
   const answer = await fetch(new URL(`${language}.json`, import.meta.url));
   let own;
-  ({ faults = {}, exact = {}, sentences: own = {}, ...texts } = await answer.json());
+  ({ faults = {}, exact = {}, simulated = {}, sentences: own = {}, ...texts } = await answer.json());
   // The one that says most comes first.
   sentences = Object.entries(own).sort(([a], [b]) => b.length - a.length).map(([english, text]) => [
     new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, "\\$&").replace(/\{\d\}/g, "(.*?)")}$`, "s"), text]);
@@ -42,6 +43,9 @@ export const native = (text) => exact[text] ?? text ?? "";
 
 // What a fault is, by its number; its own text where the number has none here.
 export const faultText = ({ number: its, text = "" }) => faults[its] ?? text;
+
+// What a fault of the simulation means; servos and axes share theirs.
+export const faultMeaning = ({ name, meaning }) => simulated[name.replace(/^(servo|axis)\d+/, "$1N")] ?? meaning;
 
 // What the commissioning says: the server's is English, the others stand here by their pattern with
 // the figures left out. Of several in a list each is looked up; what has no pattern stays English.

@@ -17,6 +17,7 @@ from cell.interfaces.wizard import Phase
 from cell.plugin.goals import TASKS
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
+from simulator.faults.injector import VOCABULARY
 
 WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("*.json")}
 SOURCE = "\n".join(path.read_text() for path in FOLDER.glob("*.js"))
@@ -24,7 +25,8 @@ HTML = "\n".join(path.read_text() for path in FOLDER.glob("*.html"))
 FAMILIES: dict[str, set[str]] = {
     "state.": {*CellState, "away"},
     "grip.": set(GraspState),
-    "task.": {*TASKS, "release", "clear", "reset", "shutdown", "forget", "forget_drift"},
+    "task.": {*TASKS, "release", "clear", "reset", "shutdown", "forget", "forget_drift"}
+    | {"simulation_reset"},
     "step.": set(get_args(RecoveryStep)),
     "shape.": {*SHAPE_MODELS, UNCLEAR},
     "why.state.": set(CellState),
@@ -101,6 +103,7 @@ def test_german_has_each_fixed_text_of_the_server_and_no_other() -> None:
     fixed = {text for one in entries for text in (one.cause, one.remedy, one.grip)}
     fixed |= {text for step in all_steps() for text in (step.title, step.purpose)}
     assert set(german["exact"]) == fixed | set(REMEDIES.values())
+    assert set(german["simulated"]) == set(VOCABULARY)
     pairs = [(fault.text, german["faults"][str(fault.number)]) for fault in entries]
     for english, text in (*pairs, *german["exact"].items()):
         assert text.strip()

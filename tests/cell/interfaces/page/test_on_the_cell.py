@@ -1,14 +1,18 @@
 """The page on the real interface: on a stub of the cell, and once on the simulated cell."""
 
+import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import segno
 
 from cell.control.states import Command
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.page.line import Line
-from tests.cell.interfaces.page.test_page import OpenPage, becomes, press
+from tests.cell.interfaces.page.test_page import OpenPage, becomes, fits, press
+from tests.cell.interfaces.test_web import stl
 from tests.cell.served import Served, until
 
 pytestmark = pytest.mark.long
@@ -233,3 +237,122 @@ def test_a_page_that_slept_shows_now(serve: Any, line: Any, open_page: OpenPage)
     wire.mend()
     becomes(page, "#state", "Working")
     becomes(page, "#commander", "In command: PLC")
+
+
+@pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
+def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
+    serve: Any, open_page: OpenPage, wide: bool, tmp_path: Path
+) -> None:
+    pytest.importorskip("trimesh", reason="the extra mesh is not installed")
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    served = serve("http", cell={})
+    world = served.plugin._cell.simulated.world
+    page = open_page(address(served), wide=wide)
+    page.click("#simulated")
+    becomes(page, "#sim_taken", "each object in turn")
+    becomes(page, "#sim_put", "take command first")
+    page.click("#command")
+    becomes(page, "#sim_put", "for all jobs from now on")
+    page.select_option("#sim_part", label="a shape of its own")
+    page.select_option("#sim_kind", label="box")
+    page.locator("#sim_lengths [name=height]").fill("6")
+    page.locator("#sim_pose [name=x_m]").fill("1.5")
+    page.click("#sim_put")
+    becomes(page, "#sim_placed", "^box 16 × 10 × 6 mm$")
+    assert world.placed[1].x_m == pytest.approx(1.5e-3)
+    found = axe.run(page).response["violations"]
+    assert not found, [(one["id"], one["nodes"][0]["html"]) for one in found]
+    assert fits(page)
+    page.click("#simulation_close")
+    # A name of its own is taught with what lies there, and is an object from then on.
+    page.click("#tab_teach")
+    page.fill("#teach_name", "my mug")
+    page.fill("#teach_grasps", "6")
+    page.click("#teach_start")
+    until(lambda: served.service.job().task == "teach")
+    assert served.ended().error == ""
+    becomes(page, "#teach_end", "told apart|Near to|Taught")
+    becomes(page, "#teach_progress", "my mug: 6 of 6 grasps")
+    page.click("#simulated")
+    page.wait_for_selector("#sim_part option[value='my mug']", state="attached")
+    page.select_option("#sim_part", "my mug")
+    page.click("#sim_put")
+    becomes(page, "#sim_taken", "^my mug$")
+    # What is in the grip is not exchanged.
+    grip = {"task": "grip", "force_n": 3.0}
+    assert served.ended(served.service.start(served.service.lease.number, grip)).held
+    becomes(page, "#sim_put", "a part is held: release it first")
+    page.select_option("#sim_fault", "servo1.overheat")
+    becomes(page, "#sim_meaning", "its inside has this temperature")
+    page.select_option("#sim_fault", "servo1.off")
+    page.click("#sim_begin")
+    becomes(page, "#sim_running li span", "servo1.off")
+    page.click("#sim_running button")
+    page.wait_for_selector("#sim_running li", state="detached")
+    page.click("#sim_begin")
+    becomes(page, "#sim_running li span", "servo1.off")
+    number = served.service.start(served.service.lease.number, {"task": "verify"})
+    assert served.ended(number).fault_number in (102, 103)
+    page.click("#sim_reset")
+    until(lambda: served.service.job().task == "simulation_reset")
+    assert served.ended().error == ""
+    becomes(page, "#state", "Ready")
+    becomes(page, "#sim_placed", "nothing")
+    (tmp_path / "pyramid.stl").write_bytes(stl(12.0))
+    page.set_input_files("#sim_stl", tmp_path / "pyramid.stl")
+    page.wait_for_selector("#sim_part:has(option[value='pyramid']:checked)")
+    page.click("#sim_put")
+    becomes(page, "#sim_placed", "pyramid")
+    # Nothing lies there: the refusal says what to do.
+    page.select_option("#sim_part", "nothing")
+    page.click("#sim_put")
+    becomes(page, "#sim_placed", "nothing")
+    page.click("#simulation_close")
+    page.click("#tab_teach")
+    page.fill("#teach_name", "my cup")
+    page.click("#teach_start")
+    becomes(page, "#said", "nothing lies between the fingers.*choose a part on the page")
+
+
+@pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
+def test_a_second_person_watches_by_the_link(serve: Any, open_page: OpenPage, wide: bool) -> None:
+    served = serve("http")
+    page = open_page(address(served), wide=wide)
+    page.click("#share_open")
+    becomes(page, "#share_note", "set serve.listen to 0.0.0.0")
+    link = page.get_attribute("#share_address", "href")
+    assert link == address(served).replace(
+        served.interfaces["token"], served.interfaces["view_token"]
+    )
+    assert fits(page)
+    second = open_page(link, wide=wide)
+    becomes(second, "#state", "Ready")
+    becomes(second, "#view_only", "view only")
+    becomes(second, "#do_identify", "this page only watches")
+    assert not second.is_visible("#command")
+    assert fits(second)
+    page.click("#share_close")
+    page.click("#command")
+    served.plugin.pause()
+    page.click("#do_grip")
+    becomes(second, "#state", "Working")
+    second.keyboard.press("Escape")
+    becomes(page, "#state", "On hold")
+
+
+def test_other_machines_get_a_qr_code(
+    serve: Any, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cell.interfaces.web_server.view_note", lambda _config: "")
+    served = serve("http")
+    page = open_page(address(served))
+    page.click("#share_open")
+    page.wait_for_selector("#share_qr path", state="attached")
+    assert page.is_visible("#share_qr")
+    assert not page.is_visible("#share_note")
+    # The picture shows the code of the address, with its quiet zone.
+    code = segno.make_qr(page.get_attribute("#share_address", "href"))
+    rows = [list(row) for row in code.matrix]
+    dark = {(x + 4, y + 4) for y, row in enumerate(rows) for x, one in enumerate(row) if one}
+    drawn = re.findall(r"M(\d+) (\d+)h1v1h-1z", page.get_attribute("#share_qr path", "d"))
+    assert {(int(x), int(y)) for x, y in drawn} == dark

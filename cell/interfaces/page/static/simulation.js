@@ -1,0 +1,141 @@
+// The drawer of a simulated cell: what lies between the fingers and where, faults, a new beginning.
+
+import { allow, byId, isAllowed, make, renew, setText, show } from "./dom.js";
+import { runs } from "./band.js";
+import { faultMeaning, number, t } from "./words.js";
+
+// Lengths in mm: name, least, most, at first.
+const SHAPES = {
+  "cylinder": [["diameter", 2, 16, 8], ["length", 5, 40, 20]],
+  "sphere": [["diameter", 3, 16, 10]],
+  "box": [["length", 5, 40, 16], ["width", 2, 16, 10], ["height", 2, 16, 10]],
+  "ellipsoid": [["length", 5, 40, 14], ["diameter", 3, 16, 11]],
+  "dumbbell": [["length", 8, 40, 14], ["diameter", 4, 16, 10]],
+};
+const POSE = { "x_m": "mm", "y_m": "mm", "rotation_rad": "°", "roll_rad": "°" };
+const SI = { mm: 1e-3, "°": Math.PI / 180 };
+const IN_TURN = "";
+const OWN = " shape";
+let now = null; // the part, as the cell has it
+let faults = null;
+let asking = false;
+
+function slider(name, unit, min, max, value) {
+  const range = make("input", { type: "range", min, max, step: unit === "mm" ? 0.5 : 5, value, name });
+  const shown = make("output", {});
+  const tell = () => setText(shown, `${number(range.valueAsNumber)} ${unit}`);
+  range.addEventListener("input", tell);
+  tell();
+  return make("label", {}, make("span", {}, t(`sim.${name}`), " ", shown), range);
+}
+
+const options = (pairs) => pairs.map(([value, word]) => make("option", { value }, word));
+
+const values = (id) => [...byId(id).querySelectorAll("input")].map((one) => [one.name, one.valueAsNumber]);
+
+function chosen() {
+  const part = byId("sim_part").value;
+  if (part === IN_TURN) return null;
+  if (part !== OWN) return part;
+  return `${byId("sim_kind").value}:${values("sim_lengths").map(([name, mm]) => `${name}=${mm}mm`).join(",")}`;
+}
+
+function renewLengths() {
+  show(byId("sim_shape"), byId("sim_part").value === OWN);
+  const kind = byId("sim_kind").value;
+  renew(byId("sim_lengths"), kind, () =>
+    SHAPES[kind].map(([name, ...range]) => slider(name, "mm", ...range)));
+}
+
+// In words what is cylinder:diameter=8mm,length=20mm.
+function partWord(part) {
+  if (part === null || part === "nothing") return t(part ? "sim.nothing" : "sim.in_turn");
+  const [kind, lengths] = part.split(":");
+  if (!SHAPES[kind] || !lengths) return part;
+  return `${t(`sim.${kind}`)} ${lengths.split(",").map((one) => one.split("=")[1].replace("mm", "")).join(" × ")}\u00a0mm`;
+}
+
+export function setupSimulation(view) {
+  const { link, attempt } = view;
+  const send = (method, path, body) => link.call(method, `api/simulation/${path}`, { body, timeout_ms: 6000 });
+  const refresh = async () => {
+    if (asking || link.stale) return;
+    asking = true;
+    try {
+      [now, faults] = [await send("GET", "part"), await send("GET", "faults")];
+    } catch { /* the next look asks again */ } finally {
+      asking = false;
+    }
+    view.changed();
+  };
+  const act = (id, what) => byId(id).addEventListener("click", () => isAllowed(byId(id)) && attempt(what).then(refresh));
+
+  byId("sim_kind").append(...options(Object.keys(SHAPES).map((kind) => [kind, t(`sim.${kind}`)])));
+  byId("sim_pose").append(...Object.entries(POSE).map(([name, unit]) => slider(name, unit, ...(unit === "mm" ? [-6, 6] : [-90, 90]), 0)));
+  for (const id of ["sim_part", "sim_kind"]) byId(id).addEventListener("change", renewLengths);
+  byId("simulated").addEventListener("click", () => {
+    if (byId("simulation").open) byId("simulation").close();
+    else byId("simulation").show();
+    refresh();
+  });
+  byId("simulation_close").addEventListener("click", () => byId("simulation").close());
+  setInterval(() => byId("simulation").open && refresh(), 1000);
+
+  act("sim_put", () => send("POST", "part", {
+    lease: link.lease,
+    part: chosen(),
+    pose: Object.fromEntries(values("sim_pose").map(([name, value]) => [name, value * SI[POSE[name]]])),
+  }));
+  act("sim_begin", () => send("POST", "faults", {
+    fault: byId("sim_fault").value + (byId("sim_value").value.trim() ? `=${byId("sim_value").value.trim()}` : ""),
+  }));
+  byId("sim_fault").addEventListener("change", () => { byId("sim_value").value = ""; view.changed(); });
+  act("sim_reset", () => send("POST", "reset", { lease: link.lease }));
+  byId("sim_stl").addEventListener("change", async (event) => {
+    const [file] = event.target.files;
+    event.target.value = "";
+    if (!file) return;
+    const name = file.name.replace(/\.stl$/i, "").slice(0, 60);
+    await attempt(() => link.fetch("PUT", `api/simulation/objects/${encodeURIComponent(name)}?lease=${link.lease}`, { body: file, type: "model/stl", timeout_ms: 20_000 }));
+    await refresh();
+    renderSimulation(view);
+    if (now?.objects.includes(name)) byId("sim_part").value = name;
+    renewLengths();
+  });
+  view.endFault = (fault) => attempt(() => send("DELETE", `faults?fault=${encodeURIComponent(fault)}`)).then(refresh);
+}
+
+export function renderSimulation(view) {
+  const { state, link, info } = view;
+  show(byId("simulated"), Boolean(info?.simulated));
+  if (!byId("simulation").open || !state || !now || !faults) return;
+  const reason = view.why("simulation");
+  const watches = link.viewOnly || link.stale ? reason : "";
+  const held = reason || (state.status.holding ? t("sim.held") : "");
+  setText(byId("sim_placed"), partWord(now.placed ?? "nothing"));
+  setText(byId("sim_taken"), partWord(now.part));
+  const kept = byId("sim_part").value;
+  renew(byId("sim_part"), now.objects, () => options([
+    [IN_TURN, t("sim.in_turn")], ["nothing", t("sim.nothing")], [OWN, t("sim.own")], ...now.objects.map((one) => [one, one])]));
+  if (kept && byId("sim_part").value !== kept) byId("sim_part").value = kept;
+  renewLengths();
+  allow(byId("sim_put"), t("sim.put"), t("sim.put_hint"), held);
+  byId("sim_stl").disabled = Boolean(reason);
+  allow(byId("sim_reset"), t("sim.reset"), t("sim.reset_hint"), reason || (runs(state.job) ? t("why.state.EXECUTE") : ""));
+
+  renew(byId("sim_fault"), faults.kinds.map((one) => one.name), () => options(faults.kinds.map(({ name }) => [name, name])));
+  const kind = faults.kinds.find((one) => one.name === byId("sim_fault").value);
+  const value = kind?.value;
+  show(byId("sim_value").parentNode, Boolean(value));
+  setText(byId("sim_unit"), value?.unit ?? "");
+  byId("sim_value").placeholder = value?.default ?? "";
+  setText(byId("sim_meaning"), kind ? faultMeaning(kind) : "");
+  allow(byId("sim_begin"), t("sim.begin"), t("sim.begin_hint"), watches);
+  renew(byId("sim_running"), [faults.running, watches], () => faults.running.map(({ fault, begun }) => {
+    const end = make("button", { type: "button", class: "plain" }, t("sim.end"));
+    end.setAttribute("aria-label", t("sim.end_of", { fault }));
+    end.addEventListener("click", () => isAllowed(end) && view.endFault(fault));
+    end.setAttribute("aria-disabled", String(Boolean(watches)));
+    return make("li", {}, make("span", {}, begun ? fault : `${fault} ...`), end);
+  }));
+}

@@ -1,0 +1,75 @@
+"""Addresses of the page, for browsers of this machine and of others, and their QR codes."""
+
+import socket
+from collections.abc import Mapping
+from contextlib import suppress
+from ipaddress import ip_address, ip_network
+from typing import TYPE_CHECKING, Any
+
+from cell.config.serve import ServeConfig
+from cell.installation import extra
+
+if TYPE_CHECKING:
+    from segno import QRCode
+
+
+def own_address(config: ServeConfig) -> str:
+    """Return the name or address at which other machines reach this one; empty where none does.
+
+    Where the cell listens at all addresses it is the first of ``hosts``, or the address from which
+    this machine sends to a network of the allow-list. Nothing is sent.
+    """
+    listen = ip_address(config.listen)
+    if not listen.is_unspecified:
+        return "" if listen.is_loopback else config.listen
+    if config.hosts:
+        return config.hosts[0]
+    family = socket.AF_INET6 if listen.version == 6 else socket.AF_INET
+    for network in map(ip_network, config.allow):
+        with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as link:
+            link.connect((str(network[network.num_addresses // 2]), 9))
+            found = str(link.getsockname()[0])
+            if not ip_address(found).is_loopback:
+                return found
+    return ""
+
+
+def page_address(found: Mapping[str, Any], config: ServeConfig, token: str = "token") -> str | None:
+    """Return the address of the page, with a token, for a browser; None without HTTP.
+
+    Parameters
+    ----------
+    found
+        The interfaces, as `cell.interfaces.opening.open_interfaces` yields them.
+    token
+        ``view_token`` for the one that reads and does not command.
+    """
+    if "http_port" not in found:
+        return None
+    anywhere = ip_address(config.listen).is_unspecified
+    host = own_address(config) or (socket.gethostname() if anywhere else config.listen)
+    host = f"[{host}]" if ":" in host else host
+    scheme = "https" if config.tls_certificate else "http"
+    return f"{scheme}://{host}:{found['http_port']}/#token={found[token]}"
+
+
+def view_note(config: ServeConfig) -> str:
+    """Return what to set so that other machines reach the page; empty where they do."""
+    if ip_address(config.listen).is_loopback:
+        return (
+            f"only this machine reaches {config.listen}: set serve.listen to 0.0.0.0, and "
+            "serve.allow to the hosts that may connect"
+        )
+    if own_address(config):
+        return ""
+    return (
+        f"this machine has no way to {', '.join(config.allow)} (serve.allow): set serve.hosts to "
+        "the name or address by which others reach it"
+    )
+
+
+def qr_code(address: str) -> "QRCode":
+    """Return the QR code of an address. Raises MissingExtraError without the extra ``serve``."""
+    with extra("serve", needed_by="the QR code"):
+        import segno  # noqa: PLC0415
+    return segno.make_qr(address)
