@@ -44,6 +44,10 @@ class PartInGrip(CellStateError):
     """The cell cannot start: a part may still be in the grip, and only a release lets it go."""
 
 
+class TooFewGrasps(CellError):
+    """The taught grasps do not suffice for a training; they are kept."""
+
+
 class TrainingSetMissing(CellStateError):
     """Teaching beside a loaded model needs the grasps that trained it; nothing has moved."""
 

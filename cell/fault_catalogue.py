@@ -269,6 +269,8 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     cell.TrainingSetMissing: Fault(517, "Teaching needs the training set of the loaded model",
         "A model was loaded alone.",
         "Start `serve` with `--training-set`, or teach without `--model`.", UNMOVED, REQUEST),
+    cell.TooFewGrasps: Fault(519, "Too few grasps for a training",
+        "Too few grasps.", "Teach more grasps.", UNMOVED, REQUEST),
     cell.HeldByClient: Fault(515, "A client keeps the cell on hold",
         "A pressed button of a panel; the text names it.",
         "Let the button go; `clear` acknowledges one whose client is gone.", UNMOVED, ON_HOLD),

@@ -1,5 +1,6 @@
 """Values of a cell without a meaning, for tests that only pass them on."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -109,3 +110,12 @@ def measured_drives(
             servo.servo_id, replace(drive, friction_sd=friction_sd, load_sd=load_sd, measured_s=1.0)
         )
     return settings
+
+
+def raising(error: BaseException) -> Callable[..., Any]:
+    """Return a function that raises an error whatever it is given."""
+
+    def fail(*_given: Any, **_named: Any) -> Any:
+        raise error
+
+    return fail

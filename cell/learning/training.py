@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from cell.config.model import CellConfig
-from cell.errors import CellError, CellStateError, ModelError
+from cell.errors import CellError, CellStateError, ModelError, TooFewGrasps
 from cell.installation import extra
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
@@ -108,7 +108,7 @@ def train(
         with extra("comparators", needed_by=f"teaching {name}"):
             recognizer = trainer.fit(grasps)
     except ValueError as error:
-        raise CellError(
+        raise TooFewGrasps(
             f"{name} cannot be trained on these {len(grasps)} grasps: {error}"
         ) from error
     trained = Trained(recognizer=recognizer, trainer_name=name)

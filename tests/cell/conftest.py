@@ -45,6 +45,15 @@ def small_config(**changes: Any) -> CellConfig:
     return changed_config(CellConfig(), small | wanted)
 
 
+REAL = {
+    "gripper.port": "/dev/ttyUSB0",
+    "tactile.interface": "socketcan",
+    "tactile.channel": "can0",
+    "positioner.kind": "operator",
+}
+"""Ports of a real cell."""
+
+
 def once(
     clock: VirtualClock,
     happens: Callable[[], bool],

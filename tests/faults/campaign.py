@@ -76,8 +76,8 @@ class FaultRow:
     """Brings the fault about; None for `grasp_with_fault`."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Changes of the config for it, see `campaign_config`."""
-    number: int = 0
-    """Number of the fault that is latched; 0 where none is required."""
+    number: int | tuple[int, ...] = 0
+    """Number of the latched fault, or of those that race for it; 0 where none is required."""
     real_time: bool = False
     """Whether it runs real processes in real time."""
     long: bool = False
@@ -291,7 +291,8 @@ def recovered(
     next job is done.
     """
     number = cell.controller.status.fault_number
-    if row.number not in (0, number):
+    numbers = row.number if isinstance(row.number, tuple) else (row.number,)
+    if 0 not in numbers and number not in numbers:
         return replace(seen, reaction=f"FAULT {number}")
     if not number or ".jump=" in row.injected:
         return seen

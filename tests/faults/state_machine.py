@@ -14,7 +14,7 @@ from cell.control.keeping import Keep
 from simulator.faults.entry import FaultEntry, Number
 from simulator.faults.injector import VOCABULARY
 from tests.faults.driver import Driver
-from tests.faults.wires import WIRES, driver_of
+from tests.faults.wires import INTERFACES, driver_of
 
 PIECES = 10
 """Pieces that the tests run, each from a seed of its own."""
@@ -247,7 +247,7 @@ class CellMachine(RuleBasedStateMachine):
 
 MACHINES: dict[str, type[CellMachine]] = {"": CellMachine} | {
     interface: type(f"{interface}Machine", (CellMachine,), {"driver_type": driver_of(interface)})
-    for interface in WIRES
+    for interface in INTERFACES
 }
 """The machine of a host program, and those of clients of each interface."""
 

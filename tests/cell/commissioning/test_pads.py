@@ -21,6 +21,7 @@ from tactile.layout import PadMount, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration
 from tactile.sensor.tare import TareLimits
 from tests.cell.commissioning.conftest import MakeStand
+from tests.values import raising
 
 REST, PRESSED = PadsAtRestStep(), PadsPressedStep()
 
@@ -119,11 +120,8 @@ def test_each_pad_is_found_by_who_follows_the_words(stand: MakeStand, layout: An
 
 
 def test_leaving_while_a_pad_is_pressed_ends_the_step(stand: MakeStand) -> None:
-    def leave() -> None:
-        raise WizardAborted("left")
-
     with pytest.raises(WizardAborted):
-        stand().run(PRESSED, moment=leave)
+        stand().run(PRESSED, moment=raising(WizardAborted("left")))
 
 
 def test_corners_are_named_as_a_person_sees_them() -> None:

@@ -97,9 +97,6 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     assert "The pads of the two fingers are exchanged" in said
     config = load_config(tmp_path / "box" / "tactile-cell.yaml")
     assert [servo.direction for servo in config.gripper.servos] == [1, -1]
-    one, four = steps["first_force"]["values"]["asked_held_peak_n"]  # type: ignore[index]
-    assert one[1] == pytest.approx(1.0, abs=0.2)
-    assert four[1] == pytest.approx(4.0, abs=0.3)
     check = ["config", "check", "tactile-cell.yaml"]
     with contextlib.closing(Person(check, tmp_path / "box")) as person:
         assert person.meet({}) == 0, person.text

@@ -18,6 +18,7 @@ from gripper.errors import GripContradicted, GripperError, LimitExceeded
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, small_config
+from tests.values import raising
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
 APPROACHING, RELEASING = GripperPhase.APPROACHING, GripperPhase.RELEASING
@@ -128,14 +129,11 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
 def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(folder=tmp_path).ready()
 
-    def broken(*_told: Any) -> None:
-        raise RuntimeError("window closed")
-
     found = bench.controller.identify(
         Scripted(SURE),
         [GraspStep(pose=Pose(), force_n=3.0)],
         read_shape=shape_reader(bench.config),
-        on_grasp=broken,
+        on_grasp=raising(RuntimeError("window closed")),
     )
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")

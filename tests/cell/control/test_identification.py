@@ -15,6 +15,7 @@ from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.foam import FoamModel
 from recognition.statistics.fusion import DecisionKind
 from tests.cell.conftest import SURE, UNSURE, Scripted, small_config
+from tests.values import raising
 
 
 @pytest.fixture
@@ -69,13 +70,6 @@ def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     assert found.shape.kind == "sphere"
     assert found.shape.low_m < 9.5e-3 < found.shape.high_m
     assert in_words(found.shape).startswith(f"a sphere of {1e3 * found.shape.size_m:.1f} mm")
-
-
-def raising(error: Exception) -> Any:
-    def fail(*_given: Any) -> None:
-        raise error
-
-    return fail
 
 
 def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecord) -> None:

@@ -15,6 +15,7 @@ from cell.control.positioner import (
     SocketPlacer,
 )
 from cell.errors import PositionerError
+from tests.values import raising
 
 POSE = Pose(x_m=1e-3, rotation_rad=1.0)
 
@@ -57,11 +58,8 @@ def test_operator_is_asked_and_can_stop() -> None:
 
 
 def test_operator_who_is_not_there_is_an_error() -> None:
-    def ask(_text: str) -> str:
-        raise EOFError
-
     with pytest.raises(PositionerError, match="no operator"):
-        OperatorPositioner(ask).move_to(POSE)
+        OperatorPositioner(raising(EOFError())).move_to(POSE)
 
 
 OTHER = Pose(y_m=2e-3)

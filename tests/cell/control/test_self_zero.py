@@ -30,7 +30,7 @@ from gripper.errors import MechanicsContradicted, PartBetweenFingers
 from gripper.values.state import GripperPhase
 from recognition.grasp import SelfZero
 from tactile.errors import FrameTimeout
-from tests.cell.conftest import call, small_config
+from tests.cell.conftest import REAL, call, small_config
 
 PULSE_MM = 60.0 * 2.0 * math.pi / 4096.0
 
@@ -384,15 +384,6 @@ def test_a_whole_file_of_other_values_counts_as_none(
     zeros = SelfZeros("daily", path=tmp_path / "zero.json")
     assert zeros.newest is None
     assert "holds none; `tactile-cell zero`" in zeros.refused
-
-
-REAL = {
-    "gripper.port": "/dev/ttyUSB0",
-    "tactile.interface": "socketcan",
-    "tactile.channel": "can0",
-    "positioner.kind": "operator",
-}
-"""Ports of a real cell."""
 
 
 @pytest.mark.parametrize(

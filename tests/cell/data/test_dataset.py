@@ -16,6 +16,7 @@ from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, DatasetError
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from tests.cell.conftest import plain_pads
+from tests.values import raising
 
 PADS = plain_pads((3, 2), (2, 2), pitch_m=6.5e-3, adc_max=255)
 ZERO = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
@@ -295,11 +296,8 @@ def test_full_disk_leaves_the_old_file(
     path.write_bytes(good.read_bytes())
     path.chmod(0o640)
 
-    def refuse(_handle: int) -> None:
-        raise OSError(number, os.strerror(number))
-
     with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", refuse)
+        patch.setattr(os, "fsync", raising(OSError(number, os.strerror(number))))
         with pytest.raises(DatasetError, match=f"{says}.*unchanged"):
             write_dataset(path, [make_grasp()])
     assert path.read_bytes() == good.read_bytes()

@@ -46,6 +46,7 @@ from tests.values import (
     make_shape,
     make_source_statistics,
     make_state,
+    raising,
 )
 
 PADS = plain_pads((4, 3), (4, 3), adc_max=255)
@@ -447,13 +448,6 @@ def test_fault_of_the_recording_does_not_hide_another_error(
         pass
 
 
-def refusing(error: Exception) -> Any:
-    def refuse(*_arguments: Any) -> None:
-        raise error
-
-    return refuse
-
-
 @pytest.mark.parametrize("background", [False, True])
 @pytest.mark.parametrize(
     ("owner", "name", "error"),
@@ -479,7 +473,7 @@ def test_a_disk_that_fails_at_the_end_or_in_the_thread_is_a_fault(
         recorder = Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS, background=background)
         (tmp_path / "r.mcap").unlink()
     else:
-        monkeypatch.setattr(owner, name, refusing(error))
+        monkeypatch.setattr(owner, name, raising(error))
         recorder = Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS, background=background)
     with pytest.raises(RecordingError, match=str(error.args[-1])):
         recorder.close()

@@ -25,8 +25,9 @@ from cell.data.recording_reader import read_recording, recording_grasps
 from cell.data.recording_recovery import recover_recording
 from cell.data.recording_values import grasp_values
 from cell.errors import RecordingError
-from tests.cell.data.test_recording import PADS, record_grasp, refusing
+from tests.cell.data.test_recording import PADS, record_grasp
 from tests.fuzz.harness import Clock
+from tests.values import raising
 
 GOOD = {
     "format": str(RECORDING),
@@ -117,7 +118,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, name: str) -> list[Any]:
 def test_other_mcap_files_are_refused_before_a_message_is_read(
     metadata: dict[str, str] | None, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording_messages, "_decompress", refusing(AssertionError("unpacked")))
+    monkeypatch.setattr(recording_messages, "_decompress", raising(AssertionError("unpacked")))
     with pytest.raises(RecordingError, match=says):
         read_recording(foreign(tmp_path / "f.mcap", metadata=metadata))
 

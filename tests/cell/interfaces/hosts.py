@@ -1,16 +1,23 @@
-"""Hosts of the interfaces as others write them: a PLC with pymodbus, a program with http.client."""
+"""Hosts of the interfaces as others write them, and what the contract asks of each of them."""
 
 import json
 import struct
+from collections.abc import Callable
+from dataclasses import dataclass
 from http.client import HTTPConnection
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
+from xmlrpc.client import ServerProxy
 
 from pymodbus.client import ModbusTcpClient
 from websockets.sync.client import connect as open_socket
 
-from cell.interfaces.modbus.registers import COMMAND, COMMAND_SEQ, LIFE
+from cell.control.keeping import Keep
+from cell.interfaces.modbus.registers import COMMAND, COMMAND_SEQ, HOLD, LIFE, REBOOT
 from tests.cell.interfaces.modbus.structured_text import FunctionBlock
 from tests.cell.served import LIMIT_S, until
+
+# -- clients -----------------------------------------------------------------------------------
 
 
 class Plc:
@@ -156,3 +163,340 @@ class Client:
         return open_socket(
             f"ws://127.0.0.1:{self.port}/api/live?token={self.token}{query}", **options
         )
+
+
+# -- hosts -------------------------------------------------------------------------------------
+
+NOT_IN_COMMAND = 514
+"""Fault number of a request of a client without the lease."""
+TASKS = ("identify", "grip", "verify", "release", "clear", "reset", "shutdown", "teach")
+_CODES = dict(zip(TASKS, (21, 22, 23, 30, 9, 1, 3, 20), strict=True))
+_KEEP_BITS = {Keep.NEVER: 0, Keep.ALWAYS: 1, Keep.WHEN_NAMED: 2}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A command as a client sends it."""
+
+    task: str
+    """One of `TASKS`."""
+    force_n: float = 0.0
+    max_grasps: int = 0
+    keep: Keep = Keep.NEVER
+    """Of an identification; the force of a grip too; of a teaching the number of grasps."""
+    key: int = 0
+    """Of a release."""
+    reboot: bool = False
+    """Of a clear."""
+    label: str = ""
+    """Of a teaching."""
+
+
+class Place(NamedTuple):
+    """Where an interface shows a value; empty where it has it not."""
+
+    node: str
+    """Node of OPC UA."""
+    method: str
+    """Method of XML-RPC, and the method or value whose number it takes."""
+    register: str
+    """Input register of Modbus with its bit."""
+    path: str
+    """Path in the state of HTTP."""
+    unit: float = 1
+    """Of the register."""
+
+
+# fmt: off
+SHOWN = {
+    "state": Place("State.Number", "state", "3", "status.state_number"),
+    "needs_reset": Place("State.NeedsReset", "needs_reset", "2.10", "status.needs_reset"),
+    "on_hold": Place("State.HeldBy", "held_by", "2.11", "held_by"),
+    "grip": Place("Grip.Number", "grip_state", "4", "status.grasp_number"),
+    "holding": Place("Grip.Holding", "holding", "2.6", "status.holding"),
+    "force_n": Place("Grip.Force", "force", "13", "live.force_n", 0.01),
+    "force_age_s": Place("Grip.ForceAge", "force_age", "23", "live.force_age_s", 1e-3),
+    "setpoint_n": Place("Grip.Setpoint", "", "", "live.setpoint_n"),
+    "opening_mm": Place("Grip.Opening", "opening", "14", "live.opening_mm", 0.01),
+    "temperature_c": Place("Grip.Temperature", "", "22", "live.temperature_c"),
+    "frame_age_s": Place("FrameAge", "frame_age", "21", "live.frame_age_s", 1e-3),
+    "fault": Place("FaultNumber", "fault_number", "", "status.fault_number"),
+    "recording": Place("RecordingFault", "recording_fault", "2.12", ""),
+    "job": Place("Job.Number", "", "8", "job.number"),
+    "outcome": Place("Job.State", "job_state job", "9", "job.outcome_number"),
+    "job_fault": Place("Job.FaultNumber", "job_fault job", "", "job.fault_number"),
+    "n_grasps": Place("Job.Grasps", "", "12", "job.n_grasps"),
+    "answer_job": Place("LastAnswer.Job", "last_answer", "24", "last_answer.number"),
+    "label": Place("LastAnswer.Label", "label last_answer", "", "last_answer.label"),
+    "label_id": Place(
+        "LastAnswer.LabelId", "label_id last_answer", "10", "last_answer.label_id"),
+    "probability": Place(
+        "LastAnswer.Probability", "probability last_answer", "11", "last_answer.probability", 1e-4),
+    "size_mm": Place("LastAnswer.Size", "part_size part", "15", "last_answer.size_mm", 0.01),
+    "kept": Place("LastAnswer.Kept", "", "25.2", "last_answer.kept"),
+    "part": Place("Part.Number", "part", "96", "part.number"),
+    "part_label_id": Place("Part.LabelId", "part_label_id part", "97", "part.label_id"),
+    "pose_seq": Place("Pose.Number", "pose_seq", "16", "pose_seq"),
+}
+# fmt: on
+"""What all interfaces show, by our name for it."""
+
+
+class ModbusHost:
+    """A PLC; a request is one block of registers with its sequence number at the end."""
+
+    name = "Modbus 127.0.0.1"
+    """As the cell shows who holds."""
+
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        self._plc, self._panel = Plc(interfaces["modbus_port"]), Plc(interfaces["modbus_port"])
+        self._block: list[int] = []
+
+    def acquire(self) -> int:
+        """Take command and return 0, or the fault number of the refusal."""
+        if self._plc.live():
+            return self._plc.refusal()[0]
+        self._plc.adopt()
+        return 0
+
+    def send(self, request: Request, number: int) -> int:
+        """Send a request for the job of that number; return it, or a fault number, negative."""
+        options = _KEEP_BITS[request.keep] | (REBOOT if request.reboot else 0)
+        force, code = round(100 * request.force_n), _CODES[request.task]
+        object_id = ("", "ball", "box").index(request.label)
+        return self._run(code, object_id, force, request.max_grasps, options, request.key)
+
+    def _run(self, *registers: int) -> int:
+        self._plc.seq = (self._plc.seq + 1) & 0xFFFF
+        self._block = [*registers, *[0] * (7 - len(registers)), self._plc.seq]
+        return self.repeat()
+
+    def repeat(self) -> int:
+        """Send the last request once more; return as `send`."""
+        if self._plc.write(COMMAND, *self._block):
+            return -NOT_IN_COMMAND
+        inputs = self._plc.inputs()
+        return -inputs[6] if inputs[6] else inputs[8]
+
+    def hold(self, latch: bool | None = None) -> None:
+        """Hold without the lease: once, or begin or end it."""
+        for pressed in (True, False) if latch is None else (latch,):
+            self._panel.write(HOLD, int(pressed))
+
+    def reached(self, seq: int, *, ok: bool) -> int:
+        """Answer a pose; return 0, or a fault number, negative."""
+        return min(0, self._run(40 if ok else 41, seq))
+
+    def shown(self) -> dict[str, Any]:
+        """Return what the interface shows, by the names of `SHOWN`; None: not measured."""
+        inputs = self._plc.inputs() + self._plc.part()
+        found: dict[str, Any] = {"fault": inputs[7] if inputs[2] & 32 else 0}
+        for name, place in SHOWN.items():
+            register, _, bit = place.register.partition(".")
+            if bit:
+                found[name] = bool(inputs[int(register)] >> int(bit) & 1)
+            elif register:
+                measured = inputs[int(register)] not in (0x7FFF, 0x8000)
+                found[name] = inputs[int(register)] * place.unit if measured else None
+        return found
+
+    def refusal(self) -> tuple[int, str]:
+        """Return number and text of the last refusal."""
+        return self._plc.refusal()
+
+    def close(self) -> None:
+        self._plc.link.close()
+        self._panel.link.close()
+
+
+class CallingHost:
+    """A host that calls methods with plain arguments."""
+
+    def __init__(self) -> None:
+        self.lease = 0
+        self._last: tuple[Any, ...] = ()
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        raise NotImplementedError
+
+    def acquire(self) -> int:
+        found = int(self.call("acquire", "host"))
+        self.lease = found if found > 0 else self.lease
+        return max(0, -found)
+
+    def send(self, request: Request, number: int) -> int:
+        arguments: dict[str, tuple[Any, ...]] = {
+            "identify": (request.max_grasps, request.force_n, request.keep is not Keep.NEVER),
+            "grip": (request.force_n,),
+            "release": (request.key,),
+            "teach": (request.label, request.max_grasps),
+        }
+        reboot = (request.reboot,) if request.task == "clear" else ()
+        given = (*arguments.get(request.task, ()), number, *reboot)
+        self._last = request.task, self.lease, *given
+        return self.repeat()
+
+    def repeat(self) -> int:
+        return int(self.call(*self._last))
+
+    def hold(self, latch: bool | None = None) -> None:
+        assert self.call("hold", -1 if latch is None else int(latch), "panel") == 0
+
+    def reached(self, seq: int, *, ok: bool) -> int:
+        return int(self.call("pose_reached", self.lease, seq, ok))
+
+
+class XmlRpcHost(CallingHost):
+    """A robot program; it keeps a part always or never."""
+
+    name = "XML-RPC 127.0.0.1 panel"
+
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        super().__init__()
+        self._cell: Any = ServerProxy(f"http://127.0.0.1:{interfaces['xmlrpc_port']}/RPC2")
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        return getattr(self._cell, method)(*arguments)
+
+    def shown(self) -> dict[str, Any]:
+        found: dict[str, Any] = {"job": self._cell.next_job() - 1}
+        for name, place in SHOWN.items():
+            method, _, of = place.method.partition(" ")
+            numbers = [found[of] if of == "job" else self.call(of)] if of else []
+            if method and all(numbers):
+                value = self.call(method, *numbers)
+                found[name] = None if value == -516 else value
+        return found
+
+    def refusal(self) -> tuple[int, str]:
+        number, _, text = self._cell.last_refusal().partition(": ")
+        return int(number or 0), text
+
+    def close(self) -> None:
+        self._cell("close")()
+
+
+class HttpHost:
+    """A host with the token."""
+
+    name = "HTTP 127.0.0.1 panel"
+
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        self._host = Client(interfaces)
+        self.lease = 0
+        self._last: tuple[str, dict[str, Any]] = ("", {})
+        self._refusal = 0, ""
+
+    def _post(self, path: str, **body: Any) -> int:
+        """Return 0 or the number of the job; of a refusal its number, negative."""
+        _, found = self._host.ask("POST", path, body)
+        if "fault_number" in found:
+            self._refusal = found["fault_number"], f"{found['error']} {found['remedy']}"
+            return -int(found["fault_number"])
+        self.lease = found.get("lease", self.lease)
+        return int(found.get("job", 0))
+
+    def acquire(self) -> int:
+        return -self._post("/api/lease", name="host")
+
+    def send(self, request: Request, number: int) -> int:
+        body: dict[str, Any] = {"lease": self.lease, "job": number}
+        goals: dict[str, dict[str, Any]] = {
+            "identify": {"keep": request.keep.value, "force_n": request.force_n},
+            "grip": {"force_n": request.force_n},
+            "verify": {},
+            "teach": {"label": request.label, "grasps": request.max_grasps},
+        }
+        if request.task == "identify" and request.max_grasps:
+            goals["identify"]["max_grasps"] = request.max_grasps
+        if request.task in goals:
+            goal = {"task": request.task} | goals[request.task]
+            self._last = "/api/jobs", body | {"goal": goal}
+        else:
+            given = {"command": request.task, "key": request.key, "reboot": request.reboot}
+            self._last = "/api/commands", body | given
+        return self.repeat()
+
+    def repeat(self) -> int:
+        path, body = self._last
+        return self._post(path, **body)
+
+    def hold(self, latch: bool | None = None) -> None:
+        query = "" if latch is None else f"&latch={latch}"
+        assert self._host.ask("POST", f"/api/hold?name=panel{query}", token=None)[0] == 200
+
+    def reached(self, seq: int, *, ok: bool) -> int:
+        return self._post("/api/pose", lease=self.lease, seq=seq, ok=ok)
+
+    def shown(self) -> dict[str, Any]:
+        state = self._host.get("/api/state")
+        state["part"] = next(iter(state["shift"]["answers"][-1:]), None)
+        found = {}
+        for name, place in SHOWN.items():
+            if place.path:
+                group, _, key = place.path.rpartition(".")
+                values = state[group] if group else state
+                found[name] = None if values is None else values[key]
+        return found
+
+    def refusal(self) -> tuple[int, str]:
+        return self._refusal
+
+    def close(self) -> None: ...
+
+
+class OpcUaHost(CallingHost):
+    """A trusted client; what it reads follows within a moment."""
+
+    name = "OPC UA panel"
+
+    def __init__(self, interfaces: dict[str, Any]) -> None:
+        super().__init__()
+        from asyncua import sync, ua
+        from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+
+        self._id = ua.NodeId
+        self._bad = ua.UaStatusCodeError
+        self._client = sync.Client(f"opc.tcp://127.0.0.1:{interfaces['opcua_port']}/", LIMIT_S)
+        self._client.application_uri = "urn:plc"
+        folder = Path(interfaces["opcua_folder"])
+        self._client.set_security(
+            SecurityPolicyBasic256Sha256,
+            certificate=str(folder / "plc.der"),
+            private_key=str(folder / "plc.pem"),
+            mode=ua.MessageSecurityMode.SignAndEncrypt,
+        )
+        self._client.connect()
+        self._space = self._client.get_namespace_index("urn:tactile-cell:cell")
+
+    def _node(self, path: str) -> Any:
+        return self._client.get_node(self._id(f"Cell.{path}".rstrip("."), self._space))
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        return self._node("").call_method(f"{self._space}:{method}", *arguments)
+
+    def _read(self, path: str) -> Any:
+        try:
+            return self._node(path).read_value()
+        except self._bad:  # not there at the moment
+            return None
+
+    def shown(self) -> dict[str, Any]:
+        return {name: self._read(place.node) for name, place in SHOWN.items()}
+
+    def refusal(self) -> tuple[int, str]:
+        return self._read("LastRefusal.Number"), self._read("LastRefusal.Text")
+
+    def close(self) -> None:
+        self._client.disconnect()
+
+
+Host = ModbusHost | XmlRpcHost | HttpHost | OpcUaHost
+"""All with the methods of `ModbusHost`."""
+HOSTS: dict[str, Callable[[dict[str, Any]], Host]] = {
+    "modbus": ModbusHost,
+    "xmlrpc": XmlRpcHost,
+    "http": HttpHost,
+    "opcua": OpcUaHost,
+}
+"""The host of each interface."""

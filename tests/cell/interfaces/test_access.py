@@ -11,9 +11,13 @@ from unittest.mock import Mock
 
 import pytest
 
-from cell.interfaces.access import BUSY_MAX, ConnectionPlaces
-from cell.interfaces.host_calls import COMMANDS
-from cell.interfaces.host_values import PLATE, REFUSAL, VALUES
+from cell.interfaces.access import (
+    BUSY_MAX,
+    ConnectionPlaces,
+    is_for_this_machine,
+    may_connect,
+)
+from tests.cell.conftest import small_config
 from tests.cell.served import until
 
 HOLD = struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, 7, 1)
@@ -127,14 +131,59 @@ def test_places_go_to_those_who_have_fewest() -> None:
     assert gone == [2, 3, 5]
 
 
-def test_no_two_values_or_commands_share_a_place_at_a_interface() -> None:
-    values, numbers = (*PLATE, *VALUES, *REFUSAL), [n for one in COMMANDS for n in one.numbers]
-    nodes, methods, registers = (
-        [getattr(one, column) for one in values if getattr(one, column)]
-        for column in ("node", "method", "register")
-    )
-    for places in (nodes, [*methods, *(one.name for one in COMMANDS)], registers, numbers):
-        assert len(places) == len(set(places))
-    # Registers and commands of their own making.
-    assert not set(registers) & {0, 1, 2, 5, 6, 7, 17, 18, 19, 20, 25, 26, *range(32, 96)}
-    assert not set(numbers) & {4, 40, 41}
+# -- who may connect ---------------------------------------------------------------------------
+
+
+def test_hosts_are_this_machine_and_those_allowed() -> None:
+    config = small_config(
+        serve__listen="0.0.0.0", serve__allow=["192.168.1.10", "10.1.0.0/16", "fd00::/8"]
+    ).serve
+    for host, may in {
+        "127.0.0.1": True,
+        "::1": True,
+        "::ffff:127.0.0.1": True,
+        "192.168.1.10": True,
+        "::ffff:192.168.1.10": True,
+        "192.168.1.11": False,
+        "10.1.2.3": True,
+        "10.2.0.1": False,
+        "fd12::3": True,
+        "fe80::1%eth0": False,
+    }.items():
+        assert may_connect(host, config) is may, host
+
+
+@pytest.mark.parametrize(
+    ("host", "may"),
+    [
+        ("localhost", True),
+        ("LocalHost.:5021", True),
+        ("127.0.0.1", True),
+        ("127.9.9.9:1", True),
+        ("[::1]", True),
+        ("[::1]:5021", True),
+        (socket.gethostname(), True),
+        ("192.0.2.1:5021", True),  # the address that the connection has reached
+        ("192.0.2.2", False),
+        ("cell.lan", True),
+        ("CELL.lan:80", True),
+        ("10.0.0.7", True),
+        ("evil.example", False),
+        ("evil.cell.lan", False),
+        ("cell.lan.evil.example", False),
+        ("localhost.evil.example", False),
+        ("localhost:5021:evil", False),
+        ("127.0.0.1@evil.example", False),
+        ("127.1", False),
+        ("0.0.0.0", False),
+        ("", False),
+        (".", False),
+        ("[::1", False),
+        ("localhost\n", False),
+    ],
+)
+def test_requests_name_this_machine(host: str, may: bool) -> None:
+    config = small_config(serve__hosts=["cell.lan", "10.0.0.7"]).serve
+    assert is_for_this_machine([host], "192.0.2.1", config) is may
+    assert not is_for_this_machine([host, host], "192.0.2.1", config)
+    assert not is_for_this_machine([], "192.0.2.1", config)

@@ -52,6 +52,7 @@ from simulator.realtime.requests import CellRequests
 from tests.cell.conftest import call, once, plain_grasp
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
+from tests.values import raising
 
 RUNNER = CliRunner()
 EXAMPLES = Path(__file__).parents[3] / "config"
@@ -297,10 +298,7 @@ def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
     answer: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def refuse(_file: DirectFile) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(DirectFile, "close", refuse)
+    monkeypatch.setattr(DirectFile, "close", raising(OSError(28, "No space left on device")))
     found = tmp_path / "found.json"
     names = {"model": model, "config": config, "out": tmp_path, "json": found}
     result = RUNNER.invoke(app, [part.format(**names) for part in command.split()])
@@ -706,10 +704,7 @@ def test_simulate_plays_records_that_fit(
     said = fail("simulate", "--frames", wide)
     assert "opens to 40.0 mm" in said
 
-    def refuse(*_a: Any, **_k: Any) -> None:
-        raise EndpointError("no terminals left")
-
-    monkeypatch.setattr(simulating, "serve", refuse)
+    monkeypatch.setattr(simulating, "serve", raising(EndpointError("no terminals left")))
     assert fail("simulate") == f"{BUILT_IN} error: no terminals left"
 
 
@@ -882,11 +877,10 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
 ) -> None:
     from cell.errors import ReportError
 
-    def refuse(*_arguments: object) -> None:
-        raise ReportError("cannot write report: no space left")
-
     printed: list[Any] = []
-    monkeypatch.setattr("cell.report.page.write_report", refuse)
+    monkeypatch.setattr(
+        "cell.report.page.write_report", raising(ReportError("cannot write report: no space left"))
+    )
     monkeypatch.setattr("cell.interfaces.cli.commands.run.print_result", printed.append)
     said = fail("run", "-c", config)
     assert said.endswith("error: cannot write report: no space left")
@@ -971,10 +965,7 @@ def test_help_and_completion_load_nothing_heavy(
 
 
 def test_an_interrupt_outside_a_sequence_is_one(monkeypatch: pytest.MonkeyPatch, fail: Any) -> None:
-    def interrupt(*_config: Any) -> Any:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(cell.jobs.doctor, "examine", interrupt)
+    monkeypatch.setattr(cell.jobs.doctor, "examine", raising(KeyboardInterrupt()))
     assert fail("doctor") == f"{BUILT_IN} error: interrupted"
 
 

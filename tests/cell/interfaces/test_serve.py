@@ -17,10 +17,7 @@ from xmlrpc.client import ServerProxy
 import pytest
 
 from cell.config.model import CellConfig
-from cell.errors import CellError
 from cell.interfaces.cli.commands import serve as serving
-from cell.interfaces.opening import open_interfaces
-from cell.interfaces.page_address import page_address, view_note
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
 from tests.cell.interfaces.hosts import Client
@@ -167,79 +164,6 @@ def test_without_its_extra_there_is_no_page_but_a_note(
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     assert serving.free_page_port("127.0.0.1") is None
     assert "no page: uvicorn missing" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("interface", "option"),
-    [("modbus", "--modbus"), ("xmlrpc", "--xml-rpc"), ("http", "--http"), ("opcua", "--opcua")],
-)
-def test_a_taken_port_names_the_option_that_takes_another(
-    serve: Any, interface: str, option: str
-) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http", "opcua")}
-        served = serve(**ports | {f"serve__{interface}_port": port})
-        with (
-            pytest.raises(CellError, match=f"127.0.0.1:{port} .*{option} PORT takes another one"),
-            open_interfaces(served.service),
-        ):
-            pass
-
-
-@pytest.mark.parametrize(
-    ("changes", "address", "note"),
-    [
-        ({}, "http://127.0.0.1:7/#token=t", "set serve.listen"),
-        (
-            {"listen": "::1", "tls_certificate": "c", "tls_key": "k"},
-            "https://[::1]:7/#token=t",
-            "set serve.listen",
-        ),
-        ({"listen": "10.0.0.3", "allow": ("10.0.0.0/8",)}, "http://10.0.0.3:7/#token=t", ""),
-        (
-            {"listen": "0.0.0.0", "allow": ("10.0.0.0/8",), "hosts": ("cell3.lan",)},
-            "http://cell3.lan:7/#token=t",
-            "",
-        ),
-        (
-            {"listen": "0.0.0.0", "allow": ("127.0.0.1",)},
-            f"http://{socket.gethostname()}:7/#token=t",
-            "set serve.hosts",
-        ),
-    ],
-)
-def test_the_address_of_the_page_suits_a_browser(
-    changes: dict[str, Any], address: str, note: str
-) -> None:
-    config = CellConfig(serve=changes).serve
-    assert page_address({"http_port": 7, "token": "t"}, config) == address
-    assert page_address({"modbus_port": 7}, config) is None
-    assert note in view_note(config)
-    assert bool(note) is bool(view_note(config))
-
-
-def test_the_address_for_others_is_that_of_this_machine_on_their_way(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    asked = []
-
-    class Link(socket.socket):
-        def connect(self, address: Any) -> None:
-            asked.append(address[0])
-            if address[0].startswith("10."):
-                raise OSError("no route")
-
-        def getsockname(self) -> Any:
-            return ("192.168.7.3", 40000)
-
-    monkeypatch.setattr(socket, "socket", Link)
-    config = CellConfig(
-        serve={"listen": "0.0.0.0", "allow": ("10.0.0.0/8", "192.168.7.0/24")}
-    ).serve
-    found = page_address({"http_port": 7, "view_token": "v"}, config, "view_token")
-    assert (found, view_note(config)) == ("http://192.168.7.3:7/#token=v", "")
-    assert asked[:2] == ["10.128.0.0", "192.168.7.128"]
 
 
 def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(

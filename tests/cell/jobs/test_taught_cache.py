@@ -11,6 +11,7 @@ from cell.interfaces.cli.commands.run import _keep_for_serve
 from cell.jobs import taught_cache
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from tests.cell.conftest import small_config
+from tests.values import raising
 
 
 @pytest.fixture
@@ -75,11 +76,8 @@ def test_a_model_that_is_broken_or_cannot_be_extended_is_removed(
 
 
 def test_a_model_that_is_not_written_whole_changes_nothing(kept: Path, taught: Any) -> None:
-    def fail(_folder: Path) -> None:
-        raise OSError("disk full")
-
     with pytest.raises(OSError, match="disk full"):
-        keep_model(taught.config, fail)
+        keep_model(taught.config, raising(OSError("disk full")))
     assert cached_model(taught.config) == kept
     assert len(list(kept.parent.parent.iterdir())) == 1
 

@@ -24,7 +24,8 @@ from recognition.ramp.ramp import learn_rest
 from recognition.ramp.running_load import load_so_far
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.early_classifiers import EarlyClassifiers
-from tests.cell.conftest import UNSURE, MakeBench, Scripted, small_config
+from tests.cell.conftest import REAL, UNSURE, MakeBench, Scripted, small_config
+from tests.values import raising
 
 STEP = GraspStep(pose=Pose(), force_n=6.0)
 LIKELY = (0.999, 0.01)
@@ -74,13 +75,11 @@ def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
 def test_nothing_but_a_sure_name_ends_a_ramp(bench: Any, taught: Any) -> None:
     bench.ready()
 
-    def refuse() -> None:
-        raise ContactError("no contact yet")
-
     whole = Scripted((0.9, 0.97))
     strange = Scripted((0.999, 0.05))  # enough for the end of a sequence
     drawn = Scripted(LIKELY, drawn_m=(9.5e-3,))  # the size of a whole ramp is compared with it
-    early = heads_of(taught, Scripted(LIKELY, look=refuse), strange, drawn, Scripted((0.9, 0.01)))
+    blind = Scripted(LIKELY, look=raising(ContactError("no contact yet")))
+    early = heads_of(taught, blind, strange, drawn, Scripted((0.9, 0.01)))
     found = bench.controller.identify(whole, [STEP], early=early)
     assert found.records[0].early is None
     assert not found.records[0].outcome.ended_early
@@ -92,10 +91,8 @@ def test_nothing_but_a_sure_name_ends_a_ramp(bench: Any, taught: Any) -> None:
 def test_a_look_that_fails_is_a_complaint_and_the_ramp_goes_on(bench: Any, taught: Any) -> None:
     bench.ready()
 
-    def fail() -> None:
-        raise CellError("a broken model")
-
-    early = heads_of(taught, Scripted(LIKELY, look=fail), Scripted((0.9, 0.01)))
+    broken = Scripted(LIKELY, look=raising(CellError("a broken model")))
+    early = heads_of(taught, broken, Scripted((0.9, 0.01)))
     found = bench.controller.identify(Scripted(LIKELY), [STEP], early=early)
     assert (found.label, found.records[0].early) == ("ball", None)
     assert found.complaints == ("early checks of the ramp of grasp 1: a broken model",)
@@ -235,16 +232,9 @@ def resaved(model: LoadedModel, path: Path, sections: Any) -> Path:
 
 
 def test_ramps_are_whole_where_the_loop_would_wait_for_answers() -> None:
-    ports = {
-        "gripper__port": "/dev/ttyUSB0",
-        "tactile__interface": "socketcan",
-        "tactile__channel": "can0",
-        "positioner__kind": "operator",
-        "loop__own_process": False,
-    }
     assert small_config().decides_early
-    assert not small_config(**ports).decides_early
-    assert small_config(**{**ports, "loop__own_process": True}).decides_early
+    assert not small_config(**REAL, loop__own_process=False).decides_early
+    assert small_config(**REAL, loop__own_process=True).decides_early
 
 
 def test_what_a_plugin_was_taught_decides_early_and_is_saved(tmp_path: Path) -> None:

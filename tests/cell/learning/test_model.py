@@ -17,6 +17,7 @@ from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.cell.conftest import plain_pads
+from tests.cell.data.test_dataset import Bomb
 
 PADS = plain_pads((8, 5), (8, 5), adc_max=255)
 
@@ -181,13 +182,6 @@ def test_damaged_pads_are_refused(
     monkeypatch.setattr("cell.learning.model._PADS", "elsewhere.")
     with pytest.raises(ModelError, match="pads cannot be read"):
         load_model(tmp_path / "m.npz")
-
-
-class Bomb:
-    exploded = False
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return setattr, (Bomb, "exploded", True)
 
 
 @pytest.mark.parametrize(

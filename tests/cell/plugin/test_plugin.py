@@ -84,6 +84,15 @@ def test_a_gauge_says_under_which_foam_shapes_are_read(
 # -- jobs --------------------------------------------------------------------------------------
 
 
+def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> None:
+    with pytest.raises(JobFailed, match="at least 3") as failed:
+        done(plugin, TeachGoal(label="pin", grasps=1, present="ball"))
+    assert failed.value.fault_number == 519
+    assert (plugin.labels, plugin.state()) == (("ball", "box"), "IDLE")
+    assert done(plugin, TeachGoal(label="pin", grasps=2, present="ball", seed=1)) == 2
+    assert plugin.labels == ("ball", "box", "pin")
+
+
 def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
     page = Path("docs/how-to/use-from-a-host-program.md").read_text("utf-8")
     (typed,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.S) if "my mug" in one)

@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from cell.config.file import changed_config, config_text
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import Recording, read_recording
 from cell.errors import RecordingError
-from cell.interfaces.cli.app import app
 from cell.report.page import render_report
 from cell.report.recorded import recorded_report
-from tests.cell.conftest import plain_pads
+from tests.cell.conftest import call, plain_pads
 from tests.fuzz.harness import Clock
 
 
@@ -28,12 +26,6 @@ def recording(taught: Any) -> Recording:
 
 def with_config(recording: Recording, text: str) -> Recording:
     return replace(recording, metadata=recording.metadata | {"config": text})
-
-
-def call(*arguments: object) -> str:
-    done = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return done.stdout
 
 
 def test_figures_tables_and_files_of_a_run(recording: Recording, taught: Any) -> None:

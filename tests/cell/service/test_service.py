@@ -1,7 +1,5 @@
 """The service: one lease commands, anyone holds, nothing is done twice, nothing resumes."""
 
-import math
-import socket
 import threading
 from itertools import pairwise
 from pathlib import Path
@@ -11,8 +9,7 @@ import pytest
 
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStateError, ConfigError, HeldByClient, NotInCommand, RequestRefused
-from cell.interfaces.access import is_for_this_machine, may_connect
+from cell.errors import CellStateError, ConfigError, HeldByClient, RequestRefused
 from cell.plugin import worker
 from cell.service import service as service_module
 from cell.service.service import RELEASE_KEY
@@ -25,26 +22,6 @@ KEEP = IDENTIFY | {"keep": "always"}
 
 
 # -- the lease ---------------------------------------------------------------------------------
-
-
-def test_one_lease_at_a_time_commands(serve: Any) -> None:
-    service = serve().service
-    first = service.lease.acquire("first")
-    with pytest.raises(NotInCommand, match="'first' is in command"):
-        service.lease.acquire("second")
-    for wrong in (0, first + 1):
-        with pytest.raises(NotInCommand, match="'first' is in command"):
-            service.start(wrong, IDENTIFY)
-        with pytest.raises(NotInCommand):
-            service.command(wrong, Command.RELEASE, key=RELEASE_KEY)
-        with pytest.raises(NotInCommand):
-            service.pose_reached(wrong, 1)
-    assert service.job().number == 0
-    assert service.snapshot().commander == "first"
-    service.lease.give_up(first)
-    assert service.lease.acquire("second") != first
-    with pytest.raises(NotInCommand):
-        service.lease.alive(first)
 
 
 def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
@@ -60,32 +37,6 @@ def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
     served.clock.now_s += 0.1
     assert not served.service.lease.has(lease)
     assert served.service.lease.acquire("second")
-
-
-def test_a_lost_lease_holds_the_job_and_nothing_resumes(serve: Any) -> None:
-    served = serve()
-    lease = served.service.lease.acquire("first")
-    served.plugin.pause()
-    served.service.start(lease, IDENTIFY)
-    served.pass_lease()
-    job = served.ended()
-    assert (job.outcome, job.fault_number) == ("CANCELED", 512)
-    assert "because 'first' was silent for 61.00 s" in job.error
-    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
-    # The client is back: neither its old lease nor a new one goes on with the job.
-    with pytest.raises(NotInCommand):
-        served.service.start(lease, IDENTIFY)
-    lease = served.service.lease.acquire("first")
-    with pytest.raises(CellStateError, match=r"the cell is HELD; .* 'grasp' is not allowed"):
-        served.service.start(lease, IDENTIFY)
-    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
-    served.service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-    assert (served.state, served.grip_n) == ("IDLE", 0.0)
-    # Lost between two jobs it changes nothing.
-    served.service.start(lease, KEEP)
-    served.pass_lease()
-    assert served.service.snapshot().commander == ""
-    assert (served.state, served.grip_n > 1.0) == ("COMPLETE", True)
 
 
 def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> None:
@@ -183,15 +134,9 @@ def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
     assert service.lease.has(lease)
 
 
-def test_a_person_at_the_cell_holds_the_job_and_takes_the_lease(serve: Any) -> None:
+def test_a_person_at_the_cell_takes_the_lease_and_holds_the_job(serve: Any) -> None:
     served = serve()
     first = served.service.lease.acquire("first")
-    served.plugin.pause()
-    served.service.start(first, IDENTIFY)
-    served.service.hold("by the operator")
-    assert "stopped by the operator" in served.ended().error
-    assert served.service.lease.has(first)
-    served.service.command(first, Command.RELEASE, key=RELEASE_KEY)
     served.plugin.pause()
     served.service.start(first, IDENTIFY)
     second = served.service.lease.acquire("operator", take=True)
@@ -236,38 +181,6 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
     ):
         assert events.index(earlier) < events.index(later)
     assert recording.results[0]["label"] == "ball"
-
-
-def test_the_last_answer_stays_until_the_next_identification_begins(serve: Any) -> None:
-    served = serve()
-    service = served.service
-    assert service.snapshot().last_answer is None
-    lease = service.lease.acquire("first")
-    service.start(lease, KEEP)
-    found = served.ended()
-    for task in ("verify", "release", "grip", "release"):
-        if task == "release":
-            service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-        else:
-            service.start(lease, {"task": task} | ({"force_n": 3.0} if task == "grip" else {}))
-        assert served.ended().outcome == "SUCCEEDED"
-        last = service.snapshot().last_answer
-        assert (last.number, last.label, last.probability) == (1, "ball", found.probability)
-        assert (last.label_id, last.kept, last.size_mm) == (1, True, found.size_mm)
-    with pytest.raises(ConfigError):
-        service.start(lease, IDENTIFY | {"max_grasps": 0})
-    assert service.snapshot().last_answer is not None
-    served.plugin.pause()
-    service.start(lease, IDENTIFY | {"present": "box"})
-    assert service.snapshot().last_answer is None
-    service.hold()
-    served.ended()
-    assert service.snapshot().last_answer is None  # it was held: there is no answer
-    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-    served.ended()
-    service.start(lease, IDENTIFY | {"present": "box"})
-    assert served.ended().label == "box"
-    assert service.status().last_answer.job == service.snapshot().last_answer.number == 8
 
 
 def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch: Any) -> None:
@@ -347,30 +260,6 @@ def test_each_command_is_remarked_with_its_client(serve: Any) -> None:
 # -- the pose handshake ------------------------------------------------------------------------
 
 
-def test_the_host_reaches_poses_or_refuses_them(serve: Any) -> None:
-    served = serve(cell={}, positioner__kind="callback")
-    service, lease = served.service, served.service.lease.acquire("robot")
-    goal = IDENTIFY | {"max_grasps": 2, "seed": 5}
-    service.start(lease, goal)
-    now = until(lambda: (found := service.snapshot()).pose_seq and found)
-    assert now.pose_seq == 1
-    assert math.isfinite(now.pose.x_m)
-    with pytest.raises(RequestRefused, match="pose 2 is not waited for, but 1"):
-        service.pose_reached(lease, 2)
-    service.pose_reached(lease, 1)
-    with pytest.raises(RequestRefused, match="pose 1 is not waited for"):
-        service.pose_reached(lease, 1)  # twice is not two poses
-    until(lambda: service.snapshot().pose_seq == 2 or service.job().outcome_number >= 4)
-    if service.job().outcome_number < 4:
-        service.pose_reached(lease, 2)
-    assert served.ended().outcome == "SUCCEEDED"
-    service.start(lease, goal)
-    seq = until(lambda: service.snapshot().pose_seq)
-    service.pose_reached(lease, seq, ok=False)
-    job = served.ended()
-    assert (job.outcome, job.fault_number, served.state) == ("ABORTED", 510, "IDLE")
-
-
 def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any) -> None:
     served = serve(cell={}, positioner__kind="callback")
     service, lease = served.service, served.service.lease.acquire("robot")
@@ -406,64 +295,6 @@ def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any) 
     with pytest.raises(CellStateError, match="the cell is closed"):
         served.service.start(served.service.lease.acquire("late", take=True), IDENTIFY)
     assert set(threading.enumerate()) <= before
-
-
-# -- who may connect ---------------------------------------------------------------------------
-
-
-def test_hosts_are_this_machine_and_those_allowed() -> None:
-    config = small_config(
-        serve__listen="0.0.0.0", serve__allow=["192.168.1.10", "10.1.0.0/16", "fd00::/8"]
-    ).serve
-    for host, may in {
-        "127.0.0.1": True,
-        "::1": True,
-        "::ffff:127.0.0.1": True,
-        "192.168.1.10": True,
-        "::ffff:192.168.1.10": True,
-        "192.168.1.11": False,
-        "10.1.2.3": True,
-        "10.2.0.1": False,
-        "fd12::3": True,
-        "fe80::1%eth0": False,
-    }.items():
-        assert may_connect(host, config) is may, host
-
-
-@pytest.mark.parametrize(
-    ("host", "may"),
-    [
-        ("localhost", True),
-        ("LocalHost.:5021", True),
-        ("127.0.0.1", True),
-        ("127.9.9.9:1", True),
-        ("[::1]", True),
-        ("[::1]:5021", True),
-        (socket.gethostname(), True),
-        ("192.0.2.1:5021", True),  # the address that the connection has reached
-        ("192.0.2.2", False),
-        ("cell.lan", True),
-        ("CELL.lan:80", True),
-        ("10.0.0.7", True),
-        ("evil.example", False),
-        ("evil.cell.lan", False),
-        ("cell.lan.evil.example", False),
-        ("localhost.evil.example", False),
-        ("localhost:5021:evil", False),
-        ("127.0.0.1@evil.example", False),
-        ("127.1", False),
-        ("0.0.0.0", False),
-        ("", False),
-        (".", False),
-        ("[::1", False),
-        ("localhost\n", False),
-    ],
-)
-def test_requests_name_this_machine(host: str, may: bool) -> None:
-    config = small_config(serve__hosts=["cell.lan", "10.0.0.7"]).serve
-    assert is_for_this_machine([host], "192.0.2.1", config) is may
-    assert not is_for_this_machine([host, host], "192.0.2.1", config)
-    assert not is_for_this_machine([], "192.0.2.1", config)
 
 
 @pytest.mark.parametrize(

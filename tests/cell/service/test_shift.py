@@ -13,6 +13,7 @@ from cell.plugin.answer import Answer
 from cell.plugin.goals import IdentifyGoal, SortGoal
 from cell.plugin.part_report import PartReport
 from cell.service.shift import KEPT_ANSWERS, Shift
+from tests.values import raising
 
 
 class Wall:
@@ -98,11 +99,8 @@ def test_turns_without_a_part_are_reported_as_such(monkeypatch: pytest.MonkeyPat
     nothing: Any = None
     model: Any = SimpleNamespace(max_grasps=1)
 
-    def no_part(*_cell: Any, **_how: Any) -> None:
-        raise NoPartFound("no contact")
-
     for module in (tasks, sort):
-        monkeypatch.setattr(module, "identify", no_part)
+        monkeypatch.setattr(module, "identify", raising(NoPartFound("no contact")))
 
     def places() -> tasks.Places:
         return tasks.Places(CellConfig(), ("ball",))

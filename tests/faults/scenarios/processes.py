@@ -135,10 +135,24 @@ def signal_in_the_ramp(row: FaultRow) -> Observed:
             ) as cell:
                 simulated = cell.plugin._cell.simulated
                 assert simulated is not None
+                heard = threading.Event()
+                interrupt = cell.plugin._cell.controller.cancel
+
+                def cancel(*reason: str) -> None:
+                    interrupt(*reason)
+                    heard.set()
+
+                cell.plugin._cell.controller.cancel = cancel  # type: ignore[method-assign]
+
+                def send() -> None:
+                    os.kill(os.getpid(), signal.Signals[row.variant])
+                    # The main thread takes the signal; virtual time waits for it.
+                    heard.wait(10.0)
+
                 sent_s = once(
                     simulated.clock,
                     lambda: min(simulated.world.contact_force_n()) > _GRIPPED_N,
-                    lambda: signal.raise_signal(signal.Signals[row.variant]),
+                    send,
                 )
                 cell.run(TeachGoal(label="ball", grasps=1, train=False))
         except CellError as error:

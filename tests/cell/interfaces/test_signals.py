@@ -17,6 +17,7 @@ from cell.errors import CellStopped, PositionerError
 from cell.interfaces.cli import terminal as asking
 from cell.interfaces.cli.signals import stopping
 from tests.cell.conftest import small_config
+from tests.values import raising
 
 LIMIT_S = 60.0
 
@@ -174,11 +175,8 @@ def test_what_supervision_raises_comes_at_once_and_what_the_call_raises_too() ->
     caller = PatientCaller(time, 0.001)
     blocked = threading.Event()
 
-    def lost() -> None:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        caller.call(lambda: blocked.wait(LIMIT_S), lost)
+        caller.call(lambda: blocked.wait(LIMIT_S), raising(KeyboardInterrupt()))
     blocked.set()
     with pytest.raises(ZeroDivisionError):
         PatientCaller(time, 0.001).call(lambda: 1 // 0, lambda: None)

@@ -1,0 +1,56 @@
+"""One grasp without a cell: fingers that close before a frame comes, and no part to verify."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cell.control.grasping import Grasper
+from cell.control.journal import Journal
+from cell.control.lifecycle import CellLifecycle
+from cell.control.plan import GraspStep, Pose
+from cell.control.self_zero import SelfZeros
+from cell.errors import CellStateError, NoPartFound
+from gripper.values.outcome import GraspResult
+from gripper.values.state import GripperPhase
+from tactile.layout import paper_layout
+from tests.cell.conftest import small_config
+from tests.fuzz.harness import Clock
+
+
+@pytest.fixture
+def grasper() -> Grasper:
+    """A grasper whose hand finds nothing, and whose sensor sends no frame."""
+    released: list[Callable[..., Any]] = []
+    hand: Any = SimpleNamespace(
+        layout=paper_layout(),
+        period_s=0.005,
+        phase=GripperPhase.IDLE,
+        open=lambda _watch: None,
+        grasp=lambda _ramp, _watch: SimpleNamespace(result=GraspResult.NO_CONTACT),
+        release=released.append,
+        released=released,
+    )
+    journal, clock = Journal(None), Clock()
+    return Grasper(
+        config=small_config(),
+        hand=hand,
+        positioner=SimpleNamespace(blocks=False, move_to=lambda pose, *_: pose),  # type: ignore[arg-type]
+        life=CellLifecycle(hand=hand, journal=journal, shows_nothing=lambda: True, clock=clock),
+        journal=journal,
+        zeros=SelfZeros(),
+        clock=clock,
+    )
+
+
+def test_fingers_that_close_before_a_frame_comes_open_again(grasper: Grasper) -> None:
+    with pytest.raises(NoPartFound, match="had closed before a frame of the taxels came"):
+        grasper.grasp(GraspStep(pose=Pose(), force_n=3.0), "")
+    assert len(grasper.hand.released) == 1  # type: ignore[attr-defined]
+    assert grasper.life.result is GraspResult.NO_CONTACT
+
+
+def test_without_a_kept_part_there_is_nothing_to_verify(grasper: Grasper) -> None:
+    with pytest.raises(CellStateError, match="no part was kept"):
+        grasper.verify()

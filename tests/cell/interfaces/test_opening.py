@@ -1,0 +1,60 @@
+"""Opening the interfaces: what keeps one from it, and what is warned of."""
+
+import os
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.errors import CellError, ConfigError
+from cell.interfaces.opening import open_interfaces, warnings
+
+
+def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no interface is open"), open_interfaces(serve().service):
+        pass
+    with pytest.raises(CellError, match=r"cannot read token or secret .*missing"):
+        serve("http", serve__token_file=str(tmp_path / "missing"))
+    os.mkfifo(tmp_path / "pipe")
+    keys = {"secret_file": "modbus", "token_file": "http", "tls_key": "http"}
+    for key, interface in keys.items():
+        files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
+        with pytest.raises(ConfigError, match="pipe: not a plain file"):
+            serve(interface, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
+    (tmp_path / "bad").write_bytes(b"\xff" * 20)
+    with pytest.raises(ConfigError, match="of ASCII characters"):
+        serve("xmlrpc", serve__secret_file=str(tmp_path / "bad"))
+    (tmp_path / "long").write_text("x" * 65)
+    with pytest.raises(ConfigError, match="Modbus carries 64"):
+        serve("modbus", serve__secret_file=str(tmp_path / "long"))
+    (tmp_path / "short").write_text("short")
+    with pytest.raises(ConfigError, match="at least 16 characters"):
+        serve("http", serve__token_file=str(tmp_path / "short"))
+
+
+def test_an_address_for_others_is_warned_of(serve: Any) -> None:
+    assert warnings(serve("modbus", "xmlrpc", "http").service) == ()
+    others = {"serve__listen": "0.0.0.0", "serve__allow": ["192.0.2.1"]}
+    modbus, http = warnings(serve(serve__modbus_port=0, serve__http_port=0, **others).service)
+    assert "Modbus and XML-RPC authenticate nobody: who reaches 0.0.0.0 from 192.0.2.1" in modbus
+    assert "without TLS" in http
+    assert warnings(serve(**others).service) == ()
+
+
+@pytest.mark.parametrize(
+    ("interface", "option"),
+    [("modbus", "--modbus"), ("xmlrpc", "--xml-rpc"), ("http", "--http"), ("opcua", "--opcua")],
+)
+def test_a_taken_port_names_the_option_that_takes_another(
+    serve: Any, interface: str, option: str
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http", "opcua")}
+        served = serve(**ports | {f"serve__{interface}_port": port})
+        with (
+            pytest.raises(CellError, match=f"127.0.0.1:{port} .*{option} PORT takes another one"),
+            open_interfaces(served.service),
+        ):
+            pass
