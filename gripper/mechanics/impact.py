@@ -34,7 +34,7 @@ and then meets the bottom; up to 22 N a flat one on the whole of the default pad
 [simulated]"""
 _STOOD_SHARE = 1.1
 """Current that a finger may have over the one that it has stood still at. [chosen]"""
-_SLOWEST_M_S = 2.0 * STANDING_M_S
+SLOWEST_M_S = 2.0 * STANDING_M_S
 """Least rate of the opening in m/s of an approach: twice that below which the fingers count as
 standing."""
 
@@ -137,12 +137,19 @@ def approach_speed_m_s(
 
     ``travelling`` is True where no part has begun so far; one that does is met below the cap too.
     """
-    # Each of the fingers closes at half the rate of the opening.
-    allowed_m_s = 2.0 * impact_limit(settings, linkage, angles_rad).pad_speed_m_s()
     wanted_m_s = settings.approach_speed_m_s
     if travelling:
         wanted_m_s = max(wanted_m_s, settings.travel_speed_m_s)
-    return min(wanted_m_s, max(allowed_m_s, _SLOWEST_M_S))
+    return min(wanted_m_s, closing_speed_m_s(settings, linkage, angles_rad))
+
+
+def closing_speed_m_s(
+    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
+) -> float:
+    """Return the largest rate of the opening in m/s of fingers that close, whatever is wanted."""
+    # Each of the fingers closes at half the rate of the opening.
+    allowed_m_s = 2.0 * impact_limit(settings, linkage, angles_rad).pad_speed_m_s()
+    return max(allowed_m_s, SLOWEST_M_S)
 
 
 def slowing_way_m(
@@ -187,14 +194,14 @@ def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
     }
     limit = impact_limit(replace(settings, drives=Drives(known)), linkage)
     allowed_m_s = 2.0 * limit.pad_speed_m_s()
-    if allowed_m_s < _SLOWEST_M_S:
-        least_n = (limit.drive_n + 0.5 * _SLOWEST_M_S * limit.momentum_n_s_m) / (
+    if allowed_m_s < SLOWEST_M_S:
+        least_n = (limit.drive_n + 0.5 * SLOWEST_M_S * limit.momentum_n_s_m) / (
             1.0 - _KEPT_FREE_SHARE
         )
         raise LimitExceeded(
             f"force_max_n is {settings.force_max_n:g} N: fingers that have just overcome their "
             f"friction press with up to {limit.drive_n:.2f} N, and with their momentum reach "
-            f"{least_n:.2f} N even where they close at {1e3 * _SLOWEST_M_S:g} mm/s. Raise "
+            f"{least_n:.2f} N even where they close at {1e3 * SLOWEST_M_S:g} mm/s. Raise "
             f"force_max_n to {ceil(10.0 * least_n) / 10.0:g} N, lower approach_force_n, or take "
             f"servos with less friction or longer links"
         )

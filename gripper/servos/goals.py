@@ -19,7 +19,12 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
-from gripper.mechanics.impact import ImpactLimit, closing_current_max_a, impact_limit
+from gripper.mechanics.impact import (
+    SLOWEST_M_S,
+    ImpactLimit,
+    closing_current_max_a,
+    impact_limit,
+)
 from gripper.mechanics.kinematics import Linkage, Transmission, transmissions
 from gripper.settings import GripperSettings, OverForce, ServoSettings
 from gripper.values.force_sensor import ForceSample
@@ -90,7 +95,9 @@ class GoalGuard:
         """Add the newest force sample; the same one may come again."""
         self._forces.push(sample)
 
-    def bounded(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
+    def bounded(
+        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, profile_rad_s: float = 0.0
+    ) -> tuple[ServoGoal, ...]:
         """Return the goals with which no finger that closes presses or runs beyond its limits.
 
         No sample of the pads enters the current: whatever these show, a finger presses with no more
@@ -98,14 +105,17 @@ class GoalGuard:
         mass needs. Without a set-point it presses below the cap, as an approach does. A finger that
         closes faster than the force left below the cap allows (`gripper.mechanics.impact`) is
         braked. While nothing presses on its pad no goal lies farther ahead than that speed needs:
-        between two writes the position controller of the servo keeps to it.
+        between two writes the position controller of the servo keeps to it. A profile in rad/s
+        limits the speed instead.
         """
         impact = impact_limit(self._settings, self._linkage, state.angles_rad)
         newest = self.newest_force
         first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
         forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
         return tuple(
-            self._closing(impact, servo, path, goal, state=now, force_n=force_n)
+            self._closing(
+                impact, servo, path, goal, state=now, force_n=force_n, profiled=profile_rad_s > 0.0
+            )
             if goal.angle_rad < now.angle_rad
             else goal
             for servo, path, goal, now, force_n in zip(
@@ -135,6 +145,7 @@ class GoalGuard:
         *,
         state: ServoState,
         force_n: float,
+        profiled: bool,
     ) -> ServoGoal:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = servo.servo_model
@@ -145,6 +156,9 @@ class GoalGuard:
         most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
         reach_m = self._pads * self._linkage.opening_per_rad_m(state.angle_rad)
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
+        if empty:
+            # No approach is slower; until it has shown the friction, the current is the limit.
+            fastest_m_s = max(fastest_m_s, 0.5 * SLOWEST_M_S)
         if goal.setpoint_n is not None:
             fastest_m_s = min(
                 fastest_m_s, pressing_speed_m_s(self._settings, impact, goal.setpoint_n)
@@ -157,7 +171,7 @@ class GoalGuard:
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
             angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
             return replace(goal, angle_rad=angle_rad, current_a=current_a)
-        ahead_rad = lead_rad(model, most_a, fastest_rad_s) if empty else inf
+        ahead_rad = lead_rad(model, most_a, fastest_rad_s) if empty and not profiled else inf
         angle_rad = max(goal.angle_rad, state.angle_rad - ahead_rad)
         return replace(goal, angle_rad=angle_rad, current_a=most_a)
 
@@ -359,7 +373,7 @@ class GoalWriter:
         profile_rad_s
             Profile Velocity (register 112) in rad/s; 0 is no limit.
         """
-        goals = self._guard.bounded(goals, state)
+        goals = self._guard.bounded(goals, state, profile_rad_s=profile_rad_s)
         self._guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}
         for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):

@@ -1,6 +1,5 @@
 """Motions of fingers that hold nothing: they stand still, and they move to an opening."""
 
-from dataclasses import replace
 from math import inf
 
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
@@ -11,7 +10,7 @@ from gripper.force.approach.mechanics_proof import (
     mechanics_text,
 )
 from gripper.force.loop import Action, Moment
-from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a
+from gripper.mechanics.impact import closing_current_max_a, closing_speed_m_s
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos.goals import ServoGoal, overrun_rad
 from gripper.settings import GripperSettings
@@ -112,8 +111,8 @@ class MoveTo:
         if opening:
             speed_m_s = speed_m_s or settings.open_speed_m_s
         else:
-            usual = replace(settings, approach_speed_m_s=speed_m_s or settings.approach_speed_m_s)
-            speed_m_s = approach_speed_m_s(usual, linkage, state.angles_rad)
+            fastest_m_s = closing_speed_m_s(settings, linkage, state.angles_rad)
+            speed_m_s = min(speed_m_s or settings.approach_speed_m_s, fastest_m_s)
         force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
         paths = transmissions(settings, linkage, state.angles_rad)
         needed_a = motion_currents_a(settings, paths, force_n)
