@@ -74,6 +74,8 @@ class ServoGoal:
     """Limit of the current's magnitude."""
     setpoint_n: float | None = None
     """Grip force in N that is asked for now; None where the fingers move and press on no part."""
+    profile_rad_s: float = 0.0
+    """Profile Velocity (register 112) in rad/s; 0 is no limit."""
 
 
 class GoalGuard:
@@ -95,9 +97,7 @@ class GoalGuard:
         """Add the newest force sample; the same one may come again."""
         self._forces.push(sample)
 
-    def bounded(
-        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, profile_rad_s: float = 0.0
-    ) -> tuple[ServoGoal, ...]:
+    def bounded(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
         """Return the goals with which no finger that closes presses or runs beyond its limits.
 
         No sample of the pads enters the current: whatever these show, a finger presses with no more
@@ -105,17 +105,14 @@ class GoalGuard:
         mass needs. Without a set-point it presses below the cap, as an approach does. A finger that
         closes faster than the force left below the cap allows (`gripper.mechanics.impact`) is
         braked. While nothing presses on its pad no goal lies farther ahead than that speed needs:
-        between two writes the position controller of the servo keeps to it. A profile in rad/s
-        limits the speed instead.
+        between two writes the position controller of the servo keeps to it; a profile does too.
         """
         impact = impact_limit(self._settings, self._linkage, state.angles_rad)
         newest = self.newest_force
         first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
         forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
         return tuple(
-            self._closing(
-                impact, servo, path, goal, state=now, force_n=force_n, profiled=profile_rad_s > 0.0
-            )
+            self._closing(impact, servo, path, goal, state=now, force_n=force_n)
             if goal.angle_rad < now.angle_rad
             else goal
             for servo, path, goal, now, force_n in zip(
@@ -145,7 +142,6 @@ class GoalGuard:
         *,
         state: ServoState,
         force_n: float,
-        profiled: bool,
     ) -> ServoGoal:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = servo.servo_model
@@ -171,7 +167,8 @@ class GoalGuard:
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
             angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
             return replace(goal, angle_rad=angle_rad, current_a=current_a)
-        ahead_rad = lead_rad(model, most_a, fastest_rad_s) if empty and not profiled else inf
+        free = empty and goal.profile_rad_s == 0.0
+        ahead_rad = lead_rad(model, most_a, fastest_rad_s) if free else inf
         angle_rad = max(goal.angle_rad, state.angle_rad - ahead_rad)
         return replace(goal, angle_rad=angle_rad, current_a=most_a)
 
@@ -359,9 +356,7 @@ class GoalWriter:
         """Discard the last goals: none is in force any more."""
         self.last = ()
 
-    def write(
-        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, profile_rad_s: float = 0.0
-    ) -> None:
+    def write(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
         """Write goal current and goal position of all servos at once, if no limit is against it.
 
         The only place that writes goals.
@@ -370,10 +365,8 @@ class GoalWriter:
         ----------
         state
             Newest feedback: the goals are reached from there.
-        profile_rad_s
-            Profile Velocity (register 112) in rad/s; 0 is no limit.
         """
-        goals = self._guard.bounded(goals, state, profile_rad_s=profile_rad_s)
+        goals = self._guard.bounded(goals, state)
         self._guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}
         for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):
@@ -387,7 +380,7 @@ class GoalWriter:
                 goal_current,
                 goal_velocity,
                 profile_acceleration,
-                round(profile_rad_s / model.velocity_unit_rad_s),
+                round(goal.profile_rad_s / model.velocity_unit_rad_s),
                 goal_position,
             ]
         self._bus.sync_write(values, GOAL_BLOCK)

@@ -103,11 +103,9 @@ class ServoGroup:
 
     # Goals
 
-    def write_goals(
-        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, profile_rad_s: float = 0.0
-    ) -> None:
+    def write_goals(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
         """Write the goals of all servos at once, if no limit is against it; see `GoalWriter`."""
-        self._goals.write(goals, state, profile_rad_s=profile_rad_s)
+        self._goals.write(goals, state)
 
     @property
     def goals_in_force(self) -> bool:

@@ -10,13 +10,8 @@ from dataclasses import dataclass
 
 from gripper.clock import Clock
 from gripper.errors import LimitExceeded, WatchdogUnproven
-from gripper.mechanics.kinematics import (
-    MOST_FRICTION,
-    Linkage,
-    motion_currents_a,
-    transmissions,
-)
-from gripper.servos.goals import ServoGoal, running_lead_rad
+from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
+from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
@@ -94,8 +89,8 @@ def prove_watchdog(
     """Let the watchdog trip during a slow motion of the empty, open fingers.
 
     The torque is on and the watchdog armed before and after it. The motion is a profile of 0.1
-    rad/s, slower where the watchdog takes longer than 0.1 s; it goes on for its start, three times
-    ``watchdog_s``, and beyond where friction ends it. A servo without a profile in this mode (330 size) is at its goal at once,
+    rad/s, slower where the watchdog takes longer than 0.1 s; it goes on for its start and three
+    times ``watchdog_s``. A servo without a profile in this mode (330 size) is at its goal at once,
     and stays unproven. Raises WatchdogUnproven when a servo did not stop, did not trip or did not
     move. Raises LimitExceeded as `proof_travel_m`.
     """
@@ -105,11 +100,10 @@ def prove_watchdog(
     currents_a = motion_currents_a(settings, paths, _FORCE_N)
     servos.write_goals(
         [
-            ServoGoal(angle_rad=angle_rad, current_a=current_a)
+            ServoGoal(angle_rad=angle_rad, current_a=current_a, profile_rad_s=speed_rad_s)
             for angle_rad, current_a in zip(goals_rad, currents_a, strict=True)
         ],
         begin,
-        profile_rad_s=speed_rad_s,
     )
     # Against friction the motors start late; until then each reading feeds the watchdog.
     before = begin
@@ -161,13 +155,7 @@ def _motion(
     unit_rad_s = max(servo.servo_model.velocity_unit_rad_s for servo in settings.servos)
     wanted_raw = round(_SILENT_RAD / settings.watchdog_s / unit_rad_s)
     speed_rad_s = min(max(wanted_raw, 1), _FASTEST_RAW) * unit_rad_s
-    paths = transmissions(settings, linkage, angles_rad)
-    # Friction ends the motion of a servo that goes on so far from its goal.
-    short_rad = max(
-        running_lead_rad(servo.servo_model, MOST_FRICTION * path.drive.breakaway_a, 0.0)
-        for servo, path in zip(settings.servos, paths, strict=True)
-    )
-    way_rad = _START_RAD + _WAY_SHARE * settings.watchdog_s * speed_rad_s + short_rad
+    way_rad = _START_RAD + _WAY_SHARE * settings.watchdog_s * speed_rad_s
     if way_rad > _LONGEST_RAD:
         raise LimitExceeded(
             f"the self-test of a watchdog of {settings.watchdog_s:g} s would move the fingers by "

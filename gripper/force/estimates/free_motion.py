@@ -27,7 +27,7 @@ _WINDOW_S = 0.4
 """Time in s of free motion that one point is taken over. [tuned]"""
 _LEAST_PERIODS = 12
 """Least periods of one point: 0.06 s at 200 Hz. [tuned]"""
-_STEADY_SHARE, _STEADY_COUNTS, _LEAST_COUNTS = 0.1, 1.5, 2.5
+_STEADY_SHARE, _STEADY_COUNTS, _LEAST_COUNTS = 0.1, 1.5, 0.5
 """By what share and how many counts the speed of a steady motion may differ from its mean, and the
 least speed in counts. [resolution]"""
 _EVEN_SHARE = 0.15
