@@ -28,6 +28,8 @@ from gripper.values.state import GripperPhase, Observer, ServoFeedback
 _FREE_RAD_S = (0.15, 0.25, 0.4, 0.65)
 """Speeds in rad/s at which friction is measured: slow enough for its part at rest, and far enough
 apart for the rest of it. [chosen]"""
+_FREE_S = 0.5
+"""Longest time in s of each of these motions. [tuned]"""
 _CLEAR_M = 0.002
 """Way in m after which nothing touches fingers that open. [chosen]"""
 
@@ -123,15 +125,16 @@ class Fingers:
         wide_m = self.settings.aperture_open_m
         near_m = max(self.settings.aperture_min_m, 0.0) + _CLEAR_M
         for speed_rad_s in _FREE_RAD_S:
-            for aperture_m in (near_m, wide_m):
+            for closes in (True, False):
                 state = self.servos.read_patiently()
                 reach_m = sum(map(self._linkage.opening_per_rad_m, state.angles_rad))
+                speed_m_s = speed_rad_s * reach_m
                 move = MoveTo(
                     self.settings,
                     self._linkage,
                     state,
-                    aperture_m=aperture_m,
-                    speed_m_s=speed_rad_s * reach_m,
+                    aperture_m=max(near_m, wide_m - _FREE_S * speed_m_s) if closes else wide_m,
+                    speed_m_s=speed_m_s,
                 )
                 self._run_free(move, state)
 

@@ -44,9 +44,11 @@ _EQUAL_S = 1e-9
 """Difference of times in s that counts as none: sums of periods are rounded. [chosen]"""
 
 
-_LOW_CONTACTS, _HIGH_SHARE, _LOAD_N_S, _LEAST_SPAN_N = 2.5, 0.9, 6.0, 2.0
+_LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
 """Least force of the measurement of a drive in contact forces, its largest one as a share of the
-force that was held, its rate in N/s, and the least difference in N of both. [chosen]"""
+force that was held, and the least difference in N of both. [chosen]"""
+_LOAD_N_S, _UNLOAD_N_S = 6.0, 20.0
+"""Rate in N/s of that measurement, and of the way to it. [chosen]"""
 _CURRENT_SHARE = 0.9
 """Share of the cap of the current that this measurement takes at most. [chosen]"""
 
@@ -206,7 +208,9 @@ class GraspRun:
             for finger, servo in enumerate(settings.servos):
                 trial = LoadTrial(self._linkage, finger)
                 grip.moving = finger
-                for from_n, to_n in ((grip.setpoint_n, low_n), (low_n, high_n), (high_n, low_n)):
+                ramp = ForceRamp.linear(low_n, _UNLOAD_N_S, start_n=grip.setpoint_n)
+                self.follow(control, ramp)
+                for from_n, to_n in ((low_n, high_n), (high_n, low_n)):
                     ramp = ForceRamp.linear(to_n, _LOAD_N_S, start_n=from_n)
                     step = GripStep(settings, control, ramp)
                     trial.begin(rises=to_n > from_n)
