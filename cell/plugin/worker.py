@@ -1,8 +1,10 @@
 """The worker: one thread that owns a cell, runs its jobs, and supervises it in between."""
 
 import functools
+import math
 import queue
 import threading
+import time
 import uuid
 import weakref
 from collections.abc import Callable
@@ -16,6 +18,11 @@ from cell.fault_catalogue import error_text, fault_number
 
 KEPT_JOBS = 100
 """Newest jobs whose end can be asked for: a resident program must not grow with each job."""
+SIGNAL_LOOK_S = 0.02
+"""Longest time in s that a waiting main thread leaves a signal unanswered.
+
+The system may deliver a signal to any thread, but Python answers it in the main one, once it runs.
+"""
 
 
 class JobOutcome(StrEnum):
@@ -158,11 +165,15 @@ class CellWorker:
 
         Raises TimeoutError if it is not over in time; it goes on.
         """
-        self.status(job)
-        with self._changed:
-            if not self._changed.wait_for(lambda: self._status[job].outcome.terminal, timeout_s):
+        end_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        while not (status := self.status(job)).outcome.terminal:
+            if (left_s := end_s - time.monotonic()) <= 0.0:
                 raise TimeoutError(f"job {job.number} is not over after {timeout_s:g} s")
-            return self._status[job]
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._status[job].outcome.terminal, min(left_s, SIGNAL_LOOK_S)
+                )
+        return status
 
     @property
     def running(self) -> bool:

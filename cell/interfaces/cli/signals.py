@@ -37,6 +37,7 @@ def stopping(
     def on_signal(_number: int, _frame: FrameType | None) -> None:
         nonlocal seen
         seen += 1
+        cancel()  # also by the second: it may interrupt the first before its call
         if seen > 1:
             if end_within_s is not None:
                 for number in watched:
@@ -45,7 +46,6 @@ def stopping(
                 with suppress(OSError):
                     os.write(2, f"\nerror: {INTERRUPTED}{left}\n".encode())
             raise KeyboardInterrupt
-        cancel()
 
     outlives = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     watched = [number for number in _SIGNALS if not (outlives and number is signal.SIGHUP)]

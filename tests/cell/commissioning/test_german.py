@@ -63,7 +63,7 @@ def shown(*paths: Path) -> set[str]:
 
 
 def test_german_has_each_sentence_of_the_steps_and_no_other() -> None:
-    german = json.loads((FOLDER / "de.json").read_text("utf-8"))["sentences"]
+    german = json.loads((FOLDER / "sentences.de.json").read_text("utf-8"))
     steps = shown(*(path for path in STEPS.glob("*.py") if path.stem not in NOT_SHOWN))
     assert {text for text in steps if re.search(r"[a-z]{2}.* | [a-z]{2}", text)} - set(
         german

@@ -1,4 +1,6 @@
 import gc
+import signal
+import sys
 import threading
 import weakref
 from collections.abc import Iterator
@@ -85,3 +87,22 @@ def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
     thread.join(10.0)
     assert not thread.is_alive()
     assert gone() is None
+
+
+def test_a_wait_answers_a_signal_that_another_thread_got(worker: CellWorker) -> None:
+    answered, started = threading.Event(), threading.Event()
+
+    def job(_report: object) -> bool:
+        main = threading.main_thread().ident or 0
+        while sys._current_frames()[main].f_code is not threading.Condition.wait.__code__:
+            started.wait(0.001)
+        started.wait(0.01)
+        signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
+        return answered.wait(10.0)
+
+    before = signal.signal(signal.SIGUSR1, lambda *_given: answered.set())
+    try:
+        status = worker.wait(worker.start(job), 20.0)
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    assert status.value is True

@@ -3,7 +3,8 @@
 import { allow, ask, byId, isAllowed, make, renew, setText, show } from "./dom.js";
 import { renderCommander, setSign } from "./band.js";
 import { beginPage, setupLease } from "./commands.js";
-import { clock, language, native, number, spoken, t } from "./words.js";
+import { loadSentences, spoken } from "./sentences.js";
+import { clock, language, native, number, t } from "./words.js";
 
 const LOOKS = {
   ready: ["calm", "ready"],
@@ -249,6 +250,7 @@ function setup() {
   });
 }
 
+await loadSentences();
 beginPage(view, {
   setup,
   render,

@@ -9,16 +9,11 @@ let texts = {};
 let faults = {};
 let exact = {};
 let simulated = {};
-let sentences = []; // pattern of an English sentence, and the own one with {0} in the places of its figures
 const plural = new Intl.PluralRules(locale);
 
 export async function loadWords() {
   const answer = await fetch(new URL(`${language}.json`, import.meta.url));
-  let own;
-  ({ faults = {}, exact = {}, simulated = {}, sentences: own = {}, ...texts } = await answer.json());
-  // The one that says most comes first.
-  sentences = Object.entries(own).sort(([a], [b]) => b.length - a.length).map(([english, text]) => [
-    new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, "\\$&").replace(/\{\d\}/g, "(.*?)")}$`, "s"), text]);
+  ({ faults = {}, exact = {}, simulated = {}, ...texts } = await answer.json());
   document.documentElement.lang = language;
   for (const node of document.querySelectorAll("[data-t]")) node.textContent = t(node.dataset.t);
 }
@@ -46,28 +41,6 @@ export const faultText = ({ number: its, text = "" }) => faults[its] ?? text;
 
 // What a fault of the simulation means; servos and axes share theirs.
 export const faultMeaning = ({ name, meaning }) => simulated[name.replace(/^(servo|axis)\d+/, "$1N")] ?? meaning;
-
-// What the commissioning says: the server's is English, the others stand here by their pattern with
-// the figures left out. Of several in a list each is looked up; what has no pattern stays English.
-export function spoken(text) {
-  if (/^[+-]?[\d,]*\.?\d+$/.test(text)) {
-    return text.replace(/[.,]/g, (sign) => (sign === "." ? number(1.5) : number(1000, 0))[1]);
-  }
-  const parts = text.split(/([,;] )/).map((part, at) => (at % 2 ? part : matched(part, true)));
-  return parts.includes(undefined) ? matched(text, true) ?? matched(text, false) ?? text : parts.join("");
-}
-
-// `whole`: figures that are English sentences have their own too.
-function matched(text, whole) {
-  for (const [pattern, own] of sentences) {
-    const figures = pattern.exec(text)?.slice(1);
-    if (!figures) continue;
-    const found = figures.map(spoken);
-    if (whole && found.some((figure, at) => figure === figures[at] && /[a-z]{2},? [\w.]/.test(figure))) continue;
-    return own.replace(/\{(\d)\}/g, (_, at) => found[at]);
-  }
-  return undefined;
-}
 
 const formats = new Map();
 function format(options) {

@@ -48,7 +48,7 @@ def open_page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Callable
             context = browser.new_context(**{"viewport": size, "locale": "en-GB"} | options)
             undo.callback(context.close)
             page = context.new_page()
-            page.set_default_timeout(10_000)
+            page.set_default_timeout(30_000)
             page.on("pageerror", lambda error: errors.append(str(error)))
             page.on(
                 "console",

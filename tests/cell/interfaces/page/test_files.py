@@ -19,7 +19,7 @@ from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
 from simulator.faults.injector import VOCABULARY
 
-WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("*.json")}
+WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("??.json")}
 SOURCE = "\n".join(path.read_text() for path in FOLDER.glob("*.js"))
 HTML = "\n".join(path.read_text() for path in FOLDER.glob("*.html"))
 FAMILIES: dict[str, set[str]] = {
@@ -112,8 +112,17 @@ def test_german_has_each_fixed_text_of_the_server_and_no_other() -> None:
         assert re.findall(r"`[^`]+`", text) == re.findall(r"`[^`]+`", english), english
 
 
-def test_all_files_together_are_small() -> None:
-    assert sum(path.stat().st_size for path in FOLDER.iterdir()) <= 250_000
+@pytest.mark.parametrize(("page", "languages"), [("index", "??.json"), ("commission", "*.json")])
+def test_the_files_of_a_page_together_are_small(page: str, languages: str) -> None:
+    found, waiting = set(FOLDER.glob(languages)), [FOLDER / f"{page}.html"]
+    while waiting:
+        path = waiting.pop()
+        found.add(path)
+        if path.suffix in (".html", ".js"):
+            named = re.findall(r'"(?:\./|page/)?([\w-]+\.(?:js|css|svg))"', path.read_text())
+            waiting += {FOLDER / name for name in named} - found
+    assert len(found) > 10
+    assert sum(path.stat().st_size for path in found) <= 250_000
 
 
 def test_nothing_is_written_as_html_and_nothing_comes_from_elsewhere() -> None:
