@@ -15,13 +15,14 @@ from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
-from cell.control.self_zero import drive_text, part_between
+from cell.control.self_zero import SelfZeros, drive_text, kept_zeros, part_between
 from cell.hand.interface import Hand
 from gripper.clock import Clock
 from gripper.dynamixel.models import MODELS
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
+from gripper.mechanics.identification import weighed
 from gripper.servos.watchdog_proof import proof_travel_m
 from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
@@ -129,6 +130,11 @@ class FirstForceStep(Step):
                 most_n=most_n,
                 cap_n=cap_n,
                 alone=alone,
+                weighed="factor" in bench.found.get("pads_law", {}),
+                zeros=kept_zeros(
+                    config,
+                    None if config.simulated else bench.folder / config.recording.directory,
+                ),
             )
             try:
                 trial.run()
@@ -204,6 +210,10 @@ class _Trial:
     most_n: float
     cap_n: float
     alone: bool
+    weighed: bool
+    """Whether weights have shown the law of the pads."""
+    zeros: SelfZeros
+    """Store of what is measured of the servos."""
 
     def run(self) -> None:
         if not self.alone:
@@ -270,6 +280,9 @@ class _Trial:
         self.hand.release(self.motion)
         self.hand.measure_friction(self.motion)
         drives, notes = self.hand.read_drives()
+        if self.weighed:
+            drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}
+        self.zeros.keep_drives(drives, self.motion.homing)
         self.notes.values["drives"] = {
             str(servo_id): asdict(drive) for servo_id, drive in drives.items()
         }
@@ -277,7 +290,7 @@ class _Trial:
             if servo.id in drives:
                 text = drive_text(servo.id, drives[servo.id], MODELS[servo.model])
                 self.notes.fact(f"{text[0].upper()}{text[1:]}.")
-        for text in notes:
+        for text in (*notes, *filter(None, (self.zeros.unkept, self.zeros.refused))):
             self.notes.warn(text)
         opening_mm = 1e3 * outcome.final_aperture_m
         self.notes.values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}

@@ -19,7 +19,7 @@ from cell.control.live import FRESH_S, LiveValues, live_values
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, Positioner, in_thread
 from cell.control.records import GraspRecord
-from cell.control.self_zero import SelfZeros
+from cell.control.self_zero import SelfZeros, homing_offsets
 from cell.control.states import CellState, CellStatus, Command, Event, GraspState, named_states
 from cell.data.recorder import Recorder
 from cell.errors import (
@@ -209,10 +209,7 @@ class CellController:
         """
         self._life.go(Event.START)
         with self._life.latching_faults():
-            report = self.hand.start()
-            self._grasper.homing = {
-                row.servo_id: int(row.found) for row in report.rows if row.item == "homing_offset"
-            }
+            self._grasper.homing = homing_offsets(self.hand.start())
             self.hand.use_drives(self._zeros.kept_drives(self._grasper.homing))
             unit = self.hand.start_sensor()
             if not unit.sends_forces:

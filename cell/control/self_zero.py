@@ -15,6 +15,7 @@ from cell.errors import CellError, PlanRefused
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.servo_checks import VerificationReport
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import ZERO_COLUMNS, SelfZero
 from tactile.layout import TaxelLayout
@@ -323,6 +324,11 @@ def zero_values(zero: SelfZero) -> dict[str, float]:
 
 def _mm(opening_m: float) -> str:
     return f"{opening_m * 1e3:+.2f}"
+
+
+def homing_offsets(report: VerificationReport) -> dict[int, int]:
+    """Return the homing offset of each servo, by its ID, as a start has found it."""
+    return {row.servo_id: int(row.found) for row in report.rows if row.item == "homing_offset"}
 
 
 def drive_text(servo_id: int, drive: DriveCharacteristic, model: ServoModel) -> str:

@@ -57,6 +57,9 @@ class DriveCharacteristic:
     """Its uncertainty."""
     back_emf_v_s: float | None = None
     """Voltage in V that the motor makes for each rad/s of the output; None: not measured."""
+    kt_per_back_emf: float | None = None
+    """Motor constant over back-EMF, by pads that weights have shown to be right; None: the model's.
+    """
     temperature_c: float | None = None
     """Temperature of the servo in degrees Celsius; None: not measured."""
     measured_s: float = 0.0

@@ -32,6 +32,9 @@ _CHANGE_SD = 0.1
 _BACK_EMF_SD, _UNPRESSED_SD = 0.1, 0.12
 """Spread of the back-EMF over the motor constant within a model, as a share, and uncertainty of the
 amperes for each N m that follow from it alone. [assumed]"""
+_WEIGHED_SD = 0.05
+"""Uncertainty of a motor constant that weights on the pads have shown: scale, friction that grows
+with the load. [assumed]"""
 _VOLTAGE_SD_V, _RESISTANCE_SD = 0.02, 0.15
 """Error of a voltage in V, and spread of the winding's resistance as a share: it grows by 20 % with
 50 K. [assumed]"""
@@ -177,13 +180,19 @@ def anchored(
 ) -> DriveCharacteristic:
     """Return a characteristic whose motor constant follows the back-EMF, and no pad.
 
-    A magnet that is weaker makes less torque and less back-EMF, in the same share.
+    A magnet that is weaker makes less torque and less back-EMF, in the same share. A motor constant
+    that is known better, by the config, stays.
     """
-    resistance_ohm = model.nominal_voltage_v / model.stall_current_a
-    idle_v = resistance_ohm * model.friction_nm / model.kt_nm_a
-    expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
-    kt_nm_a = model.kt_nm_a * back_emf_v_s / expected_v_s
-    values = replace(drive, kt_nm_a=kt_nm_a, kt_sd=_BACK_EMF_SD, back_emf_v_s=back_emf_v_s)
+    ratio, sd = drive.kt_per_back_emf, _WEIGHED_SD
+    if ratio is None:
+        resistance_ohm = model.nominal_voltage_v / model.stall_current_a
+        idle_v = resistance_ohm * model.friction_nm / model.kt_nm_a
+        expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
+        ratio, sd = model.kt_nm_a / expected_v_s, _BACK_EMF_SD
+    values = replace(drive, back_emf_v_s=back_emf_v_s)
+    if drive.kt_sd >= sd:
+        values = replace(values, kt_nm_a=ratio * back_emf_v_s, kt_sd=sd)
+    kt_nm_a = values.kt_nm_a
     if drive.load_sd < _UNPRESSED_SD:
         return values
     # No pad has measured the load.
@@ -191,6 +200,18 @@ def anchored(
     return replace(
         values, rising_a_nm=1.0 / kt_nm_a, falling_a_nm=relief / kt_nm_a, load_sd=_UNPRESSED_SD
     )
+
+
+def weighed(drive: DriveCharacteristic) -> DriveCharacteristic:
+    """Return a characteristic whose motor constant is that of its load, by pads under weights.
+
+    From now on its back-EMF keeps that constant, and pads that change contradict it.
+    """
+    if drive.back_emf_v_s is None or drive.load_sd >= _UNPRESSED_SD:
+        return drive
+    kt_nm_a = 1.0 / drive.rising_a_nm
+    ratio = kt_nm_a / drive.back_emf_v_s
+    return replace(drive, kt_nm_a=kt_nm_a, kt_sd=_WEIGHED_SD, kt_per_back_emf=ratio)
 
 
 def change(point: FreePoint, drive: DriveCharacteristic) -> float:

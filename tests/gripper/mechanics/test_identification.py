@@ -16,6 +16,7 @@ from gripper.mechanics.identification import (
     fit_back_emf,
     fit_friction,
     fit_load,
+    weighed,
 )
 
 SPEEDS_RAD_S = (0.15, 0.25, 0.4, 0.65)
@@ -198,6 +199,24 @@ def test_the_back_emf_anchors_the_motor_constant_and_no_pad_does(factor: float) 
     assert weak_pads.disagreement < 0.0
     # The pads may be wrong: the cap goes by what makes more force.
     assert weak_pads.most_torque_nm_a == pytest.approx(found.kt_nm_a, rel=1e-6)
+
+
+def test_pads_under_weights_anchor_the_motor_constant_by_its_back_emf() -> None:
+    measured = replace(CATALOGUE, rising_a_nm=1.2 / MODEL.kt_nm_a, load_sd=0.02, back_emf_v_s=2.0)
+    found = weighed(measured)
+    assert found.kt_nm_a == pytest.approx(MODEL.kt_nm_a / 1.2)
+    assert anchored(found, MODEL, 2.0).kt_nm_a == pytest.approx(found.kt_nm_a)
+    # A magnet that is weaker moves it, a pad does not.
+    assert anchored(found, MODEL, 1.8).kt_nm_a == pytest.approx(0.9 * found.kt_nm_a)
+    weak_pads = anchored(replace(found, rising_a_nm=1.2 * found.rising_a_nm), MODEL, 2.0)
+    assert weak_pads.kt_nm_a == pytest.approx(found.kt_nm_a)
+    assert weak_pads.disagreement < 0.0
+    assert weighed(CATALOGUE) == CATALOGUE, "nothing was pressed, and no back-EMF measured"
+
+
+def test_a_motor_constant_of_the_config_is_kept() -> None:
+    given = replace(CATALOGUE, kt_nm_a=1.2, kt_sd=0.03, rising_a_nm=1.0 / 1.2, load_sd=0.03)
+    assert anchored(given, MODEL, 3.0) == replace(given, back_emf_v_s=3.0)
 
 
 def test_one_speed_shows_no_back_emf() -> None:
