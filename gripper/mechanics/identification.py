@@ -42,6 +42,8 @@ _BLOCKS, _LEAST_BLOCKS = 30, 6
 """Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
 _LOCKED, _ENDS = 0.25, 0.05
 """Shares of the way of the load that are left out after a turn, and before the next. [tuned]"""
+_ALIKE = 2.0
+"""By so much more than their scatter the means of neighbouring parts are off together. [tuned]"""
 _FALLING_BASE = (0.7, 0.4)
 """Breakaway of a falling load over that of a rising one, and its uncertainty: 0.3 to 1 for gearings
 that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
@@ -257,8 +259,8 @@ def _line(points: Sequence[LoadPoint], before: DriveCharacteristic, *, rises: bo
         whole = np.vstack([rows / sd, [0.0, 1.0 / base_sd]])
         wanted = np.append(current / sd, base / base_sd)
         found = np.linalg.lstsq(whole, wanted, rcond=None)[0]
-        sd = max(float(np.median(np.abs(current - rows @ found))) / 0.6745, 1e-4)
-        near = np.abs(current - rows @ found) <= _OUTLIER_SIGMAS * sd
+        sd = max(_ALIKE * float(np.median(np.abs(current - rows @ found))) / 0.6745, 1e-4)
+        near = np.abs(current - rows @ found) <= _OUTLIER_SIGMAS * sd / _ALIKE
         rows, current = rows[near], current[near]
     slope, base = float(found[0]), float(found[1])
     slope_sd = float(np.linalg.inv(whole.T @ whole)[0, 0]) ** 0.5
