@@ -137,6 +137,8 @@ class Fingers:
                     speed_m_s=speed_m_s,
                 )
                 self._run_free(move, state)
+        # The back-EMF is known now.
+        self.free.compare()
 
     def _run_free(self, move: FirstMotion | MoveTo, state: ServoFeedback) -> ServoFeedback:
         """Run a motion of empty fingers, and take what it shows of their friction."""

@@ -218,9 +218,9 @@ class GraspRun:
                 before = settings.drives.of(servo.servo_id, servo.drive)
                 found = fit_load(trial.rising, trial.falling, before)
                 settings.drives.put(servo.servo_id, found)
-                self._free.compare(servo.servo_id, found)
         finally:
             grip.moving = None
+        self._free.compare()
 
     def _approach(self, settings: GripperSettings) -> Reached:
         """Close until the contact, or the end of the way, and feed the estimates."""

@@ -127,6 +127,22 @@ def test_pads_that_contradict_the_motor_constant_are_noted(make_cell: Callable[.
     assert cell.peak_n < cell.settings.force_max_n
 
 
+def test_pads_that_read_a_fifth_too_little_are_noted_once_the_back_emf_is_known(
+    make_cell: Callable[..., Any],
+) -> None:
+    cell = make_cell(drive_sds=NEVER)
+    cell.sensor.gain = 0.75
+    cell.gripper.start()
+    cell.gripper.open()
+    cell.gripper.grasp(ForceRamp.linear(6.0, 8.0, 0.5))
+    cell.gripper.measure_load()
+    assert not cell.gripper.read_drives().notes
+    cell.gripper.release()
+    cell.part.present = False
+    cell.gripper.measure_friction()
+    assert "the law of the pads" in cell.gripper.read_drives().notes[0]
+
+
 def test_figures_that_somebody_has_measured_count() -> None:
     servo = ServoSettings(servo_id=1, kt_nm_a=1.5, friction_a=0.2, drive_sd=0.1)
     drive = GripperSettings(servos=(servo,)).drives.of(1, servo.drive)

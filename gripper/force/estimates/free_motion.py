@@ -99,14 +99,17 @@ class FreeMotion:
             self._take(settings, servo, self._runs[servo.servo_id])
         self.begin()
 
-    def compare(self, servo_id: int, drive: DriveCharacteristic) -> None:
+    def compare(self) -> None:
         """Note where pads and motor constant contradict each other: neither follows the other."""
-        if drive.disagreement:
-            self.notes.append(
-                f"servo {servo_id}: by the pads 1 A makes {exp(drive.disagreement):.2f} times the "
-                f"torque of its motor constant: the law of the pads, or the current scale, is off. "
-                f"Press a known weight on the pads: `tactile-cell commission --redo pads_law`"
-            )
+        for servo in self._settings.servos:
+            apart = self._drive(servo).disagreement
+            begin = f"servo {servo.servo_id}: by the pads"
+            if apart and not any(note.startswith(begin) for note in self.notes):
+                self.notes.append(
+                    f"{begin} 1 A makes {exp(apart):.2f} times the torque of its motor constant: "
+                    f"the law of the pads, or the current scale, is off. Press a known weight on "
+                    f"the pads: `tactile-cell commission --redo pads_law`"
+                )
 
     def _drive(self, settings: ServoSettings) -> DriveCharacteristic:
         return self._settings.drives.of(settings.servo_id, settings.drive)
