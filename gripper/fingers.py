@@ -12,7 +12,8 @@ from gripper.errors import BusTimeout, GripperError, ServoFault, VerificationFai
 from gripper.force.approach.free_motion import MoveTo
 from gripper.force.approach.mechanics_proof import FirstMotion, standing_rows
 from gripper.force.by_current import ForceByCurrent
-from gripper.force.loop import LoopRunner
+from gripper.force.estimates.free_motion import FreeMotion
+from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.lifecycle import Lifecycle
 from gripper.mechanics.kinematics import Linkage, OneFinger
 from gripper.servos.goals import OPENING_MARGIN_RAD
@@ -23,6 +24,14 @@ from gripper.values.force_sensor import ForceSensor
 from gripper.values.outcome import ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
 from gripper.values.state import GripperPhase, Observer, ServoFeedback
+
+_FREE_RAD_S = (0.15, 0.25, 0.4, 0.65)
+"""Speeds in rad/s at which friction is measured: slow enough for its part at rest, and far enough
+apart for the rest of it. [chosen]"""
+_FREE_S = 0.5
+"""Longest time in s of each of these motions. [tuned]"""
+_CLEAR_M = 0.002
+"""Way in m after which nothing touches fingers that open. [chosen]"""
 
 
 class Fingers:
@@ -48,6 +57,8 @@ class Fingers:
         sensor = force_sensor or ForceByCurrent(self.servos, linkage, settings)
         self.runner = LoopRunner(self.servos, self.health, sensor, settings, clock)
         self.life = Lifecycle(self.servos, self.runner, settings)
+        self.free = FreeMotion(settings)
+        """Watches each motion in which nothing touches."""
         self.on_torque: Callable[[], None] = lambda: None
         """Called where the torque of all servos comes on."""
         self._bus = bus
@@ -107,7 +118,41 @@ class Fingers:
         kind = FirstMotion if first else MoveTo
         state = self.servos.read_patiently()
         move = kind(self.settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open)
-        return self.runner.run(move.step, needs_force=False)
+        return self._run_free(move, state)
+
+    def measure_friction(self) -> None:
+        """Close and open the empty fingers at several speeds, without a contact."""
+        wide_m = self.settings.aperture_open_m
+        near_m = max(self.settings.aperture_min_m, 0.0) + _CLEAR_M
+        for speed_rad_s in _FREE_RAD_S:
+            for closes in (True, False):
+                state = self.servos.read_patiently()
+                reach_m = sum(map(self._linkage.opening_per_rad_m, state.angles_rad))
+                speed_m_s = speed_rad_s * reach_m
+                move = MoveTo(
+                    self.settings,
+                    self._linkage,
+                    state,
+                    aperture_m=max(near_m, wide_m - _FREE_S * speed_m_s) if closes else wide_m,
+                    speed_m_s=speed_m_s,
+                )
+                self._run_free(move, state)
+        # The back-EMF is known now.
+        self.free.compare()
+
+    def _run_free(self, move: FirstMotion | MoveTo, state: ServoFeedback) -> ServoFeedback:
+        """Run a motion of empty fingers, and take what it shows of their friction."""
+        self.free.begin()
+
+        def step(moment: Moment) -> Action:
+            now = moment.state.aperture_m
+            # A part that is let go, and foam, push the fingers open at first.
+            self.free.push(moment, free=abs(now - state.aperture_m) >= _CLEAR_M)
+            return move.step(moment)
+
+        ended = self.runner.run(step, needs_force=False)
+        self.free.end(ended)
+        return ended
 
     def release(self, observer: Observer | None) -> ReleaseReport:
         """Let go, see `gripper.gripper.Gripper.release`; a servo that cannot be moved is left."""

@@ -4,13 +4,14 @@ A part is let go by `Gripper.release` alone. Faults, exceptions, `keep_grip` and
 goals and torque as they are.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Self
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
     FeedbackImplausible,
@@ -21,7 +22,7 @@ from gripper.errors import (
 )
 from gripper.fingers import Fingers
 from gripper.force.approach.free_motion import StandStill
-from gripper.force.by_current import cap_by_current_n
+from gripper.force.by_current import assume_friction, cap_by_current_n
 from gripper.force.control.grip_control import GripControl
 from gripper.force.grasp import GraspRun
 from gripper.force.loop import Running
@@ -75,6 +76,7 @@ class Gripper:
                 f"{len(settings.servos)}"
             )
         if force_sensor is None:
+            assume_friction(settings)
             settings = replace(settings, force_max_n=cap_by_current_n(settings, linkage))
         self._bus = bus
         self._linkage = linkage
@@ -84,7 +86,12 @@ class Gripper:
         self._servos, self._health = fingers.servos, fingers.health
         self._runner, self._life = fingers.runner, fingers.life
         self._grasping = GraspRun(
-            fingers.runner, fingers.servos, linkage, settings, fingers.life.set_phase
+            fingers.runner,
+            fingers.servos,
+            linkage,
+            settings,
+            set_phase=fingers.life.set_phase,
+            free=fingers.free,
         )
         fingers.on_torque = self._grasping.start_proving
         self._watchdog_proven = False
@@ -296,6 +303,44 @@ class Gripper:
         """
         return self._close(ramp, observer, self._grasping.press_pads_together)
 
+    def measure_load(self, observer: Observer | None = None) -> None:
+        """Measure the current of each servo for its load, while the empty pads press on each other.
+
+        One finger is locked by its friction, the other one moves slowly; then they change. Follows
+        `press_pads_together`, where nothing is between the pads; they press on. The results are in
+        the settings' ``drives``. A gripper with one servo has no other one to press against.
+
+        Raises
+        ------
+        As `hold`.
+        """
+        control = self._held_control("hold")
+        with self._life.command("hold", observer):
+            self._fingers.make_ready()
+            self._grasping.measure_load(control)
+
+    def measure_friction(self, observer: Observer | None = None) -> None:
+        """Measure the friction of each servo at several speeds; the empty fingers end open.
+
+        They close to a gap without a look at the pads: nothing may be between them.
+        """
+        self._life.check_ready("open")
+        with self._life.command("open", observer):
+            self._fingers.make_ready()
+            self._fingers.measure_friction()
+
+    def read_drives(self) -> DriveReport:
+        """Return the newest drive characteristic of each servo, and what was unusual since then."""
+        free, drives = self._fingers.free, self._settings.drives.newest
+        notes, free.notes = free.notes, []
+        return DriveReport(drives, tuple(notes))
+
+    def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
+        """Begin with drive characteristics that were kept, by the servos' IDs."""
+        for servo_id, drive in drives.items():
+            self._settings.drives.put(servo_id, drive)
+        self._fingers.free.forget()
+
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
 
@@ -465,6 +510,7 @@ class Gripper:
         if restart and reboot:
             self._servos.reboot(restart)
             conditions = self.conditions()
+        self._fingers.free.distrust()
         self._life.fault = None
         self._life.motion_unconfirmed = False
         self._runner.forget_stop()

@@ -4,12 +4,13 @@ An object that exists is valid. The cell's config file shows the same settings i
 defaults and ranges are taken from here.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from math import inf, isfinite
 from typing import Any
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
+from gripper.dynamixel.drive import DriveCharacteristic, Drives
 from gripper.dynamixel.models import ServoModel, require_current_control
 from gripper.errors import LimitExceeded
 
@@ -48,8 +49,7 @@ def check_number(
 def _check_settings(settings: Any) -> None:
     """Check every declared number of a settings object; raises LimitExceeded."""
     for one in fields(settings):
-        value = getattr(settings, one.name)
-        if "low" in one.metadata and value is not None:
+        if "low" in one.metadata and (value := getattr(settings, one.name)) is not None:
             check_number(one.name, value, **one.metadata)
 
 
@@ -102,11 +102,9 @@ class ForceLoopSettings:
     push_open_share: float = setting(1.3, low=0.0)
     """How hard the motor may push the fingers open to lower the force against friction, as a
     share of the friction band."""
-    bias_max_n: float = setting(2.0, above=0.0)
-    bias_max_share: float = setting(0.4, low=0.0)
-    bias_max_friction_share: float = setting(0.6, low=0.0)
-    """Largest plausible difference between sensor and model in N, plus a share of the set-
-    point, plus a share of the friction band."""
+    bias_max_n: float = setting(3.0, above=0.0)
+    """Largest plausible difference between sensor and model in N, beside what is uncertain of the
+    servos' torque and friction."""
     taper_n_s: float = setting(1.0, low=0.0, high=50.0)
     """Rate in N/s at which a long hold gives back drive that friction makes superfluous."""
 
@@ -145,11 +143,30 @@ class ServoSettings:
     """1 where growing positions open the gripper, -1 where they close it."""
     zero_raw: int = 2048
     """Present Position at angle 0 of the linkage, 0 to 4095."""
+    kt_nm_a: float | None = setting(None, above=0.0)
+    """Torque at the output in N m for 1 A, by weights on the pads; None: the model's."""
+    friction_a: float | None = setting(None, above=0.0)
+    """Current in A of slow free motion; None: the model's."""
+    drive_sd: float = setting(0.05, low=0.01, high=0.5)
+    """Uncertainty of these two as a share, where they are given."""
     servo_model: ServoModel = field(init=False, repr=False, compare=False)
     """Figures of the model."""
+    drive: DriveCharacteristic = field(init=False, repr=False, compare=False)
+    """What is known of the servo without a measurement of the gripper's own."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "servo_model", require_current_control(self.model))
+        _check_settings(self)
+        drive = DriveCharacteristic.catalogue(self.servo_model)
+        sd = self.drive_sd
+        if self.kt_nm_a is not None:
+            a_nm = 1.0 / self.kt_nm_a
+            torque = {"kt_nm_a": self.kt_nm_a, "kt_sd": sd, "load_sd": sd}
+            drive = replace(drive, rising_a_nm=a_nm, falling_a_nm=a_nm, **torque)
+        if self.friction_a is not None:
+            friction = {"coulomb_a": self.friction_a, "breakaway_a": self.friction_a}
+            drive = replace(drive, friction_sd=sd, **friction)
+        object.__setattr__(self, "drive", drive)
         if not 0 <= self.servo_id <= 252:
             raise LimitExceeded(f"servo_id is {self.servo_id}, must be from 0 to 252")
         if self.direction not in (-1, 1):
@@ -258,6 +275,8 @@ class GripperSettings:
     compared."""
     force_loop: ForceLoopSettings = field(default_factory=ForceLoopSettings)
     """Tuning of the force loop."""
+    drives: Drives = field(default_factory=Drives, repr=False, compare=False)
+    """Newest drive characteristic of each servo; settings made of these share it."""
 
     def __post_init__(self) -> None:
         ids = [servo.servo_id for servo in self.servos]

@@ -5,6 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 from cell.control.identification import Identification
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import Cycle, GripperPhase, ServoFeedback, ServoState
 from recognition.recognizer import Posterior
@@ -96,6 +98,18 @@ def make_shape(
         thicknesses=tuple(met),
     )
     return replace(answer, **changes)
+
+
+def measured_drives(
+    settings: GripperSettings, friction_sd: float = 0.1, load_sd: float = 0.02
+) -> GripperSettings:
+    """Give settings the figures of the catalogue as if they were measured; return them."""
+    for servo in settings.servos:
+        drive = DriveCharacteristic.catalogue(servo.servo_model)
+        settings.drives.put(
+            servo.servo_id, replace(drive, friction_sd=friction_sd, load_sd=load_sd, measured_s=1.0)
+        )
+    return settings
 
 
 def raising(error: BaseException) -> Callable[..., Any]:

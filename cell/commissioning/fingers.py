@@ -231,7 +231,7 @@ def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: f
 def first_current_max_a(settings: GripperSettings) -> float:
     """Return the largest current of the first motion in A: twice what friction takes."""
     return max(
-        _FRICTION_FACTOR * servo.servo_model.friction_nm / servo.servo_model.kt_nm_a
+        _FRICTION_FACTOR * settings.drives.of(servo.servo_id, servo.drive).breakaway_a
         for servo in settings.servos
     )
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,14 @@ from cell.commissioning.motion import WatchedMotion, look_after, watched_hand
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
-from cell.control.self_zero import part_between
+from cell.control.self_zero import SelfZeros, drive_text, kept_zeros, part_between
 from cell.hand.interface import Hand
 from gripper.clock import Clock
+from gripper.dynamixel.models import MODELS
 from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
+from gripper.mechanics.identification import weighed
 from gripper.servos.watchdog_proof import proof_travel_m
 from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
@@ -128,6 +130,11 @@ class FirstForceStep(Step):
                 most_n=most_n,
                 cap_n=cap_n,
                 alone=alone,
+                weighed="factor" in bench.found.get("pads_law", {}),
+                zeros=kept_zeros(
+                    config,
+                    None if config.simulated else bench.folder / config.recording.directory,
+                ),
             )
             try:
                 trial.run()
@@ -203,6 +210,10 @@ class _Trial:
     most_n: float
     cap_n: float
     alone: bool
+    weighed: bool
+    """Whether weights have shown the law of the pads."""
+    zeros: SelfZeros
+    """Store of what is measured of the servos."""
 
     def run(self) -> None:
         if not self.alone:
@@ -264,8 +275,23 @@ class _Trial:
         if between := part_between(outcome):
             raise StepFailed(f"{between}. It is held: take hold of it, then `--redo first_force`.")
         last = _course(self.motion.cycles[begun:])[-_LAST_PERIODS:]
+        self.hand.measure_load(self.motion)
         first_n, second_n = (round(float(n), 3) for n in np.nanmean(last[:, 2:], axis=0))
         self.hand.release(self.motion)
+        self.hand.measure_friction(self.motion)
+        drives, notes = self.hand.read_drives()
+        if self.weighed:
+            drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}
+        self.zeros.keep_drives(drives, self.motion.homing)
+        self.notes.values["drives"] = {
+            str(servo_id): asdict(drive) for servo_id, drive in drives.items()
+        }
+        for servo in self.config.gripper.servos:
+            if servo.id in drives:
+                text = drive_text(servo.id, drives[servo.id], MODELS[servo.model])
+                self.notes.fact(f"{text[0].upper()}{text[1:]}.")
+        for text in (*notes, *filter(None, (self.zeros.unkept, self.zeros.refused))):
+            self.notes.warn(text)
         opening_mm = 1e3 * outcome.final_aperture_m
         self.notes.values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
         self.notes.fact(

@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import LIVE_CALL_S, Dialog, StepFailed, WizardAborted
 from cell.config.model import CellConfig
+from cell.control.self_zero import homing_offsets
 from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
 from cell.hand.connections import HandConnections
 from cell.hand.interface import Hand
 from gripper.clock import Clock
 from gripper.errors import GraspStopped
+from gripper.values.servo_checks import VerificationReport
 from gripper.values.state import Cycle, GripperPhase
 from tactile.can.bus import MissingBus
 from tactile.source import TactileFrame
@@ -34,6 +36,8 @@ class WatchedMotion:
     cycles: list[Cycle] = field(default_factory=list, init=False)
     frames: list[TactileFrame] = field(default_factory=list, init=False)
     """Periods of the loop and tactile frames of all motions so far."""
+    homing: dict[int, int] = field(default_factory=dict, init=False)
+    """Homing offset of each servo, by its ID."""
     _due_s: float = field(default=0.0, init=False)
 
     def __call__(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
@@ -64,7 +68,7 @@ def watched_hand(
     hand = _opened(bench, config)
     motion = WatchedMotion(dialog, hand.request_stop)
     try:
-        _start_free(hand, dialog)
+        motion.homing = homing_offsets(_start_free(hand, dialog))
         yield hand, motion
         if motion.left is not None:
             raise motion.left
@@ -101,12 +105,12 @@ def _opened(bench: Bench, config: CellConfig) -> Hand:
     return make_hand(config, lines, by_current=alone, clock=bench.clock)
 
 
-def _start_free(hand: Hand, dialog: Dialog) -> None:
+def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:
     """Verify the servos; fingers that an earlier run left with torque are opened first.
 
     They may hold a part: the person confirms it.
     """
-    hand.start()
+    report = hand.start()
     if hand.phase is GripperPhase.HELD_AFTER_FAULT:
         dialog.confirm(
             "fingers.held",
@@ -114,7 +118,8 @@ def _start_free(hand: Hand, dialog: Dialog) -> None:
             "fingers open when you confirm.",
         )
         hand.release()
-        hand.start()
+        report = hand.start()
+    return report
 
 
 def look_after(hand: Hand, clock: Clock) -> str:

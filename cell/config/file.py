@@ -95,6 +95,10 @@ def _lines(
                 first, *rest = _lines(one, "", comments=False)
                 yield f"{indent}  - {first}"
                 yield from (f"{indent}    {line}" for line in rest)
+            for inner, inner_key in type(value[0]).model_fields.items() if comments else ():
+                if all(getattr(one, inner) is None for one in value):
+                    yield from _comment(_meaning(inner_key), f"{indent}    ")
+                    yield f"{indent}    # {inner}:"
         elif value is not None:
             yield f"{indent}{name}: {_scalar(value)}"
         elif comments:

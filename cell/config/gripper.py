@@ -126,6 +126,13 @@ class ServoConfig(Section):
     """1 if growing position opens the finger, -1 if it closes it."""
     zero_pulse: int = Field(default=2048, ge=0, le=4095)
     """Present Position at angle 0 of the linkage, in pulses of 360/4096 degrees, 0 to 4095."""
+    kt_nm_a: float | None = Field(default=None, gt=0.0, le=100.0)
+    """Torque at the output for 1 A in Nm, measured with weights; none: measured by the pads in each
+    self-zero, until then the catalogue's with 30 %."""
+    friction_a: float | None = Field(default=None, gt=0.0, le=5.0)
+    """Current of slow free motion in A; none: measured in each motion."""
+    drive_sd: float = setting_of(ServoSettings, "drive_sd")
+    """Uncertainty of these two as a share, 0.01 to 0.5, where they are given."""
 
 
 class ParallelLinkageConfig(Section):
@@ -272,6 +279,9 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
                 model=servo.model,
                 direction=servo.direction,
                 zero_raw=servo.zero_pulse,
+                kt_nm_a=servo.kt_nm_a,
+                friction_a=servo.friction_a,
+                drive_sd=servo.drive_sd,
             )
             for servo in config.servos
         ),

@@ -19,7 +19,7 @@ from cell.control.live import FRESH_S, LiveValues, live_values
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, Positioner, in_thread
 from cell.control.records import GraspRecord
-from cell.control.self_zero import SelfZeros
+from cell.control.self_zero import SelfZeros, homing_offsets
 from cell.control.states import CellState, CellStatus, Command, Event, GraspState, named_states
 from cell.data.recorder import Recorder
 from cell.errors import (
@@ -220,7 +220,8 @@ class CellController:
         """
         self._life.go(Event.START)
         with self._life.latching_faults():
-            self.hand.start()
+            self._grasper.homing = homing_offsets(self.hand.start())
+            self.hand.use_drives(self._zeros.kept_drives(self._grasper.homing))
             unit = self.hand.start_sensor()
             if not unit.sends_forces:
                 self._journal.note("note", FORCE_FROM_FRAMES)
@@ -396,6 +397,8 @@ class CellController:
         if stopping:
             self._life.go(Event.STOP)
         try:
+            if stopping:
+                self._grasper.keep_drives()
             found = self.hand.shutdown()
             if found:
                 self._journal.note("fault", found)

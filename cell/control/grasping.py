@@ -29,6 +29,7 @@ from cell.control.records import GraspCollector, GraspRecord, pad_array
 from cell.control.self_zero import (
     SelfZeros,
     dead_taxels_text,
+    drive_text,
     part_between,
     unsound,
     zero_text,
@@ -37,6 +38,7 @@ from cell.data.grasp_limits import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, OnPeriod
 from gripper.clock import Clock
+from gripper.dynamixel.drive import DriveReport
 from gripper.dynamixel.models import MODELS
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
@@ -89,6 +91,8 @@ class Grasper:
     """Takes the zero of the taxels from so many frames."""
 
     def __post_init__(self) -> None:
+        self.homing: dict[int, int] = {}
+        """Homing offset of each servo, by its ID, as of the last start."""
         self._source = CELL_SOURCE + self.config.name
         self._gripper, self._sequence = self.config.gripper, self.config.sequence
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
@@ -136,6 +140,7 @@ class Grasper:
             kept = judge.holds and self._judged(record, judge)
         if not kept:
             self.hand.release(self.watch)
+            self.note_drives()
         return record, kept
 
     def grip(self, force_n: float, pose: Pose | None) -> GraspRecord:
@@ -164,6 +169,9 @@ class Grasper:
         Raises ZeroRefused if they show no sound pads; the fingers are open.
         """
         outcome, found, refused = self._meet()
+        sound = found is not None and not (part_between(outcome, found) or unsound(found))
+        if sound:
+            self.hand.measure_load(self.watch)
         if between := part_between(outcome, found):
             raise PartBetweenFingers(
                 f"{between}. The grip is kept. Look; clear the fault and release"
@@ -171,7 +179,35 @@ class Grasper:
         self.hand.release(self.watch)
         if found is None or (refused := unsound(found)):
             raise ZeroRefused(refused)
+        self._measure_friction()
         return self._kept_zero(found)
+
+    def _measure_friction(self) -> None:
+        """Measure the servos' friction; pads that have met have shown that nothing is between."""
+        self.hand.measure_friction(self.watch)
+        self._note_each_drive()
+
+    def note_drives(self) -> DriveReport:
+        """Note what is unusual of the servos; return what is known of them."""
+        report = self.hand.read_drives()
+        for text in report.notes:
+            self.journal.note("note", text)
+        return report
+
+    def keep_drives(self) -> DriveReport:
+        """Keep what was measured of the servos; return it."""
+        report = self.note_drives()
+        self.zeros.keep_drives(report.drives, self.homing)
+        return report
+
+    def _note_each_drive(self) -> None:
+        """Keep and note what a start or a self-zero has shown of each servo."""
+        report = self.keep_drives()
+        for servo in self._gripper.servos:
+            drive = report.drives.get(servo.id)
+            if drive is not None:
+                text = drive_text(servo.id, drive, MODELS[servo.model])
+                self.journal.note("servo drive", text)
 
     def zero_unasked(self) -> str:
         """As `measure_zero`, where nobody has looked whether the fingers are empty.
@@ -180,13 +216,17 @@ class Grasper:
         cell answers as on any day. Returns why there is none; empty where there is one.
         """
         outcome, found, refused = self._meet()
-        self.hand.release(self.watch)
         why = part_between(outcome, found) or refused
         if found is not None:
             why = why or unsound(found) or self.zeros.far_off(found.zero)
-            if not why:
-                self._kept_zero(found)
-                return ""
+        if not why:
+            self.hand.measure_load(self.watch)
+        self.hand.release(self.watch)
+        if found is not None and not why:
+            self._measure_friction()
+            self._kept_zero(found)
+            return ""
+        self._note_each_drive()
         why = (
             f"no self-zero today, answers allow for any drift: {why}. The fingers are open. Take "
             f"everything out of the grip, then `tactile-cell zero`; with `self_zero: on_demand` "

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from datetime import date
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +13,10 @@ from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
 from cell.data.formats import SELF_ZERO, read_json, write_json
 from cell.errors import CellError, PlanRefused
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import ServoModel
 from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.servo_checks import VerificationReport
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import ZERO_COLUMNS, SelfZero
 from tactile.layout import TaxelLayout
@@ -39,6 +42,10 @@ _HAND_KEYS = {
     ),
     "simulator": ("pads",),
 }
+_SERVO_KEYS = ("id", "model", "direction", "zero_pulse")
+"""Keys of a servo that say which hand it is; the others are figures of its drive."""
+_ANOTHER_DAY_SD = 0.2
+"""Uncertainty of a friction that an earlier start has measured: temperature, rest. [assumed]"""
 """Keys of the config, by section, that say which hand it is."""
 
 
@@ -48,14 +55,22 @@ def zero_file(directory: Path, cell_name: str) -> Path:
     return directory / f"self-zero-{name}.json"
 
 
-def kept_zeros(config: CellConfig, directory: Path | None) -> "SelfZeros":
-    """Return the self-zeros of a cell, kept in a folder; None: in this program alone."""
+def kept_zeros(
+    config: CellConfig, directory: Path | None, *, new_hand: bool | None = None
+) -> "SelfZeros":
+    """Return the self-zeros of a cell, kept in a folder; None: in this program alone.
+
+    ``new_hand`` says whether what an earlier program measured is of another hand, as it is of a
+    simulated one.
+    """
+    port = config.gripper.port
     return SelfZeros(
         config.self_zero,
         pads_meet=config.gripper.pads_meet,
         path=None if directory is None else zero_file(directory, config.name),
         hand=_hand_of(config),
-        new_hand=config.simulated,
+        new_hand=config.simulated if new_hand is None else new_hand,
+        servos={one.id: {"port": port, "model": one.model} for one in config.gripper.servos},
     )
 
 
@@ -71,6 +86,9 @@ def _hand_of(config: CellConfig) -> dict[str, Any]:
         # Files of earlier versions have neither: a default one does not count as another.
         if getattr(config.tactile, key) != getattr(TactileConfig(), key):
             hand[f"tactile.{key}"] = values["tactile"][key]
+    hand["gripper.servos"] = [
+        {key: servo[key] for key in _SERVO_KEYS} for servo in hand["gripper.servos"]
+    ]
     return hand | ({"seed": config.seed} if config.simulated else {})
 
 
@@ -92,6 +110,8 @@ class SelfZeros:
     be read, or is of another hand, counts as none: `refused` has why."""
     hand: Mapping[str, Any] = field(default_factory=dict)
     """What says which hand it is of, plain values by name."""
+    servos: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    """Port and model of each servo, by its ID; with the homing offset they say which it is."""
     new_hand: bool = False
     """Whether each program has a new hand, a simulated one: its first start is the first of a day,
     and what a program does is the same at each time of the day."""
@@ -103,19 +123,21 @@ class SelfZeros:
     """Why the newest one is of this program alone, its file cannot be written; else empty."""
     refused: str = field(default="", init=False)
     """Why the one in the file does not count, until another one is measured; else empty."""
+    drives: dict[int, dict[str, Any]] = field(default_factory=dict, init=False)
+    """Drive characteristic of each servo as plain data, and which servo it is of, by its ID."""
     _last: SelfZero | None = field(default=None, init=False)
     _kept_hand: Mapping[str, Any] = field(default_factory=dict, init=False)
     """The hand that the one in the file is of."""
 
     def __post_init__(self) -> None:
-        if self.path is not None and self.when != "never":
+        if self.path is not None:
             self._read(self.path)
 
     @property
     def newest(self) -> SelfZero | None:
         """The newest self-zero; None where there is none of the last day."""
         young = abs(self.now_s() - self.measured_s) <= _LONGEST_S
-        return self._last if young else None
+        return self._last if young and self.when != "never" else None
 
     @property
     def due(self) -> bool:
@@ -166,9 +188,47 @@ class SelfZeros:
         self._last, self.measured_s = zero, self.now_s()
         self._kept_hand, self.new_hand = self.hand, False
         self.unkept = self.refused = ""
+        self._write()
+
+    def keep_drives(
+        self, drives: Mapping[int, DriveCharacteristic], homing: Mapping[int, int]
+    ) -> None:
+        """Keep what was measured of servos with these homing offsets, by their IDs."""
+        measured = {
+            servo_id: {
+                "servo": self._servo(servo_id, homing),
+                "drive": asdict(replace(drive, measured_s=self.now_s())),
+            }
+            for servo_id, drive in drives.items()
+            if drive.measured
+        }
+        self.drives |= measured
+        # A file that does not count is some other hand's, or a person's to look at.
+        if measured and not self.refused:
+            self._write()
+
+    def kept_drives(self, homing: Mapping[int, int]) -> dict[int, DriveCharacteristic]:
+        """Return the drive characteristics of the servos that are there, as of another day."""
+        found = {}
+        for servo_id, kept in self.drives.items():
+            if kept["servo"] == self._servo(servo_id, homing):
+                drive = DriveCharacteristic(**kept["drive"])
+                sd = max(drive.friction_sd, _ANOTHER_DAY_SD)
+                found[servo_id] = replace(drive, friction_sd=sd)
+        return found
+
+    def _servo(self, servo_id: int, homing: Mapping[int, int]) -> dict[str, Any]:
+        return {**self.servos.get(servo_id, {}), "homing_offset": homing.get(servo_id, 0)}
+
+    def _write(self) -> None:
         if self.path is None:
             return
-        kept = {"measured_s": self.measured_s, "hand": self.hand} | zero_values(zero)
+        kept = {
+            "measured_s": self.measured_s,
+            "hand": self._kept_hand,
+            "zero": None if self._last is None else zero_values(self._last),
+            "drives": {str(servo_id): kept for servo_id, kept in self.drives.items()},
+        }
         try:
             with suppress(OSError):  # What it means is told by the writing.
                 self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -181,15 +241,22 @@ class SelfZeros:
             values = read_json(path, SELF_ZERO, error=CellError)
             if values is None:
                 return
-            last = SelfZero.from_values([values[name] for name in ZERO_COLUMNS])
+            # Version 1 has the zero alone, beside the other keys.
+            zero = values.get("zero", values)
+            last = zero and SelfZero.from_values([zero[name] for name in ZERO_COLUMNS])
+            drives = {int(name): dict(kept) for name, kept in values.get("drives", {}).items()}
+            for kept in drives.values():
+                DriveCharacteristic(**kept["drive"])
             measured_s, self._kept_hand = float(values["measured_s"]), dict(values["hand"])
             date.fromtimestamp(measured_s)
         except CellError as error:
             self._refuse(str(error))
-        except (ValueError, KeyError, TypeError, OverflowError, OSError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, OSError):
             self._refuse(f"{path} holds none; {SELF_ZERO.remedy}")
         else:
             self._last, self.measured_s = last, measured_s
+            # Each program has a new simulated hand.
+            self.drives = {} if self.new_hand else drives
             self._refuse_other_hand()
 
     def _refuse_other_hand(self) -> None:
@@ -262,6 +329,23 @@ def zero_values(zero: SelfZero) -> dict[str, float]:
 
 def _mm(opening_m: float) -> str:
     return f"{opening_m * 1e3:+.2f}"
+
+
+def homing_offsets(report: VerificationReport) -> dict[int, int]:
+    """Return the homing offset of each servo, by its ID, as a start has found it."""
+    return {row.servo_id: int(row.found) for row in report.rows if row.item == "homing_offset"}
+
+
+def drive_text(servo_id: int, drive: DriveCharacteristic, model: ServoModel) -> str:
+    """Return a drive characteristic beside the catalogue's, as text for people."""
+    usual = DriveCharacteristic.catalogue(model)
+    torque = f"{1.0 / drive.rising_a_nm:.2f} Nm/A (±{100 * drive.load_sd:.0f} %)"
+    return (
+        f"servo {servo_id}: friction {drive.breakaway_a:.3f} A (±{100 * drive.friction_sd:.0f} %, "
+        f"catalogue {usual.breakaway_a:.3f}), {torque}, falling {1.0 / drive.falling_a_nm:.2f} "
+        f"(catalogue {model.kt_nm_a:.2f}), motor constant {drive.kt_nm_a:.2f} "
+        f"(±{100 * drive.kt_sd:.0f} %)"
+    )
 
 
 def zero_text(found: ZeroMeasurement) -> str:

@@ -31,6 +31,8 @@ class Format:
     """What such a file names: the format and its version."""
     remedy: str
     """What a person does with such a file that cannot be read."""
+    earlier: frozenset[str] = frozenset()
+    """Formats of earlier versions that are read, too."""
     unnamed: frozenset[str] | None = None
     """Keys of a JSON file that names no format, and is read; None: it is refused."""
 
@@ -39,7 +41,7 @@ class Format:
 
     def check(self, found: object, source: object, error: type[CellError]) -> None:
         """Raise ``error`` where the format that a file names is not this one."""
-        if found == self.text:
+        if found == self.text or found in self.earlier:
             return
         name, version = self.text.split("/")
         later = re.fullmatch(rf"{name}/(\d{{1,9}})", str(found))
@@ -100,7 +102,8 @@ SERVO_BACKUP = Format(
 )
 SELF_ZERO = Format(
     what="self-zero",
-    text="tactile-cell-self-zero/1",
+    text="tactile-cell-self-zero/2",
+    earlier=frozenset({"tactile-cell-self-zero/1"}),
     remedy="`tactile-cell zero` measures it anew",
 )
 CELL_BACKUP = Format(

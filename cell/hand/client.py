@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import wraps
 from inspect import signature
@@ -30,6 +30,7 @@ from cell.hand.messages import (
     LiveUpdate,
     Ready,
 )
+from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.errors import GripperError, copy_fingers
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.values.state import GripperPhase
@@ -263,6 +264,8 @@ class HandProcess:
     tare = _remote(Hand.tare)
     grasp = _remote(Hand.grasp)
     press_pads_together = _remote(Hand.press_pads_together)
+    measure_load = _remote(Hand.measure_load)
+    measure_friction = _remote(Hand.measure_friction)
     hold_at = _remote(Hand.hold_at)
     squeeze = _remote(Hand.squeeze)
     release = _remote(Hand.release)
@@ -270,6 +273,22 @@ class HandProcess:
     inspect = _remote(Hand.inspect)
     read_sensor = _remote(Hand.read_sensor)
     keep_grip = _remote(Hand.keep_grip)
+
+    def read_drives(self) -> DriveReport:
+        """Return what is known of the servos' drives; see `Hand`."""
+        report = self._call(Hand.read_drives)
+        self._know(report.drives)
+        return report
+
+    def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
+        """Begin with drive characteristics that were kept; see `Hand`."""
+        self._call(Hand.use_drives, drives=drives)
+        self._know(drives)
+
+    def _know(self, drives: Mapping[int, DriveCharacteristic]) -> None:
+        """Check ramps with the same figures as the process."""
+        for servo_id, drive in drives.items():
+            self._settings.drives.put(servo_id, drive)
 
     def stop_sensor(self) -> None:
         """End the tactile link; it has ended where the process is gone."""

@@ -4,10 +4,11 @@
 tests. `cell.hand.client.HandProcess` runs it in a process of its own: real time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
@@ -132,6 +133,19 @@ class Hand(Protocol):
     def press_pads_together(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp; return while they press."""
         ...
+
+    def measure_load(self, watch: OnPeriod) -> None:
+        """Measure the servos' currents for their load, while the empty pads press on each other."""
+
+    def measure_friction(self, watch: OnPeriod) -> None:
+        """Measure the servos' friction at several speeds; nothing may be between the fingers."""
+
+    def read_drives(self) -> DriveReport:
+        """Return what is known of the servos' drives, and what was unusual since then."""
+        ...
+
+    def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
+        """Begin with drive characteristics that were kept, by the servos' IDs."""
 
     def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force for a time, and control it on between commands."""

@@ -44,6 +44,7 @@ class LocalHand:
         self._force = force
         self._lines = lines
         self.start = gripper.start
+        self.read_drives, self.use_drives = gripper.read_drives, gripper.use_drives
         self.conditions = gripper.conditions
         self.inspect = gripper.inspect
         self.check_ramp = gripper.check_ramp
@@ -90,6 +91,15 @@ class LocalHand:
         self._check_zero()
         self._force.take()
         return self.gripper.press_pads_together(ramp, observer=self._observer(watch))
+
+    def measure_load(self, watch: OnPeriod) -> None:
+        """Measure the servos' currents for their load; see `Hand`."""
+        self._force.take()
+        self.gripper.measure_load(self._observer(watch))
+
+    def measure_friction(self, watch: OnPeriod) -> None:
+        """Measure the servos' friction; see `Hand`."""
+        self.gripper.measure_friction(self._observer(watch))
 
     def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force; see `Hand`."""

@@ -15,7 +15,7 @@ from cell.checks.findings import CheckResult, Verdict, check_result
 from cell.checks.ports import LATENCY_MS, latency_command, rights_command, udev_rule
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
-from cell.control.self_zero import kept_zeros
+from cell.control.self_zero import drive_text, kept_zeros
 from cell.errors import CellError
 from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES
@@ -25,7 +25,8 @@ from gripper.dynamixel.control_table import (
     HARDWARE_ERROR_STATUS,
     MODEL_NUMBER,
 )
-from gripper.dynamixel.models import model_name
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import MODELS, model_name
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
@@ -52,6 +53,7 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Che
         yield from _ports(config)
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)
+    yield _drives(config, named)
     yield from _devices(config, named, CommissionedValues.beside(config_file))
 
 
@@ -110,6 +112,28 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
         f"{opening_mm:+.2f} mm, finger 0 feels {ratio:.2f} times finger 1",
         ok=True,
     )
+
+
+def _drives(config: CellConfig, named: str) -> CheckResult:
+    """Return what was measured of the servos' drives, beside the catalogue."""
+    kept = kept_zeros(config, Path(config.recording.directory), new_hand=False)
+    texts, advice = [], ""
+    for servo in config.gripper.servos:
+        if servo.id not in kept.drives:
+            texts.append(f"servo {servo.id}: not measured, the catalogue counts with 30 %")
+            continue
+        drive = DriveCharacteristic(**kept.drives[servo.id]["drive"])
+        at = datetime.fromtimestamp(drive.measured_s)
+        where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
+        texts.append(f"{drive_text(servo.id, drive, MODELS[servo.model])}, {at:%Y-%m-%d}{where}")
+        if drive.disagreement:
+            advice = (
+                "pads and motor constant disagree: the law of the pads, or the current scale, is "
+                "off; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
+            )
+    if len(kept.drives) < len(texts) and config.gripper.pads_meet:
+        advice = advice or f"`tactile-cell zero{named}` measures them, with nothing in the grip"
+    return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
 
 
 def _devices(config: CellConfig, named: str, kept: CommissionedValues) -> Iterator[CheckResult]:

@@ -12,8 +12,8 @@ from pydantic.fields import FieldInfo
 from cell.config.model import CellConfig
 
 UNITS = {
-    "mm_s": "mm/s", "n_s": "N/s", "mm": "mm", "ms": "ms", "deg": "degrees", "hz": "Hz",
-    "n": "N", "s": "s", "a": "A", "c": "°C", "share": "share",
+    "mm_s": "mm/s", "n_s": "N/s", "nm_a": "Nm/A", "mm": "mm", "ms": "ms", "deg": "degrees",
+    "hz": "Hz", "n": "N", "s": "s", "a": "A", "c": "°C", "share": "share",
 }  # fmt: skip
 """Unit by the end of a key, the longest first."""
 

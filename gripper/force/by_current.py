@@ -1,20 +1,17 @@
 """Grip force from the motors' current, for a gripper without a force sensor."""
 
-from math import hypot
+from dataclasses import replace
 
 from gripper.errors import LimitExceeded
-from gripper.force.estimates.friction import FrictionEstimate
-from gripper.force.loop import Moment
-from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, transmissions
+from gripper.mechanics.identification import LEAST_FRICTION_SD
+from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings, largest_setpoint_n
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import STANDING_M_S, ServoFeedback
 
-_TORQUE_SHARE, _FRICTION_SHARE = 0.05, 0.15
-"""Standard deviation of the torque constant, and of the friction once it was measured on the
-approach, as shares: servos of one model differ by so much (vendor's graphs, simulated cell).
-[vendor]"""
+_ASSUMED_FRICTION_SD = 0.25
+"""Uncertainty of a friction that was never measured: 0.6 to 1.6 times the catalogue's. [assumed]"""
 _CAP_SIGMAS = 2.0
 """So many standard deviations of the force are kept free below the cap of the force. [chosen]"""
 _AT_REST = 1.25
@@ -22,22 +19,17 @@ _AT_REST = 1.25
 _STILL_M_S = 1.5 * STANDING_M_S
 """Rate of the opening in m/s below which fingers may press on something: each servo is one count of
 its velocity off."""
-_EVEN_SHARE, _EVEN_PERIODS = 0.2, 10.0
-"""Empty fingers whose speed differs by no more than this share from that of the last periods run
-evenly: friction alone takes their current. [tuned]"""
 
 
-def force_noise_n(drive_n: float, friction_n: float) -> float:
-    """Return the standard deviation in N of a grip force that is known by the current alone.
+def assume_friction(settings: GripperSettings) -> None:
+    """Bound the friction of servos that were never measured, where no pad shows a contact.
 
-    Parameters
-    ----------
-    drive_n
-        Driving force in N: torque constant times current over effective radius.
-    friction_n
-        Half the width of the friction band in N.
+    A finger that stands at more current than that presses on something.
     """
-    return hypot(_TORQUE_SHARE * drive_n, _FRICTION_SHARE * friction_n)
+    for servo in settings.servos:
+        drive = settings.drives.of(servo.servo_id, servo.drive)
+        sd = min(drive.friction_sd, _ASSUMED_FRICTION_SD)
+        settings.drives.put(servo.servo_id, replace(drive, friction_sd=sd))
 
 
 def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
@@ -45,9 +37,13 @@ def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
 
     Raises LimitExceeded where nothing is left of it.
     """
-    closed_rad = linkage.angles_rad(settings.aperture_min_m)
-    friction_n = max(path.friction_n for path in transmissions(settings, linkage, closed_rad))
-    doubt_n = _CAP_SIGMAS * force_noise_n(settings.force_max_n + friction_n, friction_n)
+    paths = transmissions(settings, linkage, linkage.angles_rad(settings.aperture_min_m))
+    doubt_n = 0.0
+    for path in paths:
+        # The friction is measured on each approach.
+        sd = min(path.drive.friction_sd, LEAST_FRICTION_SD)
+        known = path._replace(drive=replace(path.drive, friction_sd=sd))
+        doubt_n = max(doubt_n, _CAP_SIGMAS * known.doubt_n(settings.force_max_n))
     cap_n = round(settings.force_max_n - doubt_n, 1)
     if not largest_setpoint_n(cap_n) > settings.contact_force_n:
         raise LimitExceeded(
@@ -89,8 +85,6 @@ class ForceByCurrent:
         self._servos = servos
         self._linkage = linkage
         self._settings = settings
-        self._friction = FrictionEstimate(settings, linkage)
-        self._pace_m_s = 0.0
         self._held_n: tuple[float, ...] | None = None
         self._drive_n: tuple[float, ...] = ()
         self._sample: ForceSample | None = None
@@ -105,27 +99,19 @@ class ForceByCurrent:
     def _by_current(self, state: ServoFeedback) -> ForceSample:
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         now_n = tuple(
-            -servo.current_a * path.kt_nm_a / path.radius_m
-            for servo, path in zip(state.servos, paths, strict=True)
+            -servo.current_a * path.n_per_a for servo, path in zip(state.servos, paths, strict=True)
         )
         # The square wave on the drive is over in two periods.
         drive_n = tuple(0.5 * sum(two) for two in zip(now_n, self._drive_n or now_n, strict=True))
         self._drive_n = now_n
         closing_m_s = -state.aperture_velocity_m_s
-        self._pace_m_s += (closing_m_s - self._pace_m_s) / _EVEN_PERIODS
-        if self._held_n is None:
-            off_m_s = abs(closing_m_s - self._pace_m_s)
-            even = closing_m_s > _STILL_M_S and off_m_s < _EVEN_SHARE * self._pace_m_s
-            self._friction.push(
-                Moment(now_s=state.t_s, dt_s=0.0, state=state, sample=None), running=even
-            )
-        share = self._friction.friction_share()
-        friction_n = tuple(share * path.friction_n for path in paths)
+        friction_n = tuple(path.friction_n for path in paths)
         if self._held_n is None and abs(closing_m_s) < _STILL_M_S:
-            at_rest = _AT_REST if self._friction.measured else _AT_REST * MOST_FRICTION
             pressing = (
-                drive >= self._settings.contact_force_n + at_rest * friction
-                for drive, friction in zip(drive_n, friction_n, strict=True)
+                drive
+                >= self._settings.contact_force_n
+                + _AT_REST * path.drive.most_breakaway_a * path.n_per_a
+                for drive, path in zip(drive_n, paths, strict=True)
             )
             if all(pressing):
                 self._held_n = (0.0,) * len(drive_n)
@@ -143,5 +129,5 @@ class ForceByCurrent:
             t_s=state.t_s,
             force_n=(forces_n[0], forces_n[-1]),
             lag_s=0.5 * self._settings.period_s,
-            noise_n=force_noise_n(max(drive_n), max(friction_n)),
+            noise_n=max(path.doubt_n(force) for path, force in zip(paths, forces_n, strict=False)),
         )

@@ -14,12 +14,14 @@ from gripper.force.approach.mechanics_proof import (
     not_met,
 )
 from gripper.force.control.grip_control import GripControl
-from gripper.force.estimates.friction import FrictionEstimate
+from gripper.force.estimates.free_motion import FreeMotion
+from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Running
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
+from gripper.mechanics.identification import LoadPoint, fit_load
 from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
@@ -42,6 +44,15 @@ _EQUAL_S = 1e-9
 """Difference of times in s that counts as none: sums of periods are rounded. [chosen]"""
 
 
+_LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
+"""Least force of the measurement of a drive in contact forces, its largest one as a share of the
+force that was held, and the least difference in N of both. [chosen]"""
+_LOAD_N_S, _UNLOAD_N_S = 6.0, 20.0
+"""Rate in N/s of that measurement, and of the way to it. [chosen]"""
+_CURRENT_SHARE = 0.9
+"""Share of the cap of the current that this measurement takes at most. [chosen]"""
+
+
 class GraspRun:
     """Runner of the phases of a grasp; keeps the control of the part that is held.
 
@@ -51,6 +62,8 @@ class GraspRun:
         Of the gripper.
     set_phase
         Tells the phase that a grasp comes to.
+    free
+        Gets the free motion of each approach.
     """
 
     def __init__(
@@ -59,18 +72,20 @@ class GraspRun:
         servos: ServoGroup,
         linkage: Linkage,
         settings: GripperSettings,
+        *,
         set_phase: Callable[[GripperPhase], None],
+        free: FreeMotion,
     ) -> None:
         self._runner = runner
         self._set_phase = set_phase
         self._servos = servos
+        self._free = free
         self._linkage = linkage
         self._settings = settings
         self._end = RampEnd()
         self._ramp_step: ContactStep | None = None
         self._closed_is_proven = False
         self._widest_m, self._touched = 0.0, 0
-        self._friction_share = 1.0
 
     @property
     def control(self) -> GripControl | None:
@@ -84,7 +99,7 @@ class GraspRun:
     def start_proving(self) -> None:
         """Prove anew where the fingers are closed, and learn anew: their torque comes on."""
         self._closed_is_proven = False
-        self._widest_m, self._touched, self._friction_share = 0.0, 0, 1.0
+        self._widest_m, self._touched = 0.0, 0
 
     def end_ramp(self) -> None:
         """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
@@ -173,6 +188,40 @@ class GraspRun:
         """Follow a change of the held force to its end and until the force has settled."""
         return self._runner.run(GripStep(self._settings, control, ramp).step)
 
+    def measure_load(self, control: GripControl) -> None:
+        """Move one finger after the other under a force that rises and falls; fit each drive.
+
+        The pads of empty fingers press on each other. Where the current, or the force that was
+        held, leaves too little of a way, the drives stay as they are.
+        """
+        grip, settings = control.grip, control.grip.settings
+        self._free.forget()
+        low_n = _LOW_CONTACTS * settings.contact_force_n
+        paths = transmissions(settings, self._linkage, self._servos.read_patiently().angles_rad)
+        bearable_n = min(
+            path.force_band_n(_CURRENT_SHARE * settings.current_max_a)[0] for path in paths
+        )
+        high_n = min(_HIGH_SHARE * grip.setpoint_n, bearable_n)
+        if high_n - low_n < _LEAST_SPAN_N or len(paths) < 2:
+            return
+        try:
+            for finger, servo in enumerate(settings.servos):
+                trial = LoadTrial(self._linkage, finger)
+                grip.moving = finger
+                ramp = ForceRamp.linear(low_n, _UNLOAD_N_S, start_n=grip.setpoint_n)
+                self.follow(control, ramp)
+                for from_n, to_n in ((low_n, high_n), (high_n, low_n)):
+                    ramp = ForceRamp.linear(to_n, _LOAD_N_S, start_n=from_n)
+                    step = GripStep(settings, control, ramp)
+                    trial.begin(rises=to_n > from_n)
+                    self._runner.run(trial.watched(step.step))
+                before = settings.drives.of(servo.servo_id, servo.drive)
+                found = fit_load(trial.rising, trial.falling, before)
+                settings.drives.put(servo.servo_id, found)
+        finally:
+            grip.moving = None
+        self._free.compare()
+
     def _approach(self, settings: GripperSettings) -> Reached:
         """Close until the contact, or the end of the way, and feed the estimates."""
         # Fingers that are to meet find no part on their way.
@@ -184,16 +233,15 @@ class GraspRun:
             widest_m=self._begins_m if known else None,
         )
         stiffness = StiffnessEstimate(self._settings)
-        friction = FrictionEstimate(self._settings, self._linkage)
+        self._free.begin()
 
         def step(moment: Moment) -> Action:
             stiffness.push(moment)
-            friction.push(moment, running=approach.runs_freely(moment.state))
+            self._free.push(moment, free=approach.runs_freely(moment.state))
             return approach.step(moment)
 
         state = self._runner.run(step)
-        if friction.measured:
-            self._friction_share = friction.friction_share()
+        self._free.end(state)
         return Reached(
             settings=settings,
             event=approach.event,
@@ -201,7 +249,6 @@ class GraspRun:
             braked_s=approach.braked_s,
             touch_m=approach.touch_m,
             stiffness=stiffness,
-            friction_share=self._friction_share,
         )
 
     @property
@@ -221,6 +268,49 @@ class GraspRun:
         if not self._closed_is_proven and closes_farther(self._settings, state):
             self._closed()
             self._closed_is_proven = True
+
+
+class LoadTrial:
+    """Collector of the load of one finger that moves, and of its current, while both change.
+
+    Parameters
+    ----------
+    linkage
+        Of the gripper.
+    finger
+        Index of the finger, and of its servo.
+    """
+
+    def __init__(self, linkage: Linkage, finger: int) -> None:
+        self.rising: list[LoadPoint] = []
+        self.falling: list[LoadPoint] = []
+        self._linkage = linkage
+        self._finger = finger
+        self._points: list[LoadPoint] = []
+        self._currents = History()
+        self._sample_s = 0.0
+
+    def begin(self, *, rises: bool) -> None:
+        """Begin a change of the force."""
+        self._points = self.rising if rises else self.falling
+
+    def watched(self, step: Callable[[Moment], Action]) -> Callable[[Moment], Action]:
+        """Return a step of control that is watched."""
+
+        def watch(moment: Moment) -> Action:
+            self._push(moment)
+            return step(moment)
+
+        return watch
+
+    def _push(self, moment: Moment) -> None:
+        servo, sample = moment.state.servos[self._finger], moment.sample
+        self._currents.add(moment.now_s, -servo.current_a)
+        if sample is None or not sample.valid or sample.t_s <= self._sample_s:
+            return
+        self._sample_s = sample.t_s
+        load_nm = sample.grip_n * self._linkage.effective_radius_m(servo.angle_rad)
+        self._points.append(LoadPoint(load_nm, self._currents.at(sample.measured_s)))
 
 
 class RampTime:
@@ -348,6 +438,8 @@ class GripStep:
         elif self._slip is not None and not control.watch.doubts:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
         done = self.lost or self._time.settled(control.force_n)
+        if done and not self.lost:
+            goals = control.quiet_goals(moment)
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
 
     def outcome(self, final: ServoFeedback) -> GraspOutcome:
@@ -436,12 +528,11 @@ class ContactStep(GripStep):
         Where momentum alone has made the force of the ramp, they stay where friction locks them.
         """
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
-        reached = self._reached
-        drive_n = force_n + _CONTACT_SHARE * reached.friction_share * mean_friction_n(paths)
+        drive_n = force_n + _CONTACT_SHARE * mean_friction_n(paths)
         if force_n > self._time.ramp.final_n:
             drive_n = min(drive_n, max(force_n, driving_n(moment.state, paths)))
         return GripControl(
-            self._linkage, reached, force_n=force_n, drive_n=drive_n, now_s=moment.now_s
+            self._linkage, self._reached, force_n=force_n, drive_n=drive_n, now_s=moment.now_s
         )
 
     def _ends_early(self) -> bool:

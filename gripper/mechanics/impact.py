@@ -11,17 +11,16 @@ passed. What stops the finger in time is that it is slow enough when it touches.
 """
 
 from collections.abc import Sequence
-from math import ceil, sqrt
+from dataclasses import replace
+from math import ceil, exp, sqrt
 from typing import NamedTuple
 
+from gripper.dynamixel.drive import SIGMAS, Drives
 from gripper.errors import LimitExceeded
-from gripper.mechanics.kinematics import Linkage, Transmission, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, Transmission, motion_currents_a, transmissions
 from gripper.settings import GripperSettings
 from gripper.values.state import STANDING_M_S
 
-FRICTION_DOUBT = 0.2
-"""Share by which the friction of a gearing may be less than its model's: the force loop is tuned
-with so much. [assumed]"""
 _KEPT_FREE_SHARE = 0.1
 """Share of the cap that is left free: inertia, torque and foam differ from their figures.
 [chosen]"""
@@ -33,7 +32,9 @@ _SMALL_PART_M = 4e-4
 under spheres and edges of 1 to 10 mm, at 15 to 50 N (simulated foam). A small part is soft at first
 and then meets the bottom; up to 22 N a flat one on the whole of the default pads is the harder.
 [simulated]"""
-_SLOWEST_M_S = 2.0 * STANDING_M_S
+_STOOD_SHARE = 1.1
+"""Current that a finger may have over the one that it has stood still at. [chosen]"""
+SLOWEST_M_S = 2.0 * STANDING_M_S
 """Least rate of the opening in m/s of an approach: twice that below which the fingers count as
 standing."""
 
@@ -58,6 +59,8 @@ class ImpactLimit(NamedTuple):
     """Moving mass of a finger, with the motor's behind its gears, as it is at the pad."""
     momentum_n_s_m: float
     """Force in N that the moving mass adds for each m/s of a pad."""
+    load_share: float
+    """Largest plausible force of a drive over the one that is meant."""
 
     def pad_speed_m_s(self, force_n: float | None = None) -> float:
         """Return the largest speed of a pad in m/s, with a force in N on it or before the touch."""
@@ -78,17 +81,18 @@ def impact_limit(
     """
     ends_m = (settings.aperture_open_m, settings.aperture_min_m)
     ways = [linkage.angles_rad(end_m) for end_m in ends_m] if angles_rad is None else [angles_rad]
-    drive_n = mass_kg = 0.0
+    drive_n = mass_kg = load_share = 0.0
     for way_rad in ways:
         paths = transmissions(settings, linkage, way_rad)
         try:
-            current_a = motion_current_a(settings, paths, settings.approach_force_n)
+            currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
         except LimitExceeded:
             # Less than moves the fingers: whoever moves them refuses it.
-            current_a = settings.current_max_a
+            currents_a = [settings.current_max_a] * len(paths)
         fingers = 2 / len(paths)
-        for servo, path in zip(settings.servos, paths, strict=True):
-            drive_n = max(drive_n, pressing_n(path, current_a))
+        for servo, path, current_a in zip(settings.servos, paths, currents_a, strict=True):
+            drive_n = max(drive_n, path.pressing_n(current_a))
+            load_share = max(load_share, exp(SIGMAS * path.drive.load_sd))
             inertia_kg_m2 = servo.servo_model.rotor_inertia_kg_m2 + fingers * _FINGER_KG_M2
             # By virtual work a servo that drives both fingers has half its mass at each pad.
             mass_kg = max(mass_kg, fingers * inertia_kg_m2 / path.radius_m**2)
@@ -98,6 +102,7 @@ def impact_limit(
         drive_n=drive_n,
         mass_kg=mass_kg,
         momentum_n_s_m=sqrt(stiffness_n_m * mass_kg),
+        load_share=load_share,
     )
 
 
@@ -106,22 +111,19 @@ def _most_n(settings: GripperSettings) -> float:
     return (1.0 - _KEPT_FREE_SHARE) * settings.force_max_n
 
 
-def pressing_n(path: Transmission, current_a: float) -> float:
-    """Return the force in N that a current may press with, friction less than the model's."""
-    friction_nm = (1.0 - FRICTION_DOUBT) * path.friction_nm
-    return (path.kt_nm_a * current_a - friction_nm) / path.radius_m
+def closing_current_max_a(
+    settings: GripperSettings, path: Transmission, *, stood_a: float = 0.0
+) -> float:
+    """Return the current in A with which a closing finger presses with less than the cap.
 
-
-def pressing_current_a(path: Transmission, force_n: float) -> float:
-    """Return the current in A that presses with a force in N at most: the inverse of the above."""
-    friction_nm = (1.0 - FRICTION_DOUBT) * path.friction_nm
-    return (force_n * path.radius_m + friction_nm) / path.kt_nm_a
-
-
-def closing_current_max_a(settings: GripperSettings, paths: Sequence[Transmission]) -> float:
-    """Return the current in A with which closing fingers press with less than the cap."""
+    A servo that was never measured may need more to move at all. What an untouched finger has stood
+    still at, ``stood_a``, is friction; one as in the catalogue may not pass the cap even so.
+    """
     most_n = _most_n(settings)
-    return min(settings.current_max_a, *(pressing_current_a(path, most_n) for path in paths))
+    by_force_a = path.pressing_current_a(most_n)
+    if not path.drive.measured:
+        by_force_a = max(by_force_a, min(_STOOD_SHARE * stood_a, path.loading_current_a(most_n)))
+    return min(settings.current_max_a, by_force_a)
 
 
 def approach_speed_m_s(
@@ -135,12 +137,19 @@ def approach_speed_m_s(
 
     ``travelling`` is True where no part has begun so far; one that does is met below the cap too.
     """
-    # Each of the fingers closes at half the rate of the opening.
-    allowed_m_s = 2.0 * impact_limit(settings, linkage, angles_rad).pad_speed_m_s()
     wanted_m_s = settings.approach_speed_m_s
     if travelling:
         wanted_m_s = max(wanted_m_s, settings.travel_speed_m_s)
-    return min(wanted_m_s, max(allowed_m_s, _SLOWEST_M_S))
+    return min(wanted_m_s, closing_speed_m_s(settings, linkage, angles_rad))
+
+
+def closing_speed_m_s(
+    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
+) -> float:
+    """Return the largest rate of the opening in m/s of fingers that close, whatever is wanted."""
+    # Each of the fingers closes at half the rate of the opening.
+    allowed_m_s = 2.0 * impact_limit(settings, linkage, angles_rad).pad_speed_m_s()
+    return max(allowed_m_s, SLOWEST_M_S)
 
 
 def slowing_way_m(
@@ -161,7 +170,7 @@ def slowing_way_m(
         return 0.0
     mass_kg = impact_limit(settings, linkage, angles_rad).mass_kg
     slowing_s = max(
-        mass_kg * path.radius_m**2 * model.no_load_rad_s / (path.kt_nm_a * model.stall_current_a)
+        mass_kg * path.radius_m * model.no_load_rad_s / (path.n_per_a * model.stall_current_a)
         for path, model in zip(
             transmissions(settings, linkage, angles_rad),
             (servo.servo_model for servo in settings.servos),
@@ -178,16 +187,21 @@ def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
 
     Raises LimitExceeded when no approach can be stopped below the cap of the force.
     """
-    limit = impact_limit(settings, linkage)
+    # Motions that measure the servos are slower, and come first.
+    known = {
+        servo.servo_id: settings.drives.of(servo.servo_id, servo.drive).once_measured
+        for servo in settings.servos
+    }
+    limit = impact_limit(replace(settings, drives=Drives(known)), linkage)
     allowed_m_s = 2.0 * limit.pad_speed_m_s()
-    if allowed_m_s < _SLOWEST_M_S:
-        least_n = (limit.drive_n + 0.5 * _SLOWEST_M_S * limit.momentum_n_s_m) / (
+    if allowed_m_s < SLOWEST_M_S:
+        least_n = (limit.drive_n + 0.5 * SLOWEST_M_S * limit.momentum_n_s_m) / (
             1.0 - _KEPT_FREE_SHARE
         )
         raise LimitExceeded(
             f"force_max_n is {settings.force_max_n:g} N: fingers that have just overcome their "
             f"friction press with up to {limit.drive_n:.2f} N, and with their momentum reach "
-            f"{least_n:.2f} N even where they close at {1e3 * _SLOWEST_M_S:g} mm/s. Raise "
+            f"{least_n:.2f} N even where they close at {1e3 * SLOWEST_M_S:g} mm/s. Raise "
             f"force_max_n to {ceil(10.0 * least_n) / 10.0:g} N, lower approach_force_n, or take "
             f"servos with less friction or longer links"
         )

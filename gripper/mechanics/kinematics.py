@@ -6,10 +6,10 @@ the normal force on one finger; both fingers carry the same one in equilibrium.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import asin, cos, isfinite, pi, sin
+from math import asin, cos, hypot, isfinite, pi, sin
 from typing import NamedTuple, Protocol
 
-from gripper.dynamixel.models import ServoModel
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import LimitExceeded
 from gripper.settings import GripperSettings, check_number
 from gripper.values.state import ServoFeedback
@@ -189,38 +189,56 @@ class Transmission(NamedTuple):
     """Relation of servo current and grip force at one position, with the friction of the gearing.
 
     The torque at rest may lie anywhere in a band: while the force rises the motor works against
-    friction, T = kt I - Tc; while it falls friction helps, T = kt I + Tc.
+    friction, while it falls friction helps. Forces of a drive are those that its current would
+    make of a rising load without friction.
     """
 
-    kt_nm_a: float
-    """Torque constant at the servo's output in N m / A."""
-    friction_nm: float
-    """Tc in N m."""
+    drive: DriveCharacteristic
+    """Of the servo."""
     radius_m: float
     """Torque of the servo for a grip force of 1 N, in N m / N."""
 
-    @classmethod
-    def at(cls, model: ServoModel, linkage: Linkage, angle_rad: float) -> "Transmission":
-        """Return the transmission of one servo at an angle."""
-        return cls(
-            kt_nm_a=model.kt_nm_a,
-            friction_nm=model.friction_nm,
-            radius_m=linkage.effective_radius_m(angle_rad),
-        )
+    @property
+    def n_per_a(self) -> float:
+        """Driving force in N for 1 A."""
+        return 1.0 / (self.drive.rising_a_nm * self.radius_m)
 
     @property
     def friction_n(self) -> float:
-        """Half the width of the friction band, as grip force in N."""
-        return self.friction_nm / self.radius_m
+        """Half the width of the friction band without a load, as grip force in N."""
+        return self.drive.breakaway_a * self.n_per_a
+
+    @property
+    def relief(self) -> float:
+        """Force that falls at a drive over the one that rises at it, friction without load aside.
+
+        1 where the gearing's friction does not grow with the load.
+        """
+        return self.drive.rising_a_nm / self.drive.falling_a_nm
+
+    def doubt_n(self, force_n: float) -> float:
+        """Return the standard deviation in N of a grip force by the current alone."""
+        load_n = abs(force_n) + self.friction_n
+        return hypot(self.drive.load_sd * load_n, self.drive.friction_sd * self.friction_n)
 
     def loading_current_a(self, force_n: float) -> float:
         """Return the current in A that drives the force up to ``force_n``."""
-        return (force_n * self.radius_m + self.friction_nm) / self.kt_nm_a
+        return force_n / self.n_per_a + self.drive.breakaway_a
 
     def force_band_n(self, current_a: float) -> tuple[float, float]:
         """Return the least and the largest grip force in N that a current can hold."""
-        centre_n = current_a * self.kt_nm_a / self.radius_m
-        return max(0.0, centre_n - self.friction_n), max(0.0, centre_n + self.friction_n)
+        centre_n, friction_n = current_a * self.n_per_a, self.friction_n
+        return max(0.0, centre_n - friction_n), max(0.0, (centre_n + friction_n) * self.relief)
+
+    def pressing_n(self, current_a: float) -> float:
+        """Return the largest plausible force in N that a current may press with as it rises."""
+        drive = self.drive
+        return (current_a - drive.least_breakaway_a) * drive.most_torque_nm_a / self.radius_m
+
+    def pressing_current_a(self, force_n: float) -> float:
+        """Return the current in A that presses with a force in N at most: the inverse."""
+        drive = self.drive
+        return force_n * self.radius_m / drive.most_torque_nm_a + drive.least_breakaway_a
 
 
 def transmissions(
@@ -228,7 +246,10 @@ def transmissions(
 ) -> tuple[Transmission, ...]:
     """Return the transmission of each servo at its angle."""
     return tuple(
-        Transmission.at(servo.servo_model, linkage, angle_rad)
+        Transmission(
+            settings.drives.of(servo.servo_id, servo.drive),
+            linkage.effective_radius_m(angle_rad),
+        )
         for servo, angle_rad in zip(settings.servos, angles_rad, strict=True)
     )
 
@@ -250,26 +271,25 @@ def mean_friction_n(paths: Sequence[Transmission]) -> float:
 def driving_n(state: ServoFeedback, paths: Sequence[Transmission]) -> float:
     """Return the driving force in N that the measured currents make, friction left aside."""
     return sum(
-        -servo.current_a * path.kt_nm_a / path.radius_m
-        for servo, path in zip(state.servos, paths, strict=True)
+        -servo.current_a * path.n_per_a for servo, path in zip(state.servos, paths, strict=True)
     ) / len(paths)
 
 
-def motion_current_a(
+def motion_currents_a(
     settings: GripperSettings, paths: Sequence[Transmission], force_n: float
-) -> float:
-    """Return the current in A that moves the fingers freely and presses with ``force_n`` at most.
+) -> list[float]:
+    """Return the current in A that moves each finger freely and presses with so many N at most.
 
     Friction enters with a reserve for breaking away; LimitExceeded when the cap of the current
     does not allow it.
     """
-    current_a = max(
-        (force_n * p.radius_m + _FRICTION_RESERVE * p.friction_nm) / p.kt_nm_a for p in paths
-    )
-    if current_a > settings.current_max_a:
+    currents_a = [
+        force_n / path.n_per_a + _FRICTION_RESERVE * path.drive.breakaway_a for path in paths
+    ]
+    if max(currents_a) > settings.current_max_a:
         raise LimitExceeded(
-            f"moving the fingers takes {current_a:.3f} A, current_max_a is "
+            f"moving the fingers takes {max(currents_a):.3f} A, current_max_a is "
             f"{settings.current_max_a} A: write at least that where servo and part bear it, or "
             "take friction out of the linkage"
         )
-    return current_a
+    return currents_a

@@ -7,7 +7,7 @@ way back below them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from math import inf, sqrt
+from math import exp, inf, sqrt
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
@@ -16,10 +16,16 @@ from gripper.dynamixel.control_table import (
     GOAL_POSITION,
     RegisterBlock,
 )
+from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
-from gripper.mechanics.impact import ImpactLimit, closing_current_max_a, impact_limit
-from gripper.mechanics.kinematics import Linkage, Transmission
+from gripper.mechanics.impact import (
+    SLOWEST_M_S,
+    ImpactLimit,
+    closing_current_max_a,
+    impact_limit,
+)
+from gripper.mechanics.kinematics import Linkage, Transmission, transmissions
 from gripper.settings import GripperSettings, OverForce, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import QUIET_N, RecentForce
@@ -49,9 +55,8 @@ GOAL_BLOCK = RegisterBlock.between(GOAL_CURRENT, GOAL_POSITION)
 
 STICTION = 1.05
 """Friction at rest over friction in motion."""
-_LACKING_SHARE, _RESERVE_N = 0.15, 1.5
-"""Share of the set-point by which a drive may make less force than its figures say, and what the
-moving mass needs beside it in N for the rate of a ramp: the driving current allows no more."""
+_RESERVE_N = 1.5
+"""What the moving mass needs beside the force asked for, in N, for the rate of a ramp. [tuned]"""
 _RUNNING_SHARE = 1.25
 """Rate of the opening over ``runaway_speed_m_s`` up to which a set-point does not limit it."""
 
@@ -69,8 +74,8 @@ class ServoGoal:
     """Limit of the current's magnitude."""
     setpoint_n: float | None = None
     """Grip force in N that is asked for now; None where the fingers move and press on no part."""
-    friction_share: float = 1.0
-    """Friction of the gearing as a share of the model's, by the current of an approach."""
+    profile_rad_s: float = 0.0
+    """Profile Velocity (register 112) in rad/s; 0 is no limit."""
 
 
 class GoalGuard:
@@ -80,12 +85,11 @@ class GoalGuard:
         self._settings = settings
         self._linkage = linkage
         self._forces = RecentForce()
+        self._stood_a: dict[int, float] = {}
         self._previous_a: tuple[float, ...] = ()
         # Two apertures bound the angles: wide open, and closed onto each other with the goal as
         # far beyond as a gripping servo needs.
-        self._highest_rad = tuple(
-            angle + OPENING_MARGIN_RAD for angle in linkage.angles_rad(settings.aperture_open_m)
-        )
+        self._open_rad = linkage.angles_rad(settings.aperture_open_m)
         self._lowest_rad = most_closed_rad(settings, linkage)
         self._pads = 0.5 * linkage.n_servos
 
@@ -101,53 +105,71 @@ class GoalGuard:
         mass needs. Without a set-point it presses below the cap, as an approach does. A finger that
         closes faster than the force left below the cap allows (`gripper.mechanics.impact`) is
         braked. While nothing presses on its pad no goal lies farther ahead than that speed needs:
-        between two writes the position controller of the servo keeps to it.
+        between two writes the position controller of the servo keeps to it; a profile does too.
         """
         impact = impact_limit(self._settings, self._linkage, state.angles_rad)
         newest = self.newest_force
         first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
         forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
         return tuple(
-            self._closing(impact, *one) if one[1].angle_rad < one[2].angle_rad else one[1]
-            for one in zip(self._settings.servos, goals, state.servos, forces_n, strict=True)
+            self._closing(impact, servo, path, goal, state=now, force_n=force_n)
+            if goal.angle_rad < now.angle_rad
+            else goal
+            for servo, path, goal, now, force_n in zip(
+                self._settings.servos,
+                transmissions(self._settings, self._linkage, state.angles_rad),
+                goals,
+                state.servos,
+                forces_n,
+                strict=True,
+            )
         )
 
-    def _most_a(self, goal: ServoGoal, path: Transmission) -> float:
+    def _most_a(self, servo_id: int, goal: ServoGoal, path: Transmission) -> float:
         if goal.setpoint_n is None:
-            return closing_current_max_a(self._settings, [path])
-        friction_nm = STICTION * goal.friction_share * path.friction_nm
-        asked_a = (_loading_n(goal.setpoint_n) * path.radius_m + friction_nm) / path.kt_nm_a
-        return min(asked_a, path.loading_current_a(self._settings.force_max_n) - _EQUAL)
+            stood_a = self._stood_a.get(servo_id, 0.0)
+            return closing_current_max_a(self._settings, path, stood_a=stood_a)
+        asked_n = exp(SIGMAS * path.drive.load_sd) * goal.setpoint_n + _RESERVE_N
+        asked_a = asked_n / path.n_per_a + STICTION * path.drive.breakaway_a
+        return min(asked_a, path.pressing_current_a(self._settings.force_max_n) - _EQUAL)
 
     def _closing(
         self,
         impact: ImpactLimit,
-        settings: ServoSettings,
+        servo: ServoSettings,
+        path: Transmission,
         goal: ServoGoal,
-        servo: ServoState,
+        *,
+        state: ServoState,
         force_n: float,
     ) -> ServoGoal:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
-        model = settings.servo_model
-        path = Transmission.at(model, self._linkage, servo.angle_rad)
-        most_a = min(goal.current_a, self._most_a(goal, path))
+        model = servo.servo_model
         empty = force_n < self._settings.contact_force_n
-        reach_m = self._pads * self._linkage.opening_per_rad_m(servo.angle_rad)
+        if empty and abs(state.velocity_rad_s) <= model.velocity_unit_rad_s:
+            stood_a = self._stood_a.get(state.servo_id, 0.0)
+            self._stood_a[state.servo_id] = max(stood_a, -state.current_a)
+        most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
+        reach_m = self._pads * self._linkage.opening_per_rad_m(state.angle_rad)
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
+        if empty:
+            # No approach is slower; until it has shown the friction, the current is the limit.
+            fastest_m_s = max(fastest_m_s, 0.5 * SLOWEST_M_S)
         if goal.setpoint_n is not None:
             fastest_m_s = min(
                 fastest_m_s, pressing_speed_m_s(self._settings, impact, goal.setpoint_n)
             )
         fastest_rad_s = fastest_m_s / reach_m
-        over_rad_s = -servo.velocity_rad_s - fastest_rad_s
+        over_rad_s = -state.velocity_rad_s - fastest_rad_s
         if over_rad_s > model.velocity_unit_rad_s:
             # No more momentum is taken than it has too much, or the finger would swing.
             drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
-            current_a = min(abs(drive_n) * path.radius_m / path.kt_nm_a, most_a)
-            angle_rad = goal.angle_rad if drive_n > 0.0 else servo.angle_rad
+            current_a = min(abs(drive_n) / path.n_per_a, most_a)
+            angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
             return replace(goal, angle_rad=angle_rad, current_a=current_a)
-        ahead_rad = lead_rad(model, most_a, fastest_rad_s) if empty else inf
-        angle_rad = max(goal.angle_rad, servo.angle_rad - ahead_rad)
+        free = empty and goal.profile_rad_s == 0.0
+        ahead_rad = lead_rad(model, most_a, fastest_rad_s) if free else inf
+        angle_rad = max(goal.angle_rad, state.angle_rad - ahead_rad)
         return replace(goal, angle_rad=angle_rad, current_a=most_a)
 
     @property
@@ -200,8 +222,9 @@ class GoalGuard:
             for goal, servo in zip(goals, state.servos, strict=True)
         )
         if not lowering and not opening:
-            for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
-                self._check_current_force(index, goal, servo.angle_rad)
+            paths = transmissions(settings, self._linkage, state.angles_rad)
+            for servo_settings, path, goal in zip(settings.servos, paths, goals, strict=True):
+                self._check_current_force(servo_settings.servo_id, path, goal)
             if state.temperature_c > settings.temperature_max_c:
                 raise LimitExceeded(
                     f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
@@ -237,7 +260,10 @@ class GoalGuard:
                 f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} is not from 0 to "
                 f"current_max_a = {settings.current_max_a} A"
             )
-        low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]
+        low_rad = self._lowest_rad[index]
+        drive = settings.drives.of(servo.servo_id, servo.drive)
+        margin_rad = max(OPENING_MARGIN_RAD, 1.1 * overrun_rad(servo.servo_model, drive))
+        high_rad = self._open_rad[index] + margin_rad
         # Fingers that stand outside (moved by hand) may be brought back in.
         lowest_rad = min(low_rad, angle_rad) - _EQUAL_ANGLE_RAD
         if not lowest_rad <= goal.angle_rad <= max(high_rad, angle_rad) + _EQUAL_ANGLE_RAD:
@@ -246,21 +272,14 @@ class GoalGuard:
                 f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m)"
             )
 
-    def _check_current_force(self, index: int, goal: ServoGoal, angle_rad: float) -> None:
+    def _check_current_force(self, servo_id: int, path: Transmission, goal: ServoGoal) -> None:
         settings = self._settings
-        servo = settings.servos[index]
-        path = Transmission.at(servo.servo_model, self._linkage, angle_rad)
         least_n = path.force_band_n(goal.current_a)[0]
         if least_n > settings.force_max_n:
             raise LimitExceeded(
-                f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} makes at least "
+                f"goal current {goal.current_a:.3f} A of servo {servo_id} makes at least "
                 f"{least_n:.1f} N, force_max_n is {settings.force_max_n} N"
             )
-
-
-def _loading_n(setpoint_n: float) -> float:
-    """Return the most that a drive may press with beyond friction, in N, for a set-point in N."""
-    return (1.0 + _LACKING_SHARE) * setpoint_n + _RESERVE_N
 
 
 def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_n: float) -> float:
@@ -270,7 +289,7 @@ def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_
     they do without a part are not slowed down so far that nothing shows it.
     """
     runs_m_s = 0.5 * _RUNNING_SHARE * settings.runaway_speed_m_s
-    return max(impact.pad_speed_m_s(_loading_n(setpoint_n)), runs_m_s)
+    return max(impact.pad_speed_m_s(impact.load_share * setpoint_n + _RESERVE_N), runs_m_s)
 
 
 def most_closed_rad(settings: GripperSettings, linkage: Linkage) -> tuple[float, ...]:
@@ -312,6 +331,12 @@ def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) ->
     return pulses * model.rad_per_pulse
 
 
+def overrun_rad(model: ServoModel, drive: DriveCharacteristic) -> float:
+    """Return how far in rad beyond an opening its goal runs, so that friction stops no finger."""
+    breaking_a = STICTION**2 * drive.breakaway_a
+    return max(0.6 * OPENING_MARGIN_RAD, running_lead_rad(model, breaking_a, 0.0))
+
+
 class GoalWriter:
     """Writer of the goals, behind their limits; keeps the goals that are in force."""
 
@@ -331,9 +356,7 @@ class GoalWriter:
         """Discard the last goals: none is in force any more."""
         self.last = ()
 
-    def write(
-        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, profile_rad_s: float = 0.0
-    ) -> None:
+    def write(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
         """Write goal current and goal position of all servos at once, if no limit is against it.
 
         The only place that writes goals.
@@ -342,8 +365,6 @@ class GoalWriter:
         ----------
         state
             Newest feedback: the goals are reached from there.
-        profile_rad_s
-            Profile Velocity (register 112) in rad/s; 0 is no limit.
         """
         goals = self._guard.bounded(goals, state)
         self._guard.check(goals, state, self._clock.monotonic())
@@ -359,7 +380,7 @@ class GoalWriter:
                 goal_current,
                 goal_velocity,
                 profile_acceleration,
-                round(profile_rad_s / model.velocity_unit_rad_s),
+                round(goal.profile_rad_s / model.velocity_unit_rad_s),
                 goal_position,
             ]
         self._bus.sync_write(values, GOAL_BLOCK)

@@ -23,7 +23,7 @@ from gripper.errors import (
     GripperError,
     ServoFault,
 )
-from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos import stop_goals
 from gripper.servos.feedback import Feedback
 from gripper.servos.goals import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
@@ -103,11 +103,9 @@ class ServoGroup:
 
     # Goals
 
-    def write_goals(
-        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, profile_rad_s: float = 0.0
-    ) -> None:
+    def write_goals(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
         """Write the goals of all servos at once, if no limit is against it; see `GoalWriter`."""
-        self._goals.write(goals, state, profile_rad_s=profile_rad_s)
+        self._goals.write(goals, state)
 
     @property
     def goals_in_force(self) -> bool:
@@ -335,7 +333,7 @@ class ServoGroup:
     def _motion_current_a(self, state: ServoFeedback | None = None) -> float:
         state = state or self.read_patiently()
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
-        return motion_current_a(self._settings, paths, self._settings.approach_force_n)
+        return max(motion_currents_a(self._settings, paths, self._settings.approach_force_n))
 
     def _check_mode(self) -> None:
         """Raise ServoFault where a servo is in another mode: its goals would mean other things."""

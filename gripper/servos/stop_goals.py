@@ -8,7 +8,7 @@ step that opens.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
@@ -56,7 +56,7 @@ def opened_a_step(
 ) -> list[ServoGoal]:
     """Return goals that open by ``over_force_open_m`` from the present positions."""
     paths = transmissions(settings, linkage, state.angles_rad)
-    current_a = motion_current_a(settings, paths, settings.approach_force_n)
+    currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
     return [
         ServoGoal(
             angle_rad=angle_rad
@@ -64,5 +64,5 @@ def opened_a_step(
             / (len(state.servos) * linkage.opening_per_rad_m(angle_rad)),
             current_a=current_a,
         )
-        for angle_rad in state.angles_rad
+        for angle_rad, current_a in zip(state.angles_rad, currents_a, strict=True)
     ]

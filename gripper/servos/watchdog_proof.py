@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from gripper.clock import Clock
 from gripper.errors import LimitExceeded, WatchdogUnproven
-from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
@@ -97,11 +97,13 @@ def prove_watchdog(
     begin = servos.read()
     speed_rad_s, goals_rad = _motion(settings, linkage, begin.angles_rad)
     paths = transmissions(settings, linkage, begin.angles_rad)
-    current_a = motion_current_a(settings, paths, _FORCE_N)
+    currents_a = motion_currents_a(settings, paths, _FORCE_N)
     servos.write_goals(
-        [ServoGoal(angle_rad=angle, current_a=current_a) for angle in goals_rad],
+        [
+            ServoGoal(angle_rad=angle_rad, current_a=current_a, profile_rad_s=speed_rad_s)
+            for angle_rad, current_a in zip(goals_rad, currents_a, strict=True)
+        ],
         begin,
-        profile_rad_s=speed_rad_s,
     )
     # Against friction the motors start late; until then each reading feeds the watchdog.
     before = begin
@@ -113,7 +115,7 @@ def prove_watchdog(
     clock.sleep(_REST_RAD / speed_rad_s)
     later = servos.read()
     tripped = health.watchdogs_tripped()
-    servos.restart_watchdog(current_a)
+    servos.restart_watchdog(max(currents_a))
     farthest_rad = _FARTHEST_SHARE * speed_rad_s * settings.watchdog_s
     pulses_rad = [servo.servo_model.rad_per_pulse for servo in settings.servos]
     proofs = tuple(

@@ -61,6 +61,8 @@ class ServoState:
     """Present Temperature and Present Input Voltage."""
     tick_ms: int
     """Realtime Tick: the servo's own time, modulo 32768 ms; recordings keep it."""
+    pwm_share: float = 0.0
+    """Present PWM in the same direction, as a share of the supply."""
     alert: bool
     """True while Hardware Error Status (register 70) is not zero."""
 

@@ -111,7 +111,7 @@ def test_a_commissioned_cell_is_done_and_its_servos_come_back(
 def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
     call("config", "convert", "small.yaml")
     said = " ".join(call("doctor", "-c", "small.yaml").split())
-    assert "it names no format, expected tactile-cell-self-zero/1; `tactile-cell zero`" in said
+    assert "it names no format, expected tactile-cell-self-zero/2; `tactile-cell zero`" in said
     call("zero", "-c", "small.yaml")
     said = call("doctor", "-c", "small.yaml")
     assert "pads meet at" in said
@@ -205,7 +205,7 @@ def test_a_self_zero_of_a_later_version_does_not_count(files: Path) -> None:
     call("config", "convert", "small.yaml")
     later_text(Path("out/self-zero-small-pads.json"), formats.SELF_ZERO)
     said = " ".join(call("doctor", "-c", "small.yaml").split())
-    assert "self-zero/2; this program reads up to tactile-cell-self-zero/1: update" in said
+    assert "self-zero/3; this program reads up to tactile-cell-self-zero/2: update" in said
 
 
 def test_every_format_has_a_file_of_a_later_version() -> None:

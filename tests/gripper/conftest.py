@@ -23,6 +23,7 @@ from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
+from tests.values import measured_drives
 
 
 def packed(text: str) -> bytes:
@@ -197,6 +198,7 @@ class Cell:
         seed: int = 7,
         rate_hz: float | None = None,
         turned: tuple[int, ...] = (),
+        drive_sds: tuple[float, float] = (0.1, 0.02),
         zero_off: tuple[int, int] = (0, 0),
         link_m: float = 0.06,
         offset_m: float = 0.0,
@@ -204,6 +206,7 @@ class Cell:
     ) -> None:
         """Build the cell; ``turned`` to ``offset_m`` make its settings differ from its mechanics.
 
+        ``drive_sds`` are the uncertainties of friction and torque, as a measurement leaves them.
         ``turned`` are indices of servos, ``zero_off`` is in pulses of opening too wide.
         """
         self.clock = VirtualClock()
@@ -244,6 +247,7 @@ class Cell:
             ),
             **(GENEROUS | settings),
         )
+        measured_drives(self.settings, *drive_sds)
         self.linkage = own
         self.gripper = self.new_gripper()
         self.force_n = 0.0

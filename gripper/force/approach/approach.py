@@ -5,12 +5,19 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from math import inf
 
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.force.approach.contact import LOADED_SHARE, ContactDetector, FirstTouch
 from gripper.force.estimates.history import History
 from gripper.force.estimates.stiffness import StiffnessEstimate
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
-from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import (
+    MOST_FRICTION,
+    Linkage,
+    Transmission,
+    motion_currents_a,
+    transmissions,
+)
 from gripper.servos.goals import (
     ServoGoal,
     closing_margin_rad,
@@ -23,11 +30,17 @@ from gripper.values.state import STANDING_M_S, ServoFeedback
 _STALL_CURRENT_SHARE = 0.8
 """Share of the goal current from which on a servo that stands still pushes against something.
 [tuned]"""
+_STANDING_SHARE = 0.2
+"""Share of the nominal speed up to which a finger stands: what its friction holds. [chosen]"""
 _STALL_TIME_S = 0.5
 """Time in s for which both must last before the fingers are stalled. [chosen]"""
 LEAD_M = 0.006
 """How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again.
 [chosen]"""
+_HELD_SHARE = 0.8
+"""Share of the least friction at rest that moves no finger. [chosen]"""
+_LEAD_RESERVE = 1.3
+"""Lead over the one that friction and speed take. [chosen]"""
 _STARTING_S = 0.1
 """Longest time in s in which fingers get to their speed; with more friction than their model's the
 goal runs on. [chosen]"""
@@ -113,8 +126,6 @@ class Approach:
         before one."""
         self._settings = settings
         self._linkage = linkage
-        paths = transmissions(settings, linkage, state.angles_rad)
-        self._current_max_a = closing_current_max_a(settings, paths)
         self._least_rad = most_closed_rad(settings, linkage)
         self._slow_at_m = inf
         if widest_m is not None:
@@ -127,10 +138,8 @@ class Approach:
             )
         self._travels = state.aperture_m > self._slow_at_m
         self._speed_m_s = self._new_speed_m_s(state)
-        self._closing_a = min(
-            motion_current_a(settings, paths, settings.approach_force_n), self._current_max_a
-        )
-        self._boost = 1.0
+        self._paths = self._limit(state)
+        self._boosts = [1.0] * len(state.servos)
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
         self._aperture_m = state.aperture_m
         self._begins, self._slows = True, False
@@ -138,7 +147,7 @@ class Approach:
         self._apertures = History()
         self._was_touched = False
         self._touch = FirstTouch()
-        self._free_a = [path.friction_nm / path.kt_nm_a for path in paths]
+        self._free_a = [path.drive.breakaway_a for path in self._paths]
         self._brakes: list[_Brake | None] = [None] * len(state.servos)
         self._soft = [False] * len(state.servos)
         self._waiting_rad: list[float | None] = [None] * len(state.servos)
@@ -147,10 +156,23 @@ class Approach:
         self._deadline_s = state.t_s + settings.contact_timeout_s
         self._moving_s = state.t_s
 
+    def _limit(self, state: ServoFeedback) -> tuple[Transmission, ...]:
+        """Take the currents that each servo needs, and may have, as it is known now."""
+        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        self._most_a = [closing_current_max_a(self._settings, path, stood_a=inf) for path in paths]
+        needed_a = motion_currents_a(self._settings, paths, self._settings.approach_force_n)
+        self._closing_a = list(map(min, needed_a, self._most_a))
+        return paths
+
     @property
-    def current_a(self) -> float:
-        """Goal current of the servos now in A."""
-        return min(self._closing_a * self._boost, self._current_max_a)
+    def currents_a(self) -> list[float]:
+        """Goal current of each servo now in A."""
+        return [
+            min(closing_a * boost, most_a)
+            for closing_a, boost, most_a in zip(
+                self._closing_a, self._boosts, self._most_a, strict=True
+            )
+        ]
 
     @property
     def touch_m(self) -> float:
@@ -166,13 +188,18 @@ class Approach:
         """Return whether all fingers close steadily and no pad has been touched so far."""
         nominal_rad_s = self._nominal_rad_s(state)
         return not self._was_touched and all(
-            _RUNNING_SHARE <= -servo.velocity_rad_s / nominal_rad_s <= 1.0 / _RUNNING_SHARE
-            for servo in state.servos
+            abs(-servo.velocity_rad_s - nominal_rad_s)
+            <= max((1.0 - _RUNNING_SHARE) * nominal_rad_s, settings.servo_model.velocity_unit_rad_s)
+            for servo, settings in zip(state.servos, self._settings.servos, strict=True)
         )
 
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period; an end leaves the fingers where they are or touch."""
         state, sample = moment.state, moment.sample
+        if any(
+            path.drive is not drive for path, drive in zip(self._paths, self._drives(), strict=True)
+        ):
+            self._paths = self._limit(state)
         travelled = self._travels
         self._travels = travelled and state.aperture_m > self._slow_at_m and not self._was_touched
         self._speed_m_s = self._new_speed_m_s(state)
@@ -192,16 +219,25 @@ class Approach:
         )
         paused_rad = self._paused_rad(moment.now_s, state)
         angles_rad = self._angles_rad(state, touched, paused_rad)
-        still = abs(state.aperture_velocity_m_s) <= STANDING_M_S
-        if still and not any(touched) and all(rad is None for rad in paused_rad):
-            self._boost = min(MOST_FRICTION, self._boost + BOOST_PER_S * moment.dt_s)
-        else:
-            self._boost = max(1.0, self._boost - 2.0 * BOOST_PER_S * moment.dt_s)
+        may_boost = not any(touched) and all(rad is None for rad in paused_rad)
+        still_rad_s = _STANDING_SHARE * self._nominal_rad_s(state)
+        for finger, (servo, path) in enumerate(zip(state.servos, self._paths, strict=True)):
+            boost, drive = self._boosts[finger], path.drive
+            free = may_boost and self._brakes[finger] is None
+            if free and abs(servo.velocity_rad_s) <= still_rad_s:
+                most = max(MOST_FRICTION, drive.most_breakaway_a / drive.breakaway_a)
+                boost = min(most, boost + BOOST_PER_S * moment.dt_s)
+            elif drive.measured:
+                boost = max(1.0, boost - 2.0 * BOOST_PER_S * moment.dt_s)
+            self._boosts[finger] = boost
         self.event = self._found(moment.now_s, state, touched)
         if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
             angles_rad = state.angles_rad
-        current_a = self._current_max_a if self._begins and self._travels else self.current_a
-        goals = [ServoGoal(angle_rad=angle, current_a=current_a) for angle in angles_rad]
+        currents_a = self._most_a if self._begins and self._travels else self.currents_a
+        goals = [
+            ServoGoal(angle_rad=angle_rad, current_a=current_a)
+            for angle_rad, current_a in zip(angles_rad, currents_a, strict=True)
+        ]
         if self.event is ApproachEvent.CLOSING:
             for finger, brake in enumerate(self._brakes):
                 if brake is not None and not (touched[finger] and len(goals) > 1):
@@ -236,15 +272,33 @@ class Approach:
 
     def _lead_m(self, state: ServoFeedback) -> float:
         """Return how far in m the goal is ahead of fingers that run at the nominal speed."""
-        paths = transmissions(self._settings, self._linkage, state.angles_rad)
-        nominal_rad_s = self._nominal_rad_s(state)
         return sum(
-            self._linkage.opening_per_rad_m(angle_rad)
-            * running_lead_rad(servo.servo_model, path.friction_nm / path.kt_nm_a, nominal_rad_s)
-            for servo, path, angle_rad in zip(
-                self._settings.servos, paths, state.angles_rad, strict=True
+            self._linkage.opening_per_rad_m(angle_rad) * lead_rad
+            for lead_rad, angle_rad in zip(self._leads_rad(state), state.angles_rad, strict=True)
+        )
+
+    def _resting_lead_m(self, state: ServoFeedback) -> float:
+        """Return how far in m the goal may be ahead of fingers that friction still holds."""
+        return sum(
+            self._linkage.opening_per_rad_m(now.angle_rad)
+            * running_lead_rad(servo.servo_model, _HELD_SHARE * drive.least_breakaway_a, 0.0)
+            for servo, drive, now in zip(
+                self._settings.servos, self._drives(), state.servos, strict=True
             )
         )
+
+    def _leads_rad(self, state: ServoFeedback) -> list[float]:
+        """Return how far in rad the goal of each finger is ahead of it at the nominal speed."""
+        nominal_rad_s = self._nominal_rad_s(state)
+        return [
+            running_lead_rad(servo.servo_model, drive.moving_a(nominal_rad_s), nominal_rad_s)
+            for servo, drive in zip(self._settings.servos, self._drives(), strict=True)
+        ]
+
+    def _drives(self) -> list[DriveCharacteristic]:
+        return [
+            self._settings.drives.of(servo.servo_id, servo.drive) for servo in self._settings.servos
+        ]
 
     def _most_lead_m(self, state: ServoFeedback) -> float:
         """Return how far in m the goal may run ahead of the fingers.
@@ -253,14 +307,17 @@ class Approach:
         stand untouched get as far ahead a goal as their current takes: a position controller
         with a small gain would never reach it otherwise.
         """
-        if self._boost <= 1.0:
-            return LEAD_M
+        running_m = _LEAD_RESERVE * self._lead_m(state)
+        if max(self._boosts) <= 1.0:
+            return max(LEAD_M, running_m)
         pressing_m = sum(
             self._linkage.opening_per_rad_m(now.angle_rad)
-            * closing_margin_rad(servo.servo_model, self._closing_a)
-            for servo, now in zip(self._settings.servos, state.servos, strict=True)
+            * closing_margin_rad(servo.servo_model, closing_a * max(1.0, boost / MOST_FRICTION))
+            for servo, now, closing_a, boost in zip(
+                self._settings.servos, state.servos, self._closing_a, self._boosts, strict=True
+            )
         )
-        return max(LEAD_M, pressing_m)
+        return max(LEAD_M, running_m, pressing_m)
 
     def _touched(self) -> tuple[bool, bool]:
         """Return which fingers are in contact: what stopped a braked one need press half as hard.
@@ -312,15 +369,15 @@ class Approach:
         model = settings.servos[finger].servo_model
         creeps_rad_s = _CREEP_COUNTS * model.velocity_unit_rad_s
         if moment.now_s - brake.since_s < _BRAKED_S or -servo.velocity_rad_s > creeps_rad_s:
-            return ServoGoal(angle_rad=servo.angle_rad, current_a=self.current_a)
+            return ServoGoal(angle_rad=servo.angle_rad, current_a=self.currents_a[finger])
         path = transmissions(settings, self._linkage, moment.state.angles_rad)[finger]
         most_n = settings.contact_force_n + _CREEP_RESERVE_N
         rate_n_s = _CREEP_N_S if brake.drive_n < most_n else _LATE_CREEP_N_S
         brake.drive_n += rate_n_s * moment.dt_s
         current_a = min(
-            self._free_a[finger] + brake.drive_n * path.radius_m / path.kt_nm_a,
-            MOST_FRICTION * self._closing_a,
-            self._current_max_a,
+            self._free_a[finger] + brake.drive_n / path.n_per_a,
+            MOST_FRICTION * self._closing_a[finger],
+            self._most_a[finger],
         )
         margin_rad = closing_margin_rad(model, current_a)
         return ServoGoal(angle_rad=servo.angle_rad - margin_rad, current_a=current_a)
@@ -336,7 +393,15 @@ class Approach:
         paused_rad: Sequence[float | None],
     ) -> Sequence[float]:
         """Return the goal angles: where a finger touched, where it pauses, or farther closed."""
-        angles_rad = list(self._linkage.angles_rad(self._aperture_m))
+        leads_rad = self._leads_rad(state)
+        mean_rad = sum(leads_rad) / len(leads_rad)
+        # A finger with more friction needs a goal that is farther ahead.
+        angles_rad = [
+            angle_rad - lead_rad + mean_rad
+            for angle_rad, lead_rad in zip(
+                self._linkage.angles_rad(self._aperture_m), leads_rad, strict=True
+            )
+        ]
         for finger, servo in enumerate(state.servos):
             if len(angles_rad) == 1 or not touched[finger]:
                 self._waiting_rad[finger] = None
@@ -362,7 +427,7 @@ class Approach:
             pause = self._pauses[finger]
             if pause is not None and now_s >= pause[1]:
                 self._pauses[finger] = None
-                self._aperture_m = state.aperture_m
+                self._aperture_m = state.aperture_m - self._resting_lead_m(state)
             elif pause is None and closing_rad_s >= _RUNNING_SHARE * nominal_rad_s:
                 self._was_running[finger] = True
             elif (
@@ -382,8 +447,17 @@ class Approach:
             return ApproachEvent.LIMIT
         if all(touched):
             return ApproachEvent.CONTACT
-        loaded = max(abs(s.current_a) for s in state.servos) >= (
-            _STALL_CURRENT_SHARE * self.current_a
+        loaded = any(
+            abs(servo.current_a) >= _STALL_CURRENT_SHARE * current_a
+            for servo, current_a in zip(state.servos, self.currents_a, strict=True)
+        )
+        # Fingers of unknown friction get time to break away.
+        loaded &= all(
+            boost >= path.drive.most_breakaway_a / path.drive.breakaway_a or current_a >= most_a
+            for boost, path, current_a, most_a in zip(
+                self._boosts, self._paths, self.currents_a, self._most_a, strict=True
+            )
+            if not path.drive.measured
         )
         if not loaded or abs(state.aperture_velocity_m_s) > STANDING_M_S:
             self._moving_s = now_s
@@ -408,8 +482,7 @@ class Reached:
     touch_m: float
     """Opening in m at which both pads were first loaded."""
     stiffness: StiffnessEstimate
-    friction_share: float
-    """Stiffness of the part so far, and friction as a share of the model's."""
+    """Stiffness of the part so far."""
 
 
 @dataclass(slots=True)

@@ -1,17 +1,18 @@
 """Motions of fingers that hold nothing: they stand still, and they move to an opening."""
 
+from math import inf
+
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.approach.mechanics_proof import (
-    OVERRUN_RAD,
     PATIENCE_S,
     REACHED_PULSES,
     ForceRise,
     mechanics_text,
 )
 from gripper.force.loop import Action, Moment
-from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a
-from gripper.mechanics.kinematics import Linkage, motion_current_a, transmissions
-from gripper.servos.goals import ServoGoal
+from gripper.mechanics.impact import closing_current_max_a, closing_speed_m_s
+from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
+from gripper.servos.goals import ServoGoal, overrun_rad
 from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
@@ -28,6 +29,8 @@ _OPENING_FORCE_N = 3.0
 _RISING_S = 0.25
 """Time in s in which it rises to that from what moves the fingers: where they close instead, the
 pads show it before. [chosen]"""
+BOOST_PER_S = 2.0
+"""Growth in 1/s of the factor on the current of fingers that stand still untouched. [tuned]"""
 _AGAINST_REST = 1.4
 """Current of a motion over that which moves the fingers freely: friction at rest is larger.
 [assumed]"""
@@ -76,6 +79,9 @@ class MoveTo:
         Feedback at the start.
     aperture_m
         Opening to reach in m.
+    speed_m_s
+        Rate of the opening in m/s; None: that of the settings. Closing fingers stay below the
+        limit of the impact.
     only_open
         True where no finger may close, as a release: one that is more open stays there, and none
         is driven back where something pushes it open.
@@ -88,6 +94,7 @@ class MoveTo:
         state: ServoFeedback,
         *,
         aperture_m: float,
+        speed_m_s: float | None = None,
         only_open: bool = False,
     ) -> None:
         self._settings = settings
@@ -101,20 +108,29 @@ class MoveTo:
             aperture_m = linkage.aperture_m(self._target_rad)
         travel_m = max(abs(aperture_m - state.aperture_m), _SHORTEST_TRAVEL_M)
         opening = aperture_m >= state.aperture_m
-        speed_m_s = (
-            settings.open_speed_m_s
-            if opening
-            else approach_speed_m_s(settings, linkage, state.angles_rad)
-        )
+        if opening:
+            speed_m_s = speed_m_s or settings.open_speed_m_s
+        else:
+            fastest_m_s = closing_speed_m_s(settings, linkage, state.angles_rad)
+            speed_m_s = min(speed_m_s or settings.approach_speed_m_s, fastest_m_s)
         force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
         paths = transmissions(settings, linkage, state.angles_rad)
-        self._current_a = min(
-            _AGAINST_REST * motion_current_a(settings, paths, force_n),
-            # The wider the fingers stand, the more force a current makes.
-            settings.current_max_a if opening else closing_current_max_a(settings, paths),
-        )
+        needed_a = motion_currents_a(settings, paths, force_n)
+        self._least_a = motion_currents_a(settings, paths, 0.0)
+        # The wider the fingers stand, the more force a current makes.
+        self._most_a = [
+            settings.current_max_a
+            if opening
+            else closing_current_max_a(settings, path, stood_a=inf)
+            for path in paths
+        ]
+        self._currents_a = [
+            min(_AGAINST_REST * current_a, most_a)
+            for current_a, most_a in zip(needed_a, self._most_a, strict=True)
+        ]
+        self._stiff = [path.drive.most_breakaway_a / path.drive.breakaway_a for path in paths]
+        self._boosts = [1.0] * len(paths)
         self._rising_s = _RISING_S if opening else 0.0
-        self._least_a = motion_current_a(settings, paths, 0.0)
         self._passed_s = 0.0
         self._share_per_s = speed_m_s / travel_m
         self._share = 0.0
@@ -140,30 +156,36 @@ class MoveTo:
             )
         self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
         self._passed_s += moment.dt_s
-        current_a = self._current_a
-        if self._passed_s < self._rising_s:
-            more = self._passed_s / self._rising_s
-            current_a = min(current_a, self._least_a + more * (current_a - self._least_a))
+        rising = self._passed_s / self._rising_s if self._passed_s < self._rising_s else 1.0
         goals = []
         arrived = True
-        for settings, servo, start_rad, target_rad in zip(
-            self._settings.servos,
-            moment.state.servos,
-            self._start_rad,
-            self._target_rad,
-            strict=True,
+        for finger, (settings, servo, start_rad, target_rad) in enumerate(
+            zip(
+                self._settings.servos,
+                moment.state.servos,
+                self._start_rad,
+                self._target_rad,
+                strict=True,
+            )
         ):
             sign = 1.0 if target_rad >= start_rad else -1.0
             reached_rad = REACHED_PULSES * settings.servo_model.rad_per_pulse
             there = sign * (target_rad - servo.angle_rad) <= reached_rad
             there = there or (self._only_open and start_rad >= target_rad)
             arrived = arrived and there
-            end_rad = target_rad + sign * OVERRUN_RAD
+            drive = self._settings.drives.of(settings.servo_id, settings.drive)
+            end_rad = target_rad + sign * overrun_rad(settings.servo_model, drive)
             angle_rad = (
                 servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
             )
             if self._only_open:
                 angle_rad = max(angle_rad, servo.angle_rad)
+            stands = servo.velocity_rad_s == 0.0 and not there and rising == 1.0
+            more = BOOST_PER_S * moment.dt_s if stands else 0.0
+            self._boosts[finger] = min(self._boosts[finger] + more, self._stiff[finger])
+            least_a, current_a = self._least_a[finger], self._currents_a[finger]
+            current_a = min(current_a, least_a + rising * (current_a - least_a))
+            current_a = min(self._boosts[finger] * current_a, self._most_a[finger])
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         if not arrived and moment.now_s > self._deadline_s:
             raise self._stuck(moment.state)

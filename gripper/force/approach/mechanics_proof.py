@@ -49,11 +49,11 @@ from gripper.mechanics.kinematics import (
     MOST_FRICTION,
     Linkage,
     OneFinger,
-    motion_current_a,
+    motion_currents_a,
     transmissions,
 )
 from gripper.servos.feedback import BEYOND_CLOSED_M
-from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, most_closed_rad
+from gripper.servos.goals import ServoGoal, most_closed_rad, overrun_rad
 from gripper.settings import GripperSettings
 from gripper.values.recent import FRAME_S, LEAST_SAMPLES, RecentForce
 from gripper.values.servo_checks import VerificationRow
@@ -71,8 +71,6 @@ _LEAD_RAD = 0.04
 [resolution]"""
 REACHED_PULSES = 2.0
 """Distance in counts of the encoder at which a finger has reached its goal. [resolution]"""
-OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
-"""How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
 _STILL_COUNTS = 2.5
 """Speed in counts of its velocity below which a finger stands: two, and some noise. [tuned]"""
 PATIENCE_S = 2.0
@@ -231,16 +229,30 @@ class FirstMotion:
         if only_open:
             target_rad = tuple(map(max, target_rad, state.angles_rad))
         paths = transmissions(settings, linkage, state.angles_rad)
-        least_a = motion_current_a(settings, paths, _LEAST_FORCE_N)
-        self._current_a = least_a
-        self._stiff_a = min(MOST_FRICTION * least_a, settings.current_max_a)
+        self._currents_a = motion_currents_a(settings, paths, _LEAST_FORCE_N)
+        self._stiff_a = [
+            min(
+                settings.current_max_a,
+                current_a
+                * max(MOST_FRICTION, path.drive.most_breakaway_a / path.drive.breakaway_a),
+            )
+            for current_a, path in zip(self._currents_a, paths, strict=True)
+        ]
         opening = linkage.aperture_m(target_rad) >= state.aperture_m
         speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
         per_rad_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._fingers = [
-            _Finger(servo.servo_model, start_rad, end_rad, speed_m_s / per_rad_m, least_rad)
-            for servo, start_rad, end_rad, least_rad in zip(
+            _Finger(
+                servo.servo_model,
+                start_rad,
+                end_rad,
+                rate_rad_s=speed_m_s / per_rad_m,
+                least_rad=least_rad,
+                overrun_rad=overrun_rad(servo.servo_model, path.drive),
+            )
+            for servo, path, start_rad, end_rad, least_rad in zip(
                 settings.servos,
+                paths,
                 state.angles_rad,
                 target_rad,
                 most_closed_rad(settings, linkage),
@@ -276,7 +288,10 @@ class FirstMotion:
                 raise self._contradicted(
                     servo, "it is blocked on its way, and free on its way back"
                 )
-        goals = [ServoGoal(angle_rad=rad, current_a=self._current_a) for rad in goals_rad]
+        goals = [
+            ServoGoal(angle_rad=angle_rad, current_a=current_a)
+            for angle_rad, current_a in zip(goals_rad, self._currents_a, strict=True)
+        ]
         return Action(goals=goals, done=all(finger.there for finger in self._fingers))
 
     def _turn(self, finger: "_Finger", servo: ServoState) -> None:
@@ -289,16 +304,16 @@ class FirstMotion:
         self._back = None
         # Where no way back is tried, it is enough that the finger has moved with this current.
         may_not_turn = self._only_open or not finger.opens
-        if self._current_a >= self._stiff_a or (ran_freely and may_not_turn):
+        if self._currents_a == self._stiff_a or (ran_freely and may_not_turn):
             raise self._contradicted(servo, "it is blocked on its way")
-        self._current_a = self._stiff_a
+        self._currents_a = self._stiff_a
 
     def _contradicted(self, servo: ServoState, found: str) -> MechanicsContradicted:
         return MechanicsContradicted(
             f"servo {servo.servo_id}: {found}, at an opening of {self._stands_m * 1e3:.1f} mm on "
-            f"its way to {self._aperture_m * 1e3:.1f} mm, with {self._current_a:.2f} A, the least "
-            f"that moves it. So the fingers are not where the settings have them, or something "
-            f"blocks them; the torque is switched off. Look where they stand, then check "
+            f"its way to {self._aperture_m * 1e3:.1f} mm, with {max(self._currents_a):.2f} A, the "
+            f"least that moves it. So the fingers are not where the settings have them, or "
+            f"something blocks them; the torque is switched off. Look where they stand, then check "
             f"{mechanics_text(self._settings, self._linkage)}"
         )
 
@@ -311,12 +326,16 @@ class _Finger:
         model: ServoModel,
         start_rad: float,
         target_rad: float,
+        *,
         rate_rad_s: float,
         least_rad: float,
+        overrun_rad: float,
     ) -> None:
         self._reached_rad = REACHED_PULSES * model.rad_per_pulse
         self._still_rad_s = _STILL_COUNTS * model.velocity_unit_rad_s
         self._least_rad = min(least_rad, start_rad)
+        self._overrun_rad = overrun_rad
+        self._lead_rad = max(_LEAD_RAD, overrun_rad)
         self._sign = 1.0 if target_rad >= start_rad else -1.0
         self._target_rad = target_rad
         self._from_rad = start_rad
@@ -358,7 +377,9 @@ class _Finger:
             self._goal_rad = servo.angle_rad
             return servo.angle_rad
         sign = -self._sign if back else self._sign
-        most_rad = _LEAD_RAD if back else min(_LEAD_RAD, left_rad + OVERRUN_RAD)
+        most_rad = self._lead_rad
+        if not back:
+            most_rad = min(most_rad, left_rad + self._overrun_rad)
         ahead_rad = sign * (self._goal_rad - servo.angle_rad) + self._rate_rad_s * dt_s
         if back:
             ahead_rad = most_rad

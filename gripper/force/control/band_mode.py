@@ -122,7 +122,7 @@ class BandMode(Mode):
                 given_back_n = self._tuning.taper_n_s * dt_s
                 wanted_n = max(grip.estimate.model_n, grip.quiet_n - given_back_n)
         else:
-            share = self._tuning.dither_share
+            share = self._tuning.dither_share if grip.moving is None else 0.0
             self._dither = share if self._dither <= 0.0 else -share
         wanted_n = self._approached(wanted_n, abs(setpoint_n - before_n), friction_n, dt_s)
         self._setpoint_n = setpoint_n
@@ -130,7 +130,7 @@ class BandMode(Mode):
         left_n = max(0.0, period.drive_max_n - grip.quiet_n)
         wanted_n = min(wanted_n, grip.quiet_n + left_n * min(1.0, dt_s / _CAP_TIME_S))
         grip.quiet_n = min(max(wanted_n, lowest_n), period.drive_max_n)
-        self._move_model(period.moment.now_s, friction_n)
+        self._move_model(period)
         crest_n = min(self._dither * friction_n, period.drive_max_n - grip.quiet_n)
         return min(grip.quiet_n + swing_n + crest_n, period.drive_max_n - period.inertia_n)
 
@@ -158,7 +158,7 @@ class BandMode(Mode):
             return target_n - estimate.bias_n + friction_n
         if error_n < -fall_n:
             self._turn(period.moment.now_s, rising=False)
-            return setpoint_n - estimate.bias_n - friction_n
+            return (setpoint_n - estimate.bias_n) / period.relief - friction_n
         return None
 
     def _approached(
@@ -176,10 +176,12 @@ class BandMode(Mode):
         free_n = min(drive_n, max(drive_n - fast_n, model_n - inner_n))
         return max(wanted_n, min(free_n, drive_n - creep_n))
 
-    def _move_model(self, now_s: float, friction_n: float) -> None:
+    def _move_model(self, period: Period) -> None:
         """Move the modelled force as far as the friction band around the drive pushes it."""
         estimate, drive_n = self._grip.estimate, self._grip.quiet_n
-        model_n = min(max(estimate.model_n, drive_n - friction_n), drive_n + friction_n)
+        now_s, friction_n = period.moment.now_s, period.friction_n
+        most_n = (drive_n + friction_n) * period.relief
+        model_n = min(max(estimate.model_n, drive_n - friction_n), most_n)
         if model_n < estimate.model_n:
             self._fell_s = now_s
         doubt_n = 0.0
@@ -223,16 +225,17 @@ class BandMode(Mode):
             estimate.learn(sample, drift_n_rs=drift_n_rs, motion_n=doubt_n_s_m * speed_m_s)
             since_s = self._breaking_since_s
             if not self._rising and since_s is not None and sample.t_s > since_s:
-                self._anchor(sample, setpoint_n, period.friction_n)
-        estimate.check(now_s, sample, setpoint_n, period.friction_n)
+                self._anchor(sample, setpoint_n, period)
+        estimate.check(now_s, sample, period.friction_n, period.doubt_n)
 
-    def _anchor(self, sample: ForceSample, setpoint_n: float, friction_n: float) -> None:
+    def _anchor(self, sample: ForceSample, setpoint_n: float, period: Period) -> None:
         """On the way down, take the present drive for the band's edge when the force gets there.
 
         Friction smaller than the model's lets the force fall although the model still waits for
         the edge; then the sensor shows where the edge was.
         """
         breaking, estimate, drive_n = self._breaking, self._grip.estimate, self._grip.quiet_n
+        friction_n = period.friction_n
         breaking.append((sample.t_s, sample.grip_n))
         while len(breaking) > 2 and sample.t_s - breaking[1][0] >= _ANCHOR_S:
             breaking.popleft()
@@ -240,7 +243,7 @@ class BandMode(Mode):
         inside = estimate.model_n - drive_n < (1.0 - self._tuning.creep_share) * friction_n
         if sample.t_s - breaking[0][0] < _ANCHOR_S or mean_n > setpoint_n or inside:
             return
-        model_n = drive_n + friction_n
+        model_n = (drive_n + friction_n) * period.relief
         estimate.correct(model_n - estimate.model_n, mean_n - model_n)
         self._breaking_since_s = None
 

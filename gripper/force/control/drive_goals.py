@@ -3,10 +3,16 @@
 from collections.abc import Sequence
 from math import inf
 
+from gripper.dynamixel.models import ServoModel
 from gripper.force.estimates.grip import Grip
-from gripper.mechanics.kinematics import Transmission
-from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
-from gripper.values.state import ServoFeedback
+from gripper.mechanics.kinematics import Transmission, mean_friction_n
+from gripper.servos.goals import (
+    ServoGoal,
+    closing_margin_rad,
+    most_closed_rad,
+    running_lead_rad,
+)
+from gripper.values.state import ServoFeedback, ServoState
 
 GIVE_RAD = 0.03
 """How far in rad a goal may open beyond the contact: pads and part are deeper there by no more.
@@ -33,6 +39,7 @@ class DriveGoals:
         self._contact_rad = self._deepest_rad = contact.angles_rad
         self._least_rad = most_closed_rad(grip.settings, grip.linkage)
         self._touch_m = touch_m
+        self._held: tuple[int | None, int, float] = (None, 0, 0.0)
         self._stop_rad: tuple[float, ...] | None = None
 
     @property
@@ -51,11 +58,13 @@ class DriveGoals:
         grip, drive_n = self._grip, self._grip.drive_n
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        if state.aperture_m < self._touch_m:
+        # Nothing is lost where the pads press on each other.
+        if state.aperture_m < self._touch_m or grip.moving is not None:
             self._stop_rad = None
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
         stop_rad = self._stop_rad or (inf,) * len(paths)
+        model_n, friction_n = grip.estimate.model_n, mean_friction_n(paths)
         for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
             state.servos,
             paths,
@@ -66,12 +75,17 @@ class DriveGoals:
             self._least_rad,
             strict=True,
         ):
-            wanted_a = abs(drive_n) * path.radius_m / path.kt_nm_a
-            current_a = min(wanted_a, grip.settings.current_max_a)
+            if grip.moving is not None and settings is not grip.settings.servos[grip.moving]:
+                held_rad = self._held_rad(servo)
+                goals.append(self._holding(held_rad, settings.servo_model, path))
+                continue
+            # Each servo drives with as much of its own friction.
+            own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n
+            current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
             margin_rad = closing_margin_rad(settings.servo_model, current_a)
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             # A position that drifts open must not take a closing goal to the open side with it.
-            if drive_n >= 0.0:
+            if own_n >= 0.0:
                 angle_rad = max(deepest_rad - margin_rad, min(least_rad, servo.angle_rad))
             else:
                 angle_rad = min(servo.angle_rad + margin_rad, contact_rad + GIVE_RAD, widest_rad)
@@ -80,7 +94,22 @@ class DriveGoals:
                     angle_rad=angle_rad,
                     current_a=current_a,
                     setpoint_n=grip.setpoint_n,
-                    friction_share=grip.friction_share,
                 )
             )
         return tuple(goals)
+
+    def _held_rad(self, servo: ServoState) -> float:
+        """Return where a finger stands since the other one alone has moved."""
+        if self._held[:2] != (self._grip.moving, servo.servo_id):
+            self._held = (self._grip.moving, servo.servo_id, servo.angle_rad)
+        return self._held[2]
+
+    def _holding(self, held_rad: float, model: ServoModel, path: Transmission) -> ServoGoal:
+        """Return the goal of a finger that is held by position, against the force of the pads."""
+        grip = self._grip
+        current_a = max(grip.estimate.force_n, 0.0) / path.n_per_a
+        return ServoGoal(
+            angle_rad=held_rad - running_lead_rad(model, current_a, 0.0),
+            current_a=min(current_a + path.drive.most_breakaway_a, grip.settings.current_max_a),
+            setpoint_n=grip.setpoint_n,
+        )

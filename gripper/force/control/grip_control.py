@@ -17,9 +17,6 @@ from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n,
 from gripper.servos.goals import ServoGoal
 from gripper.values.state import GRAIN_M, ServoFeedback
 
-_TORQUE_DOUBT = 0.03
-"""Share of the cap of the force that the drive leaves free: torque of the servos, their inertia.
-[assumed]"""
 _INERTIA_N_S_M = 100.0
 """Drive in N left free below the cap of the force for each m/s of closing, with a lever of 60 mm:
 on a part of 10 N/mm the inertia of the fingers adds so much to the force that their drive makes.
@@ -60,7 +57,6 @@ class GripControl:
             linkage=linkage,
             estimate=ForceEstimate(settings.force_loop, force_n=force_n, now_s=now_s),
             stiffness=reached.stiffness,
-            friction_share=reached.friction_share,
             apertures=History(),
             setpoint_n=force_n,
             asked_n=force_n,
@@ -137,7 +133,8 @@ class GripControl:
                 arrival_n=arrival_n,
                 taper=taper,
                 paths=paths,
-                friction_n=grip.friction_share * mean_friction_n(paths),
+                friction_n=mean_friction_n(paths),
+                doubt_n=max(path.doubt_n(setpoint_n) for path in paths),
                 drive_max_n=self._drive_max_n(state, paths),
                 inertia_n=grip.swing_n_s_m(_INERTIA_N_S_M) * max(0.0, -state.aperture_velocity_m_s),
                 may_open=self._goals.may_open,
@@ -145,15 +142,25 @@ class GripControl:
         )
         return self._goals.goals(state, paths)
 
+    def quiet_goals(self, moment: Moment) -> tuple[ServoGoal, ...]:
+        """Return goals to leave behind: the square wave on the drive ends at neither crest."""
+        self.grip.drive_n = self.grip.quiet_n
+        state = moment.state
+        return self._goals.goals(
+            state, transmissions(self._settings, self._linkage, state.angles_rad)
+        )
+
     def _drive_max_n(self, state: ServoFeedback, paths: Sequence[Transmission]) -> float:
         """Return the largest driving force in N that the caps of current and force allow.
 
         Where something pushes the fingers open, the cap of the force limits the drive too.
         """
         cap_a = self._settings.current_cap_a(state.temperature_c)
-        cap_n = self._settings.force_max_n * (1.0 - _TORQUE_DOUBT)
-        friction_share = min(1.0, self.grip.friction_share)
+        cap_n = self._settings.force_max_n
+        model_n, friction_n = self.grip.estimate.model_n, mean_friction_n(paths)
         return min(
-            min(cap_a * path.kt_nm_a / path.radius_m, cap_n + friction_share * path.friction_n)
+            model_n
+            + (min(cap_a, path.pressing_current_a(cap_n)) * path.n_per_a - model_n)
+            * (friction_n / path.friction_n)
             for path in paths
         )

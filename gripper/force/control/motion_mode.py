@@ -124,7 +124,7 @@ class MotionMode(Mode):
         grip.asked_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
         self.moved_s = moment.now_s
         estimate.follow(moment.now_s, sample, observer)
-        estimate.check(moment.now_s, sample, setpoint_n, friction_n)
+        estimate.check(moment.now_s, sample, friction_n, period.doubt_n)
         return grip.quiet_n
 
     def _planned_drive_n(self, period: Period) -> float:

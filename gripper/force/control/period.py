@@ -27,6 +27,8 @@ class Period:
     paths: Sequence[Transmission]
     friction_n: float
     """Transmission of each servo, and half the width of the friction band in N."""
+    doubt_n: float
+    """Standard deviation in N of the force by the current alone."""
     drive_max_n: float
     inertia_n: float
     """Largest driving force in N, and how far below it the closing fingers keep, by their speed."""
@@ -43,6 +45,11 @@ class Period:
         """Newest sample, where it is usable."""
         assert self.moment.sample is not None
         return self.moment.sample
+
+    @property
+    def relief(self) -> float:
+        """Force that falls at a drive over the one that rises at it, the mean of the servos."""
+        return sum(path.relief for path in self.paths) / len(self.paths)
 
     @property
     def end_n(self) -> float:

@@ -24,6 +24,8 @@ _JUMP_S = 0.75 * FRAME_S
 _STICKS_SHARE = 0.6
 """Share of the friction that may hold more force than the model has, just after it has fallen:
 friction differs from the model's by a third at most, and that at both edges. [assumed]"""
+_BIAS_SIGMAS = 5.0
+"""Standard deviations of the force by current that sensor and current may disagree by. [chosen]"""
 _MOTION_S = FRAME_S
 """Time in s for which the motion of the fingers makes the model equally wrong: faster samples do
 not tell more."""
@@ -177,18 +179,15 @@ class ForceEstimate:
         return True
 
     def check(
-        self, now_s: float, sample: ForceSample, setpoint_n: float, friction_n: float
+        self, now_s: float, sample: ForceSample, friction_n: float, current_doubt_n: float
     ) -> None:
         """Raise LimitExceeded when the bias has been larger than plausible for some time.
 
-        Then the sensor does not see the force that the current makes. Arguments as for `jumps`.
+        Then the sensor does not see the force that the current makes. The force lies anywhere in
+        the friction band, of half the width ``friction_n``; ``current_doubt_n`` is the standard
+        deviation in N of its middle.
         """
-        tuning = self._tuning
-        limit_n = (
-            tuning.bias_max_n
-            + tuning.bias_max_share * setpoint_n
-            + tuning.bias_max_friction_share * friction_n
-        )
+        limit_n = self._tuning.bias_max_n + friction_n + _BIAS_SIGMAS * current_doubt_n
         if abs(self.bias_n) <= limit_n:
             self._implausible_since_s = None
         elif self._implausible_since_s is None:

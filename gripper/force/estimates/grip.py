@@ -26,8 +26,7 @@ class Grip:
     """Of the gripper."""
     estimate: ForceEstimate
     stiffness: StiffnessEstimate
-    friction_share: float
-    """Grip force, stiffness of the part, and friction of the gearing as a share of the model's."""
+    """Grip force, and stiffness of the part."""
     apertures: History
     """Opening of the last periods in m."""
     setpoint_n: float
@@ -39,6 +38,8 @@ class Grip:
     quiet_n: float
     """Driving force of the last period in N, and without the square wave on it; below 0 it pushes
     open."""
+    moving: int | None = None
+    """Index of the one finger that moves, the other one locked by its friction; None: both."""
     mass_kg: float = field(init=False)
     """Moving mass of a finger, as it is at the pad."""
     motor_share: float = field(init=False)

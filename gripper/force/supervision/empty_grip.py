@@ -6,7 +6,7 @@ from gripper.force.approach.contact import LOADED_SHARE
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.doubt import ADVICE, BREAKAWAY_SHARE, RUN_M, SOFTEST_N_M
 from gripper.force.supervision.pad_samples import FrameMean
-from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_current_a, transmissions
+from gripper.mechanics.kinematics import MOST_FRICTION, Linkage, motion_currents_a, transmissions
 from gripper.servos.goals import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.recent import LEAST_SAMPLES, RecentForce
@@ -64,12 +64,15 @@ class EmptyGrip:
         pressed_n = settings.approach_force_n + BREAKAWAY_SHARE * friction_n
         self._settings = settings
         self._linkage = linkage
-        self._current_a = motion_current_a(settings, paths, settings.approach_force_n)
-        self._most_a = min(
-            (MOST_FRICTION if approached else 1.0) * self._current_a,
-            settings.current_max_a,
-            *(path.loading_current_a(settings.force_max_n) for path in paths),
-        )
+        self._currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
+        self._most_a = [
+            min(
+                (MOST_FRICTION if approached else 1.0) * current_a,
+                settings.current_max_a,
+                path.pressing_current_a(settings.force_max_n),
+            )
+            for current_a, path in zip(self._currents_a, paths, strict=True)
+        ]
         self._run_m = RUN_M
         if not approached:
             self._run_m += pressed_n / (stiffness_n_m or SOFTEST_N_M)
@@ -98,13 +101,16 @@ class EmptyGrip:
         if moment.now_s >= self._late_s:
             raise GripContradicted(
                 f"the force samples show empty pads, but the fingers stand at an opening of "
-                f"{1e3 * state.aperture_m:.1f} mm: with {self._current_a:.2f} A, which moves free "
-                f"ones, they have closed by {1e3 * travel_m:.1f} of {1e3 * self._run_m:.1f} mm. "
-                f"{ADVICE}"
+                f"{1e3 * state.aperture_m:.1f} mm: with {max(self._currents_a):.2f} A, which moves "
+                f"free ones, they have closed by {1e3 * travel_m:.1f} of "
+                f"{1e3 * self._run_m:.1f} mm. {ADVICE}"
             )
         self._pads(moment)
         boost = 1.0 + BOOST_PER_S * moment.dt_s
-        self._current_a = min(boost * self._current_a, self._most_a)
+        self._currents_a = [
+            min(boost * current_a, most_a)
+            for current_a, most_a in zip(self._currents_a, self._most_a, strict=True)
+        ]
         self._goal_m = max(
             self._goal_m - self._settings.approach_speed_m_s * moment.dt_s,
             state.aperture_m - LEAD_M,
@@ -116,8 +122,10 @@ class EmptyGrip:
         now_rad = self._linkage.angles_rad(state.aperture_m)
         goal_rad = self._linkage.angles_rad(aperture_m)
         return tuple(
-            ServoGoal(angle_rad=servo.angle_rad + goal - now, current_a=self._current_a)
-            for servo, now, goal in zip(state.servos, now_rad, goal_rad, strict=True)
+            ServoGoal(angle_rad=servo.angle_rad + goal - now, current_a=current_a)
+            for servo, now, goal, current_a in zip(
+                state.servos, now_rad, goal_rad, self._currents_a, strict=True
+            )
         )
 
     def _pads(self, moment: Moment) -> Action:

@@ -82,7 +82,7 @@ class PartWatch:
         # Where noise has ended the approach a little early, nothing was there to be lost.
         seen &= self._was_held
         paths = transmissions(grip.settings, grip.linkage, state.angles_rad)
-        breakaway_n = (1.0 + BREAKAWAY_SHARE) * grip.friction_share * mean_friction_n(paths)
+        breakaway_n = (1.0 + BREAKAWAY_SHARE) * mean_friction_n(paths)
         stiffness_n_m = grip.stiffness.stiffness_n_m
         if stiffness_n_m is None:
             stiffness_n_m = self._contact_n_m

@@ -7,6 +7,7 @@ import pytest
 from cell.checks.findings import Verdict
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.first_force import FirstForceStep
+from cell.control.self_zero import kept_zeros
 from simulator.world.taxels import NoiseModel
 from tests.cell.commissioning.conftest import MakeStand, Stand
 
@@ -29,6 +30,22 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(one: Stand) -
     assert len(one.person.script.writes) == 4
     assert abs(finding.values["meet_mm"]) < 1.0
     assert finding.figures["force"]["limits"] == {"cap": 15.0}
+
+
+@pytest.mark.parametrize("with_weights", [True, False])
+def test_what_it_measures_of_the_servos_is_kept_for_the_cell(
+    one: Stand, with_weights: bool
+) -> None:
+    if with_weights:
+        one.bench.found["pads_law"] = {"factor": 1.0}
+    one.passes(STEP)
+    config = one.bench.config
+    kept = kept_zeros(config, one.bench.folder / config.recording.directory, new_hand=False)
+    assert len(kept.drives) == 2
+    for drive in kept.kept_drives(dict.fromkeys(kept.drives, 0)).values():
+        assert drive.measured
+        assert drive.load_sd < 0.1
+        assert (drive.kt_per_back_emf is not None) is with_weights
 
 
 @pytest.mark.parametrize("watchdog_ms", [100.0, 500.0])

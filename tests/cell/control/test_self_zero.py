@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from cell.jobs.doctor import examine
 from cell.plugin import tasks
 from cell.plugin.goals import ZeroGoal, checked_goal
 from cell.plugin.health import health_values
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import MODELS
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
 from gripper.values.state import GripperPhase
 from recognition.grasp import SelfZero
@@ -153,13 +156,13 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(
     assert "`tactile-cell zero`; with `self_zero: on_demand`" in note
     assert bench.controller.self_zero is None
     assert health_values(config, bench.cell, None)["zero"] == {"level": "watch", "text": note}
-    assert not zero_file(tmp_path, config.name).exists()
+    assert json.loads(zero_file(tmp_path, config.name).read_text())["zero"] is None
     bench.simulated.place("ball")
     assert bench.controller.grip(3.0).grasp.zero is None
     bench.controller.release()
     bench.simulated.remove()
     bench.controller.measure_zero()
-    assert zero_file(tmp_path, config.name).exists()
+    assert json.loads(zero_file(tmp_path, config.name).read_text())["zero"]
 
 
 def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(make_bench) -> None:
@@ -481,3 +484,57 @@ def test_pads_on_each_other_contradict_no_message_at_twice_the_noise(make_bench,
     bench = make_bench(small_config(self_zero="always", seed=seed, **noisy))
     bench.controller.start()
     assert bench.controller.self_zero is not None
+
+
+DRIVE = replace(
+    DriveCharacteristic.catalogue(MODELS["XM430-W350"]),
+    breakaway_a=0.2,
+    friction_sd=0.05,
+    load_sd=0.02,
+    temperature_c=24.0,
+)
+
+
+def test_drives_are_kept_with_their_servo_and_without_a_zero_too(tmp_path: Path) -> None:
+    here = changed_config(CellConfig(), REAL | {"gripper.pads_meet": False})
+    homing = {1: 0, 2: 0}
+    kept_zeros(here, tmp_path).keep_drives({1: DRIVE}, homing)
+    later = kept_zeros(here, tmp_path)
+    assert later.newest is None
+    assert not later.refused
+    found = later.kept_drives(homing)
+    assert set(found) == {1}
+    # Friction is another one on another day; the rest is as it was measured.
+    assert found[1].friction_sd > DRIVE.friction_sd
+    assert replace(found[1], friction_sd=0.05, measured_s=0.0) == DRIVE
+    assert found[1].measured_s == pytest.approx(time.time(), abs=60.0)
+    assert not later.kept_drives({1: 1024, 2: 0}), "another homing offset"
+    for change in (
+        {"gripper.port": "/dev/ttyUSB1"},
+        {"gripper.servos": [{"id": 1, "model": "XM430-W210"}, {"id": 2}]},
+        {"gripper.servos": [{"id": 3}, {"id": 2}]},
+    ):
+        assert not kept_zeros(changed_config(here, change), tmp_path).kept_drives(homing)
+
+
+def test_a_measured_zero_keeps_the_drives_and_they_keep_the_zero(tmp_path: Path) -> None:
+    here = changed_config(CellConfig(), REAL)
+    kept_zeros(here, tmp_path).keep(ZERO)
+    kept_zeros(here, tmp_path).keep_drives({2: DRIVE}, {})
+    both = kept_zeros(here, tmp_path)
+    assert both.newest == ZERO
+    assert set(both.kept_drives({})) == {2}
+    # What nobody has measured is the catalogue's, and is not kept.
+    both.keep_drives({1: DriveCharacteristic.catalogue(MODELS["XM430-W350"])}, {})
+    assert set(kept_zeros(here, tmp_path).drives) == {2}
+
+
+def test_a_self_zero_of_version_1_is_read(tmp_path: Path) -> None:
+    here = changed_config(CellConfig(), REAL)
+    zeros = kept_zeros(here, tmp_path)
+    assert zeros.path is not None
+    first = replace(SELF_ZERO, text="tactile-cell-self-zero/1")
+    kept = {"measured_s": zeros.now_s(), "hand": zeros.hand} | zero_values(ZERO)
+    write_json(zeros.path, first, kept, error=CellError)
+    read = kept_zeros(here, tmp_path)
+    assert (read.newest, read.drives, read.refused) == (ZERO, {}, "")

@@ -62,9 +62,19 @@ ANSWER = HandReply(
 
 
 def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
-    watched = {"open", "grasp", "press_pads_together", "hold_at", "squeeze", "release"}
+    watched = {
+        "open",
+        "grasp",
+        "press_pads_together",
+        "hold_at",
+        "squeeze",
+        "measure_friction",
+        "measure_load",
+        "release",
+    }
     unwatched = {"start", "start_sensor", "stop_sensor", "tare", "conditions", "inspect"}
     unwatched |= {"read_sensor", "keep_grip", "clear_fault", "shutdown"}
+    unwatched |= {"read_drives", "use_drives"}
     assert {name for name, is_watched in HAND_COMMANDS.items() if is_watched} == watched
     assert set(HAND_COMMANDS) == watched | unwatched
     with pytest.raises(ValueError, match="'close' is no command of the hand"):

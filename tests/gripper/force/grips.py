@@ -30,7 +30,6 @@ def make_grip(force_n: float = 1.0, **tuning: float) -> Grip:
         linkage=LINKAGE,
         estimate=ForceEstimate(settings.force_loop, force_n=force_n, now_s=0.0),
         stiffness=StiffnessEstimate(settings),
-        friction_share=1.0,
         apertures=apertures,
         setpoint_n=force_n,
         asked_n=force_n,
@@ -53,7 +52,7 @@ def make_period(
     if isinstance(sample, float):
         sample = ForceSample(t_s=now_s, force_n=(sample, sample), lag_s=0.0015, noise_n=0.1)
     paths = transmissions(GripperSettings(), LINKAGE, STATE.angles_rad)
-    current_a = -drive_n * paths[0].radius_m / paths[0].kt_nm_a
+    current_a = -drive_n / paths[0].n_per_a
     servos = tuple(replace(one, current_a=current_a) for one in STATE.servos)
     state = replace(STATE, t_s=now_s, aperture_velocity_m_s=speed_m_s, servos=servos)
     usual = {
@@ -62,6 +61,7 @@ def make_period(
         "arrival_n": None,
         "taper": False,
         "friction_n": FRICTION_N,
+        "doubt_n": 1.0,
         "drive_max_n": 40.0,
         "inertia_n": 0.0,
         "may_open": True,

@@ -1,6 +1,7 @@
 """The grip force by the motors' current alone, against the true one of the simulated fingers."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -11,6 +12,14 @@ from gripper.gripper import Gripper
 from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import Cycle
+
+_SDS = (0.7, 0.05)
+"""Uncertainty of servos whose torque was measured with weights, and no friction so far."""
+
+
+@pytest.fixture
+def make_cell(make_cell: Callable[..., Any]) -> Callable[..., Any]:
+    return partial(make_cell, drive_sds=_SDS)
 
 
 def by_current(cell: Any) -> Gripper:
@@ -61,7 +70,7 @@ def test_the_samples_carry_what_the_torque_figures_leave_open(
     samples = []
     gripper, _ = closed(cell)
     gripper.hold(0.1, lambda cycle: samples.append(cycle.force))
-    assert samples[-1].noise_n == pytest.approx(0.7, abs=0.1)
+    assert samples[-1].noise_n == pytest.approx(0.5, abs=0.1)
     assert abs(samples[-1].grip_n - cell.force_n) < 2.0 * samples[-1].noise_n
 
 
@@ -107,15 +116,15 @@ def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(
     cell = make_cell(kt_error=0.1, friction_error=-0.2, force_max_n=15.0)
     gripper = by_current(cell)
     most_n = largest_setpoint_n(gripper.settings.force_max_n)
-    with pytest.raises(LimitExceeded, match=r"its overshoot stays below force_max_n = 12\.8 N"):
+    with pytest.raises(LimitExceeded, match=r"its overshoot stays below force_max_n = 13\.1 N"):
         gripper.check_ramp(ForceRamp.linear(most_n + 0.1, 5.0))
     closed(cell, most_n)
     assert 12.0 < cell.peak_n < 15.0
 
 
 def test_a_cap_below_what_the_current_can_tell_is_refused(make_cell: Callable[..., Any]) -> None:
-    cell = make_cell(force_max_n=1.5)
+    cell = make_cell(force_max_n=1.1)
     with pytest.raises(
-        LimitExceeded, match=r"is known to 1\.2 N, which leaves 0\.3 N of force_max"
+        LimitExceeded, match=r"is known to 0\.6 N, which leaves 0\.5 N of force_max"
     ):
         by_current(cell)

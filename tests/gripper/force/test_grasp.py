@@ -170,7 +170,8 @@ def test_a_fault_while_the_force_settles_keeps_the_grip(make_cell) -> None:
     with pytest.raises(ForceSensorStale, match="goals are frozen"):
         cell.gripper.grasp(LINEAR, Asking(cell, 5.0, blind))
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
-    assert cell.force_n == pytest.approx(5.0, abs=0.8)
+    # A crest of the square wave on the drive may last through the 60 ms.
+    assert cell.force_n == pytest.approx(5.0, abs=1.1)
 
 
 def test_what_is_held_after_an_ended_ramp_is_looked_after(cell) -> None:

@@ -16,9 +16,12 @@ from gripper.mechanics.impact import approach_speed_m_s, check_approach, impact_
 from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.servos.goals import GoalGuard
 from gripper.settings import GripperSettings, ServoSettings
+from tests.values import measured_drives
 
 LINKAGE = ParallelLinkage(link_m=0.06)
-SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)))
+SETTINGS = measured_drives(
+    GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)))
+)
 HARMED = {
     "gripper.force_max_n": 12.0,
     "gripper.approach_speed_mm_s": 100.0,

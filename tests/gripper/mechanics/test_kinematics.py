@@ -3,6 +3,7 @@ from math import asin, pi
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion, Transmission
@@ -45,7 +46,7 @@ def test_torque_follows_from_virtual_work(linkage: Linkage, aperture_m: float) -
 
 
 def test_the_papers_figures_of_current_and_force() -> None:
-    path = Transmission.at(XM430_W350, ParallelLinkage(link_m=0.06), 0.0)
+    path = Transmission(DriveCharacteristic.catalogue(XM430_W350), 0.06)
     assert path.force_band_n(0.3)[0] == pytest.approx(5.2, abs=0.06)
     assert path.force_band_n(0.46)[0] == pytest.approx(9.9, abs=0.06)
     assert path.force_band_n(1.0)[0] == pytest.approx(25.8, abs=0.06)
@@ -56,9 +57,14 @@ def test_the_papers_figures_of_current_and_force() -> None:
 @settings(derandomize=True, max_examples=50)
 @given(st.floats(0.0, 30.0))
 def test_currents_bound_the_band(force_n: float) -> None:
-    path = Transmission(kt_nm_a=1.769, friction_nm=0.2214, radius_m=0.05)
+    path = Transmission(
+        DriveCharacteristic(
+            breakaway_a=0.1, coulomb_a=0.1, rising_a_nm=0.6, falling_a_nm=0.5, kt_nm_a=1.7
+        ),
+        0.05,
+    )
     assert path.force_band_n(path.loading_current_a(force_n))[0] == pytest.approx(force_n, abs=1e-9)
-    unloading_a = (force_n * path.radius_m - path.friction_nm) / path.kt_nm_a
+    unloading_a = force_n * path.radius_m * 0.5 - 0.1
     assert path.force_band_n(unloading_a)[1] == pytest.approx(force_n, abs=1e-9)
 
 

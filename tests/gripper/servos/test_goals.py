@@ -17,7 +17,7 @@ from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import ServoFeedback
-from tests.values import make_servo, make_state
+from tests.values import make_servo, make_state, measured_drives
 
 LINKAGE = ParallelLinkage(link_m=0.06)
 
@@ -94,7 +94,7 @@ def test_a_current_that_makes_more_than_the_cap_is_refused(make_cell) -> None:
         GoalGuard(cell.settings, cell.linkage).check(goals, state, state.t_s)
 
 
-PAIR = GripperSettings()
+PAIR = measured_drives(GripperSettings())
 FRICTION_N, ONE_N_A = 3.69, 0.06 / 1.769
 """Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
 
@@ -107,13 +107,12 @@ def standing(velocity_rad_s: float) -> ServoFeedback:
 @pytest.mark.parametrize(
     ("goal", "drive_n"),
     [
-        # 1.15 times what is asked for, 1.5 N for the mass, 1.05 times the friction.
-        ({"setpoint_n": 4.0}, 4.6 + 1.5 + 1.05 * FRICTION_N),
-        ({"setpoint_n": 8.0}, 9.2 + 1.5 + 1.05 * FRICTION_N),
-        ({"setpoint_n": 4.0, "friction_share": 0.6}, 4.6 + 1.5 + 0.63 * FRICTION_N),
-        ({"setpoint_n": 14.2}, 15.0 + FRICTION_N),
+        # 1.041 times what is asked for, 1.5 N for the mass, 1.05 times the friction.
+        ({"setpoint_n": 4.0}, 4.163 + 1.5 + 1.05 * FRICTION_N),
+        ({"setpoint_n": 8.0}, 8.327 + 1.5 + 1.05 * FRICTION_N),
+        ({"setpoint_n": 14.2}, 15.0 / 1.041 + 0.82 * FRICTION_N),
         # Fingers that press on nothing: below the cap, with the least friction.
-        ({}, 13.5 + 0.8 * FRICTION_N),
+        ({}, 13.5 / 1.041 + 0.82 * FRICTION_N),
     ],
 )
 def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(

@@ -12,7 +12,7 @@ from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import Cycle, GripperPhase, ServoFeedback
-from tests.values import make_servo, make_state
+from tests.values import make_servo, make_state, measured_drives
 
 LINKAGE = ParallelLinkage(link_m=0.06)
 SETTINGS = GripperSettings(
@@ -40,7 +40,7 @@ def state(t_s: float, aperture_m: float, speed_m_s: float, current_a: float = 0.
 
 
 def new_approach(aperture_m: float = 0.02) -> Approach:
-    return Approach(SETTINGS, LINKAGE, state(0.0, aperture_m, 0.0))
+    return Approach(measured_drives(SETTINGS), LINKAGE, state(0.0, aperture_m, 0.0))
 
 
 def step(
@@ -123,17 +123,17 @@ def test_time_out_is_the_limit() -> None:
 )
 def test_a_standstill_at_the_current_limit_is_a_contact_with_one_pad_alone(one_pad_n, ends) -> None:
     approach = new_approach()
-    closing_a = approach.current_a
+    closing_a = approach.currents_a[0]
     event, i = ApproachEvent.CLOSING, 0
     while event is ApproachEvent.CLOSING:
         t_s = DT_S * i
-        at = state(t_s, 0.01, 0.0, approach.current_a)
+        at = state(t_s, 0.01, 0.0, approach.currents_a[0])
         event, _ = step(approach, t_s, DT_S, at, sample(t_s, 0.0, one_pad_n))
         i += 1
     assert event is ends
     assert 0.4 < DT_S * i < 0.7
-    assert (approach.current_a > closing_a) is (one_pad_n == 0.0)
-    assert approach.current_a <= closing_a * 1.6 + 1e-9
+    assert (approach.currents_a[0] > closing_a) is (one_pad_n == 0.0)
+    assert approach.currents_a[0] <= closing_a * 1.6 + 1e-9
 
 
 def test_an_invalid_sample_shows_no_contact() -> None:

@@ -1,6 +1,7 @@
 """The watch over a part alone: stages of its doubt, and the witnesses that end it."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -50,7 +51,7 @@ class Watched:
             frame_n=(self.frame_n, self.frame_n),
         )
         paths = transmissions(self.grip.settings, LINKAGE, STATE.angles_rad)
-        current_a = -self.pressing_n * paths[0].radius_m / paths[0].kt_nm_a
+        current_a = -self.pressing_n / paths[0].n_per_a
         servos = tuple(
             replace(
                 one, current_a=current_a, velocity_rad_s=-0.5 * self.closing_m_s / paths[0].radius_m
@@ -265,11 +266,17 @@ def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> Non
 
 @pytest.mark.parametrize("final_n", [3.0, 8.0])
 def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
-    cell = make_cell(rate_hz=333.0, noise_n=0.3)
-    cell.hold_part(ForceRamp.linear(final_n, rate_n_s=10.0))
-    with pytest.raises(PartLost):
-        cell.gripper.hold(1.0, cell.once(lambda: setattr(cell.part, "present", False), in_s=0.4))
-    assert cell.clock.monotonic() - cell.acted_s[0] < 0.017
+    took_s = []
+    for seed in (7, 8, 9):
+        cell = make_cell(rate_hz=333.0, noise_n=0.3, seed=seed)
+        cell.hold_part(ForceRamp.linear(final_n, rate_n_s=10.0))
+        take = cell.once(partial(setattr, cell.part, "present", False), in_s=0.4)
+        with pytest.raises(PartLost):
+            cell.gripper.hold(1.0, take)
+        took_s.append(cell.clock.monotonic() - cell.acted_s[0])
+    # One unlucky sample may cost a period.
+    assert sorted(took_s)[1] < 0.017
+    assert max(took_s) < 0.025
 
 
 @pytest.mark.parametrize("force_n", [0.7, 1.5])

@@ -1,0 +1,172 @@
+"""Drive characteristic of one servo: how its current becomes torque, and how sure that is.
+
+Two measured lines bound what a current holds: the load rises at ``rising_a_nm * load +
+breakaway_a``, and falls at ``falling_a_nm * load - breakaway_a``. In free motion the current is
+``offset_a +- friction_a(speed)``. Loads are torques at the output by the force of the pads; only
+``kt_nm_a`` does not rest on the pads.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import exp, hypot, log
+from typing import NamedTuple, Self
+
+from gripper.dynamixel.models import ServoModel
+from gripper.errors import LimitExceeded
+
+SIGMAS = 2.0
+"""Standard deviations up to which a value is plausible: 95 % of all servos. [statistics]"""
+_FRICTION_SD, _KT_SD = 0.7, 0.15
+"""Standard deviation of the logarithm of the friction current, and of torque for current, between
+two servos of one model: a quarter to four times, and 30 %. The catalogue alone is so uncertain.
+[assumed]"""
+
+_MEASURED_FRICTION_SD, _MEASURED_LOAD_SD = 0.1, 0.02
+"""The same within a day, once both were measured. [assumed]"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveCharacteristic:
+    """Relation of current, torque and motion of one servo, with its uncertainty.
+
+    Each ``_sd`` is the standard deviation of a natural logarithm, about a share.
+    """
+
+    coulomb_a: float
+    stribeck_a: float = 0.0
+    viscous_a_s: float = 0.0
+    """Friction current of free motion: constant, what comes to it at rest in A, and its growth in A
+    for each rad/s (arXiv 2410.08650, with Stribeck's term)."""
+    stribeck_rad_s: float = 2.5
+    stribeck_exponent: float = 1.0
+    """Speed in rad/s at which Stribeck's term has fallen to 37 %, and how steeply it falls."""
+    offset_a: float = 0.0
+    """Half the sum of both directions' currents in A: gravity, and the offset of the sensor."""
+    breakaway_a: float
+    """Current in A beyond that of the load at which the load begins to rise."""
+    friction_sd: float = _FRICTION_SD
+    """Uncertainty of the five currents."""
+    rising_a_nm: float
+    falling_a_nm: float
+    """Growth of the current in A for each N m of a load that rises, or falls."""
+    load_sd: float = _KT_SD
+    """Uncertainty of both."""
+    kt_nm_a: float
+    """Torque at the output in N m for each A of a rising load, by catalogue and back-EMF."""
+    kt_sd: float = _KT_SD
+    """Its uncertainty."""
+    back_emf_v_s: float | None = None
+    """Voltage in V that the motor makes for each rad/s of the output; None: not measured."""
+    kt_per_back_emf: float | None = None
+    """Motor constant over back-EMF, by pads that weights have shown to be right; None: the model's.
+    """
+    temperature_c: float | None = None
+    """Temperature of the servo in degrees Celsius; None: not measured."""
+    measured_s: float = 0.0
+    """Unix time of the measurement in s; 0: never, these are figures of the catalogue."""
+
+    def __post_init__(self) -> None:
+        positive = {
+            name: getattr(self, name)
+            for name in ("breakaway_a", "rising_a_nm", "falling_a_nm", "kt_nm_a")
+        }
+        for name, value in positive.items():
+            if not 0.0 < value < float("inf"):
+                raise LimitExceeded(f"{name} is {value}, must be above 0 and finite")
+
+    @classmethod
+    def catalogue(cls, model: ServoModel) -> Self:
+        """Return the figures of a model, uncertain as servos of one model differ."""
+        friction_a = model.friction_nm / model.kt_nm_a
+        return cls(
+            coulomb_a=friction_a,
+            breakaway_a=friction_a,
+            rising_a_nm=1.0 / model.kt_nm_a,
+            falling_a_nm=1.0 / model.kt_nm_a,
+            kt_nm_a=model.kt_nm_a,
+        )
+
+    @property
+    def measured(self) -> bool:
+        """Whether the friction was measured."""
+        return self.friction_sd < _FRICTION_SD
+
+    @property
+    def once_measured(self) -> Self:
+        """The same values, no more uncertain than a measurement leaves them."""
+        return replace(
+            self,
+            friction_sd=min(self.friction_sd, _MEASURED_FRICTION_SD),
+            load_sd=min(self.load_sd, _MEASURED_LOAD_SD),
+        )
+
+    @property
+    def distrusted(self) -> Self:
+        """The same values, its friction as uncertain as that of any servo of its model."""
+        return replace(self, friction_sd=_FRICTION_SD)
+
+    @property
+    def least_breakaway_a(self) -> float:
+        """Least plausible friction at rest in A."""
+        return self.breakaway_a * exp(-SIGMAS * self.friction_sd)
+
+    @property
+    def most_breakaway_a(self) -> float:
+        """Largest plausible friction at rest in A."""
+        return self.breakaway_a * exp(SIGMAS * self.friction_sd)
+
+    @property
+    def most_torque_nm_a(self) -> float:
+        """Largest plausible torque for current in N m / A: the pads may be weak."""
+        return max(exp(SIGMAS * self.load_sd) / self.rising_a_nm, self.kt_nm_a)
+
+    @property
+    def disagreement(self) -> float:
+        """Logarithm of the torque by pads over that by the motor constant; 0 where both agree.
+
+        A weak pad and a weak motor look alike.
+        """
+        apart = -log(self.rising_a_nm * self.kt_nm_a)
+        beyond = abs(apart) - SIGMAS * hypot(self.load_sd, self.kt_sd)
+        return apart if beyond > 0.0 else 0.0
+
+    def friction_a(self, speed_rad_s: float) -> float:
+        """Return the friction current in A of free motion at a speed in rad/s."""
+        slow = exp(-((abs(speed_rad_s) / self.stribeck_rad_s) ** self.stribeck_exponent))
+        return self.coulomb_a + slow * self.stribeck_a + self.viscous_a_s * abs(speed_rad_s)
+
+    def moving_a(self, speed_rad_s: float) -> float:
+        """Return the larger one of the friction currents in A at rest and at a speed in rad/s."""
+        return max(self.breakaway_a, self.friction_a(speed_rad_s))
+
+
+class Drives:
+    """The newest drive characteristic of each servo, by its ID: the one place that has them.
+
+    All that converts between current and force reads it here, with its uncertainty.
+    """
+
+    def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
+        self._newest = dict(newest or {})
+
+    def of(self, servo_id: int, unmeasured: DriveCharacteristic) -> DriveCharacteristic:
+        """Return that of a servo; where it was never measured the given one."""
+        return self._newest.get(servo_id, unmeasured)
+
+    @property
+    def newest(self) -> dict[int, DriveCharacteristic]:
+        """Those that were measured or given."""
+        return dict(self._newest)
+
+    def put(self, servo_id: int, drive: DriveCharacteristic) -> None:
+        """Replace that of a servo."""
+        self._newest[servo_id] = drive
+
+
+class DriveReport(NamedTuple):
+    """What a gripper knows of its servos."""
+
+    drives: Mapping[int, DriveCharacteristic]
+    """By the servos' IDs; of those that nobody has measured there is none."""
+    notes: tuple[str, ...] = ()
+    """Unusual changes since the last report, each with its likely cause."""

@@ -1,0 +1,235 @@
+"""Free motion of the fingers: what it shows of the friction of each servo."""
+
+from collections import deque
+from dataclasses import replace
+from math import exp, sqrt
+from statistics import fmean, median, pstdev
+
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.errors import ServoFault
+from gripper.force.loop import Moment
+from gripper.mechanics.identification import (
+    FreePoint,
+    anchored,
+    change,
+    fit_back_emf,
+    fit_friction,
+)
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.values.state import ServoFeedback, ServoState
+
+_AFTER_START_S = 0.06
+"""Time in s from the start of free motion until its current is that of friction alone. [tuned]"""
+_BEFORE_END_S = 0.05
+"""Time in s before the end of free motion that is left out: the pads report a contact late.
+[tuned]"""
+_WINDOW_S = 0.4
+"""Time in s of free motion that one point is taken over. [tuned]"""
+_LEAST_PERIODS = 12
+"""Least periods of one point: 0.06 s at 200 Hz. [tuned]"""
+_STEADY_SHARE, _STEADY_COUNTS, _LEAST_COUNTS = 0.1, 1.5, 0.5
+"""By what share and how many counts the speed of a steady motion may differ from its mean, and the
+least speed in counts. [resolution]"""
+_EVEN_SHARE = 0.15
+"""Share by which the current of both halves of a free motion may differ. [tuned]"""
+_SAME_SPEED = 1.3
+"""Speeds whose ratio is less are one point: the newest motion counts. [chosen]"""
+_MOST_POINTS = 16
+"""Newest points that are kept of a servo. [chosen]"""
+_COLD_K = 8.0
+"""Fall of the temperature in K that makes grease stiff. [assumed]"""
+_WORN = 5.0
+"""Friction over the catalogue's, or its inverse, that no sound servo has. [assumed]"""
+
+
+class FreeMotion:
+    """Watcher of the servos while nothing touches; keeps their friction in `settings.drives`.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._settings = settings
+        self._points: dict[int, list[FreePoint]] = {}
+        self._runs = {servo.servo_id: _Run() for servo in settings.servos}
+        self._priors: dict[int, DriveCharacteristic] = {}
+        self.notes: list[str] = []
+        """Unusual changes that nobody has taken yet."""
+
+    def forget(self) -> None:
+        """Discard all points: other characteristics were given."""
+        self._points.clear()
+        self._priors.clear()
+
+    def distrust(self) -> None:
+        """Take no friction for known: after a fault the next motion measures it anew."""
+        self.forget()
+        for servo in self._settings.servos:
+            drive = self._drive(servo)
+            if drive.measured:
+                self._settings.drives.put(servo.servo_id, drive.distrusted)
+
+    def begin(self) -> None:
+        """Begin a motion."""
+        for run in self._runs.values():
+            run.begin()
+
+    def push(self, moment: Moment, *, free: bool) -> None:
+        """Add one period, in which all fingers may move ``free``, or something may touch them."""
+        for servo, settings in zip(moment.state.servos, self._settings.servos, strict=True):
+            run = self._runs[servo.servo_id]
+            if not (free and run.goes_on(servo, settings.servo_model.velocity_unit_rad_s)):
+                self._take(settings, servo, run)
+                run.begin()
+            run.add(moment.now_s, servo, settings)
+            drive = self._drive(settings)
+            if not drive.measured and run.lasts():
+                # The rest of the first motion is made with what its beginning has shown.
+                self._take(settings, servo, run)
+
+    def end(self, state: ServoFeedback) -> None:
+        """End a motion with its last feedback, and take what it has shown.
+
+        Raises ServoFault where a servo takes what no sound one does.
+        """
+        for servo, settings in zip(state.servos, self._settings.servos, strict=True):
+            self._take(settings, servo, self._runs[servo.servo_id])
+        self.begin()
+
+    def compare(self) -> None:
+        """Note where pads and motor constant contradict each other: neither follows the other."""
+        for servo in self._settings.servos:
+            apart = self._drive(servo).disagreement
+            begin = f"servo {servo.servo_id}: by the pads"
+            if apart and not any(note.startswith(begin) for note in self.notes):
+                self.notes.append(
+                    f"{begin} 1 A makes {exp(apart):.2f} times the torque of its motor constant: "
+                    f"the law of the pads, or the current scale, is off. Press a known weight on "
+                    f"the pads: `tactile-cell commission --redo pads_law`"
+                )
+
+    def _drive(self, settings: ServoSettings) -> DriveCharacteristic:
+        return self._settings.drives.of(settings.servo_id, settings.drive)
+
+    def _take(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
+        """Fit the friction of a servo anew with the motion that has ended."""
+        point = run.point()
+        if point is None:
+            return
+        drive, servo_id, model = self._drive(settings), settings.servo_id, settings.servo_model
+        points = self._points.setdefault(servo_id, [])
+        ratio = change(point, drive)
+        prior = self._priors.setdefault(servo_id, drive)
+        if ratio != 1.0:
+            self._note(servo, drive, ratio)
+            points.clear()
+            self._priors[servo_id] = prior = drive.distrusted
+        points[:] = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
+        points.append(point)
+        found = fit_friction(points, prior)
+        found = replace(
+            found,
+            rising_a_nm=drive.rising_a_nm,
+            falling_a_nm=drive.falling_a_nm,
+            load_sd=drive.load_sd,
+            temperature_c=servo.temperature_c,
+        )
+        if (back_emf_v_s := fit_back_emf(points, model)) is not None:
+            found = anchored(found, model, back_emf_v_s)
+        self._settings.drives.put(servo_id, found)
+        usual_a = DriveCharacteristic.catalogue(model).breakaway_a
+        if not 1.0 / _WORN < found.breakaway_a / usual_a < _WORN:
+            raise ServoFault(
+                servo_id,
+                0,
+                f"its free motion takes {found.breakaway_a:.3f} A, {usual_a:.3f} A are usual for a "
+                f"{model.name}: {_cause(found.breakaway_a / usual_a, 0.0)}. Free the finger, or "
+                f"change the servo; then clear the fault, release and start",
+            )
+
+    def _note(self, servo: ServoState, drive: DriveCharacteristic, ratio: float) -> None:
+        warmer_k = servo.temperature_c - (drive.temperature_c or servo.temperature_c)
+        self.notes.append(
+            f"servo {servo.servo_id}: its free motion takes {ratio:.2f} times the current of "
+            f"before: {_cause(ratio, warmer_k)}. It is measured anew; `tactile-cell zero` measures "
+            f"the rest"
+        )
+
+
+def _cause(ratio: float, warmer_k: float) -> str:
+    if ratio > 1.0:
+        return "its grease is cold" if warmer_k < -_COLD_K else "a cable drags, or it is worn"
+    return (
+        "its grease is warm" if warmer_k > _COLD_K else "its horn or linkage is loose, or changed"
+    )
+
+
+def _alike(one: FreePoint, other: FreePoint) -> bool:
+    ratio = one.speed_rad_s / other.speed_rad_s
+    return 1.0 / _SAME_SPEED < ratio < _SAME_SPEED
+
+
+class _Run:
+    """Steady motion of one servo."""
+
+    def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin another one."""
+        self._since_s: float | None = None
+        self._periods: deque[tuple[float, float, float, float]] = deque()
+
+    def goes_on(self, servo: ServoState, count_rad_s: float) -> bool:
+        """Return whether a servo moves as it did before."""
+        speed = servo.velocity_rad_s
+        if abs(speed) < _LEAST_COUNTS * count_rad_s:
+            return False
+        if not self._periods:
+            return True
+        mean = fmean(one[1] for one in list(self._periods)[-_LEAST_PERIODS:])
+        return abs(speed - mean) <= _STEADY_SHARE * abs(mean) + _STEADY_COUNTS * count_rad_s
+
+    def add(self, now_s: float, servo: ServoState, settings: ServoSettings) -> None:
+        """Add one period."""
+        if self._since_s is None:
+            self._since_s = now_s
+        voltage_v = servo.pwm_share * servo.voltage_v
+        self._periods.append((now_s, servo.velocity_rad_s, servo.current_a, voltage_v))
+        while self._periods[0][0] < now_s - _WINDOW_S - _BEFORE_END_S:
+            self._periods.popleft()
+
+    def _inner(self) -> list[tuple[float, float, float, float]]:
+        if self._since_s is None or not self._periods:
+            return []
+        first_s, last_s = self._since_s + _AFTER_START_S, self._periods[-1][0] - _BEFORE_END_S
+        return [one for one in self._periods if first_s <= one[0] <= last_s]
+
+    def lasts(self) -> bool:
+        """Return whether it is long enough for a point."""
+        return len(self._inner()) >= _LEAST_PERIODS
+
+    def point(self) -> FreePoint | None:
+        """Return what it has shown; None where it was too short."""
+        inner = self._inner()
+        if len(inner) < _LEAST_PERIODS:
+            return None
+        speed_rad_s = fmean(one[1] for one in inner)
+        current_a = median(one[2] for one in inner)
+        half = len(inner) // 2
+        halves_a = [median(one[2] for one in part) for part in (inner[:half], inner[half:])]
+        if speed_rad_s * current_a <= 0.0 or abs(halves_a[1] - halves_a[0]) > _EVEN_SHARE * abs(
+            current_a
+        ):
+            # It is driven from outside, slows down, or presses on something.
+            return None
+        voltage_v = fmean(one[3] for one in inner)
+        return FreePoint(
+            speed_rad_s=speed_rad_s,
+            current_a=current_a,
+            sd_a=pstdev([one[2] for one in inner]) / sqrt(len(inner) / 4.0),
+            voltage_v=voltage_v or None,
+        )

@@ -1,0 +1,269 @@
+"""Identification of a servo's drive from what it does: pure functions, no clock and no bus.
+
+Free motion shows friction in amperes, and with its voltages the back-EMF. Fingers that press on
+each other, one locked by its friction and the other one moved slowly, show amperes for each N m.
+Neither shows the motor constant and the gain of the pads apart: the back-EMF is the anchor.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import hypot, log
+from typing import NamedTuple
+
+import numpy as np
+
+from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
+from gripper.dynamixel.models import ServoModel
+
+_SHAPES = ((2.5, 1.0), (2.5, 0.8), (2.0, 1.5), (2.5, 2.0), (2.9, 4.0), (2.9, 8.7), (1.0, 1.0))
+"""Speeds in rad/s and exponents of Stribeck's term that are tried: those of the gearings that were
+identified (arXiv 2410.08650), and between."""
+_STRIBECK_SD, _VISCOUS_SD_S, _OFFSET_SD = 0.4, 0.15, 0.05
+"""Standard deviations of Stribeck's term, of the viscous one for 1 rad/s and of the offset before
+any of them was measured, as shares of the friction. [assumed]"""
+_POINT_SD = 0.02
+"""Error of the current of one free motion that its length does not lessen, as a share: teeth,
+temperature, acceleration. [assumed]"""
+LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
+"""Least uncertainty of a measured friction, which wanders from one motion to the next, and of
+amperes for each N m. [assumed]"""
+_CHANGE_SD = 0.1
+"""Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
+_BACK_EMF_SD, _UNPRESSED_SD = 0.1, 0.12
+"""Spread of the back-EMF over the motor constant within a model, as a share, and uncertainty of the
+amperes for each N m that follow from it alone. [assumed]"""
+_WEIGHED_SD = 0.05
+"""Uncertainty of a motor constant that weights on the pads have shown: scale, friction that grows
+with the load. [assumed]"""
+_VOLTAGE_SD_V, _RESISTANCE_SD = 0.02, 0.15
+"""Error of a voltage in V, and spread of the winding's resistance as a share: it grows by 20 % with
+50 K. [assumed]"""
+_BLOCKS, _LEAST_BLOCKS = 30, 6
+"""Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
+_LOCKED, _ENDS = 0.25, 0.05
+"""Shares of the way of the load that are left out after a turn, and before the next. [tuned]"""
+_ALIKE = 2.0
+"""By so much more than their scatter the means of neighbouring parts are off together. [tuned]"""
+_FALLING_BASE = (0.7, 0.4)
+"""Breakaway of a falling load over that of a rising one, and its uncertainty: 0.3 to 1 for gearings
+that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
+_SUREST = 0.1
+"""Largest uncertainty of a slope that counts, as a share. [chosen]"""
+_LEAST_SPAN = 1.5
+"""Least ratio of the speeds that show resistance and back-EMF apart."""
+_OUTLIER_SIGMAS = 2.5
+"""Points farther from a line, in standard deviations, are left out once."""
+
+
+class FreePoint(NamedTuple):
+    """Steady free motion of one servo; all signs are those of the opening gripper."""
+
+    speed_rad_s: float
+    current_a: float
+    sd_a: float
+    """Standard deviation of the mean current in A."""
+    voltage_v: float | None = None
+    """Voltage that the servo has put on its motor; None: not known."""
+
+
+class LoadPoint(NamedTuple):
+    """Load in N m of a servo that presses, by the pads, and its current in A; both from 0 up."""
+
+    load_nm: float
+    current_a: float
+
+
+def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> DriveCharacteristic:
+    """Return a characteristic with the friction that free motions show.
+
+    Parameters
+    ----------
+    points
+        Free motions; four speeds or more in both directions, one at 0.3 rad/s or slower, show
+        all of it. What they leave open is as it was.
+    before
+        What was known, as a prior with its uncertainty.
+    """
+    if not points:
+        return before
+    scale_a = float(np.median([abs(point.current_a) for point in points]))
+    if before.measured:
+        spread_a = before.friction_sd * before.breakaway_a
+        sds = (spread_a, spread_a, spread_a, _OFFSET_SD * scale_a)
+        shapes: Sequence[tuple[float, float]] = ((before.stribeck_rad_s, before.stribeck_exponent),)
+        if before.stribeck_a == 0.0:
+            shapes = _SHAPES
+        prior = (before.coulomb_a, before.stribeck_a, before.viscous_a_s, before.offset_a)
+    else:
+        sds = (
+            10.0 * scale_a,
+            _STRIBECK_SD * scale_a,
+            _VISCOUS_SD_S * scale_a,
+            _OFFSET_SD * scale_a,
+        )
+        prior, shapes = (scale_a, 0.0, 0.0, 0.0), _SHAPES
+    speed = np.array([abs(point.speed_rad_s) for point in points])
+    sign = np.array([1.0 if point.speed_rad_s > 0.0 else -1.0 for point in points])
+    sd = np.array([hypot(point.sd_a, _POINT_SD * point.current_a) for point in points])
+    current = np.array([point.current_a for point in points])
+    best: tuple[float, tuple[float, float], np.ndarray, np.ndarray] | None = None
+    for shape in shapes:
+        slow = np.exp(-((speed / shape[0]) ** shape[1]))
+        rows = np.column_stack([sign, sign * slow, sign * speed, np.ones(len(points))])
+        whole = np.vstack([rows / sd[:, None], np.diag(1.0 / np.array(sds))])
+        wanted = np.concatenate([current / sd, np.array(prior) / np.array(sds)])
+        found = np.linalg.lstsq(whole, wanted, rcond=None)[0]
+        misfit = float(((whole @ found - wanted) ** 2).sum())
+        if best is None or misfit < best[0] - 1e-9:
+            best = misfit, shape, found, np.linalg.inv(whole.T @ whole)
+    assert best is not None
+    _, shape, (coulomb, stribeck, viscous, offset), covariance = best
+    rest_a = max(float(coulomb + stribeck), 0.1 * scale_a)
+    rest_sd = float((covariance[:2, :2].sum()) ** 0.5) / rest_a
+    rested_a = before.coulomb_a + before.stribeck_a
+    return replace(
+        before,
+        coulomb_a=rest_a - float(stribeck),
+        stribeck_a=float(stribeck),
+        viscous_a_s=float(viscous),
+        stribeck_rad_s=shape[0],
+        stribeck_exponent=shape[1],
+        offset_a=float(offset),
+        breakaway_a=before.breakaway_a * rest_a / rested_a if before.measured else rest_a,
+        friction_sd=max(rest_sd, LEAST_FRICTION_SD),
+    )
+
+
+def fit_load(
+    rising: Sequence[LoadPoint], falling: Sequence[LoadPoint], before: DriveCharacteristic
+) -> DriveCharacteristic:
+    """Return a characteristic with amperes for each N m, and with the breakaway.
+
+    Points, in the order of time, must be those of a servo that moves: it alone, slowly, while the
+    other one stands. A direction that shows too little stays as it was; the friction before is a
+    prior with its uncertainty.
+    """
+    up, down = _line(rising, before, rises=True), _line(falling, before, rises=False)
+    if up is None:
+        return before
+    # Where the gearing gives way it needs no more than where it drives.
+    relief = before.falling_a_nm / before.rising_a_nm if down is None else down.slope / up.slope
+    return replace(
+        before,
+        rising_a_nm=up.slope,
+        falling_a_nm=up.slope * min(relief, 1.0),
+        breakaway_a=max(up.base, 0.1 * before.breakaway_a),
+        load_sd=max(up.slope_share, _LEAST_LOAD_SD),
+    )
+
+
+def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None:
+    """Return the back-EMF of free motions in V for each rad/s; None where they do not show it.
+
+    The voltage on the motor is that of its winding, R i, and the back-EMF. R is the model's, but
+    for its uncertainty.
+    """
+    known = [point for point in points if point.voltage_v is not None]
+    speeds = [abs(point.speed_rad_s) for point in known]
+    if len(known) < 3 or max(speeds) < _LEAST_SPAN * min(speeds):
+        return None
+    resistance_ohm = model.nominal_voltage_v / model.stall_current_a
+    weight = _VOLTAGE_SD_V / (_RESISTANCE_SD * resistance_ohm)
+    rows = [(point.current_a, point.speed_rad_s) for point in known]
+    volts = [point.voltage_v for point in known]
+    found = np.linalg.lstsq(
+        np.array([*rows, (weight, 0.0)]), np.array([*volts, weight * resistance_ohm]), rcond=None
+    )[0]
+    return float(found[1]) if min(found) > 0.0 else None
+
+
+def anchored(
+    drive: DriveCharacteristic, model: ServoModel, back_emf_v_s: float
+) -> DriveCharacteristic:
+    """Return a characteristic whose motor constant follows the back-EMF, and no pad.
+
+    A magnet that is weaker makes less torque and less back-EMF, in the same share. A motor constant
+    that is known better, by the config, stays.
+    """
+    ratio, sd = drive.kt_per_back_emf, _WEIGHED_SD
+    if ratio is None:
+        resistance_ohm = model.nominal_voltage_v / model.stall_current_a
+        idle_v = resistance_ohm * model.friction_nm / model.kt_nm_a
+        expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
+        ratio, sd = model.kt_nm_a / expected_v_s, _BACK_EMF_SD
+    values = replace(drive, back_emf_v_s=back_emf_v_s)
+    if drive.kt_sd >= sd:
+        values = replace(values, kt_nm_a=ratio * back_emf_v_s, kt_sd=sd)
+    kt_nm_a = values.kt_nm_a
+    if drive.load_sd < _UNPRESSED_SD:
+        return values
+    # No pad has measured the load.
+    relief = drive.falling_a_nm / drive.rising_a_nm
+    return replace(
+        values, rising_a_nm=1.0 / kt_nm_a, falling_a_nm=relief / kt_nm_a, load_sd=_UNPRESSED_SD
+    )
+
+
+def weighed(drive: DriveCharacteristic) -> DriveCharacteristic:
+    """Return a characteristic whose motor constant is that of its load, by pads under weights.
+
+    From now on its back-EMF keeps that constant, and pads that change contradict it.
+    """
+    if drive.back_emf_v_s is None or drive.load_sd >= _UNPRESSED_SD:
+        return drive
+    kt_nm_a = 1.0 / drive.rising_a_nm
+    ratio = kt_nm_a / drive.back_emf_v_s
+    return replace(drive, kt_nm_a=kt_nm_a, kt_sd=_WEIGHED_SD, kt_per_back_emf=ratio)
+
+
+def change(point: FreePoint, drive: DriveCharacteristic) -> float:
+    """Return the friction of a free motion over the expected one where that is implausible, else 1.
+
+    Only a measured friction can be contradicted.
+    """
+    sign = 1.0 if point.speed_rad_s > 0.0 else -1.0
+    found_a = sign * (point.current_a - drive.offset_a)
+    ratio = max(found_a, 1e-3 * drive.breakaway_a) / drive.friction_a(point.speed_rad_s)
+    allowed = SIGMAS * hypot(drive.friction_sd, _CHANGE_SD, point.sd_a / abs(point.current_a))
+    return ratio if drive.measured and abs(log(ratio)) > allowed else 1.0
+
+
+class _Line(NamedTuple):
+    """Line of current over load: A for each N m, A without a load, uncertainty of the slope."""
+
+    slope: float
+    base: float
+    slope_share: float
+
+
+def _line(points: Sequence[LoadPoint], before: DriveCharacteristic, *, rises: bool) -> _Line | None:
+    """Return the line of a servo whose load rises or falls; None where the points show none."""
+    size = max(1, len(points) // _BLOCKS)
+    n_blocks = len(points) // size
+    if n_blocks < _LEAST_BLOCKS:
+        return None
+    # The noise of single loads would make the line too flat.
+    blocks = np.array(points[: n_blocks * size]).reshape(n_blocks, size, 2).mean(axis=1)
+    low, high = blocks[:, 0].min(), blocks[:, 0].max()
+    # Where the direction has turned, friction locks the finger.
+    least, most = (_LOCKED, 1.0 - _ENDS) if rises else (_ENDS, 1.0 - _LOCKED)
+    way = (blocks[:, 0] - low) / max(high - low, 1e-9)
+    load, current = blocks[(way >= least) & (way <= most)].T
+    if len(load) < _LEAST_BLOCKS:
+        return None
+    share, sd_share = (1.0, max(before.friction_sd, LEAST_FRICTION_SD)) if rises else _FALLING_BASE
+    base = share * before.breakaway_a * (1.0 if rises else -1.0)
+    base_sd = sd_share * before.breakaway_a
+    rows, sd = np.column_stack([load, np.ones(len(load))]), base_sd
+    for _ in range(3):
+        whole = np.vstack([rows / sd, [0.0, 1.0 / base_sd]])
+        wanted = np.append(current / sd, base / base_sd)
+        found = np.linalg.lstsq(whole, wanted, rcond=None)[0]
+        sd = max(_ALIKE * float(np.median(np.abs(current - rows @ found))) / 0.6745, 1e-4)
+        near = np.abs(current - rows @ found) <= _OUTLIER_SIGMAS * sd / _ALIKE
+        rows, current = rows[near], current[near]
+    slope, base = float(found[0]), float(found[1])
+    slope_sd = float(np.linalg.inv(whole.T @ whole)[0, 0]) ** 0.5
+    if slope <= 0.0 or slope_sd > _SUREST * slope:
+        return None
+    return _Line(slope, base, slope_sd / slope)

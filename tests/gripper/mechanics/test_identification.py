@@ -1,0 +1,225 @@
+"""Identification of a drive, with synthetic data of the friction law M6 of arXiv 2410.08650."""
+
+from dataclasses import dataclass, replace
+from math import exp
+
+import numpy as np
+import pytest
+
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import MODELS, ServoModel
+from gripper.mechanics.identification import (
+    FreePoint,
+    LoadPoint,
+    anchored,
+    change,
+    fit_back_emf,
+    fit_friction,
+    fit_load,
+    weighed,
+)
+
+SPEEDS_RAD_S = (0.15, 0.25, 0.4, 0.65)
+MODEL = MODELS["XM430-W350"]
+CATALOGUE = DriveCharacteristic.catalogue(MODEL)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gearing:
+    """Friction law M6 without its quadratic part, at the output."""
+
+    kt_nm_a: float
+    base_nm: tuple[float, float]
+    drive: tuple[float, float]
+    load: tuple[float, float]
+    stribeck: tuple[float, float]
+    viscous_nm_s: float
+
+    def slow(self, speed_rad_s: float) -> float:
+        return exp(-((abs(speed_rad_s) / self.stribeck[0]) ** self.stribeck[1]))
+
+    def driven_share(self, speed_rad_s: float = 0.0) -> float:
+        """Share of the motor's torque that the gearing takes."""
+        return self.drive[0] + self.slow(speed_rad_s) * self.drive[1]
+
+    def free_a(self, speed_rad_s: float) -> float:
+        slow = self.slow(speed_rad_s)
+        friction_nm = self.base_nm[0] + slow * self.base_nm[1] + self.viscous_nm_s * speed_rad_s
+        return friction_nm / (self.kt_nm_a * (1.0 - self.driven_share(speed_rad_s)))
+
+    def loaded_a(self, load_nm: float, *, rises: bool) -> float:
+        """Current at rest at which a load begins to rise, or to fall."""
+        base_nm, driven, sign = sum(self.base_nm), self.driven_share(), 1.0 if rises else -1.0
+        # |Te le - Tm lm| with both torques of opposite signs is their sum.
+        loaded_nm = load_nm * (1.0 + sign * sum(self.load)) + sign * base_nm
+        return loaded_nm / (self.kt_nm_a * (1.0 - sign * driven))
+
+
+GEARINGS = {
+    "XL330": Gearing(
+        kt_nm_a=0.366,
+        base_nm=(0.0048, 0.0047),
+        drive=(0.267, 0.0),
+        load=(0.0, 0.081),
+        stribeck=(2.89, 8.7),
+        viscous_nm_s=0.0054,
+    ),
+    "MX-64": Gearing(
+        kt_nm_a=1.602,
+        base_nm=(0.0, 0.123),
+        drive=(0.311, 0.188),
+        load=(0.0, 0.014),
+        stribeck=(2.58, 0.84),
+        viscous_nm_s=0.025,
+    ),
+    "MX-106": Gearing(
+        kt_nm_a=2.210,
+        base_nm=(0.0, 0.122),
+        drive=(0.198, 0.199),
+        load=(0.022, 0.087),
+        stribeck=(1.75, 1.14),
+        viscous_nm_s=0.051,
+    ),
+}
+
+
+def free_points(
+    gearing: Gearing, *, speeds=SPEEDS_RAD_S, directions=(-1.0, 1.0), offset_a=0.0, seed=1
+) -> list[FreePoint]:
+    draw = np.random.default_rng(seed)
+    return [
+        FreePoint(
+            sign * speed,
+            sign * gearing.free_a(speed) * (1.0 + draw.normal(0.0, 0.01)) + offset_a,
+            0.01 * gearing.free_a(speed),
+        )
+        for speed in speeds
+        for sign in directions
+    ]
+
+
+@pytest.mark.parametrize("name", GEARINGS)
+def test_four_speeds_in_both_directions_show_the_friction_at_rest(name: str) -> None:
+    gearing = GEARINGS[name]
+    offset_a = 0.03 * gearing.free_a(0.0)
+    found = fit_friction(free_points(gearing, offset_a=offset_a), CATALOGUE)
+    true_a = gearing.free_a(0.0)
+    assert found.measured
+    assert found.breakaway_a == pytest.approx(true_a, rel=0.1)
+    assert found.offset_a == pytest.approx(offset_a, abs=0.02 * true_a)
+    for speed in SPEEDS_RAD_S:
+        assert found.friction_a(speed) == pytest.approx(gearing.free_a(speed), rel=0.05)
+
+
+def test_one_motion_shows_friction_and_leaves_the_rest_uncertain() -> None:
+    gearing = GEARINGS["MX-64"]
+    slow = fit_friction(free_points(gearing, speeds=(0.15,), directions=(-1.0,)), CATALOGUE)
+    fast = fit_friction(free_points(gearing, speeds=(2.0,), directions=(-1.0,)), CATALOGUE)
+    assert slow.friction_a(0.15) == pytest.approx(gearing.free_a(0.15), rel=0.08)
+    assert slow.friction_sd < fast.friction_sd < CATALOGUE.friction_sd
+
+
+def test_what_was_measured_is_a_prior_that_new_motions_refine() -> None:
+    gearing = GEARINGS["XL330"]
+    first = fit_friction(free_points(gearing), CATALOGUE)
+    colder = replace(gearing, base_nm=tuple(1.1 * nm for nm in gearing.base_nm))
+    kept = replace(first, friction_sd=0.2)
+    found = fit_friction(free_points(colder, speeds=(0.25,)), kept)
+    assert found.friction_a(0.25) == pytest.approx(colder.free_a(0.25), rel=0.04)
+    assert fit_friction([], kept) is kept
+
+
+def test_only_a_measured_friction_is_contradicted() -> None:
+    point = FreePoint(-0.3, -0.25, 0.002)
+    assert change(point, CATALOGUE) == 1.0
+    measured = replace(CATALOGUE, friction_sd=0.05)
+    assert change(point, measured) == pytest.approx(0.25 / CATALOGUE.breakaway_a)
+    assert change(replace_current(point, -0.13), measured) == 1.0
+
+
+def replace_current(point: FreePoint, current_a: float) -> FreePoint:
+    return point._replace(current_a=current_a)
+
+
+def load_points(gearing: Gearing, *, rises: bool, seed: int) -> list[LoadPoint]:
+    """250 samples of a load that changes slowly; the finger stands for a while at first."""
+    draw = np.random.default_rng(seed)
+    loads = np.linspace(0.1, 0.5, 200) * gearing.kt_nm_a / 1.77
+    if not rises:
+        loads = loads[::-1]
+    start_a, end_a = (gearing.loaded_a(loads[0], rises=one) for one in (not rises, rises))
+    stuck = [(loads[0], current_a) for current_a in np.linspace(start_a, end_a, 50)]
+    moving = [(load_nm, gearing.loaded_a(load_nm, rises=rises)) for load_nm in loads]
+    noise_nm = 0.02 * gearing.kt_nm_a / 1.77
+    return [LoadPoint(nm + draw.normal(0.0, noise_nm), a) for nm, a in stuck + moving]
+
+
+@pytest.mark.parametrize("name", GEARINGS)
+def test_a_press_shows_amperes_for_each_newton_of_both_directions(name: str) -> None:
+    gearing = GEARINGS[name]
+    before = fit_friction(free_points(gearing), CATALOGUE)
+    rising, falling = (load_points(gearing, rises=one, seed=2) for one in (True, False))
+    found = fit_load(rising, falling, before)
+    slopes = [
+        (gearing.loaded_a(1.0, rises=one) - gearing.loaded_a(0.0, rises=one))
+        for one in (True, False)
+    ]
+    assert found.rising_a_nm == pytest.approx(slopes[0], rel=0.1)
+    assert found.falling_a_nm == pytest.approx(slopes[1], rel=0.1)
+    assert found.breakaway_a == pytest.approx(gearing.loaded_a(0.0, rises=True), rel=0.1)
+    assert found.load_sd <= 0.1
+    assert found.kt_nm_a == before.kt_nm_a, "no pad moves the motor constant"
+
+
+def test_too_little_of_a_press_leaves_what_was_known() -> None:
+    rising = load_points(GEARINGS["XL330"], rises=True, seed=3)
+    assert fit_load(rising[:4], [], CATALOGUE) is CATALOGUE
+    assert fit_load(rising[:50], [], CATALOGUE) is CATALOGUE, "it has not moved"
+
+
+def voltage_v(model: ServoModel, point: FreePoint, k_e: float) -> FreePoint:
+    resistance_ohm = model.nominal_voltage_v / model.stall_current_a
+    return point._replace(voltage_v=resistance_ohm * point.current_a + k_e * point.speed_rad_s)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.0, 1.3])
+def test_the_back_emf_anchors_the_motor_constant_and_no_pad_does(factor: float) -> None:
+    idle_a = MODEL.friction_nm / MODEL.kt_nm_a
+    usual_v = MODEL.nominal_voltage_v * (1.0 - idle_a / MODEL.stall_current_a)
+    k_e = factor * usual_v / MODEL.no_load_rad_s
+    points = [voltage_v(MODEL, one, k_e) for one in free_points(GEARINGS["MX-64"])]
+    found_v_s = fit_back_emf(points, MODEL)
+    assert found_v_s == pytest.approx(k_e, rel=0.02)
+    found = anchored(CATALOGUE, MODEL, found_v_s)
+    assert found.kt_nm_a == pytest.approx(factor * MODEL.kt_nm_a, rel=0.02)
+    assert found.kt_sd < CATALOGUE.kt_sd
+    weak_motor = replace(found, rising_a_nm=1.0 / found.kt_nm_a, load_sd=0.02)
+    assert weak_motor.disagreement == 0.0
+    weak_pads = replace(weak_motor, rising_a_nm=1.4 / found.kt_nm_a)
+    assert weak_pads.disagreement < 0.0
+    # The pads may be wrong: the cap goes by what makes more force.
+    assert weak_pads.most_torque_nm_a == pytest.approx(found.kt_nm_a, rel=1e-6)
+
+
+def test_pads_under_weights_anchor_the_motor_constant_by_its_back_emf() -> None:
+    measured = replace(CATALOGUE, rising_a_nm=1.2 / MODEL.kt_nm_a, load_sd=0.02, back_emf_v_s=2.0)
+    found = weighed(measured)
+    assert found.kt_nm_a == pytest.approx(MODEL.kt_nm_a / 1.2)
+    assert anchored(found, MODEL, 2.0).kt_nm_a == pytest.approx(found.kt_nm_a)
+    # A magnet that is weaker moves it, a pad does not.
+    assert anchored(found, MODEL, 1.8).kt_nm_a == pytest.approx(0.9 * found.kt_nm_a)
+    weak_pads = anchored(replace(found, rising_a_nm=1.2 * found.rising_a_nm), MODEL, 2.0)
+    assert weak_pads.kt_nm_a == pytest.approx(found.kt_nm_a)
+    assert weak_pads.disagreement < 0.0
+    assert weighed(CATALOGUE) == CATALOGUE, "nothing was pressed, and no back-EMF measured"
+
+
+def test_a_motor_constant_of_the_config_is_kept() -> None:
+    given = replace(CATALOGUE, kt_nm_a=1.2, kt_sd=0.03, rising_a_nm=1.0 / 1.2, load_sd=0.03)
+    assert anchored(given, MODEL, 3.0) == replace(given, back_emf_v_s=3.0)
+
+
+def test_one_speed_shows_no_back_emf() -> None:
+    points = free_points(GEARINGS["XL330"], speeds=(0.25,))
+    assert fit_back_emf(points, MODEL) is None
+    assert fit_back_emf([voltage_v(MODEL, one, 2.0) for one in points * 2], MODEL) is None

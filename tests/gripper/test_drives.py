@@ -1,0 +1,154 @@
+"""Drives of servos that differ from their catalogue: measured while the gripper works."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.models import XM430_W350
+from gripper.errors import ServoFault
+from gripper.force.ramp import ForceRamp
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.values.outcome import GraspResult
+
+NEVER = (0.7, 0.15)
+"""Uncertainties of servos that nobody has measured."""
+RAMP = ForceRamp.linear(6.0, 8.0, 0.5)
+
+
+def drives(cell: Any) -> list[DriveCharacteristic]:
+    return list(cell.gripper.read_drives().drives.values())
+
+
+def true_friction_a(motor: Any) -> float:
+    return float(motor.friction_nm() / motor.kt_nm_a)
+
+
+@pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 3.0), (3.0, 1.0), (1.0, 0.5)])
+def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
+    make_cell: Callable[..., Any], friction: tuple[float, float]
+) -> None:
+    cell = make_cell(drive_sds=NEVER, aperture_m=0.03)
+    for motor, factor in zip(cell.motors, friction, strict=True):
+        motor.friction_factor = factor
+    cell.gripper.start()
+    cell.gripper.open()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(6.0, abs=0.6)
+    assert cell.peak_n < cell.settings.force_max_n
+    for motor, drive in zip(cell.motors, drives(cell), strict=True):
+        assert drive.measured
+        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
+    cell.gripper.release()
+    # From now on it is known: the second approach takes no longer than another gripper's.
+    began_s = cell.clock.monotonic()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    assert cell.clock.monotonic() - began_s < 3.0
+
+
+def test_one_finger_after_the_other_shows_its_torque(make_cell: Callable[..., Any]) -> None:
+    cell = make_cell(drive_sds=NEVER)
+    for motor, factor in zip(cell.motors, (0.75, 1.2), strict=True):
+        motor.kt_factor = factor
+    cell.gripper.start()
+    cell.gripper.open()
+    cell.gripper.grasp(ForceRamp.linear(8.0, 8.0, 0.5))
+    cell.gripper.measure_load()
+    cell.gripper.release()
+    for motor, drive in zip(cell.motors, drives(cell), strict=True):
+        assert drive.rising_a_nm == pytest.approx(1.0 / motor.kt_nm_a, rel=0.1)
+        assert drive.falling_a_nm == pytest.approx(1.0 / motor.kt_nm_a, rel=0.1)
+        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
+        assert drive.load_sd < 0.1
+        assert drive.kt_nm_a == XM430_W350.kt_nm_a, "no pad moves the motor constant"
+
+
+def test_free_motions_at_several_speeds_anchor_the_motor_constant(
+    make_cell: Callable[..., Any], make_part: Callable[..., Any]
+) -> None:
+    cell = make_cell(drive_sds=NEVER, part=make_part(present=False))
+    for motor, factor in zip(cell.motors, (0.75, 1.25), strict=True):
+        motor.kt_factor = factor
+    cell.gripper.start()
+    cell.gripper.open()
+    cell.gripper.measure_friction()
+    assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
+    for motor, drive in zip(cell.motors, drives(cell), strict=True):
+        assert drive.kt_nm_a == pytest.approx(XM430_W350.kt_nm_a * motor.kt_factor, rel=0.1)
+        assert drive.kt_sd < NEVER[1]
+        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
+        assert drive.temperature_c == pytest.approx(motor.temperature_c, abs=1.0)
+
+
+def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(
+    make_cell: Callable[..., Any], make_part: Callable[..., Any]
+) -> None:
+    cell = make_cell(part=make_part(present=False))
+    cell.gripper.start()
+    cell.gripper.open()
+    assert not cell.gripper.read_drives().notes
+    cell.motors[1].friction_factor = 1.6
+    cell.gripper.measure_friction()
+    (note, *_) = cell.gripper.read_drives().notes
+    assert "servo 2: its free motion takes 1." in note
+    assert "a cable drags, or it is worn" in note
+    assert not cell.gripper.read_drives().notes
+    assert drives(cell)[1].breakaway_a == pytest.approx(true_friction_a(cell.motors[1]), rel=0.1)
+
+
+def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(
+    make_cell: Callable[..., Any], make_part: Callable[..., Any]
+) -> None:
+    cell = make_cell(part=make_part(present=False), current_max_a=1.2)
+    cell.gripper.start()
+    cell.gripper.open()
+    cell.motors[0].friction_factor = 0.1
+    with pytest.raises(ServoFault, match=r"servo 1.* its horn or linkage is loose"):
+        cell.gripper.measure_friction()
+    cell.motors[0].friction_factor = 1.0
+    cell.gripper.clear_fault()
+    cell.gripper.release()
+    cell.gripper.measure_friction()
+    assert drives(cell)[0].breakaway_a == pytest.approx(true_friction_a(cell.motors[0]), rel=0.1)
+
+
+def test_pads_that_contradict_the_motor_constant_are_noted(make_cell: Callable[..., Any]) -> None:
+    cell = make_cell(drive_sds=NEVER)
+    cell.sensor.gain = 0.6
+    cell.gripper.start()
+    cell.gripper.open()
+    cell.gripper.grasp(ForceRamp.linear(6.0, 8.0, 0.5))
+    cell.gripper.measure_load()
+    report = cell.gripper.read_drives()
+    assert all("the law of the pads, or the current scale" in note for note in report.notes)
+    assert len(report.notes) == 2
+    assert cell.peak_n < cell.settings.force_max_n
+
+
+def test_pads_that_read_a_fifth_too_little_are_noted_once_the_back_emf_is_known(
+    make_cell: Callable[..., Any],
+) -> None:
+    cell = make_cell(drive_sds=NEVER)
+    cell.sensor.gain = 0.75
+    cell.gripper.start()
+    cell.gripper.open()
+    cell.gripper.grasp(ForceRamp.linear(6.0, 8.0, 0.5))
+    cell.gripper.measure_load()
+    assert not cell.gripper.read_drives().notes
+    cell.gripper.release()
+    cell.part.present = False
+    cell.gripper.measure_friction()
+    assert "the law of the pads" in cell.gripper.read_drives().notes[0]
+
+
+def test_figures_that_somebody_has_measured_count() -> None:
+    servo = ServoSettings(servo_id=1, kt_nm_a=1.5, friction_a=0.2, drive_sd=0.1)
+    drive = GripperSettings(servos=(servo,)).drives.of(1, servo.drive)
+    assert drive.measured
+    assert (drive.rising_a_nm, drive.kt_nm_a, drive.breakaway_a) == (1.0 / 1.5, 1.5, 0.2)
+    assert (drive.load_sd, drive.friction_sd) == (0.1, 0.1)
+    unknown = ServoSettings(servo_id=1).drive
+    assert not unknown.measured
+    assert unknown == replace(DriveCharacteristic.catalogue(XM430_W350))
