@@ -381,12 +381,12 @@ def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(train, fr
     grids = [pad_grid(taught.rest.pads, pad) for pad in taught.rest.gripping]
     none = np.zeros(1)
     features = describe(levels, grids, opening=True, log_gains=none, offsets_mm=none)
-    distance = taught.both.model.score(features)[1][:, 0, 0, 0]
+    distance = taught.both.model.score(features).novelty[:, 0, 0, 0]
     moved = [
         dataclasses.replace(features, sizes_mm=features.sizes_mm + off_mm)
         for off_mm in np.linspace(0.0, 5.0, 101)
     ]
-    new = np.stack([taught.both.likelihood(some)[1][:, 0, 0] > 0.5 for some in moved])
+    new = np.stack([taught.both.likelihood(some)[2][:, 0, 0] > 0.5 for some in moved])
     assert not new[0].any()
     assert new[-1].all()
     needed = new.argmax(axis=0)
