@@ -3,8 +3,9 @@
 With the folder of recorded grasps in TACTILE_CELL_DATA, objects beyond the 36 recorded ones are
 copies of them: gain of each pad, offset of the opening and noise are drawn once for each copy.
 Without it, simulated grasps of the paper's objects are copied. All grasps teach whole ramps and
-ramps that end early, in a process of its own, whose peak memory includes the grasps. For the names,
-of each object the first 60 per cent of the grasps in time teach, and every sixth object is left out.
+ramps that end early, in a process of its own, whose peak memory includes the grasps. For the
+names, of each object the first 60 per cent of the grasps in time teach, and every sixth object is
+left out.
 """
 
 import multiprocessing

@@ -135,7 +135,8 @@ class ForceRampRecognizer:
     def evidence(self, grasp: Grasp, *, also: int = 0) -> Evidence | None:
         """Return a grasp under each hypothesis; None where it never touched both pads.
 
-        Objects are those that are likely, and the one of the number ``also``. Raises ValueError for pads other than the taught ones.
+        Objects are those that are likely, and the one of the number ``also``. Raises ValueError for
+        pads other than the taught ones.
         """
         levels = load_levels([grasp], self.rest)
         if not levels.touched[0]:
