@@ -107,6 +107,5 @@ def main(effort: float = 1.0) -> None:
         for what, work in (("", cost), (", names", names)):
             context = multiprocessing.get_context("spawn")
             with ProcessPoolExecutor(1, mp_context=context) as child:
-                line(
-                    f"{n_objects} objects{what}", child.submit(work, n_objects, n_answers).result()
-                )
+                text = child.submit(work, n_objects, n_answers).result()
+            line(f"{n_objects} objects{what}", text)

@@ -135,18 +135,16 @@ class ClassModel:
         classes, taught = np.arange(len(model.centres)), self.taught
         if likely is not None and likely < len(classes):
             every = (distances / unit[..., None]).reshape(-1, len(classes))
-            nearest = np.argpartition(every.min(axis=0), likely)[:likely]
-            classes = np.unique([*nearest, *every.argmin(axis=1), also])
+            close = np.argpartition(every.min(axis=0), likely)[:likely]
+            classes = np.unique([*close, *every.argmin(axis=1), also])
             distances = distances[..., classes]
             taught = taught[np.isin(self.taught_classes, classes)]
         log_volume: NDArray[np.float64] | float = 0.0
         if self.spread is not None:
             plain = distances.reshape(-1, len(classes))
             by_class = self.spread.distances(z.reshape(-1, rank), plain, classes)
-            distances, log_volume = (
-                by_class.reshape(distances.shape),
-                self.spread.log_volume[classes],
-            )
+            distances = by_class.reshape(distances.shape)
+            log_volume = self.spread.log_volume[classes]
         tails = np.log1p(distances / unit[..., None] / rank)
         scores = -0.5 * (rank + SETTINGS.freedom) * tails - log_volume
         nearest = _squared_distances(parts, lengths, taught.astype(np.float64)).min(axis=-1)

@@ -130,7 +130,7 @@ class _Teaching:
         spread = None
         if not self.opening and len(names) > 1:
             spread = fit_class_spread(z, numbers, discriminant.centres)
-        kept = _even_in_time(numbers, SETTINGS.taught)
+        kept = even_in_time(numbers, SETTINGS.taught)
         return ClassModel(
             discriminant=discriminant,
             taught=z[kept].astype(np.float32),
@@ -159,7 +159,7 @@ class _Teaching:
         return rows, all_scores, all_novelty
 
 
-def _even_in_time(classes: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+def even_in_time(classes: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """Return at most about so many rows, as many of each class, evenly over its grasps."""
     share = max(2, most // (1 + int(classes.max())))
     groups = [np.flatnonzero(classes == c) for c in np.unique(classes)]
@@ -202,7 +202,8 @@ def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
                 of_gain = -0.5 * (grid.log_gains / prior.log_gain_sd - log_gain) ** 2
                 of_offset = -0.5 * (grid.offsets_mm / prior.offset_sd_mm - offset) ** 2
                 joint = scores + (of_gain[:, None] + of_offset)[..., None]
-                probability = np.exp(logsumexp(joint, axis=(0, 1)) - logsumexp(joint))
+                of_each = logsumexp(joint, axis=(0, 1))
+                probability = np.exp(of_each - logsumexp(of_each))
                 best.append(float(probability.max()))
                 wrong.append(likely[probability.argmax()] != classes[row])
     order = np.argsort(best)[::-1]

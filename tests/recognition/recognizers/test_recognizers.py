@@ -27,6 +27,7 @@ from recognition.recognizers import (
 )
 from recognition.recognizers.comparators.comparator import Comparator, ComparatorTrainer
 from recognition.recognizers.force_ramp.view import describe
+from recognition.recognizers.force_ramp.view_training import even_in_time
 
 OURS = ("force_ramp", "shrinkage_lda")
 
@@ -392,6 +393,29 @@ def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(train, fr
     needed = new.argmax(axis=0)
     near, far = np.array_split(np.argsort(distance), 2)
     assert needed[far].mean() < needed[near].mean()
+
+
+@pytest.mark.parametrize("opening", [True, False])
+def test_likely_objects_have_the_scores_that_they_have_among_all(train, fresh, opening):
+    taught = make_trainer("force_ramp").fit(train)
+    view, levels = taught.both if opening else taught.touch, load_levels(fresh[:1], taught.rest)
+    grids = [pad_grid(taught.rest.pads, pad) for pad in taught.rest.gripping]
+    drifts = {"log_gains": taught.grid.log_gains, "offsets_mm": taught.grid.offsets_mm}
+    features = describe(levels, grids, opening=opening, **drifts)
+    for also in range(len(taught.labels)):
+        every, few = view.model.score(features), view.model.score(features, likely=1, also=also)
+        assert also in few.classes
+        assert set(every.scores.argmax(axis=-1).flat) <= set(few.classes)
+        assert few.scores == pytest.approx(every.scores[..., few.classes])
+        assert np.all(few.novelty >= every.novelty - 1e-9)
+
+
+def test_of_many_taught_grasps_as_many_of_each_object_are_kept():
+    classes = np.repeat([0, 1, 2], [40, 3, 9])
+    kept = even_in_time(classes, 15)
+    assert np.bincount(classes[kept]).tolist() == [5, 3, 5]
+    assert kept[[0, 4, -1]].tolist() == [0, 39, 51]
+    assert np.array_equal(even_in_time(classes, 120), np.arange(52))
 
 
 def test_caution_calls_more_objects_unknown(train, fresh):
