@@ -32,7 +32,7 @@ class TaughtSizes(ArrayRecord):
     """(n, k) float64: sizes without outliers, as of `recognition.features.aperture.sizes_mm`; k is
     0 where the opening is not used, and nothing is far from any size then."""
     classes: NDArray[np.int64]
-    """(n,) int64: object of each."""
+    """(n,) int64: object of each, ascending."""
     unit_mm: NDArray[np.float64]
     """(k,) float64: usual distance in mm from a grasp to the nearest one of the same object."""
 
@@ -54,7 +54,8 @@ class TaughtSizes(ArrayRecord):
         unit_mm2 = self.unit_mm**2 + slack_mm[:, None, None] ** 2
         for c in np.unique(objects):
             rows = np.flatnonzero((objects == c).any(axis=(1, 2)))
-            off_mm = sizes_mm[rows, :, None] - self.mm[self.classes == c]
+            own = slice(*np.searchsorted(self.classes, (c, c + 1)))
+            off_mm = sizes_mm[rows, :, None] - self.mm[own]
             nearest = (off_mm**2 / unit_mm2).sum(axis=-1).min(axis=-1)
             found[rows] = np.where(objects[rows] == c, nearest[:, None], found[rows])
         return found

@@ -168,9 +168,9 @@ def _squared_distances(
     far less than all sums. ``lengths`` (n, G, O) are the squared lengths of the sums.
     """
     of_touch, of_opening = (-2.0 * part @ others.T for part in parts)
+    of_opening += (others**2).sum(axis=1)
     squared = of_touch[:, :, None] + of_opening[:, None]
     squared += lengths[..., None]
-    squared += (others**2).sum(axis=1)
     return np.asarray(np.maximum(squared, 0.0, out=squared), dtype=np.float64)
 
 
