@@ -37,7 +37,9 @@ class LinearDiscriminant(ArrayRecord):
 
     def project(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, r): features (n, F) in the discriminant space."""
-        projected: NDArray[np.float64] = ((features - self.mean) / self.scale) @ self.projection
+        projection = self.projection / self.scale[:, None]
+        projected: NDArray[np.float64] = features @ projection
+        projected -= self.mean @ projection
         return projected
 
     def distances(self, features: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -80,12 +80,12 @@ class _Teaching:
     @cached_property
     def every(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Features (n, F) and sizes in mm (n, k) of all grasps, without any drift."""
-        n = len(self.levels)
-        some = np.array_split(np.arange(n), -(-n // _AT_A_TIME))
-        found = [self.undone(self.levels.take(rows), np.zeros(len(self.unit))) for rows in some]
-        return np.concatenate([*map(_rows, found)]), np.concatenate(
-            [one.sizes_mm[:, 0] for one in found]
-        )
+        n, found = len(self.levels), []
+        for rows in np.array_split(np.arange(n), -(-n // _AT_A_TIME)):
+            some = self.undone(self.levels.take(rows), np.zeros(len(self.unit)))
+            found.append((_rows(some), some.sizes_mm[:, 0].copy()))
+        features, sizes_mm = map(np.concatenate, zip(*found, strict=True))
+        return features, sizes_mm
 
     def undone(self, levels: Levels, drift: NDArray[np.float64]) -> Features:
         """Return grasps with one drift undone."""
@@ -110,7 +110,7 @@ class _Teaching:
 
     def model(self, rows: NDArray[np.bool_]) -> ClassModel:
         """Return the classes as some of the grasps (n,) teach them."""
-        features, sizes_mm = (one[rows] for one in self.every)
+        features, sizes_mm = (one if rows.all() else one[rows] for one in self.every)
         target = np.ones(features.shape[1])
         if self.opening:
             n_opening = aperture_features(self.levels.take(np.arange(1))).shape[1]
