@@ -22,6 +22,7 @@ BENCHMARKS = {
         "drawing",
         "drift",
         "early_end",
+        "many_objects",
         "other_cell",
         "other_physics",
         "sequences",

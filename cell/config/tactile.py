@@ -24,7 +24,6 @@ from tactile.sensor.calibration import (
 from tactile.unit.bus_load import bus_load, least_sync_period_s
 from tactile.unit.settings import WINDOW_SHARE, ExpectedIdentity, LinkSettings
 from tactile.uskin import messages
-from tactile.uskin.source import check_layout as check_boards
 
 FASTEST_BITRATE = 1_000_000
 """Largest bit rate of a CAN bus in bit/s."""
@@ -370,7 +369,7 @@ def check_sensor(tactile: TactileConfig, layout: TaxelLayout) -> None:
         if isinstance(sensor, FlexiTacConfig):
             check_layout(layout, PROFILES[sensor.profile], rows_along=sensor.rows_along)
         elif isinstance(sensor, UskinConfig):
-            check_boards(layout, board_ids(sensor))
+            messages.check_layout(layout, board_ids(sensor))
     except LayoutError as error:
         raise ValueError(f"tactile: {error}") from error
     if not isinstance(sensor, ControlUnitConfig):

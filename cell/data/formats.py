@@ -41,7 +41,7 @@ class Format:
 
     def check(self, found: object, source: object, error: type[CellError]) -> None:
         """Raise ``error`` where the format that a file names is not this one."""
-        if found == self.text or found in self.earlier:
+        if isinstance(found, str) and found in (self.text, *self.earlier):
             return
         name, version = self.text.split("/")
         later = re.fullmatch(rf"{name}/(\d{{1,9}})", str(found))

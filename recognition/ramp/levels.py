@@ -62,6 +62,8 @@ class Levels:
 
     def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Levels":
         """Return some of the grasps, by their indices or by a mask."""
+        if rows.dtype == np.bool_ and rows.all():
+            return self
         return _of_fields([self], lambda arrays: arrays[0][rows])
 
 

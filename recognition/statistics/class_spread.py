@@ -9,8 +9,8 @@ from recognition.statistics.array_record import ArrayRecord
 
 _PRIOR_GRASPS = 15.0
 """Weight of the shared covariance in that of a class, in grasps."""
-_ROWS = 256
-"""Points that are taken at a time: with many classes all at once would not fit into the caches."""
+_PAIRS = 1 << 14
+"""Pairs of a point and a class that are taken at a time: more would not fit into the caches."""
 _MOST_AXES = 48
 """Axes that are taken into account, those that separate best: more cost time and memory."""
 
@@ -21,21 +21,27 @@ class ClassSpread(ArrayRecord):
 
     centres: NDArray[np.float64]
     """(C, k) float64: the classes along the first k axes."""
-    precision: NDArray[np.float64]
-    """(C, k, k) float64: inverse of the covariance of each class along these axes."""
+    precision: NDArray[np.float32]
+    """(C, k, k) float32: inverse of the covariance of each class along these axes."""
     log_volume: NDArray[np.float64]
     """(C,) float64: half the logarithm of its determinant."""
 
-    def distances(self, z: NDArray[np.float64], plain: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, C) squared distances of points to the classes, by the covariance of each.
+    def distances(
+        self,
+        z: NDArray[np.float64],
+        plain: NDArray[np.float64],
+        classes: NDArray[np.int64] | slice = slice(None),
+    ) -> NDArray[np.float64]:
+        """Return (n, K) squared distances of points to some classes, by the covariance of each.
 
-        `z` (n, r) are the points, `plain` (n, C) their squared distances by the shared covariance.
+        `z` (n, r) are the points, `plain` (n, K) their squared distances by the shared covariance.
         """
-        n_axes = self.centres.shape[1]
-        beyond = self.precision - np.eye(n_axes)
+        centres, n_axes = self.centres[classes, None], self.centres.shape[1]
+        beyond = self.precision[classes] - np.eye(n_axes)
+        n_rows = max(1, _PAIRS // len(centres))
         offs = (
-            z[start : start + _ROWS, :n_axes] - self.centres[:, None]
-            for start in range(0, max(1, len(z)), _ROWS)
+            z[start : start + n_rows, :n_axes] - centres
+            for start in range(0, max(1, len(z)), n_rows)
         )
         added = np.concatenate([((off @ beyond) * off).sum(axis=-1).T for off in offs])
         return np.asarray(np.maximum(plain + added, 0.0), dtype=np.float64)
@@ -59,6 +65,6 @@ def fit_class_spread(
     )
     return ClassSpread(
         centres=centres,
-        precision=np.linalg.inv(covariance),
+        precision=np.linalg.inv(covariance).astype(np.float32),
         log_volume=0.5 * np.linalg.slogdet(covariance)[1],
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, solve_triangular
+from scipy.sparse import csr_array
 
 from recognition.statistics.array_record import ArrayRecord
 
@@ -36,7 +37,9 @@ class LinearDiscriminant(ArrayRecord):
 
     def project(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, r): features (n, F) in the discriminant space."""
-        projected: NDArray[np.float64] = ((features - self.mean) / self.scale) @ self.projection
+        projection = self.projection / self.scale[:, None]
+        projected: NDArray[np.float64] = features @ projection
+        projected -= self.mean @ projection
         return projected
 
     def distances(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,6 +65,7 @@ def fit_lda(
     target: NDArray[np.float64] | None = None,
     nuisance: NDArray[np.float64] | None = None,
     least_unit: float = 0.0,
+    most_axes: int | None = None,
 ) -> LinearDiscriminant:
     """Fit a linear discriminant to labelled rows.
 
@@ -86,6 +90,8 @@ def fit_lda(
     least_unit
         Deviation added to that of each feature in its unit, in the feature's own: what few rows do
         not show to vary is known no better.
+    most_axes
+        The most axes r of several classes, those that separate best; None for all.
     """
     n, n_features = features.shape
     count = np.bincount(classes, minlength=n_classes).astype(np.float64)
@@ -94,12 +100,15 @@ def fit_lda(
             f"{n} grasps of {n_classes} objects do not show how grasps of one object vary: "
             "teach each object at least three times"
         )
-    means = np.eye(n_classes)[classes].T @ features / count[:, None]
+    members = csr_array((np.ones(n), (classes, np.arange(n))), shape=(n_classes, n))
+    means = (members @ features) / count[:, None]
+    # All grasps of many objects are large: no copy of them but this one.
     within = features - means[classes]
     mean = means.mean(axis=0)
     freedom = float(n - n_classes)
-    scale = np.hypot(_units(features, within, freedom, nuisance), least_unit)
-    within = within / scale
+    between = count @ (means - count @ means / n) ** 2
+    scale = np.hypot(_units(within, between, freedom, nuisance), least_unit)
+    within /= scale
     covariance = within.T @ within / freedom
     rho = max(min_shrinkage, _oas(covariance, n - n_classes))
     if nuisance is not None:
@@ -120,6 +129,7 @@ def fit_lda(
         offsets = (means - mean) / scale
         _, spread, axes = np.linalg.svd(offsets @ whitening, full_matrices=False)
         rank = int(np.sum(spread > _RANK_TOLERANCE * max(float(spread[0]), 1e-300)))
+        rank = min(rank, most_axes or rank)
         projection = whitening @ axes[:rank].T
         centres = offsets @ projection
     return LinearDiscriminant(
@@ -132,18 +142,22 @@ def fit_lda(
 
 
 def _units(
-    features: NDArray[np.float64],
     within: NDArray[np.float64],
+    between: NDArray[np.float64],
     freedom: float,
     nuisance: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
-    """Return the deviation of each feature within a class, (F,): its unit; 1 for a constant one."""
-    variance = (within**2).sum(axis=0) / freedom
+    """Return the deviation of each feature within a class, (F,): its unit; 1 for a constant one.
+
+    ``within`` (n, F) are the deviations, ``between`` (F,) the sum of squares of those of the means.
+    """
+    squares = np.einsum("nf,nf->f", within, within)
+    variance = squares / freedom
     if nuisance is not None:
         variance += (nuisance**2).mean(axis=0)
     spread = np.sqrt(variance)
-    overall = features.std(axis=0)
-    scale = np.sqrt(spread**2 + (_SPREAD_FLOOR * overall) ** 2)
+    overall = (squares + between) / len(within)
+    scale = np.sqrt(spread**2 + _SPREAD_FLOOR**2 * overall)
     return np.where(scale > 1e-12, scale, 1.0)
 
 

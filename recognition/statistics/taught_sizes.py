@@ -32,7 +32,7 @@ class TaughtSizes(ArrayRecord):
     """(n, k) float64: sizes without outliers, as of `recognition.features.aperture.sizes_mm`; k is
     0 where the opening is not used, and nothing is far from any size then."""
     classes: NDArray[np.int64]
-    """(n,) int64: object of each."""
+    """(n,) int64: object of each, ascending."""
     unit_mm: NDArray[np.float64]
     """(k,) float64: usual distance in mm from a grasp to the nearest one of the same object."""
 
@@ -41,17 +41,24 @@ class TaughtSizes(ArrayRecord):
             raise ValueError(f"unit_mm is {self.unit_mm}, must be above {_LEAST_UNIT_MM:g}")
 
     def distances(
-        self, sizes_mm: NDArray[np.float64], slack_mm: NDArray[np.float64]
+        self,
+        sizes_mm: NDArray[np.float64],
+        slack_mm: NDArray[np.float64],
+        objects: NDArray[np.int64],
     ) -> NDArray[np.float64]:
-        """Return (n, O, C): squared distance in units of sizes (n, O, k) to the nearest of each.
+        """Return (n, G, O): squared distance in units of sizes (n, O, k) to the nearest taught one.
 
-        ``slack_mm`` (O,) adds to the units.
+        ``slack_mm`` (O,) adds to the units. ``objects`` (n, G, O) are those compared with.
         """
-        off_mm = sizes_mm[:, :, None] - self.mm
+        found = np.zeros(objects.shape)
         unit_mm2 = self.unit_mm**2 + slack_mm[:, None, None] ** 2
-        squared = (off_mm**2 / unit_mm2).sum(axis=-1)
-        nearest = [squared[..., self.classes == c].min(axis=-1) for c in np.unique(self.classes)]
-        return np.stack(nearest, axis=-1)
+        for c in np.unique(objects):
+            rows = np.flatnonzero((objects == c).any(axis=(1, 2)))
+            own = slice(*np.searchsorted(self.classes, (c, c + 1)))
+            off_mm = sizes_mm[rows, :, None] - self.mm[own]
+            nearest = (off_mm**2 / unit_mm2).sum(axis=-1).min(axis=-1)
+            found[rows] = np.where(objects[rows] == c, nearest[:, None], found[rows])
+        return found
 
 
 def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> TaughtSizes:
@@ -59,10 +66,12 @@ def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> Taug
 
     The units are root mean squares of the usual distances, drawn towards the expected ones.
     """
-    off_mm = np.abs(sizes_mm[:, None] - sizes_mm)
-    off_mm[(classes[:, None] != classes) | np.eye(len(classes), dtype=np.bool_)] = np.inf
-    nearest_mm2 = off_mm.min(axis=1) ** 2
-    usual_mm2 = [np.sort(nearest_mm2[classes == c], axis=0)[:-1] for c in np.unique(classes)]
+    usual_mm2 = []
+    for c in np.unique(classes):
+        own_mm = sizes_mm[classes == c]
+        off_mm = np.abs(own_mm[:, None] - own_mm)
+        off_mm[np.diag_indices(len(own_mm))] = np.inf
+        usual_mm2.append(np.sort(off_mm.min(axis=1) ** 2, axis=0)[:-1])
     total_mm2 = _PRIOR_GRASPS * np.array(_PRIOR_MM[: sizes_mm.shape[1]]) ** 2
     total_mm2 = total_mm2 + _WITHOUT_LARGEST * np.concatenate(usual_mm2).sum(axis=0)
     unit_mm = np.sqrt(total_mm2 / (_PRIOR_GRASPS + sum(map(len, usual_mm2))))

@@ -1,7 +1,11 @@
 """Messages of uSkin boards on CAN: the start of a board, and the samples of one taxel. Pure."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from struct import Struct
+
+from tactile.errors import LayoutError
+from tactile.layout import TaxelLayout
 
 START = b"\x07\x00"
 """Data of the message that starts a board."""
@@ -35,3 +39,18 @@ def xr1944(board: int, n_taxels: int = 16) -> BoardIds:
 def samples(data: bytes | bytearray) -> tuple[int, int, int] | None:
     """Return x, y and z of a taxel; None for a message that is too short."""
     return _SAMPLES.unpack_from(data) if len(data) >= _SAMPLES.size else None
+
+
+def check_layout(layout: TaxelLayout, boards: Sequence[BoardIds]) -> None:
+    """Raise LayoutError where a layout does not fit the taxels of two boards, or ids repeat."""
+    # A start may have the identifier of a taxel, as 203h of newer boards: it goes the other way.
+    for ids in ([i for board in boards for i in board.taxels], [board.start for board in boards]):
+        if len(set(ids)) < len(ids):
+            raise LayoutError("identifiers of the boards repeat: each taxel and start has its own")
+    sizes = [pad.n_taxels for pad in layout.pads]
+    wanted = [len(boards[pad.finger].taxels) for pad in layout.pads]
+    if len(layout.pads) != len(boards) or sizes != wanted:
+        raise LayoutError(
+            f"layout {layout.name} has pads of {sizes} taxels, the boards have {wanted}: one inner "
+            "pad for each board, with as many taxels as it has identifiers"
+        )

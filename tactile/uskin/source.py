@@ -18,7 +18,6 @@ from tactile.errors import (
     BusOff,
     DuplicateNode,
     FrameTimeout,
-    LayoutError,
     LinkFault,
     LinkStateError,
     ReceiveLoopDead,
@@ -33,7 +32,7 @@ from tactile.source import (
     SourceStatistics,
     TactileFrame,
 )
-from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, samples
+from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, check_layout, samples
 
 _SILENT_PERIODS = 6.0
 """Periods without a whole cycle that are a fault at least. [chosen]"""
@@ -301,18 +300,3 @@ class UskinSource:
         """Stop receiving; the boards go on and the bus stays open."""
         self._running = False
         self._source.close()
-
-
-def check_layout(layout: TaxelLayout, boards: Sequence[BoardIds]) -> None:
-    """Raise LayoutError where a layout does not fit the taxels of two boards, or ids repeat."""
-    # A start may have the identifier of a taxel, as 203h of newer boards: it goes the other way.
-    for ids in ([i for board in boards for i in board.taxels], [board.start for board in boards]):
-        if len(set(ids)) < len(ids):
-            raise LayoutError("identifiers of the boards repeat: each taxel and start has its own")
-    sizes = [pad.n_taxels for pad in layout.pads]
-    wanted = [len(boards[pad.finger].taxels) for pad in layout.pads]
-    if len(layout.pads) != len(boards) or sizes != wanted:
-        raise LayoutError(
-            f"layout {layout.name} has pads of {sizes} taxels, the boards have {wanted}: one inner "
-            "pad for each board, with as many taxels as it has identifiers"
-        )

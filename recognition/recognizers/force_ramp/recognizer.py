@@ -46,8 +46,10 @@ _KNOWN_OFFSET_MM = 0.3
 class Evidence:
     """One grasp under each hypothesis of the drift."""
 
+    classes: NDArray[np.int64]
+    """(K,) int64: numbers of the objects that are likely at all, ascending."""
     log_likelihood: NDArray[np.float64]
-    """(G, O, C) or (G, 1, C) float64: of each object."""
+    """(G, O, K) or (G, 1, K) float64: of each of these."""
     new: NDArray[np.float64]
     """(G, O) or (G, 1) float64: probability that it was none of them."""
     view: View
@@ -104,7 +106,9 @@ class ForceRampRecognizer:
         grid = self.grid_at(grasp)
         log_weight = grid.log_weight(self._unchanged(grasp))
         joint = evidence.log_likelihood + log_weight[..., None]
-        probability = np.exp(logsumexp(joint, axis=(0, 1)) - logsumexp(joint))
+        probability = np.zeros(len(self.labels))
+        of_each = logsumexp(joint, axis=(0, 1))
+        probability[evidence.classes] = np.exp(of_each - logsumexp(of_each))
         any_day = grid.offset_sd_mm(np.exp(log_weight)) / DriftPrior().offset_sd_mm
         even = max(UNIFORM_SHARE, evidence.view.doubt * min(1.0, any_day**2))
         probability = (1.0 - even) * probability + even / len(self.labels)
@@ -128,10 +132,11 @@ class ForceRampRecognizer:
             drawn_m=tuple((drawn_m + 1e-3 * mean_mm + self._moved_m(grasp)).tolist()),
         )
 
-    def evidence(self, grasp: Grasp) -> Evidence | None:
+    def evidence(self, grasp: Grasp, *, also: int = 0) -> Evidence | None:
         """Return a grasp under each hypothesis; None where it never touched both pads.
 
-        Raises ValueError for pads other than the taught ones.
+        Objects are those that are likely, and the one of the number ``also``. Raises ValueError for
+        pads other than the taught ones.
         """
         levels = load_levels([grasp], self.rest)
         if not levels.touched[0]:
@@ -148,8 +153,8 @@ class ForceRampRecognizer:
             offsets_mm=grid.offsets_mm,
             slack_mm=self._slack_mm(grasp),
         )
-        log_likelihood, new = view.likelihood(features)
-        return Evidence(log_likelihood=log_likelihood[0], new=new[0], view=view)
+        classes, log_likelihood, new = view.likelihood(features, also=also)
+        return Evidence(classes=classes, log_likelihood=log_likelihood[0], new=new[0], view=view)
 
     # Drift
 
@@ -164,11 +169,14 @@ class ForceRampRecognizer:
             raise ValueError(
                 f"{label!r} was not taught: gauge with one of {', '.join(self.labels)}"
             )
-        found = [e for e in map(self.evidence, grasps) if e is not None]
+        number = self.labels.index(label)
+        every = [self.evidence(grasp, also=number) for grasp in grasps]
+        found = [e for e in every if e is not None]
         if not found:
             raise ValueError("no gauge grasp touched both pads: grasp the gauge object again")
-        number, view = self.labels.index(label), found[0].view
-        total = np.sum([e.log_likelihood[..., number] for e in found if e.view is view], axis=0)
+        view = found[0].view
+        each = [e.log_likelihood[..., e.classes == number] for e in found if e.view is view]
+        total = np.sum(each, axis=0)[..., 0]
         return self.with_grid(self.grid_at(grasps[0]).with_gauge(total, view.placing_mm))
 
     def without_gauges(self) -> Self:
@@ -294,8 +302,8 @@ class ForceRampTrainer:
         levels = at_zero(load_levels(ordered, rest), ordered, zero, rest.gripping)
         touched = levels.touched
         names = np.array([g.label for g in ordered])
-        labels, classes = np.unique(names[touched], return_inverse=True)
-        pressed = {label: int(np.sum(names[touched] == label)) for label in members}
+        labels, classes, n_of = np.unique(names[touched], return_inverse=True, return_counts=True)
+        pressed = dict.fromkeys(members, 0) | dict(zip(labels.tolist(), n_of.tolist(), strict=True))
         few = {label: n for label, n in pressed.items() if n < MIN_GRASPS}
         if few or not pressed:
             raise ValueError(

@@ -7,7 +7,7 @@ all directions, a new object mostly in those that separate objects.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,33 +80,47 @@ def describe(
     )
 
 
+class Scores(NamedTuple):
+    """How n grasps fit K classes under G gains and O offsets of the opening."""
+
+    classes: NDArray[np.int64]
+    """(K,) int64: the classes, ascending."""
+    scores: NDArray[np.float64]
+    """(n, G, O, K) float64: log likelihoods up to a constant of the grasp."""
+    novelty: NDArray[np.float64]
+    """(n, G, O, 2) float64: logarithm of the squared distance to the nearest taught grasp, without
+    and with that of the size from those of the likeliest object: a new object is often a little
+    off in both."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClassModel:
     """The classes in the space that separates them."""
 
     discriminant: LinearDiscriminant
     """The classes."""
-    taught: NDArray[np.float64]
-    """(n, r) float64: the taught grasps in the discriminant space."""
+    taught: NDArray[np.float32]
+    """(n, r) float32: the taught grasps in the discriminant space."""
+    taught_classes: NDArray[np.int64]
+    """(n,) int64: class of each."""
     sizes: TaughtSizes
     """Sizes of the taught grasps; of no dimension where the opening is not used."""
     spread: ClassSpread | None = None
     """The covariance of each class beside the shared one, by touch alone: there the variation of an
     object separates it from others. With the opening it would only fit the series that taught."""
 
-    def score(self, features: Features) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return scores (n, G, O, C) and the novelty (n, G, O, 2) of grasps.
+    def score(self, features: Features, *, likely: int | None = None, also: int = 0) -> Scores:
+        """Return scores and novelty of grasps.
 
-        Scores are log likelihoods up to a constant of the grasp; the novelty is the logarithm of
-        the squared distance to the nearest taught grasp, without and with that of the size from
-        those of the likeliest object: a new object is often a little off in both.
+        With ``likely`` only so many classes count, those nearest under any drift, beside them the
+        nearest under each drift and the class ``also``; None for all.
         """
         model = self.discriminant
         n_touch = features.touch.shape[2]
         touch = (features.touch - model.mean[:n_touch]) / model.scale[:n_touch]
         opening = (features.opening - model.mean[n_touch:]) / model.scale[n_touch:]
-        z = (touch @ model.projection[:n_touch])[:, :, None]
-        z = z + (opening @ model.projection[n_touch:])[:, None]
+        parts = touch @ model.projection[:n_touch], opening @ model.projection[n_touch:]
+        z = parts[0][:, :, None] + parts[1][:, None]
         shape, rank = z.shape[:3], z.shape[3]
         unit = np.ones(shape)
         n_beside = len(model.mean) - rank
@@ -116,22 +130,48 @@ class ClassModel:
             every = every + 2.0 * (a @ b.transpose(0, 2, 1))
             beside = np.maximum(every - (z**2).sum(-1), 0.0) / n_beside
             unit = (1.0 + beside) ** (SETTINGS.beside_power * rank / (rank + SETTINGS.beside_axes))
-        z = z.reshape(-1, rank)
-        distances = squared_distances(z, model.centres)
+        lengths = (z**2).sum(axis=-1)
+        distances = _squared_distances(parts, lengths, model.centres)
+        classes, taught = np.arange(len(model.centres)), self.taught
+        if likely is not None and likely < len(classes):
+            every = (distances / unit[..., None]).reshape(-1, len(classes))
+            close = np.argpartition(every.min(axis=0), likely)[:likely]
+            classes = np.unique([*close, *every.argmin(axis=1), also])
+            distances = distances[..., classes]
+            taught = taught[np.isin(self.taught_classes, classes)]
         log_volume: NDArray[np.float64] | float = 0.0
         if self.spread is not None:
-            distances, log_volume = self.spread.distances(z, distances), self.spread.log_volume
-        tails = np.log1p(distances / unit.reshape(-1, 1) / rank)
+            plain = distances.reshape(-1, len(classes))
+            by_class = self.spread.distances(z.reshape(-1, rank), plain, classes)
+            distances = by_class.reshape(distances.shape)
+            log_volume = self.spread.log_volume[classes]
+        tails = np.log1p(distances / unit[..., None] / rank)
         scores = -0.5 * (rank + SETTINGS.freedom) * tails - log_volume
-        nearest = squared_distances(z, self.taught).min(axis=1).reshape(shape)
-        scores = scores.reshape(*shape, -1)
+        nearest = _squared_distances(parts, lengths, taught.astype(np.float64)).min(axis=-1)
         novelty = np.log(nearest / unit / rank + SETTINGS.least_distance)
         novelty = np.stack([novelty, novelty], axis=-1)
         if features.sizes_mm.size:
-            off = self.sizes.distances(features.sizes_mm, features.slack_mm)
-            best = scores.argmax(axis=-1)[..., None]
-            novelty[..., 1] += np.log1p(np.take_along_axis(off[:, None], best, axis=-1)[..., 0])
-        return scores, novelty
+            best = classes[scores.argmax(axis=-1)]
+            off = self.sizes.distances(features.sizes_mm, features.slack_mm, best)
+            novelty[..., 1] += np.log1p(off)
+        return Scores(classes, scores, novelty)
+
+
+def _squared_distances(
+    parts: tuple[NDArray[np.float64], NDArray[np.float64]],
+    lengths: NDArray[np.float64],
+    others: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return (n, G, O, m) squared distances between sums of parts and others (m, r).
+
+    The parts (n, G, r) and (n, O, r) are multiplied by the others before they are added, which is
+    far less than all sums. ``lengths`` (n, G, O) are the squared lengths of the sums.
+    """
+    of_touch, of_opening = (-2.0 * part @ others.T for part in parts)
+    of_opening += (others**2).sum(axis=1)
+    squared = of_touch[:, :, None] + of_opening[:, None]
+    squared += lengths[..., None]
+    return np.asarray(np.maximum(squared, 0.0, out=squared), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,12 +192,17 @@ class View:
     """Share of even probabilities in an answer where nothing is known of the opening's zero: with
     it few enough names of made-up other days are wrong."""
 
-    def likelihood(self, features: Features) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return log likelihoods (n, G, O, C), and the probability of a new object (n, G, O)."""
-        scores, novelty = self.model.score(features)
+    def likelihood(
+        self, features: Features, *, also: int = 0
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the likely classes (K,), ``also`` among them, and of grasps under each drift.
+
+        These are log likelihoods (n, G, O, K), and the probability of a new object (n, G, O).
+        """
+        found = self.model.score(features, likely=SETTINGS.likely, also=also)
         used = 1 + bool(features.sizes_mm.size)
-        odds = SETTINGS.novelty_slope * (novelty - self.limit)[..., :used].max(axis=-1)
-        return scores / self.temperature, expit(odds)
+        odds = SETTINGS.novelty_slope * (found.novelty - self.limit)[..., :used].max(axis=-1)
+        return found.classes, found.scores / self.temperature, expit(odds)
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
@@ -167,6 +212,7 @@ class View:
             **({} if spread is None else spread.to_arrays(f"{prefix}spread_")),
             **self.model.sizes.to_arrays(f"{prefix}sizes_"),
             f"{prefix}taught": self.model.taught,
+            f"{prefix}taught_classes": self.model.taught_classes,
             f"{prefix}limit": self.limit,
             f"{prefix}temperature": np.array(self.temperature),
             **{f"{prefix}{name}": np.array(getattr(self, name)) for name in _NUMBERS},
@@ -176,10 +222,15 @@ class View:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
         spread, has_spread = f"{prefix}spread_", f"{prefix}spread_centres" in arrays
+        discriminant = LinearDiscriminant.from_arrays(arrays, f"{prefix}discriminant_")
+        taught, classes = arrays[f"{prefix}taught"], arrays.get(f"{prefix}taught_classes")
+        if classes is None:  # an older file: about the same
+            classes = squared_distances(taught, discriminant.centres).argmin(axis=1)
         return cls(
             model=ClassModel(
-                discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}discriminant_"),
-                taught=arrays[f"{prefix}taught"],
+                discriminant=discriminant,
+                taught=taught,
+                taught_classes=classes,
                 sizes=TaughtSizes.from_arrays(arrays, f"{prefix}sizes_"),
                 spread=ClassSpread.from_arrays(arrays, spread) if has_spread else None,
             ),

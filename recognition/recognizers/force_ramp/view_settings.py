@@ -30,6 +30,13 @@ class ViewSettings:
     """Variance of the opening's features in the target, in that of touch, which repeats [6]."""
     least_unit: float = 0.02
     """Deviation added to that of each feature, in its unit (log, root of share, mm) [6]."""
+    most_axes: int = 64
+    """Most axes between the classes, those that separate best [time, and the size of a model]."""
+    # Many objects
+    likely: int = 256
+    """Classes nearest under any drift, which an answer takes into account [time]."""
+    taught: int = 20_000
+    """About the most taught grasps that a new one is compared with [time, and size]."""
     # Drifts
     log_gain_unit: float = 0.1
     """Unit of drifts of a pad's gain (log): it drifts so far beside the others [taught part]."""
@@ -46,6 +53,8 @@ class ViewSettings:
     # Held-out grasps
     blocks: int = 3
     """Blocks in time, held out in turn: few and large, as grasps in use lie far in time [6]."""
+    held_grasps: int = 2000
+    """Most grasps of all blocks that show temperature and limits [time]."""
     parts: int = 4
     """Parts of each block, each with a made-up drift of its own [time]."""
     # Novelty

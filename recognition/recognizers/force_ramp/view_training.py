@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 
 from recognition.drift.drift import shifted_levels
 from recognition.drift.grid import DriftGrid, DriftPrior
-from recognition.features.aperture import sizes_mm
+from recognition.features.aperture import aperture_features, sizes_mm
 from recognition.features.footprint import PadGrid
 from recognition.ramp.levels import Levels
 from recognition.recognizers.force_ramp.view import ClassModel, Features, View, describe
@@ -19,6 +19,9 @@ from recognition.statistics.calibration import blocked_folds, fit_temperature
 from recognition.statistics.class_spread import fit_class_spread
 from recognition.statistics.lda import fit_lda
 from recognition.statistics.taught_sizes import fit_sizes
+
+_AT_A_TIME = 512
+"""Grasps whose features are taken at a time: more need more memory and no less time."""
 
 HeldOut = Sequence[tuple[NDArray[np.bool_], ClassModel]]
 """Blocks of grasps, each a mask of rows (n,), and the model that was taught without them."""
@@ -75,9 +78,14 @@ class _Teaching:
         return self.per_drift(SETTINGS.log_gain_unit, SETTINGS.offset_unit_mm)
 
     @cached_property
-    def features(self) -> Features:
-        """All grasps, without any drift."""
-        return self.undone(self.levels, np.zeros(len(self.unit)))
+    def every(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Features (n, F) and sizes in mm (n, k) of all grasps, without any drift."""
+        n, found = len(self.levels), []
+        for rows in np.array_split(np.arange(n), -(-n // _AT_A_TIME)):
+            some = self.undone(self.levels.take(rows), np.zeros(len(self.unit)))
+            found.append((_rows(some), some.sizes_mm[:, 0].copy()))
+        features, sizes_mm = map(np.concatenate, zip(*found, strict=True))
+        return features, sizes_mm
 
     def undone(self, levels: Levels, drift: NDArray[np.float64]) -> Features:
         """Return grasps with one drift undone."""
@@ -102,44 +110,61 @@ class _Teaching:
 
     def model(self, rows: NDArray[np.bool_]) -> ClassModel:
         """Return the classes as some of the grasps (n,) teach them."""
-        every = _rows(self.features)[rows]
-        target = np.ones(every.shape[1])
-        target[len(target) - self.features.opening.shape[2] :] = SETTINGS.opening_target
+        features, sizes_mm = (one if rows.all() else one[rows] for one in self.every)
+        target = np.ones(features.shape[1])
+        if self.opening:
+            n_opening = aperture_features(self.levels.take(np.arange(1))).shape[1]
+            target[-n_opening:] = SETTINGS.opening_target
         names, numbers = np.unique(self.classes[rows], return_inverse=True)
         discriminant = fit_lda(
-            every,
+            features,
             numbers,
             len(names),
             min_shrinkage=0.0 if self.opening else SETTINGS.touch_shrinkage,
             target=target,
             nuisance=self.nuisance,
             least_unit=SETTINGS.least_unit,
+            most_axes=SETTINGS.most_axes,
         )
-        z = discriminant.project(every)
+        z = discriminant.project(features)
         spread = None
         if not self.opening and len(names) > 1:
             spread = fit_class_spread(z, numbers, discriminant.centres)
-        sizes = fit_sizes(self.features.sizes_mm[rows, 0], numbers)
-        return ClassModel(discriminant=discriminant, taught=z, sizes=sizes, spread=spread)
+        kept = even_in_time(numbers, SETTINGS.taught)
+        return ClassModel(
+            discriminant=discriminant,
+            taught=z[kept].astype(np.float32),
+            taught_classes=numbers[kept],
+            sizes=fit_sizes(sizes_mm, numbers),
+            spread=spread,
+        )
 
     def held_out_scores(
         self, held: HeldOut
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """Return rows (n,), scores (n, C) and novelty (n, 2) of held-out grasps that drifted."""
-        rng = np.random.default_rng(0)
+        rng, most = np.random.default_rng(0), SETTINGS.held_grasps // len(held)
         found = []
         for block, model in held:
-            for part in np.array_split(rng.permutation(np.flatnonzero(block)), SETTINGS.parts):
+            shown = rng.permutation(np.flatnonzero(block))[:most]
+            for part in np.array_split(shown, SETTINGS.parts):
                 if not len(part):
                     continue
                 drift = SETTINGS.made_up * self.unit * rng.standard_normal(len(self.unit))
                 drifted = self.undone(self.levels.take(part), drift)
-                scores, novelty = model.score(
-                    replace(drifted, sizes_mm=self.features.sizes_mm[part])
-                )
+                sizes_mm = self.every[1][part, None]
+                _, scores, novelty = model.score(replace(drifted, sizes_mm=sizes_mm))
                 found.append((part, scores[:, 0, 0], novelty[:, 0, 0]))
         rows, all_scores, all_novelty = map(np.concatenate, zip(*found, strict=True))
         return rows, all_scores, all_novelty
+
+
+def even_in_time(classes: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """Return at most about so many rows, as many of each class, evenly over its grasps."""
+    share = max(2, most // (1 + int(classes.max())))
+    groups = [np.flatnonzero(classes == c) for c in np.unique(classes)]
+    evenly = [np.linspace(0, len(rows) - 1, min(share, len(rows))).round() for rows in groups]
+    return np.concatenate([r[e.astype(np.int64)] for r, e in zip(groups, evenly, strict=True)])
 
 
 def _rows(features: Features) -> NDArray[np.float64]:
@@ -170,15 +195,17 @@ def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
                 log_gains=grid.log_gains,
                 offsets_mm=grid.offsets_mm,
             )
-            scores = model.score(features)[0][0] / temperature
+            likely, scores, _ = model.score(features, likely=SETTINGS.likely)
+            scores = scores[0] / temperature
             # A drift of the grasp moves the prior against the grasp as it was.
             for log_gain, offset in rng.standard_normal((SETTINGS.doubt_days, 2)):
                 of_gain = -0.5 * (grid.log_gains / prior.log_gain_sd - log_gain) ** 2
                 of_offset = -0.5 * (grid.offsets_mm / prior.offset_sd_mm - offset) ** 2
                 joint = scores + (of_gain[:, None] + of_offset)[..., None]
-                probability = np.exp(logsumexp(joint, axis=(0, 1)) - logsumexp(joint))
+                of_each = logsumexp(joint, axis=(0, 1))
+                probability = np.exp(of_each - logsumexp(of_each))
                 best.append(float(probability.max()))
-                wrong.append(int(probability.argmax()) != classes[row])
+                wrong.append(likely[probability.argmax()] != classes[row])
     order = np.argsort(best)[::-1]
     within = np.cumsum(np.array(wrong)[order]) <= SETTINGS.wrong * len(order)
     if within.all():

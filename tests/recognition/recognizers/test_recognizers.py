@@ -27,6 +27,7 @@ from recognition.recognizers import (
 )
 from recognition.recognizers.comparators.comparator import Comparator, ComparatorTrainer
 from recognition.recognizers.force_ramp.view import describe
+from recognition.recognizers.force_ramp.view_training import even_in_time
 
 OURS = ("force_ramp", "shrinkage_lda")
 
@@ -381,17 +382,40 @@ def test_the_farther_off_in_touch_the_less_of_size_makes_an_object_new(train, fr
     grids = [pad_grid(taught.rest.pads, pad) for pad in taught.rest.gripping]
     none = np.zeros(1)
     features = describe(levels, grids, opening=True, log_gains=none, offsets_mm=none)
-    distance = taught.both.model.score(features)[1][:, 0, 0, 0]
+    distance = taught.both.model.score(features).novelty[:, 0, 0, 0]
     moved = [
         dataclasses.replace(features, sizes_mm=features.sizes_mm + off_mm)
         for off_mm in np.linspace(0.0, 5.0, 101)
     ]
-    new = np.stack([taught.both.likelihood(some)[1][:, 0, 0] > 0.5 for some in moved])
+    new = np.stack([taught.both.likelihood(some)[2][:, 0, 0] > 0.5 for some in moved])
     assert not new[0].any()
     assert new[-1].all()
     needed = new.argmax(axis=0)
     near, far = np.array_split(np.argsort(distance), 2)
     assert needed[far].mean() < needed[near].mean()
+
+
+@pytest.mark.parametrize("opening", [True, False])
+def test_likely_objects_have_the_scores_that_they_have_among_all(train, fresh, opening):
+    taught = make_trainer("force_ramp").fit(train)
+    view, levels = taught.both if opening else taught.touch, load_levels(fresh[:1], taught.rest)
+    grids = [pad_grid(taught.rest.pads, pad) for pad in taught.rest.gripping]
+    drifts = {"log_gains": taught.grid.log_gains, "offsets_mm": taught.grid.offsets_mm}
+    features = describe(levels, grids, opening=opening, **drifts)
+    for also in range(len(taught.labels)):
+        every, few = view.model.score(features), view.model.score(features, likely=1, also=also)
+        assert also in few.classes
+        assert set(every.scores.argmax(axis=-1).flat) <= set(few.classes)
+        assert few.scores == pytest.approx(every.scores[..., few.classes])
+        assert np.all(few.novelty >= every.novelty - 1e-9)
+
+
+def test_of_many_taught_grasps_as_many_of_each_object_are_kept():
+    classes = np.repeat([0, 1, 2], [40, 3, 9])
+    kept = even_in_time(classes, 15)
+    assert np.bincount(classes[kept]).tolist() == [5, 3, 5]
+    assert kept[[0, 4, -1]].tolist() == [0, 39, 51]
+    assert np.array_equal(even_in_time(classes, 120), np.arange(52))
 
 
 def test_caution_calls_more_objects_unknown(train, fresh):

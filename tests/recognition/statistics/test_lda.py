@@ -26,6 +26,14 @@ def test_nearest_class_is_the_right_one():
     assert lda.centres.shape == (3, 2)
 
 
+def test_the_axes_that_separate_best_are_kept():
+    x, y = gaussians(np.random.default_rng(0), shift=6.0)
+    x[y == 2] += 12.0
+    every, one = fit_lda(x, y, 3), fit_lda(x, y, 3, most_axes=1)
+    assert one.centres == pytest.approx(every.centres[:, :1])
+    assert (one.distances(x).argmin(axis=1) == y)[y == 2].all()
+
+
 def test_distances_are_in_standard_deviations():
     rng = np.random.default_rng(1)
     x, y = gaussians(rng, n=2000, shift=5.0)

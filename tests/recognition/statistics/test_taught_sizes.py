@@ -15,7 +15,8 @@ def sizes(spread_mm: float) -> np.ndarray:
 
 def novelty(found: TaughtSizes, sizes_mm: list[list[float]], slack_mm: float = 0.0) -> np.ndarray:
     """Return the squared distances to the first object."""
-    return found.distances(np.array(sizes_mm)[:, None], np.array([slack_mm]))[:, 0, 0]
+    objects = np.zeros((len(sizes_mm), 1, 1), dtype=np.int64)
+    return found.distances(np.array(sizes_mm)[:, None], np.array([slack_mm]), objects)[:, 0, 0]
 
 
 def test_a_size_between_the_taught_ones_is_new_and_theirs_is_not():
