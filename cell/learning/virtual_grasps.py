@@ -360,7 +360,7 @@ class VirtualPads:
         wait_s = rng.uniform(0.01, 0.04)
         pause_s = rng.uniform(*_SLOW_CONTACT_S)
         # Other parts begin wider: so far the fingers travel.
-        travel_m = rng.uniform(0.4, 1.0) * max(0.0, way_m - _SLOW_WAY_M)
+        travel_m = rng.uniform(0.7, 1.0) * max(0.0, way_m - _SLOW_WAY_M)
         travel_s = travel_m / max(course.travel_speed_m_s, course.approach_speed_m_s)
         closing_s = travel_s + (way_m - travel_m) / course.approach_speed_m_s
         n_closing = math.ceil((wait_s + closing_s) / course.period_s)

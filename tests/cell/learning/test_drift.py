@@ -200,7 +200,8 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
 def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught: Any, tmp_path: Any) -> None:
     plugin = TactileCellPlugin(taught.config, model=taught.result.model)
     try:
-        job = plugin.start({"task": "identify", "max_grasps": 1, "present": "ball"})
+        goal = IdentifyGoal(max_grasps=1, present="ball", whole_ramps=True)
+        job = plugin.start(goal)
         answer = plugin.result(job, 60.0)
         plugin.save(tmp_path / "taught.npz")
         plugin.save(tmp_path / "followed.npz", followed=True)
