@@ -20,7 +20,6 @@ from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import (
     TactileConfig,
-    UskinConfig,
     check_sensor,
     layout_from_config,
     make_calibration,
@@ -186,7 +185,7 @@ class CellConfig(Section):
                 f"{self.gripper.port} is gripper.port and in tactile.sensor.ports: servos and "
                 "boards need ports of their own"
             )
-        on_can = not self.tactile.serial_ports
+        on_can = self.tactile.sensor.on_can
         if not simulated[0] and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
         if (
@@ -271,12 +270,11 @@ class CellConfig(Section):
             self.tactile.interface,
             self.tactile.channel,
         )
-        on_can = isinstance(self.tactile.sensor, UskinConfig) and not simulated
-        if on_can and shared and positioner.drives:
+        lone = self.tactile.sensor.lone_on_can
+        if lone and shared and positioner.drives and not simulated:
             raise ValueError(
-                "positioner.can is the bus of tactile: uSkin boards use identifiers of CANopen "
-                "(201h is RPDO1 of node 1, 710h to 71Fh are heartbeats), so that they need a bus "
-                "without CANopen nodes"
+                f"positioner.can is the bus of tactile: {lone}, so that they need a bus without "
+                "CANopen nodes"
             )
         for port in positioner.ports:
             if simulated != (port == SIMULATED):

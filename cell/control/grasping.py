@@ -275,7 +275,7 @@ class Grasper:
     def _open_and_zero(self) -> None:
         """Open the fingers; a sensor that drifts gets its zero before each approach."""
         self.hand.open(self.watch)
-        if n_frames := self.config.tactile.zero_frames:
+        if n_frames := self.config.tactile.sensor.fresh_zero_frames:
             self.take_zero(n_frames)
 
     def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
