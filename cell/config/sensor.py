@@ -6,24 +6,24 @@ from typing import TYPE_CHECKING, ClassVar
 
 from cell.config.section import Section
 from cell.errors import ConfigError
-from gripper.clock import Clock
-from gripper.dynamixel.serial_port import ByteStream
-from tactile.layout import TaxelLayout
-from tactile.source import FrameSource
 
 if TYPE_CHECKING:
     from cell.config.tactile import TactileConfig
+    from gripper.clock import Clock
+    from gripper.dynamixel.serial_port import ByteStream
     from simulator.boards.site import SimulatedBoards
     from tactile.can.bus import CanBus
+    from tactile.layout import TaxelLayout
+    from tactile.source import FrameSource
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorLines:
     """Lines and time of a sensor."""
 
-    clock: Clock
+    clock: "Clock"
     """Monotonic time: real, or that of a simulated cell."""
-    open_serial: Sequence[Callable[[], ByteStream]] = ()
+    open_serial: "Sequence[Callable[[], ByteStream]]" = ()
     """Open the serial lines of `SensorConfig.serial_ports`, in their order. They raise OSError or
     gripper.errors.PortLost where a line cannot be opened, and where it is gone later."""
     can_bus: "CanBus"
@@ -62,6 +62,8 @@ class SensorConfig(Section):
     """Whether it is on the bus of `tactile.interface`, `channel` and `bitrate`."""
     lone_on_can: ClassVar[str] = ""
     """Why no CANopen node may be on its bus; empty where one may."""
+    layout: ClassVar[str] = "paper"
+    """Named layout that its defaults fit."""
     baud_rate: ClassVar[int] = 115_200
     """Bit rate of its serial lines."""
     period_s: ClassVar[float] = 0.01
@@ -88,10 +90,10 @@ class SensorConfig(Section):
         """Return whether force messages are asked for; else the force comes from the frames."""
         return False
 
-    def check(self, tactile: "TactileConfig", layout: TaxelLayout) -> None:
+    def check(self, tactile: "TactileConfig", layout: "TaxelLayout") -> None:
         """Raise ValueError or LayoutError for a layout or lines that it cannot have."""
 
-    def open_source(self, tactile: "TactileConfig", lines: SensorLines) -> FrameSource:
+    def open_source(self, tactile: "TactileConfig", lines: SensorLines) -> "FrameSource":
         """Return its frame source, not started; `TactileConfig.source_options` are for most."""
         raise NotImplementedError
 

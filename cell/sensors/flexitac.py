@@ -32,6 +32,7 @@ class FlexiTacConfig(SensorConfig):
     """Whether a board's rows follow each other along the finger; else across it, so that the long
     side of 12x32 lies along the finger."""
     baud_rate = BAUD_RATE
+    layout = "flexitac_12x32"
     period_s = PERIOD_S
     # Taxels rest at 10 to 40 of 255 counts, each at its own: the mean of nine may be this far from
     # that of the pad by chance. [derived] A taxel of 8 bit may repeat itself for a second. [chosen]

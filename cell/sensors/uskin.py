@@ -50,6 +50,7 @@ class UskinConfig(SensorConfig):
         "uSkin boards use identifiers of CANopen (201h is RPDO1 of node 1, 710h to 71Fh are "
         "heartbeats)"
     )
+    layout = "uskin_4x4"
     period_s = messages.PERIOD_S
     # z of a taxel rests at 9312h, and 26 counts are a hundredth of a newton. [derived]
     rest = RestLimits(rest_share=0.75, bump_share=0.05, noise_share=4e-4)
