@@ -29,8 +29,9 @@ class DfrobotBoards:
 class DfrobotLine(SerialBoard):
     def __init__(self, line, site, *, addresses):
         super().__init__(line, site, baud_rate=921_600)
-        self.addresses, self.request, self.scanned_s = addresses, b"", site.start_s - SCAN_S
+        self.addresses, self.request, self.scanned_s = addresses, b"", site.start_s
         self.pads = ResistivePads(site.world, site.layout, site.taxel_faults, seed=site.seed)
+        self.counts = self.pads.scan()
 
     def advance_to(self, now_s):
         while self.scanned_s <= now_s - SCAN_S:
