@@ -129,7 +129,7 @@ PAD_LAYOUTS = Plugins("pad_layouts", "pad layout")
 """Functions that return a `tactile.layout.TaxelLayout`."""
 RECOGNISERS = Plugins("recognisers", "recogniser")
 """What makes a `recognition.recognizer.Trainer` when called with ``use_aperture``."""
-INTERFACES = Plugins("interfaces", "interface")
-"""Classes that are made with a `cell.service.service.Service`, and have ``port`` and ``close``."""
+INTERFACES = Plugins("interfaces", "interface", "cell.config.serve:InterfaceConfig")
+"""Sections of `serve.interfaces`: subclasses of `cell.config.serve.InterfaceConfig`."""
 GROUPS = (SENSORS, SERVO_MODELS, PAD_LAYOUTS, RECOGNISERS, INTERFACES)
 """All groups."""

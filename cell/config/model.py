@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from cell.config.positioner import PositionerConfig
-from cell.config.section import SIMULATED, OneOf, Section, setting_of
+from cell.config.section import SIMULATED, Installed, OneOf, Section, setting_of
 from cell.config.sequence import SequenceConfig, ramp_from_config
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
@@ -26,13 +26,14 @@ from cell.config.tactile import (
 )
 from cell.data.formats import CONFIG
 from cell.errors import ConfigError
+from cell.plugins import RECOGNISERS
 from gripper.dynamixel.latency import largest_rate_hz
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
-from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
+from recognition.recognizers import DEFAULT_TRAINER
 from tactile.layout import TaxelLayout
 
 TAXELS_OF_SMALL_PART = 8
@@ -51,7 +52,7 @@ _MUCH_FRICTION_N = 10.0
 class RecognitionConfig(Section):
     """How grasps become an answer."""
 
-    recognizer: Annotated[str, OneOf(tuple(TRAINERS))] = DEFAULT_TRAINER
+    recognizer: Annotated[str, Installed(RECOGNISERS)] = DEFAULT_TRAINER
     """Recogniser that is taught."""
     use_aperture: bool = True
     """Whether the opening between the fingers is used beside the taxels."""

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from math import inf
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 from pydantic import (
     BaseModel,
@@ -201,15 +201,20 @@ class SectionOf:
 
 def sections_in(key: FieldInfo) -> Iterator[type[BaseModel]]:
     """Return the sections that a key may hold, through unions, lists, notes and plugins."""
-    for note in key.metadata:
-        if isinstance(note, SectionOf):
-            yield from note.sections()
-            return
-    yield from _sections_of(key.annotation)
+    return _sections_of(
+        Annotated[key.annotation, *key.metadata] if key.metadata else key.annotation
+    )
 
 
 def _sections_of(annotation: Any) -> Iterator[type[BaseModel]]:
+    inner = get_args(annotation)
+    plugins = [
+        note for note in getattr(annotation, "__metadata__", ()) if isinstance(note, SectionOf)
+    ]
+    if plugins:
+        yield from plugins[0].sections()
+        return
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
-    for inner in get_args(annotation):
-        yield from _sections_of(inner)
+    for one in inner:
+        yield from _sections_of(one)
