@@ -187,7 +187,7 @@ class BoardSource(ABC):
                 f"allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check its cable"
             )
 
-    def set_zero(self, zero: PadZero) -> None:
+    def set_zero(self, zero: PadZero) -> None:  # noqa: B027
         """Nothing: the boards send no forces."""
 
     def stop(self) -> None:

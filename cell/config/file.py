@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError, WithJsonSchema
+from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
@@ -127,8 +127,6 @@ def _choices(key: FieldInfo) -> list[str]:
     for note in key.metadata:
         if isinstance(note, OneOf | Installed):
             return list(note.names)
-        if isinstance(note, WithJsonSchema) and note.json_schema:
-            return [str(choice) for choice in note.json_schema.get("enum", ())]
     return []
 
 

@@ -10,6 +10,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     ValidationError,
     field_validator,
@@ -137,10 +138,10 @@ class Installed:
         """The names that are installed."""
         return tuple(self.plugins)
 
-    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(
-            self._checked, core_schema.str_schema(strict=True)
-        )
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
 
     def __get_pydantic_json_schema__(
         self, _schema: CoreSchema, _handler: GetJsonSchemaHandler
@@ -161,10 +162,13 @@ class SectionOf:
 
     plugins: Plugins
     """The plugins to choose from."""
+    built_in: bool = True
+    """Whether those of this project are shown among the choices."""
 
     def sections(self) -> list[type[BaseModel]]:
-        """Return the sections of all plugins that load."""
-        return list(self.plugins.usable().values())
+        """Return the sections of the plugins that load."""
+        found: dict[str, type[BaseModel]] = self.plugins.usable()
+        return [one for n, one in found.items() if self.built_in or not self.plugins.built_in(n)]
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(

@@ -44,6 +44,9 @@ class InterfaceConfig(Section):
         raise NotImplementedError
 
 
+ForeignInterface = Annotated[InterfaceConfig, SectionOf(INTERFACES, built_in=False)]
+
+
 class ServeConfig(Section):
     """Interfaces of `tactile-cell serve`; Modbus and XML-RPC authenticate nobody."""
 
@@ -68,8 +71,8 @@ class ServeConfig(Section):
     opcua_folder: str = Field(default="", max_length=500)
     """Certificates of OPC UA: certificate.der and key.pem of the cell, made at the first start, and
     in trusted/ those of the clients that may command; empty: read-only."""
-    interfaces: tuple[Annotated[InterfaceConfig, SectionOf(INTERFACES)], ...] = Field(
-        default=(), max_length=20
+    interfaces: tuple[Annotated[InterfaceConfig, SectionOf(INTERFACES, built_in=False)], ...] = (
+        Field(default=(), max_length=20)
     )
     """Interfaces of other packages, each with its `kind` and the keys of that package."""
     lease_timeout_s: float = Field(default=2.0, ge=0.2, le=60.0)

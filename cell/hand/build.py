@@ -4,6 +4,7 @@ import functools
 import time
 from dataclasses import replace
 
+from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
 from cell.config.sensor import SensorLines
 from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
@@ -46,6 +47,8 @@ def open_hand(
     ``partial`` if none can.
     """
     gripper, tactile = config.gripper, config.tactile
+    # A config that another process has checked comes without what its check has loaded.
+    use_servo_models(servo.model for servo in gripper.servos)
     lines = HandConnections(
         lambda: SerialStream(gripper.port, gripper.baud_rate),
         lambda: (

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.errors import CellError, ConfigError
+from cell.plugins import INTERFACES
 from cell.service.service import Service
 
 
@@ -52,6 +53,13 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
                 raise CellError(
                     f"an interface at {config.listen}:{getattr(config, key, '')} (serve.{key}) "
                     f"cannot be opened: {error}{remedy}"
+                ) from error
+            except Exception as error:
+                if isinstance(error, CellError) or INTERFACES.built_in(section.kind):
+                    raise
+                raise CellError(
+                    f"interface {section.kind} of {INTERFACES.package(section.kind)} cannot be "
+                    f"opened: {type(error).__name__}: {error}"
                 ) from error
             undo.callback(interface.close)
             found[key] = interface.port

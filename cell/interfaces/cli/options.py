@@ -116,7 +116,7 @@ RecognizerOption = Annotated[
     str,
     typer.Option(
         "--recognizer",
-        help="Its kind; `tactile-cell doctor --plugins` lists them.",
+        help="Its kind, as doctor lists them with --plugins.",
         callback=_known_recognizer,
     ),
 ]

@@ -40,7 +40,7 @@ def evaluate(
         list[str] | None,
         typer.Option(
             "--recognizer",
-            help="Repeat for several; `tactile-cell doctor --plugins` lists them "
+            help="Repeat for several kinds, as doctor lists them with --plugins "
             f"[default: {', '.join(TRAINERS)}].",
             callback=known_recognizers,
         ),
