@@ -1,6 +1,6 @@
 """Pictures and transcripts of the docs, made anew: `make pictures`.
 
-A headless Chromium draws the pictures. They are parts of the report page of `tactile-cell run`, and the
+A headless Chromium draws the pictures: of the report page of `tactile-cell run`, and of the
 operator's page of `tactile-cell serve` with a named part in the grip.
 Transcripts are the output of the commands in the tutorial. The most similar line of a new run
 replaces each line in the tutorial.

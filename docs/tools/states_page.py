@@ -35,7 +35,7 @@ DOES = {
     ),
     CellState.STARTING: (
         "Verifies servos and control unit, opens the fingers, measures the zero of the taxels.",
-        "Empty fingers open. If torque is on, this is a fault and nothing moves: a part may be held.",
+        "Empty fingers open. Torque that is on is a fault, and nothing moves: a part may be held.",
     ),
     CellState.IDLE: (
         "Ready. Both links are kept alive and supervised (`tick`).",
