@@ -91,13 +91,13 @@ def _harmonics_of(footprint: Footprint) -> NDArray[np.float64]:
 
 
 def _squared_answers(root: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
-    """Return (n, widths, harmonics, places): squared answers to roots of density (n, *shape)."""
+    """Return (n, widths, harmonics, places): squared responses to roots of density (n, *shape)."""
     rows_mm = grid.xy_mm[:, 0].reshape(grid.shape).mean(axis=1)
     columns_mm = grid.xy_mm[:, 1].reshape(grid.shape).mean(axis=0)
     along = _windows(rows_mm, float(grid.pitch_mm[0]))
     across = _windows(columns_mm, float(grid.pitch_mm[1]))
     n_widths, n_powers = along.shape[:2]
-    # Powers of x and y under the window first, as both are windows of one axis; then harmonics.
+    # Powers of x and y under the window first, because both are windows of one axis.
     moments = along.reshape(n_widths, -1, len(rows_mm)) @ (
         root[:, None] @ np.swapaxes(across.reshape(n_widths, -1, len(columns_mm)), 1, 2)
     )

@@ -32,14 +32,14 @@ RECOGNIZERS: Mapping[str, str] = MappingProxyType(
         "raw_neighbours": f"{_METHODS}:RawNeighbours.trainer",
     }
 )
-"""All kinds of recogniser by name, in the order of tables: the module of trainer and recogniser,
-imported when a trainer is made, and what makes one in it when called with ``use_aperture``."""
+"""All kinds of recogniser by name, in the order of tables. The value is the module of trainer and
+recogniser, imported for the first trainer, and a callable in it that takes ``use_aperture``."""
 
 TRAINERS = ("force_ramp", "level_check", "shrinkage_lda")
-"""Names of the kinds that are compared where none is asked for."""
+"""Names of the kinds that are compared by default."""
 
 COMPARATORS = tuple(name for name in RECOGNIZERS if name not in TRAINERS)
-"""Names of those that are used only where they are asked for; some are taught by scikit-learn."""
+"""Names of those that are used only on request; some are taught by scikit-learn."""
 
 
 def trainer_names() -> tuple[str, ...]:
