@@ -58,20 +58,20 @@ class LevelSettings:
 DEFAULT_LEVEL = LevelSettings()
 """The settings of the recogniser `level_check`."""
 FULL_SCALE_COUNTS = 255.0
-"""Heights are fitted in counts of an 8-bit converter, the paper's, whatever the pads' own."""
+"""Full scale of the fitted heights: counts of the paper's 8-bit converter, for pads of any kind."""
 
 _PRIOR_GRASPS = 4.0
 """Weight, in grasps, of the pooled spread against an object's own."""
 _LEAST_SPREAD = 0.02
-"""Least standard deviation of a level's logarithm, however alike the taught grasps are."""
+"""Least standard deviation of a level's logarithm, also for very similar taught grasps."""
 _DEFAULT_SPREAD = 0.08
-"""Pooled spread where every object was grasped once: the noise of the paper's levels."""
+"""Pooled spread with one grasp of every object: the noise of the paper's levels."""
 _LEAST_SHARE = 0.05
-"""Part of the first pad's load below which the second counts as untouched."""
+"""Least load of a touched second pad, as a share of the first pad's."""
 _DRAWS = 12
-"""Disturbances by noise from which its effect on a level is taken."""
+"""Number of random disturbances that show the effect of noise on a level."""
 _NOISE_GRASPS = 30
-"""About as many taught grasps are disturbed; more would change the result by little."""
+"""About the number of disturbed taught grasps; more would change the result little."""
 
 
 def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
@@ -301,7 +301,7 @@ def usual_noise(grasps: Sequence[Grasp], settings: LevelSettings) -> tuple[float
 def log_statistics(
     values: Sequence[NDArray[np.float64]],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and spread of log|level|; each spread is drawn towards the pooled one."""
+    """Return mean and spread of log|level|; each spread is shrunk towards the pooled one."""
     logs = [np.log(np.abs(one)) for one in values]
     counts = np.array([len(one) for one in logs])
     mean = np.array([one.mean() if len(one) else np.nan for one in logs])
@@ -309,7 +309,7 @@ def log_statistics(
     freedom = np.maximum(counts - 1, 0)
     pooled = float(squares.sum() / freedom.sum()) if freedom.sum() else _DEFAULT_SPREAD**2
     variance = (squares + _PRIOR_GRASPS * pooled) / (freedom + _PRIOR_GRASPS)
-    # the mean itself is known from a few grasps only
+    # Few grasps give the mean with an error.
     variance = variance * (1.0 + 1.0 / np.maximum(counts, 1))
     spread = np.sqrt(np.maximum(variance, _LEAST_SPREAD**2))
     return mean, np.where(counts > 0, spread, np.nan)
