@@ -585,7 +585,7 @@ def test_evaluate_leaves_out_what_narrow_pads_cannot_teach(dataset: Path, tmp_pa
         app, ["evaluate", str(narrow), "--json", str(tmp_path / "e.json")], catch_exceptions=False
     )
     said = " ".join(result.output.split())
-    assert "level_check is left out: none of 2 objects has a level: no grasp pressed" in said
+    assert "level_check is left out: no object of 2 has a level: no grasp pressed" in said
     data = read_json(tmp_path / "e.json")
     assert list(data["left_out"]) == ["level_check"]
     assert data["recognizers"]["force_ramp"]["single_accuracy"] == 1.0
