@@ -89,7 +89,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     page.click("#question_send")
     becomes(page, "#state", "Commissioned")
     becomes(page, "#files", "commissioning.html")
-    becomes(page, "#corrected", r"set right now\s*name was wrong")
+    becomes(page, "#corrected", r"corrected\s*name was wrong")
     page.click("#steps summary >> nth=1")
     becomes(page, "#steps li:nth-child(2)", "A block of 12.5 mm")
     drawn = "images => images.filter(image => image.naturalWidth).length"
