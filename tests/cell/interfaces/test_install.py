@@ -71,7 +71,7 @@ def test_what_the_page_types_prints_writes_removes_and_packs(
     for name in WRITTEN:
         assert (image / name).read_text().strip() in printed
     again = call(*applied, "--root", image).output
-    assert again.count("as it is wanted already") == 3
+    assert again.count("already up to date") == 3
     call(*removed, "--root", image, answers="y\ny\ny\n")
     assert files_in(image) == set()
     call(*support)
