@@ -418,7 +418,7 @@ def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
     silent = changed_config(loaded, {"simulator.faults": ["servo2.off"]})
     faulty.write_text(config_text(silent))
     said = fail("clear", "-c", faulty)
-    assert "servo 2 does not answer: remedy the cause" in said
+    assert "servo 2 does not answer: remove the cause" in said
 
 
 def test_clear_shows_the_axes_and_resets_them(tmp_path: Path, fail: Any) -> None:
