@@ -23,7 +23,7 @@ def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) ->
         with pytest.raises(ConfigError, match="pipe is not a regular file"):
             serve(interface, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
     (tmp_path / "bad").write_bytes(b"\xff" * 20)
-    with pytest.raises(ConfigError, match="of ASCII characters"):
+    with pytest.raises(ConfigError, match="needs ASCII characters"):
         serve("xmlrpc", serve__secret_file=str(tmp_path / "bad"))
     (tmp_path / "long").write_text("x" * 65)
     with pytest.raises(ConfigError, match="at most 64 characters"):

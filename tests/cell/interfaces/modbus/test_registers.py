@@ -218,7 +218,7 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(
     assert plc.refusal() == (0, "")
     assert plc.write(COMMAND, GRIP) == 6
     acquire = "Acquire the lease and send life signs. "
-    assert plc.refusal() == (514, f"{acquire}change register 0, ")
+    assert plc.refusal() == (514, f"{acquire}change register 0, the li")
     plc.adopt()
     assert second.write(LIFE, 5) == 6
     assert second.refusal() == (514, f"{acquire}Modbus 127.0.0.1 is")
