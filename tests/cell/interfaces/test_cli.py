@@ -993,7 +993,7 @@ def test_fingers_that_do_not_close_in_time_are_told_as_that(
     (tmp_path / "cell.yaml").write_text(slow)
     files = ("-o", tmp_path / "d.npz", "--out", tmp_path / "out")
     said = fail("teach", "ball", *files, "-c", tmp_path / "cell.yaml")
-    assert "in gripper.contact_timeout_s = 1 s the fingers came no farther" in said
+    assert "the fingers came no farther in gripper.contact_timeout_s = 1 s" in said
 
 
 def test_output_that_nobody_takes_is_an_error_in_plain_words() -> None:
