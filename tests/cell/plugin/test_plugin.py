@@ -461,7 +461,7 @@ def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(make_p
 @pytest.mark.parametrize(
     ("goal", "complaint"),
     [
-        (None, "goal is None; write a goal, as IdentifyGoal, or a mapping"),
+        (None, "goal is None; write a goal, for example IdentifyGoal, or a mapping"),
         ("teach", "goal is 'teach'; write"),
         (["teach"], "goal is ['teach']; write"),
         ({"task": ["teach"]}, "goal has task ['teach']; write one of"),
