@@ -187,7 +187,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     assert shown_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
     simulated.inject("servos.unplugged")
     findings = by_name(list(examine(CellConfig(), file)))
-    assert "whether a part is held is not known" in findings["servo torque"].advice
+    assert "it is unknown whether a part is held" in findings["servo torque"].advice
     assert findings["pads' force"].verdict is Verdict.WARN
     simulated.close()
 
