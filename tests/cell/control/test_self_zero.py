@@ -349,9 +349,9 @@ def damage(path: Path, how: str) -> None:
 @pytest.mark.parametrize(
     ("how", "says"),
     [
-        ("", "no JSON"),
-        ("[1]", "holds no object"),
-        ("[" * 100_000, "no JSON"),
+        ("", "not JSON"),
+        ("[1]", "has no object"),
+        ("[" * 100_000, "not JSON"),
         ("{}", "names no format"),
         ('{"measured_s": 1e300}', "names no format"),
         ('{"format": "tactile-cell-self-zero/9"}', "update tactile-cell"),
@@ -383,7 +383,7 @@ def test_a_whole_file_of_other_values_counts_as_none(
     write_json(tmp_path / "zero.json", SELF_ZERO, kept, error=CellError)
     zeros = SelfZeros("daily", path=tmp_path / "zero.json")
     assert zeros.newest is None
-    assert "holds none; `tactile-cell zero`" in zeros.refused
+    assert "has no self-zero; `tactile-cell zero`" in zeros.refused
 
 
 @pytest.mark.parametrize(

@@ -191,9 +191,9 @@ def test_damaged_pads_are_refused(
         ({"counts": np.zeros(3)}, "it has no header; train a model first"),
         ({"grasp_offsets": np.zeros(3)}, "is a data set: `tactile-cell train"),
         ({"model": np.zeros(3)}, "it has no header"),
-        ({"model": np.array("{")}, "no JSON"),
-        ({"model": np.array("[" * 100_000)}, "no JSON"),
-        ({"model": np.array("[1]")}, "no object"),
+        ({"model": np.array("{")}, "not JSON"),
+        ({"model": np.array("[" * 100_000)}, "not JSON"),
+        ({"model": np.array("[1]")}, "not an object"),
     ],
 )
 def test_what_is_no_model_is_refused_and_never_run(
