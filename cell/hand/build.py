@@ -24,14 +24,14 @@ from tactile.sensor.tare import TareLimits
 from tactile.source import FrameSource
 
 SHARED_PROCESS = (
-    "the force loop shares its process with all other work, which may hold it up: set "
+    "the force loop shares its process with all other work, which may delay it: set "
     "loop.own_process to true"
 )
 """Note of a real cell whose loop has no process of its own."""
 
 _HELD_SHARE = 0.35
-"""Share of the friction by which the wanted force may change while friction holds the one there
-is: as that breaks, by a quarter where empty fingers meet, and half as much again."""
+"""Share of the friction by which the set-point may change before the force follows, because
+friction holds the force: a quarter where empty fingers meet, and half as much again."""
 
 _HANG_PERIODS = 8.0
 """Periods of the frames within which code of another package has to return. [chosen]"""
@@ -44,7 +44,7 @@ def open_hand(
 
     With ``partial`` one of both lines may be missing; a note of the hand names it. Raises
     gripper.errors.PortLost or tactile.errors.LinkFault if a port or bus cannot be opened; with
-    ``partial`` if none can.
+    ``partial`` only if both cannot be opened.
     """
     gripper, tactile = config.gripper, config.tactile
     # A config that another process has checked comes without what its check has loaded.
@@ -78,14 +78,14 @@ def make_hand(
     source: FrameSource | None = None,
     clock: Clock = time,
 ) -> LocalHand:
-    """Put gripper and sensor together on open lines, which the hand closes at its end.
+    """Return a hand of gripper and sensor on open lines, which the hand closes at its end.
 
     Parameters
     ----------
     by_current
-        Whether the force follows from the motors' current; the sensor must not be used then.
+        Whether the force is computed from the motors' current; do not use the sensor then.
     source, clock
-        Frame source in the place of the configured control unit, and its time.
+        Frame source instead of the configured control unit, and its clock.
     """
     settings = sensor_settings(config.tactile, config.friction_n)
     source = source or frame_source(
@@ -130,7 +130,7 @@ def frame_source(config: TactileConfig, lines: SensorLines) -> FrameSource:
 
 
 def sensor_settings(config: TactileConfig, friction_n: float = 0.0) -> SensorSettings:
-    """Return the settings of the way from frames to forces, of fingers with a friction in N."""
+    """Return the settings that convert frames to forces, for fingers with a friction in N."""
     rest, usual = config.sensor.rest, SensorSettings()
     limits = QualityLimits(drift_share=config.drift_max_share)
     tare = TareLimits(bad_share=config.bad_taxels_max_share)

@@ -53,8 +53,8 @@ class ControlUnitConfig(SensorConfig):
         raise ValueError(
             f"tactile: at tactile.bitrate = {tactile.bitrate} the control unit loads the bus by up "
             f"to {bus_load(layout, link, tactile.bitrate):.0%}: "
-            f"{FrameFormat.of(layout).n_messages} messages a frame, which must be through in "
-            f"{WINDOW_SHARE:.0%} of tactile.sync_period_ms = {tactile.sync_period_ms:g}, beside "
+            f"{FrameFormat.of(layout).n_messages} messages per frame, which must be sent within "
+            f"{WINDOW_SHARE:.0%} of tactile.sync_period_ms = {tactile.sync_period_ms:g}, and "
             f"force messages every tactile.force_period_ms = {tactile.force_period_ms}. Write "
             f"{', or '.join(ways) or 'a layout of fewer taxels'}"
         )

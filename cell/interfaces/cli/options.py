@@ -1,4 +1,4 @@
-"""Options that several commands share. They load nothing heavy: help and completion read them."""
+"""Options that several commands share. Imports stay light: help and completion load this file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,7 @@ from cell.plugins import RECOGNISERS
 
 
 def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
-    """Return the option ``--output`` of a file whose name has to end so."""
+    """Return the option ``--output`` of a file whose name must end with ``suffix``."""
 
     def checked(path: Path | None) -> Path | None:
         if path is not None and path.suffix != suffix:
@@ -24,7 +24,7 @@ def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
 
 
 FOLDER_CONFIG = Path("tactile-cell.yaml")
-"""The config file that is used where it lies in the folder and none is named."""
+"""Config file that is used if it is in the current folder and no other file is named."""
 
 
 def _or_of_folder(path: Path | None) -> Path | None:
@@ -98,7 +98,7 @@ SplitOption = Annotated[
 
 
 def known_recognizers(names: list[str] | None) -> list[str] | None:
-    """Return the names of recognisers. Raises typer.BadParameter for one that there is not."""
+    """Return the names of recognisers. Raises typer.BadParameter for an unknown name."""
     for name in names or ():
         try:
             RECOGNISERS.entry(name)
