@@ -95,7 +95,7 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive: MakeDriv
         ("shut", AxisFault, "left OPERATION ENABLED for READY TO SWITCH ON"),
         ("stopped", AxisNotOperational, "NMT state stopped, .* another CANopen master"),
         ("pre-operational", AxisNotOperational, "NMT state pre-operational, .* another CANopen"),
-        ("twice", AxisDuplicated, "SDO answers more came .* a second drive has the same node-ID"),
+        ("twice", AxisDuplicated, "SDO answers more than .* a second drive has the same node-ID"),
         ("short", AxisAnswerWrong, "sends (6041|1000)h:0 with a length of 1 instead of [24] bytes"),
         ("no state", AxisAnswerWrong, "sends the statusword 0001h, which is no state of CiA 402"),
         ("jump", PositionImplausible, r"reads a position of \d{4}.\d\d mm, its limits are -20.00"),
