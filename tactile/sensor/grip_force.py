@@ -17,11 +17,11 @@ _MESSAGE_CENTRE_N_M = 0.0024
 """The same of one force message, of a single scan: 0.4 mm on a ball and 0.7 mm on a cylinder at 3 N
 in the simulated cell, 0.3 mm at 8 N."""
 _LEAST_FORCE_N = 0.1
-"""Grip force in N that a weaker one counts as, so that this noise stays finite."""
+"""Least grip force in N for this noise, so that it stays finite."""
 
 
 Sample = TypeVar("Sample")
-"""A value of who controls the force; see `GripForce`."""
+"""Sample type of the force controller; see `GripForce`."""
 
 
 class GripForce(Generic[Sample]):
