@@ -87,7 +87,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("gripper: {current_max_a: 2.4}\n", ["current_max_a 2.4", "servo 1 (XM430-W350)", "2.3 A"]),
         (
             "tactile: {calibration: {kind: linear, force_per_count_n: 0.001}}\n",
-            ["asks for 8 N", "saturated at 0.255 N", "up to 2.04 N"],
+            ["asks for 8 N", "taxel saturates at 0.255 N", "up to 2.04 N"],
         ),
         ("tactile:\n  node_id: '5'\n", ["cell.yaml:2", "tactile.node_id", "'5'"]),
         ("gripper:\n  force_max_n: .nan\n", ["cell.yaml:2", "gripper.force_max_n", "finite"]),
@@ -99,9 +99,9 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("gripper:\n  linkage: {kind: rack_pinion}\n", ["pinion_radius_mm", "required"]),
         ("gripper:\n  aperture_min_mm: 50\n", ["below", "aperture_open_mm"]),
         ("gripper:\n  contact_force_n: 4\n  force_max_n: 3\n", ["contact_force_n", "force_max_n"]),
-        ("gripper:\n  force_max_n: 5\n", ["sequence asks for 8 N", "force_max_n is 5 N"]),
+        ("gripper:\n  force_max_n: 5\n", ["sequence asks for 8 N", "force_max_n = 5 N"]),
         ("gripper:\n  force_max_n: 8.2\n", ["sequence asks for 8 N", "ramps up to 7.81 N"]),
-        ("gripper:\n  contact_force_n: 2.5\n", ["asks for 2 N", "contact_force_n is 2.5 N"]),
+        ("gripper:\n  contact_force_n: 2.5\n", ["asks for 2 N", "contact_force_n = 2.5 N"]),
         ("gripper:\n  force_max_n: 51\n", ["gripper.force_max_n", "50"]),
         (
             "gripper: {approach_speed_mm_s: 4.0, contact_timeout_s: 1.0}\n",
