@@ -283,7 +283,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
     assert served.ended(served.service.start(served.service.lease.number, grip)).held
     becomes(page, "#sim_put", "a part is held: release it first")
     page.select_option("#sim_fault", "servo1.overheat")
-    becomes(page, "#sim_meaning", "its inside has this temperature")
+    becomes(page, "#sim_meaning", "its internal temperature has this value")
     page.select_option("#sim_fault", "servo1.off")
     page.click("#sim_begin")
     becomes(page, "#sim_running li span", "servo1.off")
