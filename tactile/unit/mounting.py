@@ -1,4 +1,4 @@
-"""Pads that sit otherwise than the layout has them: samples and forces in both orders. Pure."""
+"""Pads with another mounting than in the layout: samples and forces in both orders. Pure."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from tactile.source import Arrivals, ForceMessage
 
 
 class Mounting:
-    """Turns what a control unit sends into the order of the layout, and back.
+    """Converts data of a control unit to the order of the layout, and back.
 
     Raises LayoutError as `tactile.layout.taxel_order`.
 
@@ -21,7 +21,7 @@ class Mounting:
     layout
         The taxels.
     mounts
-        Pads that sit otherwise; without any, all passes through as it is.
+        Pads with another mounting; without any the data stay unchanged.
     """
 
     def __init__(self, layout: TaxelLayout, mounts: Sequence[PadMount]) -> None:
