@@ -32,14 +32,14 @@ class Mounting:
         self._exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
         turns = {(one.rows_mirrored, one.columns_mirrored) for one in (first, second)}
         self.unit_can_sum = {first.sent_as, second.sent_as} == set(gripping) and len(turns) == 1
-        """Whether the unit's force messages are of use: it sums the two pads that it takes for the
-        gripping ones, and gives one centre for both."""
+        """Whether the unit's force messages are valid. It sums its own two gripping pads and sends
+        one centre for both."""
         self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
         own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
         order = own if self._order is None else self._order[own]
         place = np.full(layout.n_taxels, -1)
         place[own] = np.arange(len(own))
-        # Where the unit has each taxel of the layout's gripping pads among those that it sums.
+        # Place of each taxel of the layout's gripping pads among those that the unit sums.
         self._zero_order = place[order] if self.unit_can_sum else np.arange(len(own))
 
     def counts(self, counts: NDArray[np.uint16]) -> NDArray[np.uint16]:

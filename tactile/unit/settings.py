@@ -12,13 +12,13 @@ from tactile.source import SourceIdentity
 from tactile.unit import object_dictionary
 
 WINDOW_SHARE = 0.85
-"""Share of the period of SYNC in which the burst of a frame has to be through."""
+"""Share of the period of SYNC for the burst of a frame."""
 
 _FORCE_TIMEOUT_SYNCS, _LEAST_FORCES = 2.0, 4.0
-"""So many periods of SYNC, and of the force messages, may pass without a force message."""
+"""Allowed silence of force messages: periods of SYNC, and at least periods of these messages."""
 
 _FORCE_LATE_S, _LATE_FORCES = 0.015, 3.0
-"""Time in s, or periods of the force messages if that is more, by which all of them may be late."""
+"""Allowed delay of force messages in s, or in their periods if that is more."""
 
 
 def setting(default: Any, low: float, high: float) -> Any:

@@ -55,13 +55,13 @@ _EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
         0x8250: "RPDO time-out",
     }
 )
-"""Emergency codes that mean one thing: the unit's own, and those of CiA 301, 7.2.7.1, that canopen
+"""Emergency codes with one meaning: those of the unit, and those of CiA 301, 7.2.7.1, that canopen
 has only as groups."""
 
 _DOUBLED_BEATS = 16
 _DOUBLED_PERIODS = 10.0
-"""So many heartbeats within so many periods are those of two units; a host that stalls for a third
-of that time sees fewer."""
+"""Number of heartbeats within a number of periods that shows two units. A host that stalls for a
+third of that time receives fewer."""
 
 _CLASS_CONTROLLER = 0x0004
 _CLASS_BUS_OFF = 0x0040
