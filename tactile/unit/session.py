@@ -308,9 +308,9 @@ class LinkSession:
         )
 
     def _check_forces(self, now_s: float) -> None:
-        """Raise FrameTimeout where force messages come too late, or not for too long."""
+        """Raise FrameTimeout for late or missing force messages."""
         assert self._forces is not None
-        # All that came in a stall of the host was read at its end, and looks late for a while.
+        # Messages of a stall of the host were read at its end, and look late for a while.
         excuse_s = self._stall_s if now_s - self._stalled_s < _STALL_SHOWS_S else 0.0
         if self._forces.behind_s - excuse_s > self._settings.force_late_s:
             raise self.forces_late(self._forces.behind_s)
