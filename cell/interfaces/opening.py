@@ -51,7 +51,7 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
     found: dict[str, Any] = {"listen": config.listen}
     for name in (config.tls_certificate, config.tls_key):
         if name and Path(name).exists() and not Path(name).is_file():
-            raise ConfigError(f"{name} is not a regular file; name the file itself")
+            raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
         for name, option, brings, module, kind in _INTERFACES:
             port = getattr(config, name)

@@ -1,4 +1,4 @@
-"""A FlexiTac board on its serial line: frames without end, with the faults of line and firmware."""
+"""A FlexiTac board on its serial line: continuous frames, with faults of line and firmware."""
 
 from dataclasses import dataclass, field
 
@@ -14,7 +14,7 @@ _RATE_HZ = (90.0, 110.0)
 _JITTER = 0.03
 """Standard deviation of a period over its mean. [assumed]"""
 _KEPT_BYTES = 65536
-"""Bytes that wait for a host; older ones are lost."""
+"""Most bytes that wait for a host; older bytes are lost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,28 +30,28 @@ class FlexiTacSettings:
 
 @dataclass(slots=True, kw_only=True)
 class BoardFaults:
-    """Fault knobs of the boards, by finger where they meet one board."""
+    """Fault knobs of the boards; knobs of one board have the finger as value."""
 
     unplugged: set[int] = field(default_factory=set)
-    """Boards whose cable is out."""
+    """Boards whose cable is unplugged."""
     silent: set[int] = field(default_factory=set)
     """Boards that send nothing."""
     frozen: set[int] = field(default_factory=set)
-    """Boards that send their last frame again and again."""
+    """Boards that repeat their last frame."""
     repeated: float = 0.0
     lost_byte: float = 0.0
     torn: float = 0.0
     """Share of the frames that repeat the one before, lack one byte, or end in the middle."""
     late_s: float = 0.0
-    """Time in s by which the bytes of frames come late."""
+    """Delay of the bytes of frames in s."""
     rows: int = 0
-    """Rows of the matrix that the firmware sends, 0 for the right ones: another profile."""
+    """Number of rows in a frame of another profile; 0: the correct number."""
     marked: set[int] = field(default_factory=set)
-    """Boards whose samples hold AA 55 at one place for ever, as a static load may make it."""
+    """Boards whose samples always contain AA 55 at one place, as by a static load."""
 
 
 class FlexiTacBoard:
-    """One board behind a serial port; implements what `simulator.servo.bus` has for its line."""
+    """One board on a serial port; implements `simulator.servo.bus.SerialDevice`."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class FlexiTacBoard:
         self._sent: list[tuple[float, bytes]] = []
         self._last = b""
         self.baudrate = 0
-        """Line rate that the host has set; a USB device does not care."""
+        """Line rate set by the host; a USB device ignores it."""
 
     @property
     def faults(self) -> "FlexiTacBoard":
@@ -85,10 +85,10 @@ class FlexiTacBoard:
         return self._finger in self.knobs.unplugged
 
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
-        """Ignore what the host sends: there are no commands."""
+        """Ignore the host's bytes: there are no commands."""
 
     def advance_to(self, now_s: float) -> None:
-        """Scan and send the frames that are due."""
+        """Scan and send the due frames."""
         if self._due_s < now_s - 10.0 * self._period_s:
             self._due_s = now_s
         while self._due_s <= now_s + ROUNDING_S:

@@ -20,7 +20,7 @@ def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) ->
     keys = {"secret_file": "modbus", "token_file": "http", "tls_key": "http"}
     for key, interface in keys.items():
         files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
-        with pytest.raises(ConfigError, match="pipe is not a regular file"):
+        with pytest.raises(ConfigError, match="pipe: not a plain file"):
             serve(interface, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
     (tmp_path / "bad").write_bytes(b"\xff" * 20)
     with pytest.raises(ConfigError, match="needs ASCII characters"):
