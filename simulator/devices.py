@@ -4,13 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from simulator.boards.flexitac import BoardFaults, FlexiTacBoard, FlexiTacSettings
-from simulator.boards.resistive import ResistivePads
-from simulator.boards.uskin import SimulatedUskin, UskinFaults, UskinSettings
+from simulator.boards.site import BoardFaults, BoardSite, SerialBoard, UskinFaults
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
-from simulator.can.link import CanDevices
+from simulator.can.link import CanDevice, CanDevices
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
@@ -97,9 +95,22 @@ class CellDevices:
             boards=BoardFaults(),
             uskin=UskinFaults(),
         )
-        self.boards = self._make_boards(start_s)
-        """The sensor boards of finger 0 and finger 1 on their serial lines; empty by default."""
-        self.can_devices = CanDevices(self._make_uskin(start_s) or self.unit)
+        self.boards: tuple[SerialBoard, ...] = ()
+        """The sensor boards on their serial lines; none by default."""
+        on_can: CanDevice | None = None
+        if settings.boards is not None:
+            site = BoardSite(
+                world=self.physical,
+                layout=settings.layout,
+                taxel_faults=unit_faults,
+                faults=self.faults.boards,
+                uskin=self.faults.uskin,
+                seed=settings.seed,
+                start_s=start_s,
+            )
+            self.boards = settings.boards.serial_boards(site)
+            on_can = settings.boards.can_device(site)
+        self.can_devices = CanDevices(on_can or self.unit)
         """The control unit or the sensor boards, and further devices on their bus."""
         self.axes: dict[str, SimulatedDrive | SimulatedWrist] = {
             moves: SimulatedDrive(mount, start_s=start_s)
@@ -135,39 +146,6 @@ class CellDevices:
             self.mechanics,
             settings,
             start_s=start_s,
-        )
-
-    def _make_uskin(self, start_s: float) -> SimulatedUskin | None:
-        settings = self.settings
-        if not isinstance(settings.boards, UskinSettings):
-            return None
-        return SimulatedUskin(
-            self.physical,
-            settings.layout,
-            settings.boards,
-            self.faults.uskin,
-            self.faults.unit,
-            seed=settings.seed,
-            start_s=start_s,
-        )
-
-    def _make_boards(self, start_s: float) -> tuple[FlexiTacBoard, ...]:
-        settings = self.settings
-        if not isinstance(settings.boards, FlexiTacSettings):
-            return ()
-        layout, seed = settings.layout, settings.seed
-        pads = ResistivePads(self.physical, layout, self.faults.unit, seed=seed)
-        return tuple(
-            FlexiTacBoard(
-                finger,
-                pads,
-                layout.taxels_of(pad),
-                settings.boards,
-                self.faults.boards,
-                seed=seed,
-                start_s=start_s,
-            )
-            for finger, pad in enumerate(layout.gripping_pads)
         )
 
     @property

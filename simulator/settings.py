@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
-from simulator.boards.flexitac import FlexiTacSettings
-from simulator.boards.uskin import UskinSettings
+from simulator.boards.site import SimulatedBoards
 from simulator.can.drive import DriveMount
 from simulator.errors import SimulatorSettingsError, require_positive
 from simulator.servo.gearing import IDEAL_GEARING, Gearing
@@ -89,7 +88,7 @@ class SimulatorSettings(WorldSettings):
     """Serial numbers of the pads' boards on finger 0 and finger 1."""
     mounts: tuple[PadMount, ...] = ()
     """Pads that are mounted differently from the layout."""
-    boards: FlexiTacSettings | UskinSettings | None = None
+    boards: SimulatedBoards | None = None
     """Boards on serial lines or on CAN that read the pads; None: the control unit reads them."""
     aperture_m: float = 0.03
     """Opening between the pads at the start in m."""

@@ -99,6 +99,9 @@ class Gate:
             await receive()
             await send({"type": "websocket.close", "code": 1008})
         else:
+            # A connection that closes with input unread resets the answer.
+            while length and length <= REQUEST_BYTES and (await receive()).get("more_body", False):
+                pass
             await refuse(send, status, reason)
         self.whole(scope["client"])
 

@@ -21,6 +21,7 @@ from cell.pytest_plugin.fixtures import (
 from cell.pytest_plugin.options import (
     pytest_addoption,
     pytest_configure,
+    pytest_generate_tests,
     pytest_report_header,
 )
 
@@ -34,6 +35,7 @@ __all__ = [
     "inject_fault",
     "pytest_addoption",
     "pytest_configure",
+    "pytest_generate_tests",
     "pytest_report_header",
     "servo_bus",
     "servo_clock",

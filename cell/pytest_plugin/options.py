@@ -12,6 +12,10 @@ _HIGHEST_SERVO_ID = 252
 """Highest ID of a servo (e-Manual, Protocol 2.0)."""
 
 
+CONTRACTS = ("sensor", "servo_model", "pad_layout", "recogniser", "interface")
+"""Kinds of plugins that have a contract: files of `cell.pytest_plugin.contracts`."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HardwareOptions:
     """Options of the command line for real hardware; None: not given."""
@@ -91,6 +95,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="allow tests to switch on the torque of real servos; the grip must be empty",
     )
+    group.addoption(
+        "--contract",
+        metavar="KIND[:NAME]",
+        action="append",
+        default=[],
+        help=f"run the contract tests of installed plugins: {', '.join(CONTRACTS)}",
+    )
     parser.addini("cell_config", "config of the cell under test", type="string", default="")
 
 
@@ -99,6 +110,30 @@ def pytest_configure(config: pytest.Config) -> None:
     options = HardwareOptions.of(config)
     if (options.can_interface is None) != (options.can_channel is None):
         raise pytest.UsageError("--can-interface and --can-channel need each other: name both")
+    wanted = [text.partition(":")[0] for text in config.getoption("contract")]
+    for kind in wanted:
+        if kind not in CONTRACTS:
+            raise pytest.UsageError(f"no contract {kind!r}; there are {', '.join(CONTRACTS)}")
+    if wanted and config.args_source is not pytest.Config.ArgsSource.ARGS:
+        config.args = []
+    folder = Path(__file__).with_name("contracts")
+    config.args += [str(folder / f"{kind}.py") for kind in dict.fromkeys(wanted)]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run each test of a contract on each plugin of its kind, or on the one that is named."""
+    if "plugin_name" not in metafunc.fixturenames:
+        return
+    from cell.plugins import GROUPS
+
+    kind = metafunc.module.__name__.rpartition(".")[2]
+    found = list(next(group for group in GROUPS if group.what == kind.replace("_", " ")))
+    texts = [text.partition(":") for text in metafunc.config.getoption("contract")]
+    names = [name for one, _, name in texts if one == kind and name]
+    for name in names:
+        if name not in found:
+            raise pytest.UsageError(f"no {kind} {name!r} is installed; there are {found}")
+    metafunc.parametrize("plugin_name", names or found, scope="module")
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:

@@ -14,7 +14,6 @@ import numpy as np
 from cell.config.file import recorded_config
 from cell.config.model import CellConfig
 from cell.config.tactile import (
-    ControlUnitConfig,
     TactileConfig,
     layout_from_config,
     layout_from_pads,
@@ -284,7 +283,7 @@ def _line(tactile: TactileConfig) -> dict[str, str]:
     if tactile.serial_ports:
         return {"Sensor boards": tactile.place}
     can = f"{tactile.place}, {tactile.bitrate:,} bit/s"
-    unit = isinstance(tactile.sensor, ControlUnitConfig)
+    unit = tactile.sensor.canopen
     return {"CAN": f"{can}, node {tactile.node_id}" if unit else can}
 
 

@@ -308,7 +308,7 @@ def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
         (("--shape", "cylinder:diameter=0.3mm,length=20mm"), "is 0.247 mm thick at x"),
         (
             ("--shape", "sphere:diameter=2mm"),
-            "closed, at 0.5 mm (gripper.aperture_min_mm), before they feel 0.6 N",
+            "closed, at 0.5 mm (gripper.aperture_min_mm), before they measure 0.6 N",
         ),
     ],
 )

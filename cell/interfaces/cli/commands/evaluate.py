@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cell.interfaces.cli.options import MAX_SEED, JsonOption, known_recognizers
-from recognition.recognizers import TRAINERS, trainer_names
+from recognition.recognizers import TRAINERS
 
 if TYPE_CHECKING:
     from cell.jobs.evaluate import EvaluationResult
@@ -40,7 +40,7 @@ def evaluate(
         list[str] | None,
         typer.Option(
             "--recognizer",
-            help=f"Repeat for several, of {', '.join(trainer_names())} "
+            help="Repeat for several kinds, as doctor lists them with --plugins "
             f"[default: {', '.join(TRAINERS)}].",
             callback=known_recognizers,
         ),
