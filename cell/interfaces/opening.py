@@ -49,7 +49,9 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
                 interface = section.open(service)
             except OSError as error:
                 taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
-                remedy = f"; set serve.{key} to another one, or to 0: any free one" if taken else ""
+                remedy = (
+                    f"; set serve.{key} to another port, or to 0: any free port" if taken else ""
+                )
                 raise CellError(
                     f"an interface at {config.listen}:{getattr(config, key, '')} (serve.{key}) "
                     f"cannot be opened: {error}{remedy}"
