@@ -115,7 +115,7 @@ def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str]) ->
         placer.place("x", POSE)
     with pytest.raises(PositionerError, match="lost"):
         placer.place("x", POSE)
-    with pytest.raises(PositionerError, match=r"closed|gone"):
+    with pytest.raises(PositionerError, match=r"closed|lost"):
         placer.place("x", POSE)
     placer.close()
 
