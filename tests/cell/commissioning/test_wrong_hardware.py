@@ -51,7 +51,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (LINES, "can.loss=0.003@0.6s", FAIL, "of the last 50 frames"),
         (LINES, "unit.forces_each=5", FAIL, "ms late, allowed are 15 ms"),
         (LINES, "unit.off@0.5s", FAIL, "no force message"),
-        (LINES, "servos.unplugged@0.5s", FAIL, "the servo line is gone"),
+        (LINES, "servos.unplugged@0.5s", FAIL, "the servo line is lost"),
         (FORCE, "servo1.watchdog_off", FAIL, "watchdog is not proven to stop the motors: servo 1"),
         (FORCE, "taxels.stuck_at=20-60:3000", FAIL, "taxels of pad finger0.inner are bad"),
         (FORCE, "unit.off", FAIL, "did not boot"),
