@@ -1,7 +1,7 @@
-"""pytest plugin for those who test cells: simulated cells, real buses, faults.
+"""pytest plugin for tests of cells: simulated cells, real buses, faults.
 
-pytest finds it through the entry point ``tactile_cell`` of the group ``pytest11``. It costs other
-test runs nothing: simulator, drivers and numpy are imported when a fixture is asked for. Start at
+pytest finds it through the entry point ``tactile_cell`` of the group ``pytest11``. It does not slow
+other test runs: fixtures import simulator, drivers and numpy when they are used. Start at
 `cell.pytest_plugin.fixtures`; docs/how-to/test-your-cell.md shows how to use it.
 """
 

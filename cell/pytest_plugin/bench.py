@@ -1,4 +1,4 @@
-"""Both links of a cell without its controller: simulated, or real where a port is named."""
+"""Both links of a cell without its controller: simulated, or real if a port is given."""
 
 import time
 from contextlib import ExitStack
@@ -19,19 +19,19 @@ from tactile.can.bus import CanBus, close_bus, open_bus
 
 @dataclass
 class LinkBench:
-    """Opens the two links when asked for, each once; simulated ones share their devices."""
+    """Opens each of the two links once, at its first use; simulated links share their devices."""
 
     config: CellConfig
     """The cell: rates, servo IDs, node."""
     options: HardwareOptions
-    """Names the real ports."""
+    """The real ports."""
     registry: FaultRegistry
-    """Is told what is simulated and what is real."""
+    """Gets the simulated and the real devices."""
     _closing: ExitStack = field(default_factory=ExitStack, init=False)
 
     @cached_property
     def simulated(self) -> SimulatedCell:
-        """The simulated devices, made when first asked for."""
+        """The simulated devices, made at their first use."""
         simulated = SimulatedCell(simulator_settings(simulated_config(self.config)))
         self._closing.callback(simulated.close)
         self.registry.add(simulated)
@@ -39,7 +39,7 @@ class LinkBench:
 
     @cached_property
     def servo_line(self) -> tuple[ByteStream, Clock]:
-        """Bytes of the servo line, and the time that passes for it; raises PortLost."""
+        """Bytes of the servo line, and its clock; raises PortLost."""
         port, rate = self.options.servo_port, self.config.gripper.baud_rate
         if port is not None:
             self.registry.add_hardware(f"servos at {port}")
@@ -68,5 +68,5 @@ class LinkBench:
         return bus, time
 
     def close(self) -> None:
-        """Close what was opened; the servos keep doing what they were told last."""
+        """Close the opened links; the servos keep their last goals."""
         self._closing.close()

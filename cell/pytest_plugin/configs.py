@@ -1,4 +1,4 @@
-"""The config of a test: from a file, with the values that options or the test itself change."""
+"""The config of a test: from a file, with changes by options or the test itself."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ ConfigSource = CellConfig | Path | str | None
 
 
 def config_under_test(path: Path | None, options: HardwareOptions) -> CellConfig:
-    """Return the config of the file with what the command line says about servos and node.
+    """Return the config of the file with servos and node of the command line.
 
     Raises
     ------
@@ -42,9 +42,9 @@ def simulated_config(
     changes: Mapping[str, Any] | None = None,
     callback: bool = False,
 ) -> CellConfig:
-    """Return a config whose ports are the simulated ones; everything else stays.
+    """Return a config with simulated ports; everything else stays.
 
-    But a test has no day: what is zeroed once a day is zeroed in a test that asks for it.
+    Exception: a daily self-zero is measured only in tests that request it.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def simulated_config(
     changes
         Further values by dotted path.
     callback
-        Whether a mover of the test moves; else the simulated cell places the object.
+        Whether the test has a mover; else the simulated cell places the object.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which simulated cells a test has, and the faults that it put into them."""
+"""The simulated cells of a test, and the faults injected into them."""
 
 from typing import Protocol
 
@@ -19,15 +19,15 @@ class FaultHandle(Protocol):
 
 
 class FaultTarget(Protocol):
-    """A simulated cell that takes faults as text, as ``can.loss=0.05@2s``."""
+    """A simulated cell that takes faults as text, e.g. ``can.loss=0.05@2s``."""
 
     def inject(self, text: str) -> FaultHandle:
-        """Put a fault in; refuses one that it does not know with the list of what there is."""
+        """Inject a fault; refuses an unknown one with the list of faults."""
         ...
 
 
 class FaultRegistry:
-    """Finds the cell that a fault is meant for; faults are for simulated cells only."""
+    """Finds the cell for a fault; faults are for simulated cells only."""
 
     def __init__(self) -> None:
         self._targets: list[FaultTarget] = []
@@ -35,22 +35,22 @@ class FaultRegistry:
         self._faults: list[FaultHandle] = []
 
     def add(self, target: FaultTarget) -> None:
-        """Take in a simulated cell of this test."""
+        """Add a simulated cell of this test."""
         self._targets.append(target)
 
     def add_hardware(self, name: str) -> None:
-        """Note that this test uses real hardware: from now on every fault is refused."""
+        """Note that this test uses real hardware: every further fault is refused."""
         self._hardware.append(name)
 
     def inject(self, text: str, *, into: FaultTarget | None = None) -> FaultHandle:
-        """Put a fault into the simulated cell of this test.
+        """Inject a fault into the simulated cell of this test.
 
         Parameters
         ----------
         text
-            The fault, as ``servo1.off@contact+0.5s``.
+            The fault, e.g. ``servo1.off@contact+0.5s``.
         into
-            The cell, where the test has several.
+            The cell, if the test has several.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class FaultRegistry:
                 )
             into = self._targets[0]
         elif into not in self._targets:
-            pytest.fail(f"fault {text!r}: {into!r} is no simulated cell of this test")
+            pytest.fail(f"fault {text!r}: {into!r} is not a simulated cell of this test")
         fault = into.inject(text)
         self._faults.append(fault)
         return fault

@@ -14,7 +14,7 @@ _HIGHEST_SERVO_ID = 252
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HardwareOptions:
-    """What the command line says about real hardware; None where it says nothing."""
+    """Options of the command line for real hardware; None if not given."""
 
     servo_port: str | None = None
     """Port of the servos; without one they are simulated."""
@@ -59,7 +59,7 @@ def _servo_ids(text: str) -> tuple[int, ...]:
         ids = ()
     if not ids or not all(0 <= servo_id <= _HIGHEST_SERVO_ID for servo_id in ids):
         raise ArgumentTypeError(
-            f"{text!r} is no list of servo IDs from 0 to {_HIGHEST_SERVO_ID}, as 1,2"
+            f"{text!r} is not a list of servo IDs from 0 to {_HIGHEST_SERVO_ID}, e.g. 1,2"
         )
     return ids
 
@@ -76,7 +76,7 @@ _VALUES: tuple[tuple[str, str, Callable[[str], Any], str], ...] = (
     ("--can-bitrate", "RATE", int, "bit rate of the CAN bus in bit/s"),
     ("--node-id", "ID", int, "CANopen node id, 1 to 127"),
 )  # fmt: skip
-"""Options with a value: name, what stands for the value, its type, and its help."""
+"""Options with a value: name, placeholder of the value, its type, and its help."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -95,14 +95,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuse options that do not go together."""
+    """Refuse inconsistent options."""
     options = HardwareOptions.of(config)
     if (options.can_interface is None) != (options.can_channel is None):
         raise pytest.UsageError("--can-interface and --can-channel go together: name both")
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
-    """Name the hardware under test; say nothing where all is simulated."""
+    """Return the hardware under test; empty if all is simulated."""
     options = HardwareOptions.of(config)
     found = []
     if options.servo_port is not None:

@@ -1,4 +1,4 @@
-"""A simulated cell in a process of its own: real time, pseudo-terminals, one socket."""
+"""A simulated cell in another process: real time, pseudo-terminals, one socket."""
 
 import contextlib
 import json
@@ -49,7 +49,7 @@ class ProcessFault:
         return began_s
 
     def clear(self) -> None:
-        """End the fault; one in a process that is over is over with it."""
+        """End the fault; does nothing after the end of the process."""
         cell, self._cell = self._cell, None
         if cell is not None and cell.running:
             cell.ask(clear=self.text)
@@ -70,7 +70,7 @@ class CellProcess:
     """
 
     def __init__(self, config: CellConfig) -> None:
-        # The socket's path must be short, so the test's own folder does not do.
+        # The socket's path must be short, so the test's own folder is not suitable.
         self._folder = tempfile.TemporaryDirectory(prefix="cell-")
         folder = Path(self._folder.name)
         wanted = folder / "simulate.yaml"
@@ -163,7 +163,7 @@ class CellProcess:
         return grip_n
 
     def kill(self) -> None:
-        """Let the process die at once (SIGKILL), as after a loss of power."""
+        """Kill the process at once (SIGKILL), as after a loss of power."""
         self._ended_by_us = True
         self._process.kill()
         self._process.wait()
@@ -179,7 +179,7 @@ class CellProcess:
         died, log = not self.running and not self._ended_by_us, self.log
         if self.running:
             self._ended_by_us = True
-            os.kill(self.pid, signal.SIGCONT)  # in case that the test has stopped it
+            os.kill(self.pid, signal.SIGCONT)  # the test may have stopped it
             self._process.terminate()
             try:
                 self._process.wait(_END_S)
@@ -192,12 +192,12 @@ class CellProcess:
         if died:
             raise CellProcessError(
                 f"the simulated cell (process {self.pid}) ended by itself during the test with "
-                f"exit code {self._process.returncode}; if the test means it to die, let it call "
+                f"exit code {self._process.returncode}; if the test intends this, it must call "
                 f"kill(). Its log:\n{log or '(empty)'}"
             )
 
     def _announcement(self) -> dict[str, Any]:
-        """Wait for the line of JSON that says that clients can come."""
+        """Wait for the line of JSON that announces the cell to clients."""
         pipe = self._process.stdout
         if pipe is None:
             raise CellProcessError("the simulated cell has no standard output")

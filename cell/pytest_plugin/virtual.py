@@ -1,4 +1,4 @@
-"""A whole cell in virtual time, as a test sees it."""
+"""A whole cell in virtual time, for tests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ class VirtualCell:
     """A simulated cell in virtual time: time passes only while somebody waits."""
 
     config: CellConfig
-    """What it was made from."""
+    """The config."""
     cell: Cell
-    """Controller and both links, as `cell.build.build_cell` makes them for every cell."""
+    """Controller and both links, made by `cell.build.build_cell` as for every cell."""
     simulated: SimulatedCell
-    """The simulated devices, and what only a simulator can tell."""
+    """The simulated devices, and the true values of the simulator."""
 
     @property
     def controller(self) -> CellController:
@@ -56,12 +56,12 @@ class VirtualCell:
         Raises
         ------
         simulator.errors.SimulatorSettingsError
-            If it does not exist or cannot be; the message lists what there is.
+            If it is unknown or impossible; the message lists the faults.
         """
         return self.simulated.inject(text)
 
     def start(self, present: str | None = None) -> "VirtualCell":
-        """Start the cell, and have an object brought if one is named; returns itself.
+        """Start the cell, and bring an object if one is named; return itself.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class VirtualCell:
         return self
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass in s while the controller does nothing; it does not wait really."""
+        """Advance the virtual time in s while the controller does nothing."""
         self.clock.sleep(seconds)
 
     def idle(self, seconds: float) -> None:
@@ -117,9 +117,9 @@ class VirtualCell:
         seed: int = 1,
         early: EarlyClassifiers | None = None,
     ) -> Identification:
-        """Have an object brought and identify it; ``present`` is known to the simulator alone.
+        """Bring an object and identify it; only the simulator uses ``present``.
 
-        With ``early`` (`cell.learning.training.train`) ramps end as soon as they suffice.
+        With ``early`` (`cell.learning.training.train`) ramps end as soon as the answer is sure.
         """
         self.controller.present(present)
         sequence = self.config.sequence
