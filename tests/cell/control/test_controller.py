@@ -192,7 +192,10 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
         (lambda: bench.controller.grasp(step, label=nothing), "None is not a label"),
         (lambda: bench.controller.collect("ball", []), "the plan is empty"),
         (lambda: bench.controller.collect(nothing, [step]), "None is not a label"),
-        (lambda: bench.controller.collect("UNKNOWN", [step]), "is UNKNOWN, the answer for untaught objects"),
+        (
+            lambda: bench.controller.collect("UNKNOWN", [step]),
+            "is UNKNOWN, the answer for untaught objects",
+        ),
         (lambda: bench.controller.identify(Scripted(SURE), []), "the plan is empty"),
     ):
         with pytest.raises(PlanRefused, match=complaint):

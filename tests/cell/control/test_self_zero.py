@@ -189,7 +189,10 @@ def test_a_zero_that_cannot_be_written_counts_in_its_program(
     bench.controller.start()
     assert (bench.controller.state, bench.controller.holding) == (CellState.IDLE, False)
     assert bench.controller.self_zero is not None
-    assert "could not be saved for other programs: cannot write self-zero" in bench.controller.zero_note
+    assert (
+        "could not be saved for other programs: cannot write self-zero"
+        in bench.controller.zero_note
+    )
 
 
 def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench) -> None:

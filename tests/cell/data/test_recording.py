@@ -309,7 +309,11 @@ def test_killed_program_leaves_a_readable_recording(tmp_path: Path) -> None:
 
 def test_what_is_no_recording_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "text").write_text("hello")
-    for name, says in (("none", "check the path"), (".", "plain file"), ("text", "not a recording")):
+    for name, says in (
+        ("none", "check the path"),
+        (".", "plain file"),
+        ("text", "not a recording"),
+    ):
         with pytest.raises(RecordingError, match=says):
             read_recording(tmp_path / name)
     monkeypatch.setattr(recording_messages, "MAX_FILE_BYTES", 4)

@@ -245,7 +245,10 @@ def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
     ("change", "says"),
     [
         ({"frame_t_s": [math.nan] * 20}, "an item of frame_t_s is nan, out of its range"),
-        ({"frame_t_s": [-0.02 * i for i in range(20)]}, "its times differ from those of its frames"),
+        (
+            {"frame_t_s": [-0.02 * i for i in range(20)]},
+            "its times differ from those of its frames",
+        ),
         ({"frame_t_s": [0.0]}, "it has 1 times for 20 frames"),
         ({"aperture_m": [30.0] * 20}, "its opening is 30000"),
         ({"force_n": [1e9] * 20}, "its force is 1e"),
