@@ -8,6 +8,7 @@ import typer
 
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.commands import (
+    archive,
     backup,
     calibrate,
     clear,
@@ -92,6 +93,7 @@ for command in (
     app.command()(command)
 app.add_typer(config.app, name="config")
 app.add_typer(recordings.app, name="recordings")
+app.add_typer(archive.app, name="archive")
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.interfaces.cli.options import MAX_SEED, JsonOption, known_recognizers
+from cell.interfaces.cli.options import MAX_SEED, JsonOption, SchedulerOption, known_recognizers
 from recognition.recognizers import TRAINERS, trainer_names
 
 if TYPE_CHECKING:
@@ -60,9 +60,7 @@ def evaluate(
             "--jobs", min=0, help="Processes, 0: one a core [default: 0 from 1000 grasps, else 1]."
         ),
     ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to work on.")
-    ] = None,
+    scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Measure recognisers on recorded grasps: accuracy, fusion, unknown.
