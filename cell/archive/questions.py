@@ -21,6 +21,7 @@ from cell.archive.store import Archive, Partition
 from recognition.evaluation.evaluation import Mapper, one_by_one
 from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN
+from recognition.statistics.day_effects import day_effects
 
 _COLUMNS = (
     "label", "taught", "answer", "of_part", "part_grasps", "zero", "closing_current_a",
@@ -32,8 +33,6 @@ _LEAST_EVIDENCE = 5.0
 """Logarithm of the likelihood ratio from which on a confusion is said to have begun on a day."""
 _FEW_GRASPS, _ENOUGH_RIGHT = 10, 0.95
 """Fewest grasps of an object, and the share of right names that it should reach."""
-_ROUNDS = 50
-"""Rounds in which effects of objects and days are found in turn."""
 
 
 def _log(value: float) -> float:
@@ -277,7 +276,7 @@ def _trends(days: Sequence[DaySums]) -> Iterable[Trend]:
         if np.count_nonzero(rows) < _LEAST_DAYS:
             continue
         mean = np.divide(total, n, out=np.zeros_like(total), where=n > 0)
-        effect = _effects(mean[rows], shared[rows])
+        effect = day_effects(mean[rows], shared[rows])
         x = ordinal[rows] - ordinal[rows].mean()
         slope = float(x @ effect / (x @ x))
         rest = effect - effect.mean() - slope * x
@@ -311,20 +310,6 @@ def _last_run(holds: NDArray[np.bool_]) -> int:
     """Return where the run of true values at the end begins."""
     others = np.flatnonzero(~holds)
     return int(others[-1]) + 1 if len(others) else 0
-
-
-def _effects(mean: NDArray[np.float64], n: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the effect of each day (D,) beside those of the objects, of means and numbers (D, L).
-
-    By weighted least squares, days and objects in turn; the effects have the mean 0.
-    """
-    effect = np.zeros(len(mean))
-    per_object = np.maximum(n.sum(axis=0), 1.0)
-    for _ in range(_ROUNDS):
-        objects = (n * (mean - effect[:, None])).sum(axis=0) / per_object
-        effect = (n * (mean - objects)).sum(axis=1) / n.sum(axis=1)
-        effect -= effect.mean()
-    return effect
 
 
 def _confusions(
