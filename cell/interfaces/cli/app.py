@@ -13,11 +13,13 @@ from cell.interfaces.cli.commands import (
     calibrate,
     clear,
     commission,
+    compare,
     config,
     doctor,
     evaluate,
     identify,
     install,
+    plot,
     recordings,
     recover,
     release,
@@ -79,6 +81,7 @@ for command in (
     release.release,
     clear.clear,
     evaluate.evaluate,
+    compare.compare,
     report.report,
     replay.replay,
     recover.recover,
@@ -94,6 +97,7 @@ for command in (
 app.add_typer(config.app, name="config")
 app.add_typer(recordings.app, name="recordings")
 app.add_typer(archive.app, name="archive")
+app.add_typer(plot.app, name="plot")
 
 
 def main() -> None:
