@@ -1,7 +1,7 @@
 """Pictures of a grasp and of a confusion table as files of their own: PNG or SVG."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,37 +22,36 @@ _SIDE_IN, _LEAST_IN = 0.35, 4.0
 
 
 def grasp_figure(grasp: Grasp, title: str) -> "Figure":
-    """Return the load of each pad, opening and force over time, and the pads at the largest load.
+    """Return loads of the gripping pads, opening and force over time, and the pads at most load.
 
     Raises MissingExtraError without matplotlib.
     """
     with extra("report", needed_by="a picture"):
         figure = new_figure(8.0, 5.0)
     figure.suptitle(title.replace("$", r"\$"))
-    rows = figure.subplots(2, max(2, grasp.pads.n_pads))
-    lines: list[tuple[str, Any]] = [
-        (f"pad {pad}", grasp.counts[:, grasp.pads.taxels_of(pad)].sum(axis=1))
-        for pad in range(grasp.pads.n_pads)
-    ]
-    for name, values in lines:
-        rows[0, 0].plot(grasp.t_s, values, label=name)
-    rows[0, 0].set(xlabel="time / s", ylabel="sum of the counts")
-    rows[0, 0].legend()
-    rows[0, 1].plot(grasp.t_s, 1e3 * grasp.aperture_m, color="C2")
-    rows[0, 1].set(xlabel="time / s", ylabel="opening / mm")
-    if grasp.commanded:
-        force = rows[0, 1].twinx()
-        force.plot(grasp.t_s, grasp.force_n, color="C3")
-        force.set_ylabel("commanded force / N")
-    largest = grasp.counts[int(grasp.counts.sum(axis=1, dtype=np.int64).argmax())]
-    for axes in (*rows[0, 2:], *rows[1]):
+    (load, opening), maps = figure.subplots(2, 2)
+    loads = np.array(
+        [grasp.counts[:, grasp.pads.taxels_of(pad)].sum(axis=1) for pad in range(grasp.pads.n_pads)]
+    )
+    gripping = sorted(np.argsort(-np.ptp(loads, axis=1), kind="stable")[:2].tolist())
+    largest = grasp.counts[int(loads[gripping].sum(axis=0).argmax())]
+    for axes in maps:
         axes.set_axis_off()
-    for pad, axes in zip(range(grasp.pads.n_pads), rows[1], strict=False):
+    for pad, axes in zip(gripping, maps, strict=False):
+        load.plot(grasp.t_s, loads[pad], label=f"pad {pad}")
         taxels = grasp.pads.taxels_of(pad)
         xy_mm = 1e3 * grasp.pads.taxel_xy_m[taxels]
         shown = axes.scatter(*xy_mm.T, c=largest[taxels], marker="s", vmin=0, vmax=largest.max())
         axes.set(aspect="equal", title=f"pad {pad}")
         figure.colorbar(shown, ax=axes, label="counts")
+    load.set(xlabel="time / s", ylabel="sum of the counts")
+    load.legend()
+    opening.plot(grasp.t_s, 1e3 * grasp.aperture_m, color="C2")
+    opening.set(xlabel="time / s", ylabel="opening / mm")
+    if grasp.commanded:
+        force = opening.twinx()
+        force.plot(grasp.t_s, grasp.force_n, color="C3")
+        force.set_ylabel("commanded force / N")
     return figure
 
 
