@@ -10,7 +10,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from cell.archive.selection import EVERYTHING, Selection
-from cell.archive.store import Archive
+from cell.archive.store import Archive, nothing_selected
 from cell.archive.table import LIGHT, SCHEMA
 from cell.data.dataset import write_dataset
 from cell.data.files import write_atomically
@@ -33,7 +33,7 @@ def export(archive: Archive, path: Path, selection: Selection = EVERYTHING) -> i
         raise ArchiveError(f"{path}: name a file that ends in {', '.join(KINDS)}")
     n = archive.n_rows(selection)
     if not n:
-        raise ArchiveError(f"no grasp of {archive.target} is selected: look at its cells and days")
+        raise nothing_selected(archive.target)
     if path.suffix == ".npz":
         held, grasps = 0, []
         for grasp in archive.grasps(selection):

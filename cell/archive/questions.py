@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit, xlogy
 
 from cell.archive.selection import EVERYTHING, Selection
-from cell.archive.store import Archive, Partition
+from cell.archive.store import Archive, Partition, nothing_selected
 from recognition.evaluation.evaluation import Mapper, one_by_one
 from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN
@@ -241,13 +241,18 @@ def ask(
     mapper: Mapper = one_by_one,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> Answers:
-    """Return the answers of the selected part of an archive; the mapper does a day at a time."""
+    """Return the answers of the selected part of an archive; the mapper does a day at a time.
+
+    Raises ArchiveError where no grasp is selected.
+    """
     partitions = list(Archive(target).partitions(selection))
     sums = []
     for one in mapper(partial(day_sums, target, selection), partitions):
         sums.append(one)
         progress("report", len(sums), len(partitions))
     sums = [one for one in sums if one.n_grasps]
+    if not sums:
+        raise nothing_selected(target)
     of_cell: defaultdict[str, list[DaySums]] = defaultdict(list)
     parts = Counter[tuple[str, str]]()
     for one in sums:

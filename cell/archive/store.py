@@ -265,6 +265,11 @@ class Archive:
         self._fs.mv(f"{path}-fresh", path)
 
 
+def nothing_selected(target: str) -> ArchiveError:
+    """Return the error for a selection without a grasp."""
+    return ArchiveError(f"no grasp of {target} is selected: look at its folders for cells and days")
+
+
 def _keys(batch: pa.RecordBatch) -> list[str]:
     found: list[str] = batch.column("key").to_pylist()
     return found
