@@ -1,4 +1,4 @@
-"""What all sections of the config have in common, and settings that are declared elsewhere."""
+"""The base of all sections of the config, and links to settings that are declared elsewhere."""
 
 from dataclasses import dataclass, fields
 from math import inf
@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import CoreSchema, core_schema
 
 SIMULATED = "simulated"
-"""Port or interface name that wires in the simulated cell; nothing else ever does."""
+"""Port or interface name of the simulated cell; no other value selects it."""
 MILLI = 1e-3
 """SI units in one unit of the config, for mm, mm/s and ms."""
 
@@ -27,16 +27,16 @@ class Section(BaseModel):
     @field_validator("*")
     @classmethod
     def _printable(cls, value: Any) -> Any:
-        """Refuse texts with control characters: what prints them would obey these."""
+        """Refuse texts with control characters: a terminal would execute them."""
         for text in value if isinstance(value, tuple) else (value,):
             if isinstance(text, str) and not text.isprintable():
-                raise ValueError("holds characters that cannot be printed; write plain text")
+                raise ValueError("has characters that cannot be printed; write plain text")
         return value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declared:
-    """The link from a key of the config to the setting that declares its default and range."""
+    """Link from a key of the config to the setting that declares its default and range."""
 
     owner: type
     """Dataclass with the setting."""
@@ -66,7 +66,7 @@ def setting_of(
     at_least, at_most
         Narrower bounds in the key's unit.
     number
-        Type of the key where it is not that of the setting: int for whole ms.
+        Type of the key if it differs from that of the setting: int for whole ms.
     """
     found = next(one for one in fields(owner) if one.name == name)
     default: Any = found.default
@@ -89,7 +89,7 @@ def setting_of(
 
 
 def declared_values(section: BaseModel, owner: type) -> dict[str, Any]:
-    """Return what a section and those in it say of an owner's settings, in SI, by field name."""
+    """Return the values of an owner's settings in a section and its subsections, in SI, by name."""
     values: dict[str, Any] = {}
     for name, key in type(section).model_fields.items():
         value = getattr(section, name)
@@ -103,7 +103,7 @@ def declared_values(section: BaseModel, owner: type) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """Annotation of a text that is one of the names in a table: ``Annotated[str, OneOf(...)]``."""
+    """Annotation of a text with a table of allowed names: ``Annotated[str, OneOf(...)]``."""
 
     names: tuple[str, ...]
     """The names, in the order of the table."""

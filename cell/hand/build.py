@@ -36,23 +36,22 @@ from tactile.source import FrameSource
 from tactile.uskin.source import UskinSource
 
 SHARED_PROCESS = (
-    "the force loop shares its process with all other work, which may hold it up: set "
+    "the force loop shares its process with all other work, which may delay it: set "
     "loop.own_process to true"
 )
 """Note of a real cell whose loop has no process of its own."""
 
 _HELD_SHARE = 0.35
-"""Share of the friction by which the wanted force may change while friction holds the one there
-is: as that breaks, by a quarter where empty fingers meet, and half as much again."""
+"""Share of the friction by which the set-point may change before the force follows, because
+friction holds the force: a quarter where empty fingers meet, and half as much again."""
 
 _MATRIX_REST_SHARE, _MATRIX_BUMP_SHARE = 0.22, 0.05
-"""Of the full scale: taxels of a resistive matrix rest at 10 to 40 of 255 counts, each at its own.
-The mean of nine may be this far from that of the pad by chance. [derived]"""
+"""Of the full scale: taxels of a resistive matrix rest at 10 to 40 of 255 counts, each different.
+The mean of nine may differ this far from that of the pad by chance. [derived]"""
 _MAGNET_REST_SHARE, _MAGNET_NOISE_SHARE = 0.75, 4e-4
-"""Of the full scale: z of a uSkin taxel rests at 9312h, and 26 counts are a hundredth of a newton.
-[derived]"""
+"""Of the full scale: z of a uSkin taxel rests at 9312h, and 26 counts are 0.01 N. [derived]"""
 _MATRIX_STUCK_FRAMES = 100
-"""Frames in which a taxel of 8 bit may repeat itself: a second. [chosen]"""
+"""Frames in which an 8-bit taxel may repeat its value: a second. [chosen]"""
 
 
 def open_hand(
@@ -62,7 +61,7 @@ def open_hand(
 
     With ``partial`` one of both lines may be missing; a note of the hand names it. Raises
     gripper.errors.PortLost or tactile.errors.LinkFault if a port or bus cannot be opened; with
-    ``partial`` if none can.
+    ``partial`` only if both cannot be opened.
     """
     gripper, tactile = config.gripper, config.tactile
     lines = HandConnections(
@@ -93,14 +92,14 @@ def make_hand(
     source: FrameSource | None = None,
     clock: Clock = time,
 ) -> LocalHand:
-    """Put gripper and sensor together on open lines, which the hand closes at its end.
+    """Return a hand of gripper and sensor on open lines, which the hand closes at its end.
 
     Parameters
     ----------
     by_current
-        Whether the force follows from the motors' current; the sensor must not be used then.
+        Whether the force is computed from the motors' current; do not use the sensor then.
     source, clock
-        Frame source in the place of the configured control unit, and its time.
+        Frame source instead of the configured control unit, and its clock.
     """
     settings = sensor_settings(config.tactile, config.friction_n)
     source = source or board_source(
@@ -175,7 +174,7 @@ def board_source(
 
 
 def sensor_settings(config: TactileConfig, friction_n: float = 0.0) -> SensorSettings:
-    """Return the settings of the way from frames to forces, of fingers with a friction in N."""
+    """Return the settings that convert frames to forces, for fingers with a friction in N."""
     limits = QualityLimits(drift_share=config.drift_max_share)
     tare = TareLimits(bad_share=config.bad_taxels_max_share)
     if isinstance(config.sensor, FlexiTacConfig):

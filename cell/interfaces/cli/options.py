@@ -1,4 +1,4 @@
-"""Options that several commands share. They load nothing heavy: help and completion read them."""
+"""Options that several commands share. Imports stay light: help and completion load this file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +9,7 @@ from recognition.recognizers import trainer_names
 
 
 def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
-    """Return the option ``--output`` of a file whose name has to end so."""
+    """Return the option ``--output`` of a file whose name must end with ``suffix``."""
 
     def checked(path: Path | None) -> Path | None:
         if path is not None and path.suffix != suffix:
@@ -23,7 +23,7 @@ def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
 
 
 FOLDER_CONFIG = Path("tactile-cell.yaml")
-"""The config file that is used where it lies in the folder and none is named."""
+"""Config file that is used if it is in the current folder and no other file is named."""
 
 
 def _or_of_folder(path: Path | None) -> Path | None:
@@ -111,10 +111,10 @@ MostOption = Annotated[
 MOST_GRASPS = 400
 """Grasps of each object that are taken of an archive where nothing else is asked for."""
 JobsOption = Annotated[
-    int, typer.Option("--jobs", min=0, help="Processes that share the work, 0: one a core.")
+    int, typer.Option("--jobs", min=0, help="Processes that share the work, 0: one for each core.")
 ]
 SchedulerOption = Annotated[
-    str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to work on.")
+    str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to use.")
 ]
 SplitOption = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
@@ -122,7 +122,7 @@ SplitOption = Annotated[
 
 
 def known_recognizers(names: list[str] | None) -> list[str] | None:
-    """Return the names of recognisers. Raises typer.BadParameter for one that there is not."""
+    """Return the names of recognisers. Raises typer.BadParameter for an unknown name."""
     for name in names or ():
         if name not in trainer_names():
             raise typer.BadParameter(

@@ -15,15 +15,15 @@ def doctor(
         bool,
         typer.Option(
             "--gauge",
-            help="Then grasp the gauge object of the commissioning, and compare: the fingers move.",
+            help="Also grasp the gauge object of the commissioning and compare: the fingers move.",
         ),
     ] = False,
 ) -> None:
     """Check machine, ports, servos and control unit; nothing moves without --gauge.
 
-    A cell that was commissioned is compared with what was found then.
+    A commissioned cell is compared with the record of its commissioning.
 
-    Of two lines one may be missing: what the other one shows is listed.
+    If one of the two lines is missing, the other line is still checked.
     """
     from cell.checks.findings import CheckResult, Verdict
     from cell.commissioning.baseline import gauge_again
