@@ -1,4 +1,4 @@
-"""Work spread over the cores of this machine, or over a Dask cluster: joblib does both."""
+"""Work spread over the cores of this machine, or over a Dask cluster, with joblib."""
 
 import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,7 +13,7 @@ from cell.installation import extra
 from recognition.evaluation.evaluation import Mapper, one_by_one
 
 CONNECT_TIMEOUT_S = 15.0
-"""How long a Dask scheduler may take to answer."""
+"""Longest time in s until a Dask scheduler answers."""
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -40,7 +40,7 @@ def workers(jobs: int = 1, *, scheduler: str | None = None) -> Iterator[Mapper]:
         `CONNECT_TIMEOUT_S` s.
     """
     if jobs < 0:
-        raise CellError(f"--jobs is {jobs}; 0 is one process a core, 1 is none but this one")
+        raise CellError(f"--jobs is {jobs}; 0 is one process per core, 1 is this process alone")
     if scheduler is not None:
         with _cluster(scheduler):
             yield spread
@@ -76,13 +76,13 @@ def _cluster(scheduler: str) -> Iterator[None]:
 
 
 def _knock(scheduler: str) -> None:
-    """See whether anything listens: a Dask client that finds nobody may wait without end.
+    """Check that a scheduler listens: a Dask client without one may wait forever.
 
-    Raises OSError where nobody does, ValueError for an address without host or port.
+    Raises OSError if nothing listens, ValueError for an address without host or port.
     """
     address = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
     if address.scheme not in ("tcp", "tls"):
         return
     if not address.hostname or address.port is None:
-        raise ValueError("an address is written tcp://HOST:PORT")
+        raise ValueError("write an address as tcp://HOST:PORT")
     socket.create_connection((address.hostname, address.port), CONNECT_TIMEOUT_S).close()

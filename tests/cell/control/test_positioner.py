@@ -152,5 +152,5 @@ def test_a_reply_that_does_not_end_is_not_waited_for(tmp_path: Path) -> None:
         with listener.accept()[0] as peer:
             peer.sendall(b"{")
             for _ in range(2):
-                with pytest.raises(PositionerError, match="is gone"):
+                with pytest.raises(PositionerError, match="is lost"):
                     placer.place("ball", POSE)

@@ -144,7 +144,7 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
     [
         ((7, 8), [7, 8], Verdict.PASS, ""),
         ((7, 8), None, Verdict.WARN, "write [7, 8] into the config"),
-        ((0, 0), None, Verdict.WARN, "cannot be told apart"),
+        ((0, 0), None, Verdict.WARN, "look the same"),
     ],
 )
 def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
@@ -187,7 +187,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     assert shown_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
     simulated.inject("servos.unplugged")
     findings = by_name(list(examine(CellConfig(), file)))
-    assert "whether a part is held is not known" in findings["servo torque"].advice
+    assert "it is unknown whether a part is held" in findings["servo torque"].advice
     assert findings["pads' force"].verdict is Verdict.WARN
     simulated.close()
 
@@ -239,7 +239,7 @@ def test_a_missing_extra_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.metadata, "version", version)
     finding = by_name(list(examine(CellConfig())))["matplotlib"]
     assert finding.verdict is Verdict.WARN
-    assert finding.advice.startswith("if you want it: install this project with its extra `report`")
+    assert finding.advice.startswith("if you need it: install this project with its extra `report`")
 
 
 AXES = changed_config(CellConfig(), CHANGES)
