@@ -15,11 +15,8 @@ from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
 from cell.config.tactile import (
-    ControlUnitConfig,
-    FlexiTacConfig,
     LinearCalibrationConfig,
     TableCalibrationConfig,
-    UskinConfig,
     layout_from_config,
     make_calibration,
     pad_mounts,
@@ -32,8 +29,6 @@ from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
-from simulator.boards.flexitac import FlexiTacSettings
-from simulator.boards.uskin import UskinBoard, UskinSettings
 from simulator.can.capture import PcapWriter
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
@@ -51,7 +46,6 @@ from simulator.world.taxels import NoiseModel, SensorLaw
 from simulator.world.world import NOTHING
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
-from tactile.flexitac.stream import PROFILES
 from tactile.layout import TaxelLayout
 
 _REPLY_S = 5.0
@@ -91,7 +85,7 @@ def simulator_settings(
             )
         for text in settings.faults:
             check_fault(text, len(config.gripper.servos), len(config.positioner.axes))
-        if isinstance(config.tactile.sensor, ControlUnitConfig):
+        if config.tactile.sensor.canopen:
             _check_noise(config, layout or layout_from_config(config.tactile))
         return SimulatorSettings(
             layout=layout or layout_from_config(config.tactile),
@@ -117,7 +111,7 @@ def simulator_settings(
             else config.tactile.serial_number,
             board_serial_numbers=config.tactile.board_serial_numbers or (1, 2),
             mounts=() if grasps else pad_mounts(config.tactile),
-            boards=None if grasps else _boards(config),
+            boards=None if grasps else config.tactile.sensor.simulated(),
             pads=PadPair(
                 shift_m=(1e-3 * settings.pads.shift_mm[0], 1e-3 * settings.pads.shift_mm[1]),
                 tilt_rad=(
@@ -145,22 +139,6 @@ def simulator_settings(
         )
     except SimulatorError as error:
         raise ConfigError(f"simulator: {error}") from error
-
-
-def _boards(config: CellConfig) -> FlexiTacSettings | UskinSettings | None:
-    """Return the simulated boards of a config; None if the control unit reads the pads."""
-    sensor = config.tactile.sensor
-    if isinstance(sensor, UskinConfig):
-        first, second = (
-            UskinBoard(start_id=one.start, taxel_ids=one.taxels) for one in sensor.boards
-        )
-        return UskinSettings(boards=(first, second), falling=sensor.falling)
-    if not isinstance(sensor, FlexiTacConfig):
-        return None
-    profile = PROFILES[sensor.profile]
-    return FlexiTacSettings(
-        rows=profile.rows, columns=profile.columns, rows_along=sensor.rows_along
-    )
 
 
 def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:

@@ -7,7 +7,8 @@ which no figure moves is wide enough for this plant; a constant without effect h
 needed for a case that these figures do not have.
 
 ``python -m benchmarks.performance.sensitivity --page`` writes all constants with their origin and
-the figures that move into docs/reference/force-constants.md, in an hour on two processors.
+the figures that move into docs/reference/force-constants.md, in an hour on two processors. With
+``--only`` the other rows keep their figures.
 """
 
 import argparse
@@ -134,7 +135,7 @@ def _is_number(node: ast.AST) -> bool:
 # -- one run -----------------------------------------------------------------------------------
 
 
-class _Scaled(SourceFileLoader):
+class Scaled(SourceFileLoader):
     """Loader of a module in which one constant has another value."""
 
     def __init__(self, module: str, path: str, name: str, factor: float) -> None:
@@ -142,6 +143,7 @@ class _Scaled(SourceFileLoader):
         self._scaled = name, factor
 
     def get_code(self, fullname: str) -> CodeType:
+        """Return the code of the module with the other value; a cached one has the old value."""
         name, factor = self._scaled
         tree = ast.parse(self.get_data(self.path))
         for node in tree.body:
@@ -182,7 +184,7 @@ class _Finder(PathFinder):
             return None
         spec = super().find_spec(fullname, path, target)
         if spec is not None and spec.origin is not None:
-            spec.loader = _Scaled(module, spec.origin, name, factor)
+            spec.loader = Scaled(module, spec.origin, name, factor)
         return spec
 
 
@@ -308,7 +310,22 @@ def main(
     still = [one for one in rows if not any(effects[one.key, factor] for factor in FACTORS)]
     line("no figure moves", f"{len(still)} of {len(rows)} constants")
     if page:
-        write_page(effects)
+        write_page(effects_on_page() | effects)
+
+
+def effects_on_page() -> dict[tuple[str, float], Sequence[str]]:
+    """Return the effects that the page has, by the constant."""
+    found: dict[tuple[str, float], Sequence[str]] = {}
+    package = ""
+    for row in PAGE.read_text(encoding="utf-8").splitlines():
+        if row.startswith("## "):
+            package = row.removeprefix("## ")
+        cells = row.strip("| ").split(" | ")
+        if row.startswith("| `") and len(cells) == 6:
+            key = f"{package}.{cells[0].strip('`')}"
+            for factor, text in zip(FACTORS, cells[4:], strict=True):
+                found[key, factor] = [] if text == "-" else [text]
+    return found
 
 
 def write_page(effects: Mapping[tuple[str, float], Sequence[str]]) -> None:
@@ -323,6 +340,7 @@ def write_page(effects: Mapping[tuple[str, float], Sequence[str]]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Which figures the constants of the force move.")
     parser.add_argument("--page", action="store_true", help=f"write {PAGE.name}")
+    parser.add_argument("--texts", action="store_true", help=f"renew the texts of {PAGE.name}")
     parser.add_argument("--only", default="", help="part of the names of the constants wanted")
     parser.add_argument("--effort", type=float, default=1.0, help="share of the runs")
     parser.add_argument("--workers", type=int, help="processes at once")
@@ -332,5 +350,7 @@ if __name__ == "__main__":
         _Finder.scaled = given.one[0], given.one[1], float(given.one[2])
         sys.meta_path.insert(0, _Finder())
         print(json.dumps(figures(given.effort)))
+    elif given.texts:
+        write_page(effects_on_page())
     else:
         main(given.effort, workers=given.workers, only=given.only, page=given.page)

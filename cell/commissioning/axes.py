@@ -11,7 +11,6 @@ from cell.commissioning.engine import Dialog, Step
 from cell.commissioning.ports import by_id
 from cell.commissioning.servos import Scan, check_supply, scan_servos
 from cell.commissioning.unit import network_interfaces
-from cell.config.tactile import ControlUnitConfig
 from gripper.dynamixel.models import MODELS, model_name
 from gripper.errors import GripperError
 from tactile.can.bus import CanBus
@@ -131,7 +130,7 @@ def _can_buses(bench: Bench, dialog: Dialog) -> Iterator[tuple[str, str, int]]:
     if not bench.gripper_alone:
         own = (tactile.channel,)
         # Sensor boards have no CAN bus to share.
-        if isinstance(tactile.sensor, ControlUnitConfig):
+        if tactile.sensor.canopen:
             yield tactile.interface, tactile.channel, tactile.bitrate
     others = [name for name in network_interfaces() if name not in own]
     if not others:

@@ -17,7 +17,6 @@ from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream, serial_candidates
 from tactile.can.bus import CanBus, close_bus, open_bus
-from tactile.flexitac.stream import BAUD_RATE
 
 _Section = TypeVar("_Section", bound=BaseModel)
 CONFIG_NAME = "tactile-cell.yaml"
@@ -47,9 +46,9 @@ class LineOpener:
         """Open a CAN bus. Raises tactile.errors.BusNotOpened."""
         return open_bus(interface, channel, bitrate=bitrate)
 
-    def open_board(self, port: str) -> ByteStream:
+    def open_board(self, port: str, baud_rate: int) -> ByteStream:
         """Open the serial line of a sensor board. Raises gripper.errors.PortLost."""
-        return SerialStream(port, BAUD_RATE)
+        return SerialStream(port, baud_rate)
 
 
 class Bench:
@@ -126,7 +125,8 @@ class Bench:
 
     def board_openers(self, tactile: TactileConfig) -> list[Callable[[], ByteStream]]:
         """Return functions that open the lines of the sensor's boards; empty for CAN."""
-        return [partial(self.lines.open_board, port) for port in tactile.serial_ports]
+        rate = tactile.sensor.baud_rate
+        return [partial(self.lines.open_board, port, rate) for port in tactile.serial_ports]
 
     @contextmanager
     def servo_bus(

@@ -42,7 +42,6 @@ from cell.config.file import (
     text_with_values,
 )
 from cell.config.model import CellConfig
-from cell.config.tactile import ControlUnitConfig
 from cell.control.self_zero import zero_file
 from cell.data.files import DAMAGE, free_name, open_plain, write_atomically
 from cell.data.formats import (
@@ -181,7 +180,7 @@ def _devices(bench: Bench, config: CellConfig) -> dict[str, Any]:
             missing.append(f"registers of servo {servo.id}: {error}")
     try:
         # Where another program has the servos, its requests to the unit are not disturbed.
-        boards = not isinstance(config.tactile.sensor, ControlUnitConfig)
+        boards = not config.tactile.sensor.canopen
         unit = {} if missing or boards else unit_values(bench)
         missing += ["objects of the control unit: the servos come first"] if missing else []
     except TactileError as error:

@@ -97,7 +97,7 @@ def _opened(bench: Bench, config: CellConfig) -> Hand:
         lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
         lambda: (
             MissingBus()
-            if alone or tactile.serial_ports
+            if alone or not tactile.sensor.on_can
             else bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate)
         ),
         open_boards=bench.board_openers(tactile),

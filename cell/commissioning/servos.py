@@ -15,6 +15,8 @@ from cell.commissioning.backup import (
 )
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed, leave
+from cell.config.gripper import use_servo_models
+from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.bus import ServoBus, ServoIdentity
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
@@ -103,6 +105,7 @@ class ServosStep(Step):
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find, number, check and set the servos."""
         port, rate = bench.gripper().port, bench.gripper().baud_rate
+        use_servo_models(SERVO_MODELS.usable())
         placed = _numbered(bench, dialog, port, rate, notes)
         fingers, others = _of_fingers(placed, dialog)
         servos = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]

@@ -3,9 +3,10 @@
 import json
 import os
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,19 +18,20 @@ from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.ports import by_id
 from cell.config.file import changed_config
 from cell.config.section import SIMULATED
+from cell.config.sensor import SensorLines
 from cell.config.tactile import (
-    ControlUnitConfig,
     TactileConfig,
     layout_from_config,
     link_settings,
     make_calibration,
 )
 from cell.errors import ConfigError
-from cell.hand.build import board_source, sensor_settings
-from tactile.can.bus import CanBus
+from cell.hand.build import frame_source, sensor_settings
+from cell.plugins import PAD_LAYOUTS
+from tactile.can.bus import CanBus, MissingBus
 from tactile.errors import BusNotOpened, TactileError
 from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
-from tactile.layout import LAYOUTS, TaxelLayout
+from tactile.layout import TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
 from tactile.unit.bus_load import least_sync_period_s, message_bits
@@ -50,8 +52,9 @@ _NO_CHANNEL = "none"
 _PATIENCE_S = 0.5
 """Longest silence in s of a unit while a person presses its pads."""
 _RATE_FRAMES = 100
-_LEAST_RATE_HZ = 80.0
-"""Frames for the measured rate of boards, and the rate below which it is reported."""
+_LEAST_RATE = 0.8
+"""Frames for the measured rate of boards, and the share of the usual rate below which it is
+reported."""
 _FRAMES = 10
 """Frames that prove that the link runs."""
 
@@ -73,28 +76,29 @@ def unit_sensor(
         False: as for a grip.
     """
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
-    layout = layout_from_config(tactile)
     if patient:
-        tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S})
-    if not isinstance(tactile.sensor, ControlUnitConfig):
-        with _board_sensor(bench, tactile) as sensor:
-            yield sensor
-        return
-    link = link_settings(tactile)
-    if patient:
-        link = replace(link, force_period_s=0.0)
-    with (
-        bench.can_bus() as bus,
-        open_sensor(
-            bus,
-            layout,
-            make_calibration(tactile, layout),
-            node_id=tactile.node_id,
-            link=link,
-            settings=sensor_settings(tactile),
-        ) as sensor,
-    ):
+        forces = {"force_period_ms": 0} if tactile.sensor.canopen else {}
+        tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S} | forces)
+    with _started(bench, tactile) as sensor:
         yield sensor
+
+
+@contextmanager
+def _started(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
+    """Start the sensor of a config, and close it at the end."""
+    with ExitStack() as undo:
+        place = (tactile.interface, tactile.channel, tactile.bitrate)
+        lines = SensorLines(
+            clock=bench.clock,
+            open_serial=bench.board_openers(tactile),
+            can_bus=undo.enter_context(bench.can_bus(*place))
+            if tactile.sensor.on_can
+            else MissingBus(),
+            real_time=bench.clock is time,
+        )
+        source = frame_source(tactile, lines)
+        law, settings = make_calibration(tactile, source.layout), sensor_settings(tactile)
+        yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
 
 
 def unit_values(bench: Bench) -> dict[str, Any]:
@@ -104,22 +108,6 @@ def unit_values(bench: Bench) -> dict[str, Any]:
     """
     with bench.can_bus() as bus:
         return asdict(read_unit(bus, bench.tactile().node_id))
-
-
-@contextmanager
-def _board_sensor(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
-    """Start the sensor of boards without a control unit, and close it at the end."""
-    with ExitStack() as undo:
-        bus = None
-        if not tactile.serial_ports:
-            place = (tactile.interface, tactile.channel, tactile.bitrate)
-            bus = undo.enter_context(bench.can_bus(*place))
-        openers = bench.board_openers(tactile)
-        source = board_source(tactile, bench.clock, open_boards=openers, can_bus=bus)
-        if source is None:
-            raise StepFailed("The config names a control unit, and no boards (tactile.sensor).")
-        law, settings = make_calibration(tactile, source.layout), sensor_settings(tactile)
-        yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
 
 
 class UnitStep(Step):
@@ -137,7 +125,7 @@ class UnitStep(Step):
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find the unit, judge it, start its link."""
-        if not isinstance(bench.tactile().sensor, ControlUnitConfig):
+        if not bench.tactile().sensor.canopen:
             _find_boards(bench, dialog, notes)
             return
         place = _interface(bench, dialog)
@@ -198,7 +186,7 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
     tactile = bench.tactile()
     sensor = tactile.sensor.model_dump(mode="json")
     notes.settings["tactile.mounting"] = []
-    if not tactile.serial_ports:
+    if tactile.sensor.on_can:
         place = _interface(bench, dialog)
         if place is None:
             raise StepFailed("The boards need a CAN interface: plug its adapter in.")
@@ -208,22 +196,25 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
         ports = [port for port in bench.lines.serial_ports() if os.path.realpath(port) != servos]
         if len(ports) != len(tactile.serial_ports):
             raise StepFailed(
-                f"The serial ports beside the servos' are {', '.join(ports) or 'none'}; two are "
-                "needed. Plug in the boards alone, or write tactile.sensor.ports into the config."
+                f"The serial ports beside the servos' are {', '.join(ports) or 'none'}; the sensor "
+                f"needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
+                "tactile.sensor.ports into the config."
             )
         sensor["ports"] = [by_id(port) for port in ports]
         notes.settings["tactile.sensor"] = sensor
     found = {key.removeprefix("tactile."): value for key, value in notes.settings.items()}
-    with _board_sensor(bench, bench.tactile(**found)) as boards:
+    tactile = bench.tactile(**found)
+    with _started(bench, tactile) as boards:
         began_s = boards.read().t_s
         for _ in range(_RATE_FRAMES):
             ended_s = boards.read().t_s
         torn = boards.source.statistics.frames.torn
     rate_hz = _RATE_FRAMES / (ended_s - began_s)
     notes.fact(f"Both boards send whole frames, {rate_hz:.0f} a second; {torn} were torn.")
-    if rate_hz < _LEAST_RATE_HZ:
+    least_hz = _LEAST_RATE / tactile.frame_period_s
+    if rate_hz < least_hz:
         notes.warn(
-            f"{rate_hz:.0f} frames a second are few, {_LEAST_RATE_HZ:.0f} are usual: plug each "
+            f"{rate_hz:.0f} frames a second are few, {least_hz:.0f} are usual: plug each "
             "board into a USB port of its own, not into a hub."
         )
     notes.values |= {"rate_hz": rate_hz, "sends_forces": False}
@@ -413,7 +404,7 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
 
 def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     """Return the layout with the unit's taxels, and the value of tactile.layout for it."""
-    for name, make in LAYOUTS.items():
+    for name, make in PAD_LAYOUTS.usable().items():
         if unit.matches(layout := make()):
             return layout, name
     given = bench.given.get("tactile.layout") or bench.tactile().model_dump(mode="json")["layout"]
@@ -423,7 +414,7 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     raise StepFailed(
         f"Its taxels are of no known layout (hash {unit.layout_hash}): {unit.n_taxels} taxels on "
         f"{len(unit.pad_shapes)} pads of {shapes}, full scale {unit.adc_max}. Known are "
-        f"{', '.join(LAYOUTS)}: write the pads of another one with faces and pitches into "
+        f"{', '.join(PAD_LAYOUTS)}: write the pads of another one with faces and pitches into "
         "tactile.layout of a config, or plug in the unit of this gripper."
     )
 

@@ -274,7 +274,7 @@ class Grasper:
     def _open_and_zero(self) -> None:
         """Open the fingers; take the zero of a drifting sensor before each approach."""
         self.hand.open(self.watch)
-        if n_frames := self.config.tactile.zero_frames:
+        if n_frames := self.config.tactile.sensor.fresh_zero_frames:
             self.take_zero(n_frames)
 
     def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:

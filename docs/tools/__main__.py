@@ -1,6 +1,6 @@
 """Writes the tables that are made from the code into the pages: ``python -m docs.tools``.
 
-In a page such a table stands between ``<!-- made: NAME -->`` and ``<!-- end: NAME -->``. With
+In a page a table is between ``<!-- made: NAME -->`` and ``<!-- end: NAME -->``. With
 ``--check`` nothing is written, and a page that differs from the code is an error.
 """
 
@@ -49,7 +49,7 @@ _TABLE = re.compile(r"(<!-- made: (.+?) -->\n).*?(<!-- end: \2 -->)", flags=re.S
 
 
 def filled(page: str) -> str:
-    """Return a page, or a picture, with its tables made anew."""
+    """Return a page, or a picture, with new tables."""
     return _TABLE.sub(lambda found: f"{found[1]}\n{MAKERS[found[2]]().strip()}\n\n{found[3]}", page)
 
 

@@ -48,11 +48,11 @@ def test_configs_are_read_once_the_command_that_they_name_has_converted_them(
     assert "sequence.candidates: taken out" in said
     assert call("config", "check", path).startswith(f"{path}: valid")
     copy = path.with_suffix(".1.yaml")
-    assert (copy.read_text(), f"as it was: {copy}" in said) == (before, True)
+    assert (copy.read_text(), f"copy of the old file: {copy}" in said) == (before, True)
     left = path.read_text().splitlines()
     gone = [line.strip() for line in before.splitlines() if line not in left]
     assert "candidates: 8" in gone or gone == ["candidates: 24"]
-    assert call("config", "convert", path) == f"{path}: nothing is gone of it, it stays as it is\n"
+    assert call("config", "convert", path) == f"{path}: no key is obsolete, the file is unchanged\n"
 
 
 def test_grasps_models_and_recordings_are_read(files: Path) -> None:

@@ -117,7 +117,7 @@ def test_devices_that_do_not_answer_are_named_and_the_rest_is_backed_up(
 
 def test_a_restore_shows_what_differs_asks_and_is_taken_back(cell: Path) -> None:
     path, before = made(cell), there(cell)
-    with pytest.raises(CellError, match="there is nothing to take back: no restore-undo"):
+    with pytest.raises(CellError, match="there is nothing to undo: restore-undo"):
         call("restore", "--undo")
     config = cell / "tactile-cell.yaml"
     config.write_text(config.read_text().replace("force_max_n: 12", "force_max_n: 9"))

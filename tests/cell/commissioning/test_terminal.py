@@ -113,7 +113,7 @@ def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(
         ("help", "disconnect servo N"),
         ("open finger 7", "`help` prints what is"),
         ("press finger0.tip", "there is no pad 'finger0.tip'; there are finger0.inner"),
-        ("{hand", "is no JSON"),
+        ("{hand", "is not valid JSON"),
     ):
         with contextlib.closing(Person([*ask, request], tmp_path)) as person:
             person.meet({})

@@ -280,7 +280,7 @@ def test_it_is_measured_at_a_start_where_it_is_due(
 def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
     said = call("zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
     assert said.startswith("pads meet at ")
-    assert "since the last one" not in said
+    assert "since the last measurement" not in said
     assert abs(json.loads((tmp_path / "zero.json").read_text())["opening_m"]) < 2e-4
     config = CellConfig()
     here = config.model_copy(

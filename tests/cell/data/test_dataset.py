@@ -252,7 +252,10 @@ def test_archives_of_something_else_or_beyond_a_limit_are_refused(
     ("content", "says"),
     [
         (None, "check the path"),
-        (b"label: ball\n", "is not a grasp data set: it is not an npz archive; name a grasp"),
+        (
+            b"label: ball\n",
+            "is not a grasp data set: it is not an npz archive; name a grasp data set",
+        ),
         (b"", "is not a grasp data set: it is empty; name"),
         (b"PK\x03\x04", "is a damaged grasp data set .*; take another copy"),
         (b"\x89MCAP0\r\n" + bytes(100), r"is a recording, not a grasp data set; .* in \.mcap"),

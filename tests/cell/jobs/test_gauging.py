@@ -88,7 +88,7 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(
 def test_a_gauge_that_the_data_set_does_not_hold_is_named_with_those_it_does(
     taught: Any, tmp_path: Path
 ) -> None:
-    with pytest.raises(CellError, match=r"none of its 10 grasps is of 'ghost', .* 'ball', 'box'"):
+    with pytest.raises(CellError, match=r"its 10 grasps have no 'ghost', but 'ball', 'box'"):
         call(
             *("calibrate", taught.result.dataset, "--gauge", "ghost"),
             *("-m", taught.result.model, "-o", tmp_path / "m.npz"),

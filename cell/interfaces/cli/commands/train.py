@@ -1,4 +1,4 @@
-"""`train`: teaches a recogniser with recorded grasps and writes a model file."""
+"""`train`: trains a recogniser on recorded grasps and writes a model file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,13 +17,13 @@ def train(
     recognizer: RecognizerOption = DEFAULT_TRAINER,
     aperture: Annotated[
         bool,
-        typer.Option("--aperture/--no-aperture", help="Use the opening of the fingers too."),
+        typer.Option("--aperture/--no-aperture", help="Also use the opening of the fingers."),
     ] = True,
     early: Annotated[
         bool,
         typer.Option(
             "--early/--no-early",
-            help="Teach with ramps cut short too, for decide_early; 3 x the time.",
+            help="Also train on shortened ramps, for decide_early; takes 3 times as long.",
         ),
     ] = True,
     json_file: JsonOption = None,
@@ -38,9 +38,9 @@ def train(
 
     grasps = [grasp for path in datasets for grasp in read_labelled_grasps(path, print_line)]
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
-        raise CellError("the data sets were taken on different pads; train a model for each")
+        raise CellError("the data sets are of different pads; train a model for each")
     if twice := len(duplicate_grasps(grasps)):
-        print_note(f"{twice} of {len(grasps)} grasps stand twice and count as two: too sure")
+        print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
     trained = train_model(grasps, recognizer, use_aperture=aperture, early=early)
     labels = trained.recognizer.labels
     save_model(

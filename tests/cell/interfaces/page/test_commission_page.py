@@ -89,7 +89,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     page.click("#question_send")
     becomes(page, "#state", "Commissioned")
     becomes(page, "#files", "commissioning.html")
-    becomes(page, "#corrected", r"set right now\s*name was wrong")
+    becomes(page, "#corrected", r"corrected\s*name was wrong")
     page.click("#steps summary >> nth=1")
     becomes(page, "#steps li:nth-child(2)", "A block of 12.5 mm")
     drawn = "images => images.filter(image => image.naturalWidth).length"
@@ -99,7 +99,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     record = Path(saved.value.path()).read_text("utf-8")
     assert "A block of 12.5 mm" in record
     assert "name: cube" in record
-    page.click("text=Do this step again")
+    page.click("text=Repeat this step")
     page.click("#sure_yes")
     becomes(page, "#steps li:nth-child(2) summary", "open")
     assert fits(page)

@@ -1,0 +1,1 @@
+"""Contracts of plugins as tests, one file a kind: `pytest --contract sensor`."""
