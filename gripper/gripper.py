@@ -26,7 +26,7 @@ from gripper.force.by_current import assume_friction, cap_by_current_n
 from gripper.force.control.grip_control import GripControl
 from gripper.force.grasp import GraspRun
 from gripper.force.loop import Running
-from gripper.force.ramp import ForceRamp, check_ramp
+from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.force.timing import LoopStatistics
 from gripper.lifecycle import bus_is_lost
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage
@@ -263,6 +263,11 @@ class Gripper:
                 self._watchdog_proven = True
                 state = self._fingers.move_to(target_m)
         return state
+
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force in N of a ramp: by its limit, and by the current as measured."""
+        return largest_ramp_n(self._settings, self._linkage)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Raise LimitExceeded when `grasp` would refuse a ramp; does not use the servos."""

@@ -129,7 +129,7 @@ def _can_buses(bench: Bench, dialog: Dialog) -> Iterator[tuple[str, str, int]]:
     own: tuple[str, ...] = ()
     if not bench.gripper_alone:
         own = (tactile.channel,)
-        # Sensor boards have no CAN bus to share.
+        # Sensor boards share their bus with no CANopen node.
         if tactile.sensor.canopen:
             yield tactile.interface, tactile.channel, tactile.bitrate
     others = [name for name in network_interfaces() if name not in own]

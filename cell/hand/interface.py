@@ -125,6 +125,11 @@ class Hand(Protocol):
     def tare(self, n_frames: int) -> TareResult:
         """Take the zero of the taxels from ``n_frames`` frames, and return it."""
 
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force in N of a ramp, by what is known of the servos; no device is asked."""
+        ...
+
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Raise LimitExceeded for a ramp that `grasp` would refuse; uses no device."""
 

@@ -25,7 +25,7 @@ from gripper.dynamixel.control_table import (
     HARDWARE_ERROR_STATUS,
     MODEL_NUMBER,
 )
-from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.dynamixel.models import MODELS, model_name
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
@@ -117,7 +117,9 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
 def _drives(config: CellConfig, named: str) -> CheckResult:
     """Return the measured characteristics of the servos' drives, beside the catalogue."""
     kept = kept_zeros(config, Path(config.recording.directory), new_hand=False)
-    texts, advice = [], ""
+    texts: list[str] = []
+    drives: list[DriveCharacteristic] = []
+    advice = ""
     for servo in config.gripper.servos:
         if servo.id not in kept.drives:
             texts.append(f"servo {servo.id}: not measured, catalogue values within 30 % are used")
@@ -126,11 +128,12 @@ def _drives(config: CellConfig, named: str) -> CheckResult:
         at = datetime.fromtimestamp(drive.measured_s)
         where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
         texts.append(f"{drive_text(servo.id, drive, MODELS[servo.model])}, {at:%Y-%m-%d}{where}")
-        if drive.disagreement:
-            advice = (
-                "pads and motor constant disagree: the law of the pads, or the current scale, is "
-                "wrong; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
-            )
+        drives.append(drive)
+    if any(map(disagreement, [drives, *([drive] for drive in drives)])):
+        advice = (
+            "pads and motor constant disagree: the law of the pads, or the current scale, is "
+            "wrong; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
+        )
     if len(kept.drives) < len(texts) and config.gripper.pads_meet:
         advice = advice or f"`tactile-cell zero{named}` measures them, with nothing in the grip"
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)

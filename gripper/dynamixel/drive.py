@@ -6,9 +6,10 @@ breakaway_a``, and falls at ``falling_a_nm * load - breakaway_a``. In free motio
 ``kt_nm_a`` does not depend on the pads.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import exp, hypot, log
+from math import exp, log, sqrt
+from statistics import fmean
 from typing import NamedTuple, Self
 
 from gripper.dynamixel.models import ServoModel
@@ -106,6 +107,11 @@ class DriveCharacteristic:
         return replace(self, friction_sd=_FRICTION_SD)
 
     @property
+    def breakaway_share(self) -> float:
+        """Friction at rest under a load over that of free motion."""
+        return self.breakaway_a / (self.coulomb_a + self.stribeck_a)
+
+    @property
     def least_breakaway_a(self) -> float:
         """Least plausible friction at rest in A."""
         return self.breakaway_a * exp(-SIGMAS * self.friction_sd)
@@ -120,16 +126,6 @@ class DriveCharacteristic:
         """Largest plausible torque for current in N m / A: the pads may be weak."""
         return max(exp(SIGMAS * self.load_sd) / self.rising_a_nm, self.kt_nm_a)
 
-    @property
-    def disagreement(self) -> float:
-        """Logarithm of the torque by pads over that by the motor constant; 0 where both agree.
-
-        A weak pad and a weak motor look alike.
-        """
-        apart = -log(self.rising_a_nm * self.kt_nm_a)
-        beyond = abs(apart) - SIGMAS * hypot(self.load_sd, self.kt_sd)
-        return apart if beyond > 0.0 else 0.0
-
     def friction_a(self, speed_rad_s: float) -> float:
         """Return the friction current in A of free motion at a speed in rad/s."""
         slow = exp(-((abs(speed_rad_s) / self.stribeck_rad_s) ** self.stribeck_exponent))
@@ -138,6 +134,20 @@ class DriveCharacteristic:
     def moving_a(self, speed_rad_s: float) -> float:
         """Return the larger one of the friction currents in A at rest and at a speed in rad/s."""
         return max(self.breakaway_a, self.friction_a(speed_rad_s))
+
+
+def disagreement(drives: Sequence[DriveCharacteristic]) -> float:
+    """Return the logarithm of the torque by pads over that by the motor constants; 0: they agree.
+
+    It is the mean of some servos, whose motor constants err apart. The catalogue alone is no
+    anchor, and without a servo there is none. A weak pad and a weak motor look alike.
+    """
+    if any(drive.kt_sd >= _KT_SD for drive in drives) or not drives:
+        return 0.0
+    apart = -fmean(log(drive.rising_a_nm * drive.kt_nm_a) for drive in drives)
+    variances = (drive.load_sd**2 + drive.kt_sd**2 for drive in drives)
+    beyond = abs(apart) - SIGMAS * sqrt(sum(variances)) / len(drives)
+    return apart if beyond > 0.0 else 0.0
 
 
 class Drives:

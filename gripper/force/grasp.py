@@ -23,6 +23,7 @@ from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
 from gripper.mechanics.identification import LoadPoint, fit_load
 from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
+from gripper.servos.goals import running_lead_rad
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
@@ -44,10 +45,14 @@ _EQUAL_S = 1e-9
 
 
 _LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
-"""Least force of the measurement of a drive in contact forces, its largest force as a share of the
-held force, and the least difference of both in N. [chosen]"""
-_LOAD_N_S, _UNLOAD_N_S = 6.0, 20.0
-"""Rate in N/s of that measurement, and of the change before it. [chosen]"""
+"""Least force of the measurement of a drive in contact forces, its largest one as a share of the
+force that was held, and the least difference in N of both. [chosen]"""
+_LOAD_N_S, _LOCKED_N_S, _LOCKED_SHARE = 8.0, 30.0, 0.1
+"""Rate in N/s of the drive of that measurement, and while friction locks the finger: until the
+force has changed by this share of its range. [chosen]"""
+_LIMITED_S = 0.25
+"""Time in s without a change of the current after which a limit of the drive has ended it: four
+steps of the goal. [chosen]"""
 _CURRENT_SHARE = 0.9
 """Largest share of the current limit in this measurement. [chosen]"""
 
@@ -194,7 +199,6 @@ class GraspRun:
         small a range, the drives do not change.
         """
         grip, settings = control.grip, control.grip.settings
-        self._free.forget()
         low_n = _LOW_CONTACTS * settings.contact_force_n
         paths = transmissions(settings, self._linkage, self._servos.read_patiently().angles_rad)
         bearable_n = min(
@@ -205,15 +209,10 @@ class GraspRun:
             return
         try:
             for finger, servo in enumerate(settings.servos):
-                trial = LoadTrial(self._linkage, finger)
-                grip.moving = finger
-                ramp = ForceRamp.linear(low_n, _UNLOAD_N_S, start_n=grip.setpoint_n)
-                self.follow(control, ramp)
-                for from_n, to_n in ((low_n, high_n), (high_n, low_n)):
-                    ramp = ForceRamp.linear(to_n, _LOAD_N_S, start_n=from_n)
-                    step = GripStep(settings, control, ramp)
-                    trial.begin(rises=to_n > from_n)
-                    self._runner.run(trial.watched(step.step))
+                trial = LoadTrial(control, self._linkage, finger, (low_n, high_n))
+                for rises in (False, True):
+                    trial.begin(rises=rises)
+                    self._runner.run(trial.step)
                 before = settings.drives.of(servo.servo_id, servo.drive)
                 found = fit_load(trial.rising, trial.falling, before)
                 settings.drives.put(servo.servo_id, found)
@@ -270,37 +269,73 @@ class GraspRun:
 
 
 class LoadTrial:
-    """Collector of the load of one moving finger, and of its current, while both change.
+    """Step that measures the load of one finger, and its current, while its goal moves steadily.
+
+    Nothing is controlled by the force: what is unknown is how it follows the current. The position
+    controller keeps a gearing from slipping that sticks at rest more than in motion.
 
     Parameters
     ----------
+    control
+        Of the pads that press on each other.
     linkage
         Of the gripper.
     finger
-        Index of the finger, and of its servo.
+        Index of the finger that moves, and of its servo.
+    range_n
+        Least and largest force in N.
     """
 
-    def __init__(self, linkage: Linkage, finger: int) -> None:
+    def __init__(
+        self, control: GripControl, linkage: Linkage, finger: int, range_n: tuple[float, float]
+    ) -> None:
         self.rising: list[LoadPoint] = []
         self.falling: list[LoadPoint] = []
+        self._control = control
         self._linkage = linkage
         self._finger = finger
-        self._points: list[LoadPoint] = []
-        self._currents = History()
-        self._sample_s = 0.0
+        self._low_n, self._high_n = range_n
+        control.grip.moving = finger
+        control.resume()
 
     def begin(self, *, rises: bool) -> None:
         """Begin a change of the force."""
+        self._rises, self._sign = rises, 1.0 if rises else -1.0
         self._points = self.rising if rises else self.falling
+        self._currents = History()
+        self._sample_s = self._stalled_s = 0.0
+        self._most_a = -inf
+        self._from_n: float | None = None
+        self._goal_rad: float | None = None
 
-    def watched(self, step: Callable[[Moment], Action]) -> Callable[[Moment], Action]:
-        """Return a step of control that collects its values."""
+    def step(self, moment: Moment) -> Action:
+        """Return the action of one period."""
+        control = self._control
+        self._push(moment)
+        current_a = -self._sign * moment.state.servos[self._finger].current_a
+        self._stalled_s = 0.0 if current_a > self._most_a else self._stalled_s + moment.dt_s
+        self._most_a = max(self._most_a, current_a)
+        if self._from_n is None and control.watch.pads.recent:
+            self._from_n = control.force_n
+        moved_n = 0.0 if self._from_n is None else self._sign * (control.force_n - self._from_n)
+        locked = moved_n < _LOCKED_SHARE * (self._high_n - self._low_n)
+        control.grip.trial_rad = self._next_rad(moment, _LOCKED_N_S if locked else _LOAD_N_S)
+        end_n = self._high_n if self._rises else self._low_n
+        done = self._sign * (control.force_n - end_n) >= 0.0 or self._stalled_s > _LIMITED_S
+        goals = control.goals(moment, self._high_n)
+        return Action(goals=goals, setpoint_n=self._high_n, done=done)
 
-        def watch(moment: Moment) -> Action:
-            self._push(moment)
-            return step(moment)
-
-        return watch
+    def _next_rad(self, moment: Moment, rate_n_s: float) -> float:
+        """Return the goal of the finger, which changes its drive at a rate while it stands."""
+        settings = self._control.grip.settings
+        model = settings.servos[self._finger].servo_model
+        servo = moment.state.servos[self._finger]
+        if self._goal_rad is None:
+            self._goal_rad = servo.angle_rad + running_lead_rad(model, servo.current_a, 0.0)
+        path = transmissions(settings, self._linkage, moment.state.angles_rad)[self._finger]
+        change_a = self._sign * rate_n_s * moment.dt_s / path.n_per_a
+        self._goal_rad -= running_lead_rad(model, change_a, 0.0)
+        return self._goal_rad
 
     def _push(self, moment: Moment) -> None:
         servo, sample = moment.state.servos[self._finger], moment.sample

@@ -121,8 +121,7 @@ class BandMode(Mode):
                 given_back_n = self._tuning.taper_n_s * dt_s
                 wanted_n = max(grip.estimate.model_n, grip.quiet_n - given_back_n)
         else:
-            share = self._tuning.dither_share if grip.moving is None else 0.0
-            self._dither = share if self._dither <= 0.0 else -share
+            self._dither = self._tuning.dither_share * (1.0 if self._dither <= 0.0 else -1.0)
         wanted_n = self._approached(wanted_n, abs(setpoint_n - before_n), friction_n, dt_s)
         self._setpoint_n = setpoint_n
         lowest_n = -self._tuning.push_open_share * friction_n

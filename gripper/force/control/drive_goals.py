@@ -74,9 +74,18 @@ class DriveGoals:
             self._least_rad,
             strict=True,
         ):
-            if grip.moving is not None and settings is not grip.settings.servos[grip.moving]:
-                held_rad = self._held_rad(servo)
-                goals.append(self._holding(held_rad, settings.servo_model, path))
+            if grip.moving is not None:
+                held = settings is not grip.settings.servos[grip.moving]
+                angle_rad = max(grip.trial_rad, min(least_rad, servo.angle_rad))
+                goals.append(
+                    self._holding(self._held_rad(servo), settings.servo_model, path)
+                    if held
+                    else ServoGoal(
+                        angle_rad=min(angle_rad, contact_rad + GIVE_RAD),
+                        current_a=min(drive_n / path.n_per_a, grip.settings.current_max_a),
+                        setpoint_n=grip.setpoint_n,
+                    )
+                )
                 continue
             # Each servo drives with the same share of its own friction.
             own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n

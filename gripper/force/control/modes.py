@@ -6,6 +6,7 @@ from gripper.force.control.band_mode import BandMode
 from gripper.force.control.motion_mode import SPEED_S, MotionMode
 from gripper.force.control.period import Mode, Period
 from gripper.force.estimates.grip import Grip
+from gripper.mechanics.kinematics import driving_n
 
 _FAST_N_S = 6.0
 """Rate in N/s above which a rise is a planned motion; below, friction at rest decides. [tuned]"""
@@ -22,6 +23,10 @@ _CORRECTED_DOUBT_N = 0.06
 _PAUSE_S = 0.05
 """Least time in s between two of these motions. [tuned]"""
 
+_TRIAL_MEAN_S = 0.02
+"""Time constant in s of the force by which a finger is held while the other one is measured.
+[chosen]"""
+
 
 class WaitMode(Mode):
     """Mode of control that waits without a usable sample.
@@ -36,6 +41,26 @@ class WaitMode(Mode):
     def step(self, period: Period) -> float:
         """Return the driving force in N of one period."""
         return min(self._grip.drive_n, self._grip.quiet_n)
+
+
+class TrialMode(Mode):
+    """Mode of control while one finger is measured: its goal moves, nothing is corrected.
+
+    The drive is only a limit then.
+    """
+
+    def __init__(self, grip: Grip) -> None:
+        self._grip = grip
+
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period."""
+        grip, estimate, sample = self._grip, self._grip.estimate, period.moment.sample
+        if sample is not None and sample.valid and sample.t_s > estimate.sample_s:
+            share = min(1.0, (sample.t_s - estimate.sample_s) / _TRIAL_MEAN_S)
+            estimate.correct(share * (sample.grip_n - estimate.force_n) + estimate.bias_n, 0.0)
+            estimate.sample_s = sample.t_s
+        grip.quiet_n = driving_n(period.state, period.paths)
+        return period.drive_max_n
 
 
 class GripModes:
@@ -59,6 +84,7 @@ class GripModes:
             BandMode: self.band,
             MotionMode: self.motion,
             WaitMode: WaitMode(grip),
+            TrialMode: TrialMode(grip),
         }
         self.active: Mode = self.band
         """The mode that made the last drive."""
@@ -108,12 +134,20 @@ def _strays(modes: GripModes, period: Period) -> bool:
     return (period.may_open or not falls) and error_n > _CORRECTED_N[falls] + estimate.doubt_n
 
 
+def _tried(modes: GripModes) -> bool:
+    """Whether one finger is measured."""
+    return modes.grip.moving is not None
+
+
 def _may_move(modes: GripModes, period: Period) -> bool:
     return _quick(modes, period) and period.moment.young and period.moment.dt_s > 0.0
 
 
 TRANSITIONS: tuple[tuple[type[Mode], Callable[[GripModes, Period], bool], type[Mode]], ...] = (
-    (MotionMode, _ended, BandMode),
+    (TrialMode, lambda modes, _: not _tried(modes), BandMode),
+    (BandMode, lambda modes, _: _tried(modes), TrialMode),
+    (WaitMode, lambda modes, _: _tried(modes), BandMode),
+    (MotionMode, lambda modes, period: _tried(modes) or _ended(modes, period), BandMode),
     (BandMode, lambda _, period: not period.usable, WaitMode),
     (WaitMode, lambda _, period: period.usable, BandMode),
     (BandMode, _rises_fast, MotionMode),

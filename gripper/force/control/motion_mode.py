@@ -111,7 +111,7 @@ class MotionMode(Mode):
             When sensor and model disagree, see `ForceEstimate.jumps` and `check`.
         """
         grip, observer, sample = self._grip, self.observer, period.sample
-        estimate, friction_n = grip.estimate, period.friction_n
+        estimate, friction_n = grip.estimate, self._friction_n(period)
         moment, setpoint_n = period.moment, period.setpoint_n
         measured_n = driving_n(period.state, period.paths)
         jumped = estimate.jumps(sample, observer.unexplained_n(sample), setpoint_n, friction_n)
@@ -125,10 +125,15 @@ class MotionMode(Mode):
         estimate.check(moment.now_s, sample, friction_n, period.doubt_n)
         return grip.quiet_n
 
+    def _friction_n(self, period: Period) -> float:
+        """Return the friction in N of this motion: on its way down the load loses some too."""
+        held_n = (1.0 - 1.0 / period.relief) * max(0.0, self.observer.force_n)
+        return period.friction_n + (held_n if self._falls else 0.0)
+
     def _planned_drive_n(self, period: Period) -> float:
         """Advance the plan by one period and return the driving force in N that follows it."""
         grip, observer, sign, dt_s = self._grip, self.observer, self._sign, period.moment.dt_s
-        setpoint_n, end_n, friction_n = period.setpoint_n, period.end_n, period.friction_n
+        setpoint_n, end_n, friction_n = period.setpoint_n, period.end_n, self._friction_n(period)
         stiffness = observer.stiffness_n_m
         impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
         speed_max_m_s = pressing_speed_m_s(grip.settings, impact, setpoint_n)

@@ -32,7 +32,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (UNIT, "unit.wrong=revision:0x00020001", FAIL, "not that of this software: major revision"),
         (UNIT, "unit.wrong=vendor:99", FAIL, "node 5 is another device: vendor 0x63"),
         (UNIT, "unit.other_layout", FAIL, "no known layout (hash 0000000000000000): 156 taxels"),
-        (UNIT, "can.unplugged", FAIL, "adapter is out"),
+        (UNIT, "can.unplugged", FAIL, "adapter is unplugged"),
         (UNIT, "unit.heartbeat_off", FAIL, "did not become operational"),
         (UNIT, "can.bit_rate=125000", FAIL, "too long for a grip"),
         (REST, "taxels.noisy=1:400", WARN, "finger1.inner is noisy: "),
