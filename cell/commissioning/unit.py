@@ -53,8 +53,8 @@ _PATIENCE_S = 0.5
 """Longest silence in s of a unit while a person presses its pads."""
 _RATE_FRAMES = 100
 _LEAST_RATE = 0.8
-"""Frames from which the rate of boards is taken, and the share of the usual one below which it is
-worth a word."""
+"""Frames for the measured rate of boards, and the share of the usual rate below which it is
+reported."""
 _FRAMES = 10
 """Frames that prove that the link runs."""
 
