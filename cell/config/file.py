@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError, WithJsonSchema
+from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
@@ -19,7 +19,7 @@ from ruamel.yaml.nodes import CollectionNode, MappingNode, Node, ScalarNode, Seq
 from ruamel.yaml.reader import ReaderError
 
 from cell.config.model import CellConfig
-from cell.config.section import OneOf
+from cell.config.section import Installed, OneOf, sections_in
 from cell.data.files import read_plain
 from cell.data.formats import CONFIG, GONE_KEYS, present_config
 from cell.errors import ConfigError
@@ -86,7 +86,7 @@ def _lines(
         if comments:
             yield from _comment(_meaning(key, kinds if name == "kind" else ()), indent)
         if isinstance(value, BaseModel):
-            union = [_kind_of(one) for one in _sections_in(key.annotation)]
+            union = [_kind_of(one) for one in sections_in(key)]
             yield f"{indent}{name}:"
             yield from _lines(value, indent + "  ", comments=comments, kinds=union)
         elif isinstance(value, tuple) and any(isinstance(one, BaseModel) for one in value):
@@ -125,10 +125,8 @@ def _choices(key: FieldInfo) -> list[str]:
     if get_origin(key.annotation) is Literal:
         return [str(choice) for choice in get_args(key.annotation)]
     for note in key.metadata:
-        if isinstance(note, OneOf):
+        if isinstance(note, OneOf | Installed):
             return list(note.names)
-        if isinstance(note, WithJsonSchema) and note.json_schema:
-            return [str(choice) for choice in note.json_schema.get("enum", ())]
     return []
 
 
@@ -137,7 +135,7 @@ def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
     if isinstance(value, tuple) and value:
         return
     entries = get_origin(key.annotation) is tuple
-    for kind in _sections_in(key.annotation):
+    for kind in sections_in(key):
         if isinstance(value, kind):
             continue
         yield f"{indent}# {'each entry' if entries else 'or'}:"
@@ -148,14 +146,6 @@ def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
             yield from _comment(_meaning(inner), f"{indent}#   ")
             yield f"{indent}#   {name}:{'' if shown is None else f' {shown}'}"
             yield from _alternatives(inner, None, f"{indent}#   ")
-
-
-def _sections_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Return the sections in an annotation, also inside unions, lists and ``Annotated``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in get_args(annotation):
-        yield from _sections_in(inner)
 
 
 def _scalar(value: Any) -> str:
@@ -462,7 +452,7 @@ def _section_at(way: Sequence[int | str]) -> type[BaseModel]:
     inner = [section]
     for step in way:
         if step in section.model_fields:
-            inner = list(_sections_in(section.model_fields[str(step)].annotation))
+            inner = list(sections_in(section.model_fields[str(step)]))
         else:
             named = [one for one in inner if step in (one.__name__, _kind_of(one))]
             inner = named or inner
@@ -481,7 +471,7 @@ def _all_sections(
 ) -> Iterator[tuple[str, type[BaseModel]]]:
     """Return all sections below a section, each with its dotted path and, in a union, its kind."""
     for name, key in section.model_fields.items():
-        inner = list(_sections_in(key.annotation))
+        inner = list(sections_in(key))
         for one in inner:
             way = f"{path}.{name}".lstrip(".")
             yield (f"{way} of kind {_kind_of(one)}" if len(inner) > 1 else way), one

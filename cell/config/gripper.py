@@ -1,11 +1,27 @@
 """Config of the gripper: servos, linkage, limits; and its conversion to SI."""
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
-from gripper.dynamixel.models import MODELS, require_current_control
+from cell.config.section import (
+    MILLI,
+    SIMULATED,
+    Installed,
+    OneOf,
+    Section,
+    declared_values,
+    setting_of,
+)
+from cell.errors import ConfigError
+from cell.plugins import SERVO_MODELS
+from gripper.dynamixel.models import (
+    MODELS,
+    WITHOUT_CURRENT_CONTROL,
+    add_model,
+    require_current_control,
+)
 from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import (
@@ -105,10 +121,18 @@ class ServoCareConfig(Section):
     """Registers that a start rewrites if they differ; other differing registers are refused."""
 
 
+def use_servo_models(names: Iterable[str]) -> None:
+    """Load servo models for `gripper`, in this process. Raises ConfigError or LimitExceeded."""
+    for name in names:
+        add_model(SERVO_MODELS[name])
+
+
 def _with_current_control(model: str) -> str:
     try:
-        require_current_control(model)
-    except LimitExceeded as error:
+        if model in WITHOUT_CURRENT_CONTROL:
+            require_current_control(model)
+        use_servo_models([model])
+    except (ConfigError, LimitExceeded) as error:
         raise ValueError(str(error)) from error
     return model
 
@@ -121,7 +145,7 @@ class ServoConfig(Section):
     model: Annotated[
         str,
         AfterValidator(_with_current_control),
-        WithJsonSchema({"type": "string", "enum": list(MODELS)}),
+        Installed(SERVO_MODELS),
     ] = "XM430-W350"
     """Model; it must be able to control current (an XL430 cannot and is refused)."""
     direction: Literal[1, -1] = 1

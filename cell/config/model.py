@@ -13,27 +13,27 @@ from pydantic import Field, model_validator
 
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from cell.config.positioner import PositionerConfig
-from cell.config.section import SIMULATED, OneOf, Section, setting_of
+from cell.config.section import SIMULATED, Installed, OneOf, Section, setting_of
 from cell.config.sequence import SequenceConfig, ramp_from_config
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import (
     TactileConfig,
-    UskinConfig,
     check_sensor,
     layout_from_config,
     make_calibration,
 )
 from cell.data.formats import CONFIG
 from cell.errors import ConfigError
+from cell.plugins import RECOGNISERS
 from gripper.dynamixel.latency import largest_rate_hz
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
-from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
+from recognition.recognizers import DEFAULT_TRAINER
 from tactile.layout import TaxelLayout
 
 TAXELS_OF_SMALL_PART = 8
@@ -51,7 +51,7 @@ _MUCH_FRICTION_N = 10.0
 class RecognitionConfig(Section):
     """Recognition of objects from grasps."""
 
-    recognizer: Annotated[str, OneOf(tuple(TRAINERS))] = DEFAULT_TRAINER
+    recognizer: Annotated[str, Installed(RECOGNISERS)] = DEFAULT_TRAINER
     """Recogniser to teach."""
     use_aperture: bool = True
     """Whether to use the opening between the fingers in addition to the taxels."""
@@ -185,7 +185,7 @@ class CellConfig(Section):
                 f"{self.gripper.port} is gripper.port and in tactile.sensor.ports: servos and "
                 "boards need separate ports"
             )
-        on_can = not self.tactile.serial_ports
+        on_can = self.tactile.sensor.on_can
         if not simulated[0] and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
         if (
@@ -270,11 +270,10 @@ class CellConfig(Section):
             self.tactile.interface,
             self.tactile.channel,
         )
-        on_can = isinstance(self.tactile.sensor, UskinConfig) and not simulated
-        if on_can and shared and positioner.drives:
+        lone = self.tactile.sensor.lone_on_can
+        if lone and shared and positioner.drives and not simulated:
             raise ValueError(
-                "positioner.can is the bus of tactile: uSkin boards use identifiers of CANopen "
-                "(201h is RPDO1 of node 1, 710h to 71Fh are heartbeats); give them a bus without "
+                f"positioner.can is the bus of tactile: {lone}; give them a bus without "
                 "CANopen nodes"
             )
         for port in positioner.ports:

@@ -1,11 +1,25 @@
 """The base of all sections of the config, and links to settings that are declared elsewhere."""
 
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from math import inf
-from typing import Any
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    field_validator,
+)
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
+
+from cell.errors import ConfigError
+from cell.plugins import Plugins
 
 SIMULATED = "simulated"
 """Port or interface name of the simulated cell; no other value selects it."""
@@ -110,3 +124,102 @@ class OneOf:
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
         return core_schema.literal_schema(list(self.names))
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """Annotation of a text that names a plugin: ``Annotated[str, Installed(PAD_LAYOUTS)]``."""
+
+    plugins: Plugins
+    """The plugins to choose from."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names that are installed."""
+        return tuple(self.plugins)
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, _schema: CoreSchema, _handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return {"type": "string", "enum": list(self.names)}
+
+    def _checked(self, name: str) -> str:
+        try:
+            self.plugins.entry(name)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        return name
+
+
+@dataclass(frozen=True, slots=True)
+class SectionOf:
+    """Annotation of a section whose ``kind`` names a plugin, which is the section's own class."""
+
+    plugins: Plugins
+    """The plugins to choose from."""
+    built_in: bool = True
+    """Whether those of this project are shown among the choices."""
+
+    def sections(self) -> list[type[BaseModel]]:
+        """Return the sections of the plugins that load."""
+        found: dict[str, type[BaseModel]] = self.plugins.usable()
+        return [one for n, one in found.items() if self.built_in or not self.plugins.built_in(n)]
+
+    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
+        return core_schema.with_info_plain_validator_function(
+            self._section,
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda section, info: section.model_dump(mode=info.mode), info_arg=True
+            ),
+        )
+
+    def __get_pydantic_json_schema__(
+        self, _schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        kinds = [handler(one.__pydantic_core_schema__) for one in self.sections()]
+        return {"oneOf": kinds} if kinds else {"type": "object"}
+
+    def _section(self, value: Any, info: core_schema.ValidationInfo) -> BaseModel:
+        kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
+        if not isinstance(kind, str):
+            raise ValueError(f"a section with kind, one of {', '.join(self.plugins)}")
+        try:
+            section: type[BaseModel] = self.plugins[kind]
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        try:
+            if info.mode == "json":
+                return section.model_validate_json(json.dumps(value))
+            return section.model_validate(value)
+        except ValidationError as error:
+            # As in a union of sections, a place has the kind in it.
+            found: list[Any] = [
+                {**item, "loc": (kind, *item["loc"])} for item in error.errors(include_url=False)
+            ]
+            raise ValidationError.from_exception_data(error.title, found) from None
+
+
+def sections_in(key: FieldInfo) -> Iterator[type[BaseModel]]:
+    """Return the sections that a key may hold, through unions, lists, notes and plugins."""
+    return _sections_of(
+        Annotated[key.annotation, *key.metadata] if key.metadata else key.annotation
+    )
+
+
+def _sections_of(annotation: Any) -> Iterator[type[BaseModel]]:
+    inner = get_args(annotation)
+    plugins = [
+        note for note in getattr(annotation, "__metadata__", ()) if isinstance(note, SectionOf)
+    ]
+    if plugins:
+        yield from plugins[0].sections()
+        return
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for one in inner:
+        yield from _sections_of(one)

@@ -1,29 +1,33 @@
 """Config of the tactile sensor: pads, calibration, control unit or boards, and their lines."""
 
-from dataclasses import asdict
-from math import ceil
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
+from cell.config.section import (
+    MILLI,
+    SIMULATED,
+    Installed,
+    OneOf,
+    Section,
+    SectionOf,
+    declared_values,
+    setting_of,
+)
+from cell.config.sensor import SensorConfig
 from cell.errors import ConfigError
+from cell.plugins import PAD_LAYOUTS, SENSORS
 from recognition.grasp import PadArray
 from tactile.errors import CalibrationError, LayoutError
-from tactile.flexitac.source import check_layout
-from tactile.flexitac.stream import PERIOD_S, PROFILES
-from tactile.frames.codec import FrameFormat
-from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
+from tactile.layout import Face, Pad, PadMount, TaxelLayout, taxel_order
 from tactile.sensor.calibration import (
     Calibration,
     FoamCalibration,
     LinearCalibration,
     TableCalibration,
 )
-from tactile.unit.bus_load import bus_load, least_sync_period_s
-from tactile.unit.settings import WINDOW_SHARE, ExpectedIdentity, LinkSettings
-from tactile.uskin import messages
+from tactile.unit.settings import ExpectedIdentity, LinkSettings
 
 FASTEST_BITRATE = 1_000_000
 """Largest bit rate of a CAN bus in bit/s."""
@@ -115,63 +119,6 @@ class PadMountConfig(Section):
     turned by 180 degrees."""
 
 
-class ControlUnitConfig(Section):
-    """A CANopen control unit, which the keys beside `sensor` describe."""
-
-    kind: Literal["control_unit"] = "control_unit"
-    """What reads the pads."""
-
-
-class FlexiTacConfig(Section):
-    """Two FlexiTac boards, one on each finger.
-
-    Of the keys beside `sensor` those of CAN, SYNC, heartbeat, force messages and serial numbers are
-    not for them.
-    """
-
-    kind: Literal["flexitac"]
-    """What reads the pads."""
-    ports: tuple[str, str] = (SIMULATED, SIMULATED)
-    """Serial ports of the boards on finger 0 and 1, best below /dev/serial/by-id."""
-    profile: Annotated[str, OneOf(tuple(PROFILES))] = "12x32"
-    """Rows and columns that the boards send."""
-    rows_along: bool = False
-    """Whether a board's rows follow each other along the finger; else across it, so that the long
-    side of 12x32 lies along the finger."""
-
-
-Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
-
-
-class UskinBoardConfig(Section):
-    """CAN identifiers of one uSkin board, which differ between generations."""
-
-    start: Identifier
-    """Identifier of the message 07 00 that starts the board."""
-    taxels: tuple[Identifier, ...] = Field(min_length=1, max_length=64)
-    """Identifier of each taxel, row by row along the finger."""
-
-
-class UskinConfig(Section):
-    """Two uSkin boards on the bus of `interface`, `channel` and `bitrate`, without CANopen nodes.
-
-    Of the three axes z is used. The keys for SYNC, heartbeat, force messages and serial numbers are
-    not for them.
-    """
-
-    kind: Literal["uskin"]
-    """What reads the pads."""
-    boards: tuple[UskinBoardConfig, UskinBoardConfig] = (
-        UskinBoardConfig(**asdict(messages.xr1944(1))),
-        UskinBoardConfig(**asdict(messages.xr1944(2))),
-    )
-    """The boards on finger 0 and finger 1; the default are an XR1944 at address 1 and one at 2."""
-    falling: bool = False
-    """Whether z falls under a force."""
-    zero_frames: int = Field(default=20, ge=8, le=500)
-    """Frames of the zero that is taken before each approach, because z drifts, 8 to 500."""
-
-
 def _name_or_pads(value: object) -> str:
     """Return the kind of a layout: ``name``, or ``pads`` for a custom layout."""
     return "name" if isinstance(value, str) else "pads"
@@ -180,13 +127,17 @@ def _name_or_pads(value: object) -> str:
 BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
 
 
+def _control_unit() -> SensorConfig:
+    """Return the default sensor, loaded only where it is used."""
+    unit: SensorConfig = SENSORS["control_unit"]()
+    return unit
+
+
 class TactileConfig(Section):
     """The tactile sensor: the control unit and its CAN bus, or other boards."""
 
-    sensor: Annotated[
-        ControlUnitConfig | FlexiTacConfig | UskinConfig, Field(discriminator="kind")
-    ] = ControlUnitConfig()
-    """What reads the pads: the control unit, or boards on lines of their own."""
+    sensor: Annotated[SensorConfig, SectionOf(SENSORS)] = Field(default_factory=_control_unit)
+    """Sensor that reads the pads: the control unit, or boards with their own lines."""
     interface: str = Field(default=SIMULATED, min_length=1)
     """python-can interface (socketcan, slcan, pcan, ...); `simulated`: the built-in interface."""
     channel: str = Field(default="", max_length=200)
@@ -198,11 +149,11 @@ class TactileConfig(Section):
     serial_number: int | None = Field(default=None, ge=0, le=4294967295)
     """Required serial number of the unit (object 1018h:4); none: any."""
     layout: Annotated[
-        Annotated[str, OneOf(tuple(LAYOUTS)), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
+        Annotated[str, Installed(PAD_LAYOUTS), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
         Discriminator(_name_or_pads),
     ] = "paper"
     """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; flexitac_12x32 and so on:
-    two pads of 2 mm pitch, rows along the finger; or pads of one's own."""
+    two pads of 2 mm pitch, rows along the finger; or custom pads."""
     mounting: tuple[PadMountConfig, ...] = Field(default=(), max_length=32)
     """Pads that are mounted differently from the layout: exchanged, turned or mirrored."""
     calibration: Annotated[
@@ -251,44 +202,50 @@ class TactileConfig(Section):
     @property
     def simulated(self) -> bool:
         """Whether the pads are those of the simulated cell."""
-        return SIMULATED in (self.serial_ports or (self.interface,))
+        lines = self.serial_ports or ((self.interface,) if self.sensor.on_can else ())
+        return SIMULATED in lines
 
     @property
     def serial_ports(self) -> tuple[str, ...]:
-        """Serial ports of the sensor's boards; empty for a sensor on CAN."""
-        return self.sensor.ports if isinstance(self.sensor, FlexiTacConfig) else ()
+        """Serial ports of the sensor; empty for a sensor on CAN."""
+        return self.sensor.serial_ports
 
     @property
     def place(self) -> str:
         """Ports, or interface and channel, for messages."""
-        return ", ".join(self.serial_ports) or f"{self.interface} {self.channel}".strip()
+        if not self.sensor.on_can:
+            return ", ".join(self.serial_ports) or self.sensor.kind
+        return f"{self.interface} {self.channel}".strip()
 
     @property
     def frame_period_s(self) -> float:
-        """Time between two frames in s: period of SYNC, or the usual period of the boards."""
-        if isinstance(self.sensor, ControlUnitConfig):
-            return MILLI * self.sync_period_ms
-        return messages.PERIOD_S if isinstance(self.sensor, UskinConfig) else PERIOD_S
-
-    @property
-    def zero_frames(self) -> int:
-        """Number of frames for a zero before each approach; 0: the zero of the start is kept."""
-        return self.sensor.zero_frames if isinstance(self.sensor, UskinConfig) else 0
+        """Time between two frames in s."""
+        return self.sensor.frame_period_s(self)
 
     @property
     def sends_forces(self) -> bool:
         """Whether force messages are used; else the force comes from the frames."""
-        return isinstance(self.sensor, ControlUnitConfig) and self.force_period_ms > 0
+        return self.sensor.sends_forces(self)
+
+    @property
+    def source_options(self) -> dict[str, Any]:
+        """Arguments of most frame sources: layout, mounts and limits, in SI."""
+        return {
+            "layout": layout_from_config(self),
+            "mounts": pad_mounts(self),
+            "silence_s": MILLI * self.silence_ms,
+            "max_loss_rate": self.loss_max_share,
+            "startup_timeout_s": self.startup_timeout_s,
+        }
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.serial_ports:
-            first, second = self.serial_ports
-            if (first == second) != (SIMULATED in (first, second)):
-                raise ValueError(
-                    f"sensor.ports are {first!r} and {second!r}: name two different ports, or "
-                    f"{SIMULATED!r} twice"
-                )
+        ports = self.serial_ports
+        if len({*ports}) < len(ports) if SIMULATED not in ports else {*ports} != {SIMULATED}:
+            raise ValueError(
+                f"sensor.ports are {' and '.join(map(repr, ports))}: name different ports, or "
+                f"{SIMULATED!r} for each"
+            )
         least_s = 2.0 * MILLI * self.heartbeat_ms
         if self.startup_timeout_s < least_s:
             raise ValueError(
@@ -324,7 +281,8 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
     Raises ConfigError if custom pads are no valid layout (one inner pad for each finger).
     """
     if isinstance(config.layout, str):
-        return LAYOUTS[config.layout]()
+        layout: TaxelLayout = PAD_LAYOUTS[config.layout]()
+        return layout
     spelled = config.layout
     try:
         return TaxelLayout(
@@ -361,43 +319,12 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
     return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n * gain)
 
 
-def board_ids(config: UskinConfig) -> list[messages.BoardIds]:
-    """Return the identifiers of both uSkin boards."""
-    return [messages.BoardIds(start=one.start, taxels=one.taxels) for one in config.boards]
-
-
 def check_sensor(tactile: TactileConfig, layout: TaxelLayout) -> None:
     """Raise ValueError if the sensor cannot read a layout, or its lines are too slow for it."""
-    sensor = tactile.sensor
     try:
-        if isinstance(sensor, FlexiTacConfig):
-            check_layout(layout, PROFILES[sensor.profile], rows_along=sensor.rows_along)
-        elif isinstance(sensor, UskinConfig):
-            messages.check_layout(layout, board_ids(sensor))
+        tactile.sensor.check(tactile, layout)
     except LayoutError as error:
         raise ValueError(f"tactile: {error}") from error
-    if not isinstance(sensor, ControlUnitConfig):
-        return
-    link = link_settings(tactile)
-    least_ms = {
-        rate: 1e3 * least_sync_period_s(layout, link, rate)
-        for rate in (tactile.bitrate, FASTEST_BITRATE)
-    }
-    if least_ms[tactile.bitrate] <= tactile.sync_period_ms:
-        return
-    ways = [
-        f"tactile.bitrate {rate} with tactile.sync_period_ms {ceil(period_ms)} or more"
-        for rate, period_ms in least_ms.items()
-        if period_ms <= LONGEST_SYNC_MS
-    ]
-    raise ValueError(
-        f"tactile: at tactile.bitrate = {tactile.bitrate} the control unit loads the bus by up "
-        f"to {bus_load(layout, link, tactile.bitrate):.0%}: "
-        f"{FrameFormat.of(layout).n_messages} messages per frame, which must be sent within "
-        f"{WINDOW_SHARE:.0%} of tactile.sync_period_ms = {tactile.sync_period_ms:g}, and "
-        f"force messages every tactile.force_period_ms = {tactile.force_period_ms}. Write "
-        f"{', or '.join(ways) or 'a layout of fewer taxels'}"
-    )
 
 
 def layout_from_pads(pads: PadArray) -> TaxelLayout:

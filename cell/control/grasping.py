@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import TypeVar
 
 import numpy as np
@@ -70,6 +71,8 @@ reported as lost (simulated cell, twice the noise)."""
 _ZERO_FORCE_N, _ZERO_RATE_N_S = 10.0, 5.0
 """Force in N with which the empty fingers press on each other, and its rate in N/s. Two pads of 55
 x 20 mm yield 0.36 mm together, and a ramp of two seconds shows this on each taxel."""
+_BORNE_SHARE = 0.9
+"""Share of the force of the whole current that grasps go to: the rest is for control."""
 _LOOK_FRAMES, _LOOKS_UP_TO_N = 3, 5.0
 """Frames between two checks for a part between the fingers, up to that set-point in N."""
 
@@ -98,6 +101,7 @@ class Grasper:
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._last_start_ms = 0
         self._opening_step_m = _opening_step_m(self.config.linkage, self._gripper)
+        self._catalogue_n, self._noted_n = self.config.largest_ramp_n, inf
         self._patient = PatientCaller(self.clock, self.hand.period_s)
         self.pads: PadArray = pad_array(self.hand.layout)
 
@@ -115,10 +119,27 @@ class Grasper:
             raise PlanRefused(f"{label!r} is not a label; give a text")
         if wrong := text_refused("label", label):
             raise PlanRefused(f"the label {wrong}")
-        self.hand.check_ramp(self._ramp(step))
+        self.hand.check_ramp(self._ramp(self._borne(step)))
 
     def _ramp(self, step: GraspStep) -> ForceRamp:
         return ramp_from_config(self._sequence.ramp, step.force_n)
+
+    def _borne(self, step: GraspStep) -> GraspStep:
+        """Return a step with no more force than the servos, as measured, make of their current."""
+        largest_n = self.hand.largest_ramp_n
+        if not largest_n < step.force_n <= self._catalogue_n:
+            return step
+        borne_n = max(_BORNE_SHARE * largest_n, self._gripper.contact_force_n)
+        if borne_n < _BORNE_SHARE * self._noted_n:
+            self._noted_n = borne_n
+            self.journal.note(
+                "note",
+                f"grasps end at {borne_n:.1f} N, {step.force_n:.1f} N were asked for: the servos, "
+                f"as measured, need more than gripper.current_max_a "
+                f"{self._gripper.current_max_a:g} A for more. Raise it where servo and part bear "
+                f"it, or ask for less force",
+            )
+        return replace(step, force_n=borne_n)
 
     def grasp(
         self,
@@ -254,7 +275,7 @@ class Grasper:
                 ):
                     self.hand.end_ramp()
 
-        most_n = min(_ZERO_FORCE_N, self.config.largest_ramp_n)
+        most_n = min(_ZERO_FORCE_N, _BORNE_SHARE * self.hand.largest_ramp_n)
         outcome = self.hand.press_pads_together(
             ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch
         )
@@ -274,7 +295,7 @@ class Grasper:
     def _open_and_zero(self) -> None:
         """Open the fingers; take the zero of a drifting sensor before each approach."""
         self.hand.open(self.watch)
-        if n_frames := self.config.tactile.zero_frames:
+        if n_frames := self.config.tactile.sensor.fresh_zero_frames:
             self.take_zero(n_frames)
 
     def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
@@ -292,6 +313,7 @@ class Grasper:
         """Open, close and follow the ramp; record it, and return while the part is held."""
         self._held = None
         self._open_and_zero()
+        step = self._borne(step)
         collector, collect = self._collecting(self.zeros.newest)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
@@ -333,7 +355,7 @@ class Grasper:
             if judge.keeps:
                 held = (zero, self._look_at_held(zero))
             else:
-                self.hand.hold_at(self._sequence.carry_force_n, 0.0, self.watch)
+                self.hand.hold_at(self._carry_n, 0.0, self.watch)
             verdict = judge.decide()
             self.life.check_cancelled()
             if verdict.further is None:
@@ -346,10 +368,11 @@ class Grasper:
 
     def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
         """Back off and follow a further ramp in the same grip; return its record."""
-        from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
+        from_n = min(BACK_OFF_SHARE * step.force_n, self._carry_n)
         from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
         self.hand.hold_at(from_n, 0.0, self.watch)
         collector, watch = self._collecting(self.zeros.newest)
+        step = self._borne(step)
         outcome = self.hand.squeeze(self._ramp(step), watch)
         self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
         if outcome.short:
@@ -363,12 +386,16 @@ class Grasper:
             same_grip=True,
         )
 
+    @property
+    def _carry_n(self) -> float:
+        """Force in N of a carry."""
+        return min(self._sequence.carry_force_n, _BORNE_SHARE * self.hand.largest_ramp_n)
+
     def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
         """Hold the part with the carry force, and measure it for a comparison."""
-        carry_n = self._sequence.carry_force_n
-        self.hand.hold_at(carry_n, 0.0, self.watch)
+        self.hand.hold_at(self._carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
-        self.hand.hold_at(carry_n, HELD_LOOK_S, watch)
+        self.hand.hold_at(self._carry_n, HELD_LOOK_S, watch)
         return measure_held_part(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:

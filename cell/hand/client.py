@@ -32,7 +32,7 @@ from cell.hand.messages import (
 )
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.errors import GripperError, copy_fingers
-from gripper.force.ramp import ForceRamp, check_ramp
+from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.values.state import GripperPhase
 from tactile.errors import TactileError
 
@@ -293,6 +293,11 @@ class HandProcess:
         """End the tactile link; without the process it has ended already."""
         if self._loop.lost is None:
             self._call(Hand.stop_sensor)
+
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force in N of a ramp; see `Hand`."""
+        return largest_ramp_n(self._settings, self._linkage)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""

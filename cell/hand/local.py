@@ -69,6 +69,11 @@ class LocalHand:
             sensor=self.sensor.statistics,
         )
 
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force in N of a ramp; see `Hand`."""
+        return self.gripper.largest_ramp_n
+
     def open(self, watch: OnPeriod) -> None:
         """Open the empty fingers; see `Hand`."""
         self.gripper.open(observer=self._observer(watch))

@@ -25,7 +25,7 @@ from gripper.dynamixel.control_table import (
     HARDWARE_ERROR_STATUS,
     MODEL_NUMBER,
 )
-from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.dynamixel.models import MODELS, model_name
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
@@ -117,7 +117,9 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
 def _drives(config: CellConfig, named: str) -> CheckResult:
     """Return the measured characteristics of the servos' drives, beside the catalogue."""
     kept = kept_zeros(config, Path(config.recording.directory), new_hand=False)
-    texts, advice = [], ""
+    texts: list[str] = []
+    drives: list[DriveCharacteristic] = []
+    advice = ""
     for servo in config.gripper.servos:
         if servo.id not in kept.drives:
             texts.append(f"servo {servo.id}: not measured, catalogue values within 30 % are used")
@@ -126,11 +128,12 @@ def _drives(config: CellConfig, named: str) -> CheckResult:
         at = datetime.fromtimestamp(drive.measured_s)
         where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
         texts.append(f"{drive_text(servo.id, drive, MODELS[servo.model])}, {at:%Y-%m-%d}{where}")
-        if drive.disagreement:
-            advice = (
-                "pads and motor constant disagree: the law of the pads, or the current scale, is "
-                "wrong; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
-            )
+        drives.append(drive)
+    if any(map(disagreement, [drives, *([drive] for drive in drives)])):
+        advice = (
+            "pads and motor constant disagree: the law of the pads, or the current scale, is "
+            "wrong; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
+        )
     if len(kept.drives) < len(texts) and config.gripper.pads_meet:
         advice = advice or f"`tactile-cell zero{named}` measures them, with nothing in the grip"
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
@@ -233,6 +236,7 @@ def _control_unit(
     cell: Cell, config: CellConfig, named: str, kept: CommissionedValues
 ) -> list[CheckResult]:
     hand = cell.controller.hand
+    is_unit = config.tactile.sensor.canopen
     try:
         identity = hand.start_sensor()
     except IdentityMismatch as error:
@@ -257,22 +261,25 @@ def _control_unit(
     return [
         *kept.findings("control unit and pads", changes),
         check_result(
-            "control unit",
-            f"{identity.name}, serial {identity.serial}, revision {identity.revision:#x}",
+            "control unit" if is_unit else "sensor",
+            identity.name
+            + (f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""),
             ok=True,
         ),
         check_result(
             "tactile frames",
             f"{statistics.complete} whole, {lost} lost or damaged",
-            "check the terminating resistors and the bus load",
+            "check the terminating resistors and the bus load" if is_unit else "check the cables",
             ok=lost == 0,
         ),
         check_result(
             "force messages",
             f"{forces.received} received, {forces.lost} lost"
             if identity.sends_forces
-            else FORCE_FROM_FRAMES,
-            ok=identity.sends_forces and not forces.lost,
+            else FORCE_FROM_FRAMES
+            if is_unit
+            else f"{identity.name} sends frames alone; the force comes from them",
+            ok=(identity.sends_forces or not is_unit) and not forces.lost,
         ),
         check_result(
             "taxels at rest",
@@ -334,6 +341,8 @@ def _noise(frames: list[TactileFrame]) -> CheckResult:
 def _boards(boards: tuple[int, int], config: CellConfig) -> CheckResult:
     """Check that exchanged pads would be detected: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
+    if not any(boards):
+        found = "no serial numbers"
     if config.tactile.board_serial_numbers is not None or config.simulated:
         return check_result("pads' boards", found, ok=True)
     advice = "these boards look the same: press each pad after every work on the cables"

@@ -13,6 +13,7 @@ from cell.jobs.common import Progress
 from cell.jobs.selected_grasps import GROUPS
 from cell.learning import training
 from cell.learning.blas import one_blas_thread
+from cell.plugins import RECOGNISERS
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.grid import DriftGrid
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
@@ -24,7 +25,7 @@ from recognition.evaluation.splits import (
     series_parts,
 )
 from recognition.grasp import Grasp
-from recognition.recognizers import DEFAULT_TRAINER, make_trainer
+from recognition.recognizers import DEFAULT_TRAINER
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 
 SERIES = "series"
@@ -151,13 +152,13 @@ def evaluate_recognizers(
     figures, left_out = {}, {}
     for number, name in enumerate(names):
         progress("evaluate", 2 * number, 2 * len(names))
-        trainer = make_trainer(name, use_aperture=True)
+        trainer = RECOGNISERS[name](use_aperture=True)
         try:
             with extra("comparators", needed_by=f"teaching {name}"):
                 full = without = measure(trainer)
             progress("evaluate", 2 * number + 1, 2 * len(names))
             if trainer.uses_aperture:
-                without = measure(make_trainer(name, use_aperture=False))
+                without = measure(RECOGNISERS[name](use_aperture=False))
         except (ValueError, MissingExtraError) as error:
             left_out[name] = str(error)
             continue

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from cell.data.files import read_npz, savez, write_atomically
 from cell.data.formats import MODEL
 from cell.data.grasp_limits import text_refused
-from cell.errors import ModelError, reason_text
+from cell.errors import ConfigError, ModelError, reason_text
+from cell.plugins import RECOGNISERS
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer
-from recognition.recognizers import recognizer_module, trainer_names
 
 _REHEARSED_FRAMES = 40
 """Frames of the artificial grasp, about as many as in a short ramp."""
@@ -103,7 +103,7 @@ class LoadedModel:
     recognizer: Recognizer
     """The recogniser, ready to answer."""
     trainer_name: str
-    """Name of its kind, one of `recognition.recognizers.trainer_names`."""
+    """Name of its kind, one of `cell.plugins.RECOGNISERS`."""
     labels: tuple[str, ...]
     """The taught objects."""
     pads: PadArray
@@ -149,7 +149,7 @@ def save_model(
     path
         The model file; an older one stays until the new one is whole.
     trainer_name
-        Its kind, one of `recognition.recognizers.trainer_names`.
+        Its kind, one of `cell.plugins.RECOGNISERS`.
     pads
         The pads that it was taught on.
     sections
@@ -327,11 +327,10 @@ def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
 
 def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer]:
     """Return a recogniser's class; a file can only name the classes of this program."""
-    if trainer_name not in trainer_names():
-        raise ModelError(
-            f"{path} is of the kind {trainer_name!r}; known kinds are {', '.join(trainer_names())}"
-        )
-    module = importlib.import_module(recognizer_module(trainer_name))
+    try:
+        module = importlib.import_module(RECOGNISERS.entry(trainer_name).module)
+    except (ConfigError, ImportError) as error:
+        raise ModelError(f"{path} is of the kind {trainer_name!r}: {error}") from error
     found = getattr(module, class_name, None)
     if not isinstance(found, type) or not hasattr(found, "from_arrays"):
         raise ModelError(f"{path}: {trainer_name} has no recogniser named {class_name!r}")

@@ -22,13 +22,13 @@ from cell.learning.training_set import (
     saved_training_set,
     training_section,
 )
+from cell.plugins import RECOGNISERS
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.drift.self_zero import foam_change
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
-from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import ShapeAnswer
@@ -198,7 +198,7 @@ class TaughtModel:
     def told_apart(self, label: str) -> ToldApart:
         """Return how well a taught object differs from the others; runs two small trainings."""
         wanted = self.config.recognition
-        trainer = make_trainer(wanted.recognizer, use_aperture=wanted.use_aperture)
+        trainer = RECOGNISERS[wanted.recognizer](use_aperture=wanted.use_aperture)
         return told_apart(self.training_set, label, trainer)
 
     # -- taught objects ------------------------------------------------------------------------

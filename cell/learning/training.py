@@ -12,10 +12,10 @@ from cell.errors import CellError, CellStateError, ModelError, TooFewGrasps
 from cell.installation import extra
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
+from cell.plugins import RECOGNISERS
 from recognition.grasp import Grasp
 from recognition.ramp.running_load import load_so_far
 from recognition.recognizer import Recognizer
-from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, teach_early
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 
@@ -30,7 +30,7 @@ class Trained:
     recognizer: Recognizer
     """The recogniser of whole ramps."""
     trainer_name: str
-    """Its kind, one of `recognition.recognizers.trainer_names`."""
+    """Its kind, one of `cell.plugins.RECOGNISERS`."""
     early: EarlyClassifiers | None = None
     """Classifiers for ramps that end early; None if not requested."""
     sections: Mapping[str, Arrays] = field(default_factory=dict)
@@ -97,13 +97,13 @@ def train(
     Parameters
     ----------
     name
-        Kind of recogniser, one of `recognition.recognizers.trainer_names`.
+        Kind of recogniser, one of `cell.plugins.RECOGNISERS`.
     use_aperture
         Whether the opening of the fingers is a feature.
     early
         Whether to train early classifiers too, if `may_end_early`.
     """
-    trainer = make_trainer(name, use_aperture=use_aperture)
+    trainer = RECOGNISERS[name](use_aperture=use_aperture)
     try:
         with extra("comparators", needed_by=f"teaching {name}"):
             recognizer = trainer.fit(grasps)

@@ -47,18 +47,9 @@ def trainer_names() -> tuple[str, ...]:
     return tuple(RECOGNIZERS)
 
 
-def recognizer_module(name: str) -> str:
-    """Return the module of the trainer and recogniser of that name; raises ValueError."""
-    return _place(name).partition(":")[0]
-
-
 def make_trainer(name: str = DEFAULT_TRAINER, *, use_aperture: bool = True) -> "Trainer":
-    """Return the trainer of that name. Raises ValueError with all names for an unknown one."""
-    trainer: Trainer = resolve_name(_place(name))(use_aperture=use_aperture)
-    return trainer
-
-
-def _place(name: str) -> str:
+    """Return the trainer of that name. Raises ValueError, listing the names, for an unknown one."""
     if name not in RECOGNIZERS:
         raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(RECOGNIZERS)}")
-    return RECOGNIZERS[name]
+    trainer: Trainer = resolve_name(RECOGNIZERS[name])(use_aperture=use_aperture)
+    return trainer

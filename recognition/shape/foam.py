@@ -210,7 +210,7 @@ class PadBed:
         )
         if not regular:
             raise ContactError(
-                f"pad {pad}: its {rows} x {columns} taxels are no regular grid of 2 x 2 or more"
+                f"pad {pad}: its {rows} x {columns} taxels form no grid of 2 x 2 or more"
             )
         x, self.along = _shares(tuple(x_m.tolist()), spread_m, cell_m)
         y, self.across = _shares(tuple(y_m.tolist()), spread_m, cell_m)

@@ -24,10 +24,10 @@ from recognition.shape.pressed_pads import PressedPads, reduce_to_pads
 Array = NDArray[np.float64]
 
 GLOBALS = ("modulus", "gain", "spread", "aperture", "stiffening")
-"""What is common to all grasps, in the order of `FoamFit.sd`."""
+"""Parameters that are common to all grasps, in the order of `FoamFit.sd`."""
 
 SIDEWAYS = (0.0, 0.4, 0.7)
-"""None, some, much: that which explains the grasps best is taken (`FoamModel.sideways`)."""
+"""No, some, much push between columns; the best fit is used (`FoamModel.sideways`)."""
 
 _PRIOR_SD = np.array([1.0, 1.0, 0.3, 2.0, 1.0])
 """Standard deviations of the priors of `GLOBALS`: logarithms, the opening in mm."""

@@ -18,16 +18,16 @@ SPREAD_STEP = 0.1
 """Logarithm of the factor between neighbouring spreads of `PressedPads`."""
 
 SPREAD_STEPS = 10
-"""Spreads on either side of the expected one."""
+"""Number of spreads on each side of the expected one."""
 
 _WINDOW_M = 13e-3
-"""Largest half width in m of the part of a pad on which pressures are worked out."""
+"""Largest half width in m of the computed part of a pad."""
 _BESIDE_M = 3.5e-3
-"""Width in m of the unloaded rim of that part, beside two standard deviations of the load."""
+"""Width in m of the unloaded rim of that part, beyond two standard deviations of the load."""
 _CELL_M = 0.75e-3
-"""Longest side in m of a cell of the grid on which pressures are worked out."""
+"""Longest side in m of a cell of the pressure grid."""
 _TOUCHED_SHARE = 0.25
-"""Share of the largest reading from which taxels count for centre and spread of the load."""
+"""Least share of the largest reading of taxels in centre and spread of the load."""
 _TOUCHED_SD = 3.0
 """The same in standard deviations."""
 _MODEL_SHARE = 0.02

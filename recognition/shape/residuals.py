@@ -200,7 +200,7 @@ class ShapeProblem:
     def residuals(self, theta: Array, force_n: Array | None = None) -> Array:
         """Return residuals (B, n_data) of the data over their standard deviations.
 
-        ``force_n`` are the `forces_n` of the parameters, where they are known already.
+        ``force_n`` are the `forces_n` of the parameters, if already computed.
         """
         data, uncertainty = self.data, self.uncertainty
         force_n = self.forces_n(theta) if force_n is None else force_n
@@ -230,11 +230,11 @@ class ShapeProblem:
     def _shifted_forces_n(self, shifted: Array) -> Array:
         """Return forces (1 + n, K, n_taxels) in N, of parameters and of each of them shifted.
 
-        As `forces_n` does, but what a parameter does not change is not worked out again: a depth
-        changes one level, and only size, form and pose change the surface.
+        As `forces_n`, but without repeated work: a depth changes one level, and only size, form and
+        pose change the surface.
         """
         surfaces = shifted[: self.depth + 1].copy()
-        # Each depth moves its own level, so that one more surface shows all of them.
+        # Each depth changes its own level, so one more surface is enough for all of them.
         surfaces = np.concatenate([surfaces, surfaces[:1]])
         levels = range(self.depth, self.rest)
         surfaces[-1, levels] = shifted[range(self.depth + 1, self.rest + 1), levels]
@@ -264,7 +264,7 @@ class ShapeProblem:
         else:
             halves_mm = [3.0, 7.0, 15.0]
         variances, axes = np.linalg.eigh(data.spread_m2)
-        # An evenly loaded stretch of half length a has the variance a^2 / 3.
+        # An evenly loaded line of half length a has the variance a^2 / 3.
         wide_m, long_m = np.sqrt(3.0 * np.maximum(variances - self.foam.spread_m**2, 4e-7))
         turn = float(np.arctan2(axes[1, 1], axes[0, 1]))
         turns = turn + np.pi * np.array([0.0, 0.5, 0.25, -0.25]) if model.turns else [0.0]

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from recognition.recognizers import trainer_names
+from cell.errors import ConfigError
+from cell.plugins import RECOGNISERS
 
 
 def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
@@ -124,10 +125,10 @@ SplitOption = Annotated[
 def known_recognizers(names: list[str] | None) -> list[str] | None:
     """Return the names of recognisers. Raises typer.BadParameter for an unknown name."""
     for name in names or ():
-        if name not in trainer_names():
-            raise typer.BadParameter(
-                f"no recogniser is named {name!r}; there are {', '.join(trainer_names())}"
-            )
+        try:
+            RECOGNISERS.entry(name)
+        except ConfigError as error:
+            raise typer.BadParameter(str(error)) from error
     return names
 
 
@@ -139,6 +140,8 @@ def _known_recognizer(name: str) -> str:
 RecognizerOption = Annotated[
     str,
     typer.Option(
-        "--recognizer", help=f"One of {', '.join(trainer_names())}.", callback=_known_recognizer
+        "--recognizer",
+        help="Its kind, as doctor lists them with --plugins.",
+        callback=_known_recognizer,
     ),
 ]

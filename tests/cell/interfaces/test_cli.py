@@ -125,7 +125,7 @@ def test_run_teaches_identifies_and_writes_everything(config: Path, tmp_path: Pa
         assert Path(data[name]).stat().st_size > 1000
         assert data[name] in text
     assert "ball: ball 1" in text
-    assert "This cell, as many grasps as it takes: " in text
+    assert "This cell, all grasps: " in text
     assert " 0 wrong" in text  # one may be UNKNOWN with five taught grasps
     assert (tmp_path / "c").stat().st_size > 100_000
     assert len(read_dataset(data["dataset"])) == 10

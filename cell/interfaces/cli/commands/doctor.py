@@ -1,6 +1,7 @@
 """`doctor`: checks machine, ports, servos and control unit."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -18,6 +19,10 @@ def doctor(
             help="Also grasp the gauge object of the commissioning and compare: the fingers move.",
         ),
     ] = False,
+    plugins: Annotated[
+        bool,
+        typer.Option("--plugins", help="Only list the installed plugins, and load each."),
+    ] = False,
 ) -> None:
     """Check machine, ports, servos and control unit; nothing moves without --gauge.
 
@@ -34,6 +39,9 @@ def doctor(
     from cell.interfaces.cli.terminal import out, print_line, write_json
     from cell.jobs.doctor import examine
 
+    if plugins:
+        _list_plugins(json_file)
+        return
     colours = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
     findings = []
     cell = cell_config(config)
@@ -54,3 +62,18 @@ def doctor(
     failed = sum(f.verdict is Verdict.FAIL for f in findings)
     if failed:
         raise CellError(f"{failed} of {len(findings)} checks failed")
+
+
+def _list_plugins(json_file: Path | None) -> None:
+    """Print each plugin, its package, and the reason if it does not load."""
+    from cell.errors import CellError
+    from cell.interfaces.cli.terminal import print_line, write_json
+    from cell.plugins import GROUPS
+
+    found = [plugin for group in GROUPS for plugin in group.examine()]
+    for one in found:
+        state = f"FAIL  {one.problem}" if one.problem else "loads"
+        print_line(f"{one.group:<12} {one.name:<18} {one.package:<20} {state}")
+    write_json(json_file, {"plugins": found})
+    if failed := sum(bool(one.problem) for one in found):
+        raise CellError(f"{failed} of {len(found)} plugins do not load")

@@ -16,7 +16,7 @@ from cell.interfaces.cli.options import (
     SchedulerOption,
     known_recognizers,
 )
-from recognition.recognizers import TRAINERS, trainer_names
+from recognition.recognizers import TRAINERS
 
 if TYPE_CHECKING:
     from cell.jobs.evaluate import EvaluationResult
@@ -49,7 +49,7 @@ def evaluate(
         list[str] | None,
         typer.Option(
             "--recognizer",
-            help=f"Repeat for several, of {', '.join(trainer_names())} "
+            help="Repeat for several kinds, as doctor lists them with --plugins "
             f"[default: {', '.join(TRAINERS)}].",
             callback=known_recognizers,
         ),

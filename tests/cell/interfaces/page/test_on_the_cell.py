@@ -283,7 +283,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
     assert served.ended(served.service.start(served.service.lease.number, grip)).held
     becomes(page, "#sim_put", "a part is held: release it first")
     page.select_option("#sim_fault", "servo1.overheat")
-    becomes(page, "#sim_meaning", "its inside has this temperature")
+    becomes(page, "#sim_meaning", "its internal temperature has this value")
     page.select_option("#sim_fault", "servo1.off")
     page.click("#sim_begin")
     becomes(page, "#sim_running li span", "servo1.off")
@@ -311,7 +311,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
     page.click("#tab_teach")
     page.fill("#teach_name", "my cup")
     page.click("#teach_start")
-    becomes(page, "#said", "nothing lies between the fingers.*choose a part on the page")
+    becomes(page, "#said", "nothing is between the fingers.*Choose a part on the page")
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
