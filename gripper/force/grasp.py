@@ -323,7 +323,8 @@ class LoadTrial:
             self._from_n = control.force_n
         moved_n = 0.0 if self._from_n is None else self._sign * (control.force_n - self._from_n)
         locked = moved_n < _LOCKED_SHARE * (self._high_n - self._low_n)
-        control.grip.trial_rad = self._next_rad(moment, _LOCKED_N_S if locked else _LOAD_N_S[self._rises])
+        rate_n_s = _LOCKED_N_S if locked else _LOAD_N_S[self._rises]
+        control.grip.trial_rad = self._next_rad(moment, rate_n_s)
         end_n = self._high_n if self._rises else self._low_n
         done = self._sign * (control.force_n - end_n) >= 0.0 or self._stalled_s > _LIMITED_S
         goals = control.goals(moment, self._high_n)
