@@ -8,6 +8,7 @@ import sys
 
 BENCHMARKS = {
     "performance": (
+        "archive",
         "interfaces",
         "force_cap",
         "force_messages",

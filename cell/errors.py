@@ -32,6 +32,10 @@ class RecordingError(CellError):
     """A recording cannot be read, or stopped while it was being written."""
 
 
+class ArchiveError(CellError):
+    """An archive of grasps cannot be read or written."""
+
+
 class ReportError(CellError):
     """The report page cannot be created."""
 

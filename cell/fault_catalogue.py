@@ -236,6 +236,8 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Kept if `recording.when_lost` is `hold`; else not affected.", MEND),
     cell.ReportError: Fault(504, "Report cannot be made",
         "File or disk.", "Check folder and disk.", APART, REQUEST),
+    cell.ArchiveError: Fault(520, "Archive cannot be read or written",
+        "Place, rights or a damaged file.", "Check the place of the archive.", APART, REQUEST),
     cell.CellStateError: Fault(505, "Command not allowed in the state of the cell",
         "A command out of order, or a job that runs.",
         "Give another command first, or wait for the job's end.", UNMOVED, REQUEST),

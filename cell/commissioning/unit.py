@@ -44,19 +44,19 @@ TRIED_BIT_RATES: tuple[int, ...] = tuple(
 )
 """Bit rates that are tried, in bit/s: those of the config, the fastest first."""
 _LISTEN_S = 0.5
-"""Time in s for which each bit rate is listened to: five heartbeats of a unit that was set up."""
+"""Time in s of listening at each bit rate: five heartbeats of a configured unit."""
 _CAN_INTERFACE = "280"
 """Type of a CAN network interface in sysfs (ARPHRD_CAN of linux/if_arp.h)."""
 _NO_CHANNEL = "none"
 """Channel in the config of a gripper that has no control unit."""
 _PATIENCE_S = 0.5
-"""Silence in s that a unit may keep while a person presses its pads."""
+"""Longest silence in s of a unit while a person presses its pads."""
 _RATE_FRAMES = 100
 _LEAST_RATE = 0.8
 """Frames from which the rate of boards is taken, and the share of the usual one below which it is
 worth a word."""
 _FRAMES = 10
-"""Frames that show that the link runs."""
+"""Frames that prove that the link runs."""
 
 
 @contextmanager
@@ -70,9 +70,9 @@ def unit_sensor(
     Parameters
     ----------
     mounted
-        False: pads as the layout has them, whatever ``tactile.mounting`` says.
+        False: pads as in the layout, without ``tactile.mounting``.
     patient
-        Whether a busy machine may be late, and force messages are left out: nothing is held.
+        True: a busy machine may be late, and force messages are not used, because nothing is held.
         False: as for a grip.
     """
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
@@ -104,21 +104,21 @@ def _started(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
 def unit_values(bench: Bench) -> dict[str, Any]:
     """Return identity, layout and objects of the control unit; nothing is written.
 
-    Raises TactileError where it does not answer.
+    Raises TactileError if it does not answer.
     """
     with bench.can_bus() as bus:
         return asdict(read_unit(bus, bench.tactile().node_id))
 
 
 class UnitStep(Step):
-    """Finds the control unit, sets it up as each start does, and keeps who it is."""
+    """Finds the control unit, configures it as each start does, and saves its identity."""
 
     key = "unit"
     title = "Control unit and its CAN bus"
     purpose = (
         "Finds the CAN interface, its bit rate, the node-ID of the control unit, its identity and "
         "its taxels. Other devices on the same bus may be disturbed for some seconds. Nothing "
-        "moves; what is set in the unit is shown before, and is gone when it is switched off."
+        "moves; settings of the unit are shown before, and are lost when it is switched off."
     )
     needs = ("ports",)
     undo = "Switch the control unit off and on: nothing is stored in it."
@@ -133,9 +133,9 @@ class UnitStep(Step):
             notes.values["gripper_alone"] = True
             notes.settings |= {"tactile.interface": "socketcan", "tactile.channel": _NO_CHANNEL}
             notes.warn(
-                "A gripper without pads: its force is known by the motors' current alone, which is "
-                "less exact. The config names a bus that is none (tactile.channel: none); a cell "
-                "needs the control unit."
+                "A gripper without pads: its force comes from the motors' current alone, which is "
+                "less exact. The config names no bus (tactile.channel: none); a cell needs the "
+                "control unit."
             )
             return
         interface, channel = place
@@ -145,7 +145,7 @@ class UnitStep(Step):
             "tactile.interface": interface,
             "tactile.channel": channel,
             "tactile.bitrate": bitrate,
-            # Found anew by the steps of the pads.
+            # The steps of the pads find it again.
             "tactile.board_serial_numbers": None,
             "tactile.mounting": [],
         }
@@ -182,7 +182,7 @@ class UnitStep(Step):
 
 
 def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
-    """Find the lines of the sensor's boards, and see that both send whole frames."""
+    """Find the lines of the sensor's boards, and check that both send whole frames."""
     tactile = bench.tactile()
     sensor = tactile.sensor.model_dump(mode="json")
     notes.settings["tactile.mounting"] = []
@@ -221,7 +221,7 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
 
 
 def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
-    """Return interface and channel: as given, the only one there is, or as the person says.
+    """Return interface and channel: as given, the only one, or as the person answers.
 
     None for a gripper without a control unit.
     """
@@ -238,9 +238,9 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
     if not places:
         answer = dialog.choose(
             "unit.none",
-            "No CAN interface is there. Does this gripper have a control unit?",
+            "No CAN interface was found. Does this gripper have a control unit?",
             {
-                "yes": "yes: its adapter has to be plugged in",
+                "yes": "yes: plug in its adapter",
                 "alone": "no: a gripper without pads, for now",
             },
             "yes",
@@ -277,7 +277,7 @@ def network_interfaces() -> list[str]:
 
 
 def _system_bit_rate(interface: str, channel: str) -> int | None:
-    """Return the bit rate in bit/s that the system has set; None where the adapter takes one."""
+    """Return the bit rate in bit/s that the system has set; None if the adapter can set it."""
     if interface != "socketcan":
         return None
     try:
@@ -297,7 +297,7 @@ def _system_bit_rate(interface: str, channel: str) -> int | None:
 def _bit_rate(
     bench: Bench, dialog: Dialog, interface: str, channel: str
 ) -> tuple[int, BusTraffic, str]:
-    """Return the bit rate at which something is heard: by listening first, and then by asking."""
+    """Return the bit rate with traffic: found by listening first, then by requests."""
     fixed = _system_bit_rate(interface, channel)
     rates = TRIED_BIT_RATES if fixed is None else (fixed,)
     refused: dict[int, BusNotOpened] = {}
@@ -324,18 +324,16 @@ def _bit_rate(
         else "the interface has the bit rate that the system gave it: set it to that of the unit "
         f"with `ip link set {channel} down`, then `ip link set {channel} up type can bitrate RATE`"
     )
-    at_another = (
-        f" {errors} error frames came: somebody is there at another bit rate." if errors else ""
-    )
+    at_another = f" {errors} error frames came: a device uses another bit rate." if errors else ""
     raise StepFailed(
-        f"Nobody is heard and nobody answers on {channel} ({interface}) at {tried} bit/s. Check "
+        f"No CAN traffic and no reply on {channel} ({interface}) at {tried} bit/s. Check "
         "the supply of the control unit, CAN_H and CAN_L, the common ground and both terminating "
         f"resistors (60 Ohm between CAN_H and CAN_L, switched off); {remedy}.{at_another}"
     )
 
 
 def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int:
-    """Return the node-ID of the control unit among those who are there."""
+    """Return the node-ID of the control unit among the nodes on the bus."""
     expected = ExpectedIdentity()
     units, others = [], []
     for node in sorted({*heard.nodes, *scan_nodes(bus).nodes}):
@@ -351,7 +349,7 @@ def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int
                 f"node {node} is another device: vendor {vendor:#x}, product {product:#x}"
             )
     if not units:
-        there = "; ".join(others) or f"{heard.messages} messages were heard and no node answers"
+        there = "; ".join(others) or f"{heard.messages} messages were received and no node answers"
         raise StepFailed(
             f"No control unit is on the bus: {there}. A control unit of this software has vendor "
             f"{expected.vendor_id:#x}, product {expected.product_code:#x} (object 1018h): check "
@@ -386,7 +384,7 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
     if wrong:
         raise StepFailed(
             f"Its EDS is not that of this software: {wrong}. Another major revision behaves "
-            "otherwise on the bus: update the unit's firmware, or this software."
+            "differently on the bus: update the unit's firmware, or this software."
         )
     layout, written = _layout(unit, bench)
     notes.fact(f"Layout {layout.name}: {layout.n_taxels} taxels on {layout.n_pads} pads.")
@@ -398,7 +396,7 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
     if not unit.sends_forces:
         notes.warn(
             "The unit has no force messages (object 2140h): the force comes from whole frames and "
-            "is slower. New firmware of the unit brings them; without, set "
+            "is slower. Update the firmware of the unit, or set "
             "gripper.approach_speed_mm_s to 12."
         )
     return layout
@@ -422,7 +420,7 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
 
 
 def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding) -> None:
-    """Set a period of SYNC in which a frame fits, where that of the config is too short."""
+    """Set a period of SYNC that fits a frame, if that of the config is too short."""
     tactile, messages = bench.tactile(), FrameFormat.of(layout).n_messages
     burst_ms = 1e3 * messages * message_bits(MESSAGE_BYTES) / bitrate
     needed_ms = 1e3 * least_sync_period_s(layout, link_settings(tactile), bitrate)
@@ -445,7 +443,7 @@ def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding)
 
 
 def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[ProposedChange]:
-    """Return what each start of the link writes to the unit."""
+    """Return the writes to the unit at each start of the link."""
     link = link_settings(tactile)
     coming = (
         round(1e6 * link.sync_period_s),

@@ -181,7 +181,8 @@ class SectionOf:
     def __get_pydantic_json_schema__(
         self, _schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        return {"oneOf": [handler(one.__pydantic_core_schema__) for one in self.sections()]}
+        kinds = [handler(one.__pydantic_core_schema__) for one in self.sections()]
+        return {"oneOf": kinds} if kinds else {"type": "object"}
 
     def _section(self, value: Any, info: core_schema.ValidationInfo) -> BaseModel:
         kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)

@@ -1,4 +1,4 @@
-"""What each kind of tactile sensor says of itself: the section `tactile.sensor` is its plugin."""
+"""Base of tactile sensors: each kind is a plugin, whose section is `tactile.sensor`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,39 +19,39 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorLines:
-    """Lines and time of a sensor."""
+    """Lines and clock of a sensor."""
 
     clock: "Clock"
-    """Monotonic time: real, or that of a simulated cell."""
+    """Monotonic clock: real, or that of a simulated cell."""
     open_serial: "Sequence[Callable[[], ByteStream]]" = ()
-    """Open the serial lines of `SensorConfig.serial_ports`, in their order. They raise OSError or
-    gripper.errors.PortLost where a line cannot be opened, and where it is gone later."""
+    """Functions that open the serial lines of `SensorConfig.serial_ports`, in their order. They
+    raise OSError or gripper.errors.PortLost if a line cannot be opened; so does a lost line."""
     can_bus: "CanBus"
-    """The open CAN bus; for a kind that is not on CAN, one that raises."""
+    """The open CAN bus; for a sensor without CAN, a bus that raises errors."""
     reopen_can: "Callable[[], CanBus] | None" = None
-    """Opens a lost bus anew."""
+    """Reopens a lost bus."""
     real_time: bool = True
-    """Whether time passes by itself; else only while somebody waits."""
+    """Whether time passes by itself; else only during waits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestLimits:
-    """How pads look without a load; None: as those of the control unit."""
+    """Limits for pads without a load; None: those of the control unit."""
 
     rest_share: float | None = None
-    """Share of the full scale at which a taxel may rest."""
+    """Largest reading of a taxel at rest as a share of the full scale."""
     bump_share: float | None = None
     """Share of the full scale by which the mean of nine taxels may differ from that of its pad."""
     noise_share: float | None = None
     """Noise of a sample as a share of the full scale, below which it counts as none."""
     stuck_frames: int | None = None
-    """Frames in which a healthy taxel may repeat itself."""
+    """Most consecutive frames with the same value of a healthy taxel."""
 
 
 class SensorConfig(Section):
-    """Base of the sections that `tactile.sensor` may have; each kind is a plugin.
+    """Base of the sections of `tactile.sensor`; each kind is a plugin.
 
-    A kind has a field ``kind: Literal["its name"]``, and ``ports`` where it has serial lines.
+    A kind has a field ``kind: Literal["its name"]``, and ``ports`` if it has serial lines.
     """
 
     kind: str
@@ -61,9 +61,9 @@ class SensorConfig(Section):
     on_can: ClassVar[bool] = False
     """Whether it is on the bus of `tactile.interface`, `channel` and `bitrate`."""
     lone_on_can: ClassVar[str] = ""
-    """Why no CANopen node may be on its bus; empty where one may."""
+    """Reason why no CANopen node may be on its bus; empty: allowed."""
     layout: ClassVar[str] = "paper"
-    """Named layout that its defaults fit."""
+    """Named layout for its defaults."""
     baud_rate: ClassVar[int] = 115_200
     """Bit rate of its serial lines."""
     period_s: ClassVar[float] = 0.01
@@ -73,13 +73,13 @@ class SensorConfig(Section):
 
     @property
     def serial_ports(self) -> tuple[str, ...]:
-        """Names of its serial ports: the key ``ports`` of a kind that has any."""
+        """Names of its serial ports: the key ``ports``, if the kind has it."""
         ports: tuple[str, ...] = getattr(self, "ports", ())
         return ports
 
     @property
     def fresh_zero_frames(self) -> int:
-        """Frames of a zero before each approach; 0: the zero of the start is kept."""
+        """Number of frames for a zero before each approach; 0: the zero of the start is kept."""
         return 0
 
     def frame_period_s(self, _tactile: "TactileConfig") -> float:
@@ -87,14 +87,14 @@ class SensorConfig(Section):
         return self.period_s
 
     def sends_forces(self, _tactile: "TactileConfig") -> bool:
-        """Return whether force messages are asked for; else the force comes from the frames."""
+        """Return whether force messages are used; else the force comes from the frames."""
         return False
 
     def check(self, tactile: "TactileConfig", layout: "TaxelLayout") -> None:
-        """Raise ValueError or LayoutError for a layout or lines that it cannot have."""
+        """Raise ValueError or LayoutError if layout or lines do not fit the sensor."""
 
     def open_source(self, tactile: "TactileConfig", lines: SensorLines) -> "FrameSource":
-        """Return its frame source, not started; `TactileConfig.source_options` are for most."""
+        """Return its frame source, not started; see `TactileConfig.source_options`."""
         raise NotImplementedError
 
     def simulated(self) -> "SimulatedBoards | None":

@@ -137,7 +137,7 @@ class TactileConfig(Section):
     """The tactile sensor: the control unit and its CAN bus, or other boards."""
 
     sensor: Annotated[SensorConfig, SectionOf(SENSORS)] = Field(default_factory=_control_unit)
-    """What reads the pads: the control unit, or boards on lines of their own."""
+    """Sensor that reads the pads: the control unit, or boards with their own lines."""
     interface: str = Field(default=SIMULATED, min_length=1)
     """python-can interface (socketcan, slcan, pcan, ...); `simulated`: the built-in interface."""
     channel: str = Field(default="", max_length=200)
@@ -153,7 +153,7 @@ class TactileConfig(Section):
         Discriminator(_name_or_pads),
     ] = "paper"
     """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; flexitac_12x32 and so on:
-    two pads of 2 mm pitch, rows along the finger; or pads of one's own."""
+    two pads of 2 mm pitch, rows along the finger; or custom pads."""
     mounting: tuple[PadMountConfig, ...] = Field(default=(), max_length=32)
     """Pads that are mounted differently from the layout: exchanged, turned or mirrored."""
     calibration: Annotated[
@@ -201,13 +201,13 @@ class TactileConfig(Section):
 
     @property
     def simulated(self) -> bool:
-        """Whether the pads of the simulated cell are meant."""
+        """Whether the pads are those of the simulated cell."""
         lines = self.serial_ports or ((self.interface,) if self.sensor.on_can else ())
         return SIMULATED in lines
 
     @property
     def serial_ports(self) -> tuple[str, ...]:
-        """Serial ports of the sensor; none for one on CAN."""
+        """Serial ports of the sensor; empty for a sensor on CAN."""
         return self.sensor.serial_ports
 
     @property
@@ -224,12 +224,12 @@ class TactileConfig(Section):
 
     @property
     def sends_forces(self) -> bool:
-        """Whether force messages are asked for; else the force comes from the frames."""
+        """Whether force messages are used; else the force comes from the frames."""
         return self.sensor.sends_forces(self)
 
     @property
     def source_options(self) -> dict[str, Any]:
-        """Arguments that most frame sources have: layout, mounts and limits, in SI."""
+        """Arguments of most frame sources: layout, mounts and limits, in SI."""
         return {
             "layout": layout_from_config(self),
             "mounts": pad_mounts(self),

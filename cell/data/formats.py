@@ -111,6 +111,11 @@ CELL_BACKUP = Format(
     text="tactile-cell-backup/1",
     remedy="take another copy of it",
 )
+ARCHIVE = Format(
+    what="archive",
+    text="tactile-cell-archive/1",
+    remedy="archive the recordings again, to a new place",
+)
 RETENTION = Format(
     what="list of the recordings' ages",
     text="tactile-cell-recordings/1",

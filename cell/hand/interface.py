@@ -29,11 +29,12 @@ An error that it raises stops the command with the grip kept, and is passed on.
 
 
 FORCE_FROM_FRAMES = (
-    "the force comes from whole frames and is slower: the control unit has no force messages "
-    "(object 2140h), tactile.force_period_ms is 0, or the two inner pads are not mounted alike "
-    "(tactile.mounting). A gripper.approach_speed_mm_s of 12 keeps the impact of the contact small"
+    "the force comes from whole frames and is slower: the sensor sends no force messages. With a "
+    "control unit it has no object 2140h, tactile.force_period_ms is 0, or the two inner pads are "
+    "not mounted alike (tactile.mounting). A gripper.approach_speed_mm_s of 12 keeps the impact of "
+    "the contact small"
 )
-"""Note about a control unit that sends no force messages."""
+"""Note about a sensor that sends no force messages."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

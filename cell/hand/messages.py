@@ -52,7 +52,7 @@ class HandRequest:
 
     def __post_init__(self) -> None:
         if self.method not in HAND_COMMANDS:
-            raise ValueError(f"{self.method!r} is no command of the hand")
+            raise ValueError(f"{self.method!r} is not a command of the hand")
 
     @property
     def watched(self) -> bool:

@@ -11,7 +11,7 @@ from cell.service.service import Service
 class _BuiltIn(InterfaceConfig):
     module: ClassVar[str]
     name: ClassVar[str]
-    """Module and class of the interface; what it needs is loaded only where it is opened."""
+    """Module and class of the interface; its module is loaded only when it is opened."""
     brings: ClassVar[str] = "serve"
     """Extra that it needs."""
 

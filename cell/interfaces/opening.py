@@ -41,7 +41,7 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
     found: dict[str, Any] = {"listen": config.listen}
     for name in (config.tls_certificate, config.tls_key):
         if name and Path(name).exists() and not Path(name).is_file():
-            raise ConfigError(f"{name} is not a regular file; name the file itself")
+            raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
         for section in config.sections:
             key = f"{section.kind}_port"
@@ -49,7 +49,9 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
                 interface = section.open(service)
             except OSError as error:
                 taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
-                remedy = f"; set serve.{key} to another one, or to 0: any free one" if taken else ""
+                remedy = (
+                    f"; set serve.{key} to another port, or to 0: any free port" if taken else ""
+                )
                 raise CellError(
                     f"an interface at {config.listen}:{getattr(config, key, '')} (serve.{key}) "
                     f"cannot be opened: {error}{remedy}"

@@ -236,6 +236,7 @@ def _control_unit(
     cell: Cell, config: CellConfig, named: str, kept: CommissionedValues
 ) -> list[CheckResult]:
     hand = cell.controller.hand
+    is_unit = config.tactile.sensor.canopen
     try:
         identity = hand.start_sensor()
     except IdentityMismatch as error:
@@ -260,22 +261,25 @@ def _control_unit(
     return [
         *kept.findings("control unit and pads", changes),
         check_result(
-            "control unit",
-            f"{identity.name}, serial {identity.serial}, revision {identity.revision:#x}",
+            "control unit" if is_unit else "sensor",
+            identity.name
+            + (f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""),
             ok=True,
         ),
         check_result(
             "tactile frames",
             f"{statistics.complete} whole, {lost} lost or damaged",
-            "check the terminating resistors and the bus load",
+            "check the terminating resistors and the bus load" if is_unit else "check the cables",
             ok=lost == 0,
         ),
         check_result(
             "force messages",
             f"{forces.received} received, {forces.lost} lost"
             if identity.sends_forces
-            else FORCE_FROM_FRAMES,
-            ok=identity.sends_forces and not forces.lost,
+            else FORCE_FROM_FRAMES
+            if is_unit
+            else f"{identity.name} sends frames alone; the force comes from them",
+            ok=(identity.sends_forces or not is_unit) and not forces.lost,
         ),
         check_result(
             "taxels at rest",
@@ -337,6 +341,8 @@ def _noise(frames: list[TactileFrame]) -> CheckResult:
 def _boards(boards: tuple[int, int], config: CellConfig) -> CheckResult:
     """Check that exchanged pads would be detected: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
+    if not any(boards):
+        found = "no serial numbers"
     if config.tactile.board_serial_numbers is not None or config.simulated:
         return check_result("pads' boards", found, ok=True)
     advice = "these boards look the same: press each pad after every work on the cables"

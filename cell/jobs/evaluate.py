@@ -10,13 +10,20 @@ from cell.errors import CellError, MissingExtraError
 from cell.installation import extra
 from cell.jobs.calibrate import GAUGE_GRASPS
 from cell.jobs.common import Progress
+from cell.jobs.selected_grasps import GROUPS
 from cell.learning import training
 from cell.learning.blas import one_blas_thread
 from cell.plugins import RECOGNISERS
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.grid import DriftGrid
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import TrainTest, a_day_later, parse_split, series_parts
+from recognition.evaluation.splits import (
+    TrainTest,
+    a_day_later,
+    left_out_parts,
+    parse_split,
+    series_parts,
+)
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
@@ -110,7 +117,7 @@ def evaluate_recognizers(
         Labelled grasps to split; with ``train``, all of them are tested.
     split
         E.g. ``chronological:0.6`` or ``shuffled:0.8``; ``series`` leaves out, in turn, each series
-        of the objects with several series.
+        of the objects with several series, ``days`` and ``cells`` each of them.
     train
         Grasps to train on instead of splitting.
     fuse
@@ -187,6 +194,8 @@ def _parts(
         try:
             if split == SERIES:
                 parts = series_parts(grasps)
+            elif split in GROUPS:
+                parts = left_out_parts(grasps, [GROUPS[split](grasp) for grasp in grasps])
             else:
                 parts = [parse_split(split, seed=seed)(grasps)]
         except ValueError as error:

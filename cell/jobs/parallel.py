@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import TypeVar
 from urllib.parse import urlsplit
@@ -15,14 +16,35 @@ from recognition.evaluation.evaluation import Mapper, one_by_one
 CONNECT_TIMEOUT_S = 15.0
 """Longest time in s until a Dask scheduler answers."""
 
+_MOST_DEATHS = 3
+"""How often a process may end before any work is done."""
+
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
 def spread(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Iterable[_Result]:
-    """Do the work through joblib, by the backend of the surrounding `workers`; a `Mapper`."""
-    done: list[_Result] = joblib.Parallel()(joblib.delayed(work)(item) for item in items)
-    return done
+    """Do the work through joblib, by the backend of the surrounding `workers`; a `Mapper`.
+
+    Results come as they are done, in order. Work that a worker held when it died is done again;
+    raises CellError where workers die again and again.
+    """
+    n_done = deaths = 0
+    while n_done < len(items):
+        left = items[n_done:]
+        try:
+            for result in joblib.Parallel(return_as="generator")(
+                joblib.delayed(work)(item) for item in left
+            ):
+                n_done, deaths = n_done + 1, 0
+                yield result
+        except BrokenProcessPool as error:
+            deaths += 1
+            if deaths == _MOST_DEATHS:
+                raise CellError(
+                    f"{deaths} times a process ended at the same work: it may need less memory, "
+                    "so fewer --jobs; what was done before stays"
+                ) from error
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from docs.tools.api_page import names_page
+from docs.tools.archive_page import archive_page
 from docs.tools.campaign_page import campaign_page
 from docs.tools.catalogue_page import catalogue_page
 from docs.tools.command_page import command_page
@@ -24,6 +25,7 @@ from docs.tools.walk_page import walk_page
 from docs.tools.xml_rpc_page import xml_rpc_page
 
 MAKERS: dict[str, Callable[[], str]] = {
+    "archive": archive_page,
     "campaign": campaign_page,
     "catalogue": catalogue_page,
     "command line": command_page,

@@ -1,4 +1,4 @@
-"""A FlexiTac board on its serial line: frames without end, with the faults of line and firmware."""
+"""A FlexiTac board on its serial line: continuous frames, with faults of line and firmware."""
 
 from dataclasses import dataclass
 
@@ -32,11 +32,11 @@ class FlexiTacSettings:
         return tuple(FlexiTacBoard(finger, pads, self, site) for finger in (0, 1))
 
     def can_device(self, _site: BoardSite) -> None:
-        """Return None: they are on serial lines."""
+        """Return None: the boards are on serial lines."""
 
 
 class FlexiTacBoard(SerialBoard):
-    """One board: frames without end."""
+    """One board: continuous frames."""
 
     def __init__(
         self, finger: int, pads: ResistivePads, settings: FlexiTacSettings, site: BoardSite
@@ -50,7 +50,7 @@ class FlexiTacBoard(SerialBoard):
         self._last = b""
 
     def advance_to(self, now_s: float) -> None:
-        """Scan and send the frames that are due."""
+        """Scan and send the due frames."""
         if self._due_s < now_s - 10.0 * self._period_s:
             self._due_s = now_s
         while self._due_s <= now_s + ROUNDING_S:

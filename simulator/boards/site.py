@@ -1,4 +1,4 @@
-"""Where simulated sensor boards are: the world that they feel, faults and lines."""
+"""Environment of simulated sensor boards: world, faults and lines."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -10,7 +10,7 @@ from simulator.world.world import PhysicalWorld
 from tactile.layout import TaxelLayout
 
 _KEPT_BYTES = 65536
-"""Bytes that wait for a host; older ones are lost."""
+"""Most bytes that wait for a host; older bytes are lost."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -18,21 +18,21 @@ class BoardFaults:
     """Fault knobs of the boards, by finger where they meet one board."""
 
     unplugged: set[int] = field(default_factory=set)
-    """Boards whose cable is out."""
+    """Boards whose cable is unplugged."""
     silent: set[int] = field(default_factory=set)
     """Boards that send nothing."""
     frozen: set[int] = field(default_factory=set)
-    """Boards that send their last frame again and again."""
+    """Boards that repeat their last frame."""
     repeated: float = 0.0
     lost_byte: float = 0.0
     torn: float = 0.0
-    """Share of the frames that repeat the one before, lack one byte, or end in the middle."""
+    """Share of the frames that repeat the previous one, lack one byte, or end in the middle."""
     late_s: float = 0.0
-    """Time in s by which the bytes of frames come late."""
+    """Delay of the bytes of frames in s."""
     rows: int = 0
-    """Rows of the matrix that the firmware sends, 0 for the right ones: another profile."""
+    """Number of rows in a frame of another profile; 0: the correct number."""
     marked: set[int] = field(default_factory=set)
-    """Boards whose samples hold AA 55 at one place for ever, as a static load may make it."""
+    """Boards whose samples always contain AA 55 at one place, as by a static load."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -40,18 +40,18 @@ class UskinFaults:
     """Fault knobs of the boards, by finger where they meet one board."""
 
     silent: set[int] = field(default_factory=set)
-    """Boards whose plug is out."""
+    """Unplugged boards."""
     low_supply: set[int] = field(default_factory=set)
-    """Boards that restart again and again, and wait for their start."""
+    """Boards that restart repeatedly and wait for their start."""
     doubled: set[int] = field(default_factory=set)
-    """Boards beside which another one has the same address."""
+    """Boards with the same address as another board."""
     drift_counts_s: float = 0.0
     """Further drift of all taxels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardSite:
-    """What simulated boards are made of."""
+    """Values for the creation of simulated boards."""
 
     world: PhysicalWorld
     """Presses objects onto the pads."""
@@ -64,7 +64,7 @@ class BoardSite:
     uskin: UskinFaults
     """Fault knobs of boards on CAN."""
     seed: int
-    """Seed of everything that comes by chance."""
+    """Seed of all random values."""
     start_s: float
     """Time in s at which they are switched on."""
 
@@ -79,13 +79,13 @@ class SerialBoard:
     line
         Number of its line, as in `BoardFaults.unplugged`.
     baud_rate
-        Of the line in bit/s, 8N1.
+        Bit rate of the line in bit/s, 8N1.
     """
 
     def __init__(self, line: int, site: BoardSite, *, baud_rate: int) -> None:
         self.line, self.site = line, site
         self.baudrate = 0
-        """Line rate that the host has set; a USB device does not care."""
+        """Line rate set by the host; a USB device ignores it."""
         self._byte_s = 10.0 / baud_rate
         self._sent: list[tuple[float, bytes]] = []
 
@@ -96,17 +96,17 @@ class SerialBoard:
 
     @property
     def unplugged(self) -> bool:
-        """Whether its cable is out."""
+        """Whether its cable is unplugged."""
         return self.line in self.site.faults.unplugged
 
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
-        """Take bytes of the host; ignored where there are no commands."""
+        """Take bytes of the host; a board without commands ignores them."""
 
     def advance_to(self, now_s: float) -> None:
-        """Do what is due until ``now_s`` s."""
+        """Advance the board to ``now_s`` s."""
 
     def send(self, data: bytes, at_s: float) -> None:
-        """Begin to send bytes at ``at_s`` s; of those that nobody takes the oldest are lost."""
+        """Begin to send bytes at ``at_s`` s; without a reader the oldest bytes are lost."""
         self._sent.append((at_s, data))
         del self._sent[: -max(1, _KEPT_BYTES // max(1, len(data)))]
 
@@ -130,12 +130,12 @@ class SerialBoard:
         return self._sent[0][0] + self._byte_s if self._sent else None
 
     def drop_pending(self) -> None:
-        """Forget bytes under way."""
+        """Drop bytes in transit."""
         self._sent.clear()
 
 
 class SimulatedBoards(Protocol):
-    """Settings of the simulated devices of a sensor that is no control unit."""
+    """Settings of the simulated devices of a sensor without control unit."""
 
     def serial_boards(self, site: BoardSite) -> tuple[SerialBoard, ...]:
         """Return its devices on serial lines, in the order of the lines."""

@@ -31,7 +31,7 @@ class UskinBoard:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UskinSettings:
-    """Two boards on one bus, and the physics of their pads. Its figures are assumed."""
+    """Two boards on one bus, and the physics of their pads; all values are assumptions."""
 
     boards: tuple[UskinBoard, UskinBoard]
     """The boards of finger 0 and finger 1."""
@@ -40,9 +40,9 @@ class UskinSettings:
     counts_per_n: float = 3000.0
     """Counts of z of a taxel for a small force."""
     limit_n: float = 12.0
-    """Force in N near which the silicone meets its ground."""
+    """Force in N at which the silicone is compressed to its base."""
     crosstalk: float = 0.12
-    """Share of its force that each neighbour of a taxel shows as well."""
+    """Share of a taxel's force that each neighbour shows too."""
     hysteresis: float = 0.06
     """Share by which a taxel stays above a force that falls."""
     noise_counts: float = 12.0
@@ -51,7 +51,7 @@ class UskinSettings:
     """Drift of z of a pad: 1,000 counts in some minutes."""
 
     def serial_boards(self, _site: BoardSite) -> tuple[SerialBoard, ...]:
-        """Return none: they are on CAN."""
+        """Return an empty tuple: the boards are on CAN."""
         return ()
 
     def can_device(self, site: BoardSite) -> "SimulatedUskin":
@@ -79,7 +79,7 @@ class SimulatedUskin:
         self._send = send
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
-        """Start the board whose start this is."""
+        """Start the board that has this start message."""
         for finger, board in enumerate(self._settings.boards):
             if (can_id, data) == (board.start_id, _START):
                 self._due_s[finger] = now_s + self._rng.uniform(0.2, 1.0) * _PERIOD_S
@@ -115,7 +115,7 @@ class SimulatedUskin:
                 self._send(now_s, can_id, [struct.pack(">BHHH", 0, int(x), int(y), one)])
 
     def _scan(self, finger: int) -> NDArray[np.uint16]:
-        """Return z of all taxels (n_taxels,); drift goes on with the board that is read."""
+        """Return z of all taxels (n_taxels,); each scan advances the drift of its board."""
         law, pad = self._settings, self._layout.gripping_pads[finger]
         taxels = self._layout.taxels_of(pad)
         self._drifted[taxels] += (self._drift[finger] + self._faults.drift_counts_s) * _PERIOD_S

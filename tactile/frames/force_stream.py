@@ -62,13 +62,13 @@ class ForceStream:
         return min(self._delays, key=itemgetter(1))[1] - usual_s
 
     def _note_delay(self, message: ForceMessage) -> None:
-        """Add how late a message comes after the time at which its counter was due."""
+        """Add the delay of a message after the time at which its counter was due."""
         step = (message.counter - self._last_counter) % COUNTERS if self._last_data else 1
         self._sent += step + bool(message.status & ForceStatus.OVERRUN)
         delay_s = message.t_s - self._sent * self._period_s
         self._delays.append((message.t_s, delay_s))
         while message.t_s - self._delays[0][0] > _BEHIND_S and len(self._delays) > _LEAST_BEHIND:
-            # What was usual ends where the messages that may be late begin.
+            # The usual delay excludes the messages that may be late.
             self._least_s = min(self._least_s, self._delays.popleft()[1])
         if self.counts.received % _USUAL_MESSAGES == 0:
             self._least_before_s, self._least_s = self._least_s, inf

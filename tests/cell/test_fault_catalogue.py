@@ -40,7 +40,7 @@ FROZEN = {
     "PartBetweenFingers": 210, "ZeroRefused": 518,
     "CellStopped": 512, "RequestRefused": 513, "NotInCommand": 514, "HeldByClient": 515,
     "TrainingSetMissing": 517,
-    "TooFewGrasps": 519,
+    "TooFewGrasps": 519, "ArchiveError": 520,
     "NotMeasured": 516, "OSError": 598,
     "Exception": 599,
     "MotionError": 600, "AxisLimitExceeded": 601, "PositionNotReached": 602, "AxisMissing": 603,

@@ -86,7 +86,7 @@ def test_a_sensor_of_another_package_has_a_section_of_its_own(installed: Install
     assert config.tactile.sensor.model_dump() == {"kind": "glove", "fingers": 4}
     assert parse_config(config_text(config), source="again") == config
     assert "fingers" in str(config_schema())
-    with pytest.raises(ConfigError, match=r"cell.yaml:2:25: tactile.sensor.finger: .*is fingers m"):
+    with pytest.raises(ConfigError, match=r"cell.yaml:2:25: tactile.sensor.finger: .*mean fingers"):
         parse_config(text.replace("fingers", "finger"), source="cell.yaml")
     with pytest.raises(ConfigError, match="sensor glove has no simulated device: name real ports"):
         config.tactile.sensor.simulated()

@@ -118,6 +118,17 @@ def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
     assert "is not used" not in said
 
 
+def test_an_archive_is_read_and_added_to(tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet"
+    shutil.copytree(HERE / "archive-1", fleet)
+    call("archive", "export", fleet, "-o", tmp_path / "some.npz", "--object", "ball")
+    with np.load(tmp_path / "some.npz") as found:
+        assert found["label"].tolist() == ["ball"] * 4
+    said = call("archive", tmp_path / "some.npz", "--to", fleet)
+    assert "0 grasps of 1 files added" in said
+    assert "4 grasps were there already" in said
+
+
 def later(kind: Format) -> str:
     """Return what a file of the next version names."""
     name, version = kind.text.split("/")
@@ -187,6 +198,11 @@ LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
         formats.RETENTION,
         lambda kind: later_text(Path("out/recordings.json"), kind),
         ("recordings", "list", "out"),
+    ),
+    "archive": (
+        formats.ARCHIVE,
+        lambda kind: later_text(Path("fleet/_archive.json"), kind),
+        ("archive", "export", "fleet", "-o", "some.npz"),
     ),
 }
 

@@ -8,15 +8,18 @@ import typer
 
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.commands import (
+    archive,
     backup,
     calibrate,
     clear,
     commission,
+    compare,
     config,
     doctor,
     evaluate,
     identify,
     install,
+    plot,
     recordings,
     recover,
     release,
@@ -78,6 +81,7 @@ for command in (
     release.release,
     clear.clear,
     evaluate.evaluate,
+    compare.compare,
     report.report,
     replay.replay,
     recover.recover,
@@ -92,6 +96,8 @@ for command in (
     app.command()(command)
 app.add_typer(config.app, name="config")
 app.add_typer(recordings.app, name="recordings")
+app.add_typer(archive.app, name="archive")
+app.add_typer(plot.app, name="plot")
 
 
 def main() -> None:

@@ -92,6 +92,31 @@ GaugeShapeOption = Annotated[
     str | None,
     typer.Option("--gauge-shape", help="Shape of the gauge [default: the object of its label]."),
 ]
+CellsOption = Annotated[
+    list[str] | None, typer.Option("--cell", help="Only grasps of this cell; repeat for several.")
+]
+DaysOption = Annotated[
+    str | None,
+    typer.Option("--days", help="Only grasps of a day or of FIRST..LAST, as 2027-01-15 (UTC)."),
+]
+ObjectsOption = Annotated[
+    list[str] | None,
+    typer.Option("--object", help="Only grasps of this object; repeat for several."),
+]
+MostOption = Annotated[
+    int,
+    typer.Option(
+        "--most", min=3, help="Grasps of each object that are taken of an archive, at random."
+    ),
+]
+MOST_GRASPS = 400
+"""Grasps of each object that are taken of an archive where nothing else is asked for."""
+JobsOption = Annotated[
+    int, typer.Option("--jobs", min=0, help="Processes that share the work, 0: one for each core.")
+]
+SchedulerOption = Annotated[
+    str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to use.")
+]
 SplitOption = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
 ]

@@ -27,7 +27,7 @@ def grasps() -> list[Grasp]:
 
 @pytest.fixture(scope="module")
 def taught(plugin_name: str, grasps: list[Grasp]) -> Recognizer:
-    """Return the recogniser that these have taught."""
+    """Return the recogniser trained on these grasps."""
     recognizer: Recognizer = RECOGNISERS[plugin_name](use_aperture=True).fit(grasps)
     return recognizer
 

@@ -1,4 +1,4 @@
-"""Contract of a sensor: what each kind of `tactile.sensor` keeps, on its simulated device."""
+"""Contract of each kind of `tactile.sensor`, tested on its simulated device."""
 
 import pickle
 import subprocess
@@ -26,16 +26,16 @@ from tactile.source import FrameSource, TactileFrame
 PERIOD_S = 0.005
 """Period of the force loop."""
 PATIENCE_S = 3.0
-"""Longest time in s until a lost line is a fault."""
+"""Longest time in s until a lost line becomes a fault."""
 RATE_SHARE = 0.3
-"""Share by which the frames of a second may be more or fewer than usual."""
+"""Allowed deviation of the frame rate from the usual rate, as a share."""
 PRESS_N = 5.0
-"""Force of a fingertip, whose middle may be a taxel and a half from the highest count."""
+"""Force of a fingertip in N; its middle may be 1.5 taxels from the highest count."""
 
 
 @pytest.fixture
 def config(plugin_name: str, cell_config: CellConfig) -> CellConfig:
-    """Return the config under test where it has this sensor, else one with its defaults."""
+    """Return the config under test if it has this sensor, else a config with its defaults."""
     if cell_config.tactile.sensor.kind == plugin_name:
         return simulated_config(cell_config)
     section: type[SensorConfig] = SENSORS[plugin_name]
@@ -56,7 +56,7 @@ def config(plugin_name: str, cell_config: CellConfig) -> CellConfig:
 def started(
     config: CellConfig, *, start: bool = True
 ) -> Iterator[tuple[SimulatedCell, FrameSource]]:
-    """Make the simulated device and the source on it."""
+    """Create the simulated device and its source."""
     with simulation_of(config) as cell:
         n_lines = range(len(cell.board_streams))
         lines = SensorLines(
@@ -74,7 +74,7 @@ def started(
 
 
 def run(cell: SimulatedCell, source: FrameSource, seconds: float) -> list[TactileFrame]:
-    """Poll as the force loop does; return the frames."""
+    """Poll like the force loop; return the frames."""
     frames: list[TactileFrame] = []
     end_s = cell.clock.monotonic() + seconds
     while cell.clock.monotonic() < end_s:

@@ -33,8 +33,8 @@ def normal(text: str) -> str:
 
 
 AGAIN = normal(
-    "failed. Mend it, then run the step again. 1 run the step again (Enter) 2 leave; what was "
-    "found is kept q leaves>"
+    "failed. Correct the cause, then run the step again. 1 run the step again (Enter) 2 leave; the "
+    "findings are kept q leaves>"
 )
 ELSEWHERE = (
     # A further serial port of this machine, and fingers that a failed step left with torque.

@@ -173,7 +173,7 @@ def test_complaints_name_line_key_and_limit(text: str, parts: list[str]) -> None
     ("text", "begin"),
     [
         ("gripper:\n  force_max_n: 99\n", "cell.yaml:2:3: gripper.force_max_n: "),
-        ("gripper:\n  forc_max_n: 3\n", "cell.yaml:2:3: gripper.forc_max_n: unknown key; is "),
+        ("gripper:\n  forc_max_n: 3\n", "cell.yaml:2:3: gripper.forc_max_n: unknown key; did "),
         (
             "gripper:\n  servos:\n    - {id: 1, modl: x}\n",
             "cell.yaml:3:15: gripper.servos.0.modl: unknown key; did you mean model? ",

@@ -113,9 +113,9 @@ def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str]) ->
     assert placer.place("ball", POSE) == Pose(x_m=3e-3)
     with pytest.raises(PositionerError, match="no such object"):
         placer.place("x", POSE)
-    with pytest.raises(PositionerError, match="gone"):
+    with pytest.raises(PositionerError, match="lost"):
         placer.place("x", POSE)
-    with pytest.raises(PositionerError, match=r"closed|gone"):
+    with pytest.raises(PositionerError, match=r"closed|lost"):
         placer.place("x", POSE)
     placer.close()
 

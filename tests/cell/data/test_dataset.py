@@ -231,7 +231,7 @@ LIE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (99999999999, 99),
         ({"a.npy": npy(b"{1}\n")}, "header cannot be read"),
         ({"a.npy": npy(b"(" * 4032)}, "header cannot be read"),
         ({"counts.npy": LIE}, "do not fill shape"),
-        ({f"{i}.npy": b"" for i in range(600)}, "at most 512"),
+        ({f"{i}.npy": b"" for i in range(600)}, "the limit is 512"),
         (
             {f"a{i}.npy": bytes(5_000_000) for i in range(4)},
             "unpacks to 20000000 bytes, the limit is 10000000",

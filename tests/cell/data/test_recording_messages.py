@@ -127,7 +127,7 @@ def test_other_mcap_files_are_refused_before_a_message_is_read(
     ("content", "says"),
     [
         (b"{", "EOF while parsing"),
-        (b"[1]", "no object"),
+        (b"[1]", "not an object"),
         (b"{}", "t_s is missing"),
         (frame_json(counts="[1,2]"), "2 counts up to 2, expected 1 up to 9"),
         (frame_json(counts="[10]"), "1 counts up to 10, expected 1 up to 9"),

@@ -20,7 +20,7 @@ def test_interfaces_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) ->
     keys = {"secret_file": "modbus", "token_file": "http", "tls_key": "http"}
     for key, interface in keys.items():
         files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
-        with pytest.raises(ConfigError, match="pipe is not a regular file"):
+        with pytest.raises(ConfigError, match="pipe: not a plain file"):
             serve(interface, **files, **{f"serve__{key}": str(tmp_path / "pipe")})
     (tmp_path / "bad").write_bytes(b"\xff" * 20)
     with pytest.raises(ConfigError, match="needs ASCII characters"):
@@ -42,19 +42,12 @@ def test_an_address_for_others_is_warned_of(serve: Any) -> None:
     assert warnings(serve(**others).service) == ()
 
 
-@pytest.mark.parametrize(
-    ("interface", "option"),
-    [("modbus", "--modbus"), ("xmlrpc", "--xml-rpc"), ("http", "--http"), ("opcua", "--opcua")],
-)
-def test_a_taken_port_names_the_option_that_takes_another(
-    serve: Any, interface: str, option: str
-) -> None:
+@pytest.mark.parametrize("interface", ["modbus", "xmlrpc", "http", "opcua"])
+def test_a_taken_port_names_the_key_that_sets_another(serve: Any, interface: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+        port, key = taken.getsockname()[1], f"serve__{interface}_port"
         ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http", "opcua")}
-        served = serve(**ports | {f"serve__{interface}_port": port})
-        with (
-            pytest.raises(CellError, match=f"127.0.0.1:{port} .*{option} PORT takes another one"),
-            open_interfaces(served.service),
-        ):
+        served = serve(**ports | {key: port})
+        complaint = f"127.0.0.1:{port} .*set serve.{interface}_port to another port"
+        with pytest.raises(CellError, match=complaint), open_interfaces(served.service):
             pass

@@ -14,7 +14,7 @@ import pytest
 import cell.jobs.doctor
 from cell.build import build_cell
 from cell.checks.findings import CheckResult, Verdict
-from cell.config.file import changed_config
+from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.jobs.doctor import _boards, examine
@@ -154,6 +154,15 @@ def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
     finding = _boards(boards, config)
     assert finding.verdict is verdict
     assert advice in finding.advice
+
+
+def test_boards_without_force_messages_and_numbers_are_well() -> None:
+    preset = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
+    findings = by_name(examine(preset))
+    assert findings["sensor"].found == "FlexiTac"
+    assert findings["force messages"].verdict is Verdict.PASS
+    assert findings["force messages"].found.startswith("FlexiTac sends frames alone")
+    assert findings["pads' boards"].found == "no serial numbers"
 
 
 @pytest.fixture

@@ -96,7 +96,7 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> N
 def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
     page = Path("docs/how-to/use-from-a-host-program.md").read_text("utf-8")
     (typed,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.S) if "my mug" in one)
-    with pytest.raises(CellStateError, match="nothing lies between the fingers"):
+    with pytest.raises(CellStateError, match="nothing is between the fingers"):
         plugin.start(TeachGoal(label="my mug"))
     exec(typed, {"cell": plugin})
     assert plugin.labels == ("ball", "box", "my mug")

@@ -21,7 +21,7 @@ def doctor(
     ] = False,
     plugins: Annotated[
         bool,
-        typer.Option("--plugins", help="List the installed plugins, and load each; no more."),
+        typer.Option("--plugins", help="Only list the installed plugins, and load each."),
     ] = False,
 ) -> None:
     """Check machine, ports, servos and control unit; nothing moves without --gauge.
@@ -65,7 +65,7 @@ def doctor(
 
 
 def _list_plugins(json_file: Path | None) -> None:
-    """Print each plugin, the package that brings it, and why it does not load."""
+    """Print each plugin, its package, and the reason if it does not load."""
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import print_line, write_json
     from cell.plugins import GROUPS

@@ -1,12 +1,21 @@
 """`evaluate`: measures recognisers on recorded grasps."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.interfaces.cli.options import MAX_SEED, JsonOption, known_recognizers
+from cell.interfaces.cli.options import (
+    MAX_SEED,
+    MOST_GRASPS,
+    CellsOption,
+    DaysOption,
+    JsonOption,
+    MostOption,
+    ObjectsOption,
+    SchedulerOption,
+    known_recognizers,
+)
 from recognition.recognizers import TRAINERS
 
 if TYPE_CHECKING:
@@ -21,18 +30,18 @@ _MANY_GRASPS = 1000
 
 def evaluate(
     datasets: Annotated[
-        list[Path], typer.Argument(help="Data sets or recordings of labelled grasps.")
+        list[str], typer.Argument(help="Archives, data sets or recordings of labelled grasps.")
     ],
     train_on: Annotated[
-        Path | None,
-        typer.Option("--train", help="Train on this file and test on all of DATASETS."),
+        str | None,
+        typer.Option("--train", help="Train on this file or archive, test on all of DATASETS."),
     ] = None,
     split: Annotated[
         str,
         typer.Option(
             "--split",
-            help="chronological:FRACTION or shuffled:FRACTION to train on. series: leaves out in "
-            "turn each series of an object that has several.",
+            help="chronological:FRACTION or shuffled:FRACTION to train on. Or leave out in turn "
+            "series: each one of an object that has several; days, cells: each of them.",
         ),
     ] = "chronological:0.6",
     fuse: Annotated[str, typer.Option("--fuse", help="Numbers of grasps to fuse.")] = "1,2,3,5",
@@ -64,23 +73,30 @@ def evaluate(
             help="Processes, 0: one for each core [default: 0 from 1000 grasps, else 1].",
         ),
     ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to use.")
-    ] = None,
+    scheduler: SchedulerOption = None,
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+    most: MostOption = MOST_GRASPS,
     json_file: JsonOption = None,
 ) -> None:
     """Measure recognisers on recorded grasps: accuracy, fusion, unknown objects.
 
     With 95 % intervals. Unknown objects are left out of teaching.
     """
+    from cell.archive.selection import EVERYTHING, parse_selection
     from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
     from cell.jobs.evaluate import evaluate_recognizers
     from cell.jobs.parallel import workers
-    from cell.jobs.teach import duplicate_grasps, read_labelled_grasps
+    from cell.jobs.selected_grasps import selected_grasps
+    from cell.jobs.teach import duplicate_grasps
 
     names = recognizers or list(TRAINERS)
-    grasps = [grasp for path in datasets for grasp in read_labelled_grasps(path, print_line)]
-    taught = None if train_on is None else read_labelled_grasps(train_on, print_line)
+    selection = parse_selection(cells or (), days, objects or ())
+    grasps = selected_grasps(datasets, selection, most, print_line)
+    taught = None
+    if train_on is not None:
+        taught = selected_grasps([train_on], EVERYTHING, most, print_line)
     if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
         print_note(f"{twice} tested grasps were taught or occur twice: the accuracy is too high")
     if jobs is None:

@@ -221,7 +221,7 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(
     assert plc.refusal() == (514, f"{acquire}change register 0, the li")
     plc.adopt()
     assert second.write(LIFE, 5) == 6
-    assert second.refusal() == (514, f"{acquire}Modbus 127.0.0.1 is")
+    assert second.refusal() == (514, f"{acquire}Modbus 127.0.0.1 is in co")
     text = "name the data set that trained the model when it is loaded, or begin without one"
     with monkeypatch.context() as alone:
         alone.setattr(served.plugin, "start", raising(TrainingSetMissing(text)))
