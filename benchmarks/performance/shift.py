@@ -113,7 +113,7 @@ def condensed(
         finally:
             clients.kill()
             clients.join()
-        ledger = service.shift.values(n_faults=service.status().n_faults)
+        ledger = service.shift.values()
         return samples, [count.value for count in counts], ledger
 
 

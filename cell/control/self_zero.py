@@ -202,7 +202,7 @@ class SelfZeros:
             for servo_id, drive in drives.items()
             if drive.measured
         }
-        self.drives |= measured
+        self.drives = self.drives | measured  # a new one: health reads it in other threads
         # A file that does not count is some other hand's, or a person's to look at.
         if measured and not self.refused:
             self._write()

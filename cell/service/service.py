@@ -191,11 +191,11 @@ class Service:
         self.boot = int(time.time()) % 0xFFFF + 1
         """Number of this start, 1 to 65535: seconds of its time, so that it differs after each
         start."""
-        self.shift = Shift()
+        self.shift = Shift(config.serve.shift_begins_h, lambda: plugin.status().n_faults)
         """The ledger of the parts."""
         self.totals = Totals()
         """What only grows, for metrics."""
-        self.history = History(history_file, plugin.status, note=note)
+        self.history = History(history_file, plugin.status, note=note, shift=self.shift)
         """Parts and faults of the days."""
         self.history.start()
         plugin.watch_parts(self._count)
