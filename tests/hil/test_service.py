@@ -2,6 +2,7 @@
 
 import json
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -18,6 +19,7 @@ import pytest
 from cell.config.file import parse_config
 from cell.pytest_plugin.process import CellProcess
 from cell.service.service import RELEASE_KEY
+from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
 from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, done, first
 
 pytestmark = pytest.mark.real_time
@@ -69,16 +71,23 @@ def simulator(free_machine: None) -> Iterator[CellProcess]:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     serve = f"serve: {{lease_timeout_s: 30.0, modbus_port: null, xmlrpc_port: {port}}}\n"
-    one = CellProcess(parse_config(CONFIG + serve, source="test"))
+    config = parse_config(CONFIG + serve, source="test")
+    objects = {"simulator": small_config().simulator}
+    one = CellProcess(config.model_copy(update=objects))
     first(one.pid)
     yield one
     one.end()
 
 
 @pytest.fixture(scope="module")
-def service(simulator: CellProcess, tmp_path_factory: Any) -> Iterator[Service]:
+def service(
+    simulator: CellProcess,
+    taught: Taught,  # noqa: F811
+    tmp_path_factory: Any,
+) -> Iterator[Service]:
     folder = tmp_path_factory.mktemp("service")
-    install = (*PROGRAM, "install", "--apply", "--root", folder, "-c", simulator.config_path)
+    install = (*PROGRAM, "install", "--apply", "--root", folder, "-c", simulator.config_path,
+               "--model", taught.result.model)  # fmt: skip
     subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)
     unit = folder / "etc/systemd/system/tactile-cell.service"
     config = parse_config(simulator.config_path.read_text(), source="test")
@@ -129,4 +138,62 @@ def test_a_part_outlasts_the_processes_that_hold_it(
     assert done(cell, lease, cell.release(lease, RELEASE_KEY)) == 4
     assert simulator.grip_n() == 0.0
     assert done(cell, lease, cell.reset(lease)) == 4
+    assert cell.give_up(lease) == 0
+
+
+class Grip(threading.Thread):
+    """Follows the force on both pads of the simulator, until it is asked to end."""
+
+    def __init__(self, simulator: CellProcess) -> None:
+        super().__init__(daemon=True)
+        self.simulator, self.forces_n, self.over = simulator, list[float](), threading.Event()
+        self.start()
+
+    def run(self) -> None:
+        while not self.over.wait(0.01):
+            self.forces_n.append(self.simulator.grip_n())
+
+    def end(self) -> list[float]:
+        self.over.set()
+        self.join(LIMIT_S)
+        return self.forces_n
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 3, 4))])
+def test_random_kills_in_a_sort_drop_no_part_and_the_sort_goes_on(
+    service: Service, simulator: CellProcess, seed: int
+) -> None:
+    cell, draw = service.cell, random.Random(seed)
+    lease = cell.acquire("sort")
+    n_held = 0
+    for killed in draw.sample(["main", "hand", "both"], 3):
+        assert cell.sort(lease, 1000, 1, 0.0) > 0
+        before, due_s = len(service.events), time.monotonic() + draw.uniform(0.0, 6.0)
+        # A part that is let go at its place, or about to be, is none to be kept.
+        wait_for(lambda due_s=due_s: time.monotonic() > due_s and cell.grip_state() in (1, 4))
+        main, hand, force_n = service.pid, service.hand, simulator.grip_n()
+        for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
+            os.kill(pid, signal.SIGKILL)
+        grip = Grip(simulator)
+        if killed == "hand":
+            wait_for(lambda: cell.state() == 9)
+        else:
+            wait_for(lambda before=before: service.sent("READY=1", before))
+            lease = cell.acquire("sort again")
+        least_n = min(grip.end())
+        print(killed, force_n, least_n, cell.state(), cell.fault_number(), cell.holding())
+        if force_n > KEPT_N:
+            n_held += 1
+            assert least_n > KEPT_N
+            assert cell.holding()
+            assert cell.fault_number() == (LOOP_GONE if killed == "hand" else PART_IN_GRIP)
+        if cell.state() == 9:
+            assert done(cell, lease, cell.clear(lease)) == 4
+            assert simulator.grip_n() >= min(least_n, KEPT_N)
+            assert done(cell, lease, cell.release(lease, RELEASE_KEY)) == 4
+            assert simulator.grip_n() == 0.0
+            assert done(cell, lease, cell.reset(lease)) == 4
+    assert n_held >= 1
+    assert done(cell, lease, cell.sort(lease, 1, 1, 0.0)) == 4
     assert cell.give_up(lease) == 0
