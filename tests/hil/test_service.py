@@ -29,6 +29,10 @@ GRIPPED_N = 1.5
 KEPT_N = 0.6
 """Least force in N with which a part counts as held."""
 LOOP_GONE, PART_IN_GRIP = 508, 506
+GRIPPING, HOLDING = 1, 4
+"""States of the grip in which a part is between the fingers, or comes there."""
+FOLLOWED = 50
+"""Looks at the grip after the process of the force loop was killed: a second and more."""
 
 
 class Service:
@@ -159,34 +163,43 @@ class Grip(threading.Thread):
         return self.forces_n
 
 
+def kill_followed(
+    service: Service, simulator: CellProcess, killed: str, after_s: float
+) -> tuple[float, float]:
+    """Kill processes of a cell that sorts, after a while; wait until the cell answers for it.
+
+    Returns the force in N at the kill, and the least since. A part that is let go at its place, or
+    is about to be, is none to be kept: the kill comes while the fingers close or hold.
+    """
+    cell, since, due_s = service.cell, len(service.events), time.monotonic() + after_s
+    wait_for(lambda: time.monotonic() > due_s and cell.grip_state() in (GRIPPING, HOLDING))
+    main, hand, force_n = service.pid, service.hand, simulator.grip_n()
+    for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
+        os.kill(pid, signal.SIGKILL)
+    grip = Grip(simulator)
+    if killed == "hand":
+        wait_for(lambda: cell.state() == 9 and len(grip.forces_n) > FOLLOWED)
+    else:
+        wait_for(lambda: service.sent("READY=1", since))
+    return force_n, min(grip.end())
+
+
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.long) for n in (2, 3, 4))])
 def test_random_kills_in_a_sort_drop_no_part_and_the_sort_goes_on(
     service: Service, simulator: CellProcess, seed: int
 ) -> None:
-    cell, draw = service.cell, random.Random(seed)
+    cell, draw, n_held = service.cell, random.Random(seed), 0
     lease = cell.acquire("sort")
-    n_held = 0
     for killed in draw.sample(["main", "hand", "both"], 3):
         assert cell.sort(lease, 1000, 1, 0.0) > 0
-        before, due_s = len(service.events), time.monotonic() + draw.uniform(0.0, 6.0)
-        # A part that is let go at its place, or about to be, is none to be kept.
-        wait_for(lambda due_s=due_s: time.monotonic() > due_s and cell.grip_state() in (1, 4))
-        main, hand, force_n = service.pid, service.hand, simulator.grip_n()
-        for pid in {"main": [main], "hand": [hand], "both": [hand, main]}[killed]:
-            os.kill(pid, signal.SIGKILL)
-        grip = Grip(simulator)
-        if killed == "hand":
-            wait_for(lambda: cell.state() == 9)
-        else:
-            wait_for(lambda before=before: service.sent("READY=1", before))
+        force_n, least_n = kill_followed(service, simulator, killed, draw.uniform(0.0, 6.0))
+        if killed != "hand":
             lease = cell.acquire("sort again")
-        least_n = min(grip.end())
-        print(killed, force_n, least_n, cell.state(), cell.fault_number(), cell.holding())
         if force_n > KEPT_N:
             n_held += 1
             assert least_n > KEPT_N
-            assert cell.holding()
+            assert (cell.state(), cell.holding()) == (9, True)
             assert cell.fault_number() == (LOOP_GONE if killed == "hand" else PART_IN_GRIP)
         if cell.state() == 9:
             assert done(cell, lease, cell.clear(lease)) == 4
