@@ -1,6 +1,6 @@
 """Run every benchmark, or those named: python -m benchmarks [NAME ...].
 
-What takes long, `connects`, `soak` and `shift` of `benchmarks.performance`, runs with `make soak`.
+What takes long, `connects`, `soak`, `shift` and `week` of `benchmarks.performance`, runs with `make soak`.
 """
 
 import importlib

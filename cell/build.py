@@ -189,6 +189,7 @@ def build_cell(
     partial: bool = False,
     source: FrameSource | None = None,
     note: Callable[[str], None] = lambda _text: None,
+    wall_s: Callable[[], float] = time.time,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -215,6 +216,8 @@ def build_cell(
         Frame source of a simulated cell, in the place of its control unit.
     note
         Gets messages for the operator, as that the recording has stopped, from any thread.
+    wall_s
+        Returns the unix time in s.
 
     Raises
     ------
@@ -260,7 +263,7 @@ def build_cell(
             positioner,
             clock=clock,
             recorder=recorder,
-            zeros=kept_zeros(config, kept_folder(config, folder)),
+            zeros=kept_zeros(config, kept_folder(config, folder), now_s=wall_s),
         )
         retention = None
         if recorder is not None and folder is not None:
@@ -272,6 +275,7 @@ def build_cell(
                 keep_bytes=None if kept.keep_gb is None else 1e9 * kept.keep_gb,
                 at_fault=lambda: controller.fault is not None,
                 note=note,
+                wall_s=wall_s,
             )
             retention.start()
             undo.callback(retention.close)

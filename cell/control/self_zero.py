@@ -56,12 +56,16 @@ def zero_file(directory: Path, cell_name: str) -> Path:
 
 
 def kept_zeros(
-    config: CellConfig, directory: Path | None, *, new_hand: bool | None = None
+    config: CellConfig,
+    directory: Path | None,
+    *,
+    new_hand: bool | None = None,
+    now_s: Callable[[], float] = time.time,
 ) -> "SelfZeros":
     """Return the self-zeros of a cell, kept in a folder; None: in this program alone.
 
     ``new_hand`` says whether what an earlier program measured is of another hand, as it is of a
-    simulated one.
+    simulated one; ``now_s`` returns the unix time in s.
     """
     port = config.gripper.port
     return SelfZeros(
@@ -71,6 +75,7 @@ def kept_zeros(
         hand=_hand_of(config),
         new_hand=config.simulated if new_hand is None else new_hand,
         servos={one.id: {"port": port, "model": one.model} for one in config.gripper.servos},
+        now_s=now_s,
     )
 
 

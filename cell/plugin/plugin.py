@@ -127,6 +127,7 @@ class TactileCellPlugin:
         ask: Callable[[str], str] | None = None,
         start: bool = True,
         note: Callable[[str], None] = lambda _text: None,
+        wall_s: Callable[[], float] = time.time,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -164,6 +165,8 @@ class TactileCellPlugin:
             False: the devices are verified by `reset`, which raises all that is wrong with them.
         note
             Gets messages for the operator, as that the recording has stopped, from any thread.
+        wall_s
+            Returns the unix time in s, for the age of recordings and of the self-zero.
 
         Raises
         ------
@@ -209,6 +212,7 @@ class TactileCellPlugin:
             capture=capture,
             ask=ask,
             note=note,
+            wall_s=wall_s,
         )
         controller, file = self._cell.controller, self._file
         listeners: list[OnPart] = []

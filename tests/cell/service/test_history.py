@@ -1,6 +1,8 @@
 """The history of a cell: a week of shifts in a table per day, and what it survives."""
 
+import errno
 import json
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -12,13 +14,15 @@ from urllib.request import Request, urlopen
 
 import pytest
 
-from cell.errors import CellError
+from cell.data.recorder_sink import DirectFile
+from cell.errors import CellError, RecordingError
 from cell.service import history
 from cell.service.history import History, history_file, read_day
 from cell.service.shift import Shift
 from tests.cell.conftest import small_config
 from tests.cell.served import until
 from tests.cell.service.test_shift import part
+from tests.values import raising
 
 MONDAY_S = datetime(2027, 3, 1, 6, 0).timestamp()
 DAY_S = 86_400.0
@@ -235,3 +239,29 @@ def test_the_service_keeps_it_and_http_shows_it(tmp_path: Path, serve: Any) -> N
     path = history_file(tmp_path / "out", small_config().name)
     (row,) = (one for one in read_day(path, date.today()) if one["kind"] == "part")
     assert (row["label"], row["held"]) == ("box", "box")
+
+
+@pytest.mark.parametrize("number", [errno.ESTALE, errno.EIO])
+def test_a_share_that_disappears_ends_no_sort_and_its_return_is_noticed(
+    tmp_path: Path, serve: Any, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    folder, notes = tmp_path / "out" / "serve-20270301-060000", list[str]()
+    folder.mkdir(parents=True)
+    service = (served := serve(cell={"folder": folder, "note": notes.append})).service
+    lease, goal = service.lease.acquire("test"), {"task": "sort", "parts": 2}
+    gone = raising(OSError(number, os.strerror(number)))
+    with monkeypatch.context() as patched:
+        for owner, name in ((DirectFile, "write"), (os, "statvfs"), (os, "scandir")):
+            patched.setattr(owner, name, gone)
+        patched.setattr(History, "_opened", raising(sqlite3.OperationalError("disk I/O error")))
+        service.start(lease, goal)
+        assert (served.ended().outcome, service.shift.values()["parts"]) == ("SUCCEEDED", 2)
+        until(lambda: any("history is not kept" in text for text in notes))
+        assert any(os.strerror(number).lower() in text.lower() for text in notes)
+        assert len(notes) <= 4, notes
+    assert service.health()["recording"]["level"] != "ok"
+    until(lambda: service.history.values().get("today", {}).get("parts") == 2)
+    service.start(lease, goal)
+    assert served.ended().outcome == "SUCCEEDED"
+    with pytest.raises(RecordingError, match="a gap of .* frames"):
+        service.close()
