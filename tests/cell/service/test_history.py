@@ -263,5 +263,5 @@ def test_a_share_that_disappears_ends_no_sort_and_its_return_is_noticed(
     until(lambda: service.history.values().get("today", {}).get("parts") == 2)
     service.start(lease, goal)
     assert served.ended().outcome == "SUCCEEDED"
-    with pytest.raises(RecordingError, match="a gap of .* frames"):
+    with pytest.raises(RecordingError, match=r"a gap of \d+ frames"):
         service.close()
