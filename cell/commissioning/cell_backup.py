@@ -32,7 +32,7 @@ from cell.commissioning.backup import (
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog
 from cell.commissioning.record import RECORD_NAME
-from cell.commissioning.unit import unit_values
+from cell.commissioning.unit import restore_unit_values, unit_values
 from cell.config.file import (
     MAX_BYTES,
     config_file_text,
@@ -57,7 +57,6 @@ from cell.data.formats import (
 from cell.errors import CellError, ConfigError, reason_text
 from gripper.errors import GripperError
 from tactile.errors import TactileError
-from tactile.unit.search import FoundUnit, read_unit, write_unit
 
 MANIFEST = "manifest.json"
 """First member of a backup."""
@@ -115,7 +114,7 @@ class Manifest(BaseModel):
     """What could not be read of the devices, and why."""
 
 
-_MANIFEST, _UNIT = TypeAdapter(Manifest), TypeAdapter(FoundUnit)
+_MANIFEST = TypeAdapter(Manifest)
 
 
 def back_up(
@@ -369,40 +368,18 @@ def restore_unit(path: Path, bench: Bench, dialog: Dialog) -> list[str]:
     """Write the objects of the control unit as a backup of the cell has them; return what was done.
 
     No other program may have the servos meanwhile: it would use the unit, too. Raises as
-    `open_backup`, and CellError where the backup has no objects, or those of another kind of unit.
+    `open_backup`, and CellError where the backup has no objects, or those of another unit.
     """
-    with open_backup(path) as backup, bench.servo_bus(), bench.can_bus() as bus:
+    with open_backup(path) as backup, bench.servo_bus():
         if not backup.manifest.control_unit:
             raise CellError(f"{path} holds no objects of a control unit")
-        now = read_unit(bus, bench.tactile().node_id)
         try:
-            then = _UNIT.validate_python(backup.manifest.control_unit)
-        except ValidationError as error:
-            raise CellError(
-                f"{path} is damaged ({problem_text(error)}); {CELL_BACKUP.remedy}"
-            ) from error
-        for key in ("node_id", "layout_hash"):
-            if (found := getattr(now, key)) != (wanted := getattr(then, key)):
-                raise CellError(
-                    f"the control unit has {key} {found}, that of the backup {wanted}: this is "
-                    "another unit, nothing was written"
-                )
-        before, after = dict(now.registers), dict(then.registers)
-        coming = {name: after.get(name, value) for name, value in before.items()}
-        coming = {name: value for name, value in coming.items() if value != before[name]}
-        undo = "switch the unit off and on; it is not stored"
-        if not coming:
-            return ["all objects of the control unit are as in the backup"]
-        dialog.approve([
-            ProposedChange(where=f"control unit, node {now.node_id}", what=name,
-                           before=str(before[name]), after=str(value), undo=undo)
-            for name, value in coming.items()
-        ])  # fmt: skip
-        try:
-            write_unit(bus, now.node_id, coming)
+            return [restore_unit_values(bench, backup.manifest.control_unit, dialog)]
         except ValueError as error:
-            raise CellError(f"{path} is damaged, nothing was written: {error}") from error
-        return [f"control unit: {len(coming)} objects as in the backup, until it is switched off"]
+            wrong = problem_text(error) if isinstance(error, ValidationError) else error
+            raise CellError(
+                f"{path} is damaged, nothing was written ({wrong}); {CELL_BACKUP.remedy}"
+            ) from error
 
 
 def _place(name: str, folder: Path, manifest: Manifest) -> Path:
