@@ -59,14 +59,13 @@ class ShiftUse:
 def week(folder: Path, config: CellConfig, days: int, n_parts: int) -> Iterator[ShiftUse]:
     """Work for some days, with ``n_parts`` in each half of a shift; yield what each has come to."""
     changes = {"serve.shift_begins_h": SHIFTS_H, "recording.keep_days": KEEP_DAYS}
-    config = changed_config(
-        config, {"self_zero": "daily", "serve.lease_timeout_s": 60.0, **changes}
-    )
+    config = changed_config(config, {"serve.lease_timeout_s": 60.0, **changes})
     model, n_shifts, now_s = folder / "parts.npz", len(SHIFTS_H) * days, [_MONDAY_S]
 
-    def started(name: str, **options: Any) -> Service:
+    def started(name: str, self_zero: str = "on_demand", **options: Any) -> Service:
         (folder / name).mkdir()
-        return open_service(config, folder=folder / name, wall_s=lambda: now_s[0], **options)
+        now = changed_config(config, {"self_zero": self_zero})
+        return open_service(now, folder=folder / name, wall_s=lambda: now_s[0], **options)
 
     with closing(started("teach-20270301-000000", save=model)) as service:
         lease = service.lease.acquire("week")
@@ -78,10 +77,10 @@ def week(folder: Path, config: CellConfig, days: int, n_parts: int) -> Iterator[
             now_s[0] = begin_s + (4.0 * half + 0.1) * _HOUR_S
             now_s[0] += _LEAP_S * (number == n_shifts // 2)
             name = f"serve-20270301-{number:03}{half:03}"
-            with closing(started(name, model=model)) as service:
+            # A simulated hand is a new one at each start: `daily` would measure it at each.
+            zero = "on_demand" if number % len(SHIFTS_H) or half else "daily"
+            with closing(started(name, zero, model=model)) as service:
                 _work(service, n_parts, seed=100 * number + 50 * half)
-                if half:
-                    service.history.look()
                 ledger = service.shift.values()
                 service.history.look()
             sums = service.history.values()["week"]

@@ -82,14 +82,14 @@ class History:
         wall_s: Callable[[], float] = time.time,
     ) -> None:
         self._path, self._status, self._note, self._wall_s = path, status, note, wall_s
-        self._shift = shift
+        self._shift, self._resumed = shift, False
         self._n_faults = 0
         self._waiting = deque[dict[str, Any]](maxlen=_WAITING_MAX)
         self._link: sqlite3.Connection | None = None
         self._refused = ""
         self._summed_s = float("-inf")
         self._values: dict[str, Any] = {}
-        self._over = threading.Event()
+        self._over, self._looking = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
         self._add(kind="start")
 
@@ -135,6 +135,12 @@ class History:
 
     def look(self) -> None:
         """Write what has come since the last look, and make the sums; nothing is raised."""
+        with self._looking:
+            self._look()
+
+    def _look(self) -> None:
+        if self._shift is not None:
+            self._shift.values()  # a new one begins in time, also where nobody asks
         now = self._status()
         for n in range(now.n_faults - self._n_faults, 0, -1):
             newest = n == 1 and now.fault is not None
@@ -169,13 +175,13 @@ class History:
 
         The clock may have been set in the shift: a row counts by its own time.
         """
-        if self._shift is None:
+        if self._shift is None or self._resumed:
             return
         begin, now = (date.fromtimestamp(s) for s in (self._shift.began_s, self._wall_s()))
         with self._opened() as link:
             rows = [row for day in sorted({begin, now}) for row in _rows(link, day)]
         self._shift.add_earlier(rows)
-        self._shift = None
+        self._resumed = True
 
     def _write(self) -> bool:
         """Write all rows that wait, in one transaction; return whether there were some."""
