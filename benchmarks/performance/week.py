@@ -2,8 +2,8 @@
 
     python -m benchmarks.performance.week [--days D] [--parts N]        (make soak)
 
-In each shift the service on the simulated cell starts in the folder of the ones before. It measures
-the self-zero of the day, sorts parts, meets a fault that a person clears, ends, starts again within
+In each shift the service on the simulated cell starts in the folder of the ones before. The first
+of a day measures the self-zero. Each sorts parts, meets a fault that a person clears, ends, starts again within
 the shift, and sorts further parts. One shift in the middle has a clock that is ten years ahead.
 Recordings are kept for two days. After each shift process and disk are looked at.
 """
