@@ -3,9 +3,9 @@
     python -m benchmarks.performance.week [--days D] [--parts N]        (make soak)
 
 In each shift the service on the simulated cell starts in the folder of the ones before. The first
-of a day measures the self-zero. Each sorts parts, meets a fault that a person clears, ends, starts again within
-the shift, and sorts further parts. One shift in the middle has a clock that is ten years ahead.
-Recordings are kept for two days. After each shift process and disk are looked at.
+shift of a day measures the self-zero. The service sorts parts. It meets a fault, which a person
+clears. It ends, starts again within the shift, and does the same once more. In one shift the clock
+is ten years ahead. Recordings are kept for two days. Process and disk are measured after each shift.
 """
 
 import argparse

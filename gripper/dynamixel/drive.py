@@ -1,9 +1,9 @@
-"""Drive characteristic of one servo: how its current becomes torque, and how sure that is.
+"""Drive characteristic of one servo: the relation of current and torque, with its uncertainty.
 
-Two measured lines bound what a current holds: the load rises at ``rising_a_nm * load +
+Two measured lines bound the load that a current holds: the load rises at ``rising_a_nm * load +
 breakaway_a``, and falls at ``falling_a_nm * load - breakaway_a``. In free motion the current is
 ``offset_a +- friction_a(speed)``. Loads are torques at the output by the force of the pads; only
-``kt_nm_a`` does not rest on the pads.
+``kt_nm_a`` does not depend on the pads.
 """
 
 from collections.abc import Mapping
@@ -76,7 +76,7 @@ class DriveCharacteristic:
 
     @classmethod
     def catalogue(cls, model: ServoModel) -> Self:
-        """Return the figures of a model, uncertain as servos of one model differ."""
+        """Return the values of a model, with the uncertainty between servos of one model."""
         friction_a = model.friction_nm / model.kt_nm_a
         return cls(
             coulomb_a=friction_a,
@@ -93,7 +93,7 @@ class DriveCharacteristic:
 
     @property
     def once_measured(self) -> Self:
-        """The same values, no more uncertain than a measurement leaves them."""
+        """The same values, with at most the uncertainty of a measurement."""
         return replace(
             self,
             friction_sd=min(self.friction_sd, _MEASURED_FRICTION_SD),
@@ -102,7 +102,7 @@ class DriveCharacteristic:
 
     @property
     def distrusted(self) -> Self:
-        """The same values, its friction as uncertain as that of any servo of its model."""
+        """The same values, with the friction uncertainty of an unmeasured servo of its model."""
         return replace(self, friction_sd=_FRICTION_SD)
 
     @property
@@ -141,16 +141,16 @@ class DriveCharacteristic:
 
 
 class Drives:
-    """The newest drive characteristic of each servo, by its ID: the one place that has them.
+    """The newest drive characteristic of each servo, by its ID.
 
-    All that converts between current and force reads it here, with its uncertainty.
+    All conversions between current and force use it, with its uncertainty.
     """
 
     def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
         self._newest = dict(newest or {})
 
     def of(self, servo_id: int, unmeasured: DriveCharacteristic) -> DriveCharacteristic:
-        """Return that of a servo; where it was never measured the given one."""
+        """Return that of a servo; if it was never measured, ``unmeasured``."""
         return self._newest.get(servo_id, unmeasured)
 
     @property
@@ -164,9 +164,9 @@ class Drives:
 
 
 class DriveReport(NamedTuple):
-    """What a gripper knows of its servos."""
+    """Measured drive characteristics of a gripper's servos."""
 
     drives: Mapping[int, DriveCharacteristic]
-    """By the servos' IDs; of those that nobody has measured there is none."""
+    """By the servos' IDs; unmeasured servos have no entry."""
     notes: tuple[str, ...] = ()
     """Unusual changes since the last report, each with its likely cause."""

@@ -199,12 +199,23 @@ XC330_M288 = replace(
     **_estimated(0.93, 1.8),
 )
 
-MODELS: Mapping[str, ServoModel] = MappingProxyType(
-    {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288)}
-)
+_MODELS = {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288)}
+MODELS: Mapping[str, ServoModel] = MappingProxyType(_MODELS)
 """Models that can limit their current, by name."""
 
-_WITHOUT_CURRENT_CONTROL = frozenset({"XL430-W250", "XC430-W150", "XC430-W240", "2XL430-W250"})
+
+def add_model(model: ServoModel) -> None:
+    """Add a model to `MODELS`. Raises LimitExceeded where another one has its name or number."""
+    for other in _MODELS.values():
+        if other != model and (other.name == model.name or other.number == model.number):
+            raise LimitExceeded(
+                f"servo model {model.name} with number {model.number} is there with other values "
+                f"({other.name}, {other.number}): give it a name and number of its own"
+            )
+    _MODELS[model.name] = model
+
+
+WITHOUT_CURRENT_CONTROL = frozenset({"XL430-W250", "XC430-W150", "XC430-W240", "2XL430-W250"})
 """Models of the series without Goal Current (register 102); they are refused."""
 
 
@@ -218,7 +229,7 @@ def require_current_control(name: str) -> ServoModel:
     model = MODELS.get(name)
     if model is not None:
         return model
-    if name in _WITHOUT_CURRENT_CONTROL:
+    if name in WITHOUT_CURRENT_CONTROL:
         raise LimitExceeded(
             f"{name} measures load, not current: it has no Goal Current and no current-based "
             f"position mode, so its grip force cannot be bounded. Use one of {', '.join(MODELS)}"

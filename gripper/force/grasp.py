@@ -29,39 +29,38 @@ from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
 
 _CONTACT_SHARE = 0.97
-"""Where in the friction band the drive is at the contact: at its rising edge, with a reserve.
+"""Position of the drive in the friction band at the contact: at its rising edge, with a reserve.
 [tuned]"""
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
-"""How much wider in m than all parts so far the next one may begin: the first, and the second over
-the number of these parts, because each is the widest of all as likely as any other. [tuned]"""
+"""Margin in m by which the next part may be wider than all earlier ones: the first value, and the
+second over the number of these parts, because each is equally likely to be the widest. [tuned]"""
 _REST_S = 0.08
-"""Time in s that the fingers rest at the contact, so that the ramp begins at the force there.
-[tuned]"""
+"""Rest of the fingers at the contact in s, so that the ramp begins at the force there. [tuned]"""
 _TOUCH_S = 0.065
-"""Time in s from the brake at a first touch before which no ramp begins on what was met with more
-than the force of a contact: the force of the touch decays first. [tuned]"""
+"""Least time in s from the brake at a first touch to the ramp after a hard touch, with more than
+the force of a contact: the force of the touch must decay first. [tuned]"""
 _EQUAL_S = 1e-9
-"""Difference of times in s that counts as none: sums of periods are rounded. [chosen]"""
+"""Difference of times in s that is ignored: sums of periods are rounded. [chosen]"""
 
 
 _LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
-"""Least force of the measurement of a drive in contact forces, its largest one as a share of the
-force that was held, and the least difference in N of both. [chosen]"""
+"""Least force of the measurement of a drive in contact forces, its largest force as a share of the
+held force, and the least difference of both in N. [chosen]"""
 _LOAD_N_S, _UNLOAD_N_S = 6.0, 20.0
-"""Rate in N/s of that measurement, and of the way to it. [chosen]"""
+"""Rate in N/s of that measurement, and of the change before it. [chosen]"""
 _CURRENT_SHARE = 0.9
-"""Share of the cap of the current that this measurement takes at most. [chosen]"""
+"""Largest share of the current limit in this measurement. [chosen]"""
 
 
 class GraspRun:
-    """Runner of the phases of a grasp; keeps the control of the part that is held.
+    """Runner of the phases of a grasp; keeps the control of the held part.
 
     Parameters
     ----------
     runner, servos, linkage, settings
         Of the gripper.
     set_phase
-        Tells the phase that a grasp comes to.
+        Gets each new phase of a grasp.
     free
         Gets the free motion of each approach.
     """
@@ -93,11 +92,11 @@ class GraspRun:
         return None if self._ramp_step is None else self._ramp_step.control
 
     def forget(self) -> None:
-        """Discard the control of a part: nothing is held any more."""
+        """Discard the control of a part: nothing is held."""
         self._ramp_step = None
 
     def start_proving(self) -> None:
-        """Prove anew where the fingers are closed, and learn anew: their torque comes on."""
+        """Repeat the proof of the closed position and the learning, after the torque comes on."""
         self._closed_is_proven = False
         self._widest_m, self._touched = 0.0, 0
 
@@ -140,7 +139,7 @@ class GraspRun:
             return self._press(ramp, reached, slip=None)
 
     def _press(self, ramp: ForceRamp, reached: Reached, *, slip: LevelSlip | None) -> GraspOutcome:
-        """Follow a ramp on what was touched; a part that was lost on it is forgotten."""
+        """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
         self._set_phase(GripperPhase.RAMPING)
         self._ramp_step = step = ContactStep(self._linkage, ramp, reached, self._end, slip=slip)
         final = self._runner.run(step.step)
@@ -158,7 +157,7 @@ class GraspRun:
         stiffness_n_m: float | None = None,
         approached: bool = False,
     ) -> None:
-        """Return when nothing shows a part any more; GripContradicted where something does."""
+        """Return when no measurement shows a part; else raise GripContradicted."""
         self._set_phase(GripperPhase.HOLDING)
         step = EmptyGrip(
             self._settings,
@@ -191,8 +190,8 @@ class GraspRun:
     def measure_load(self, control: GripControl) -> None:
         """Move one finger after the other under a force that rises and falls; fit each drive.
 
-        The pads of empty fingers press on each other. Where the current, or the force that was
-        held, leaves too little of a way, the drives stay as they are.
+        The pads of empty fingers press on each other. If the current, or the held force, leaves too
+        small a range, the drives do not change.
         """
         grip, settings = control.grip, control.grip.settings
         self._free.forget()
@@ -223,8 +222,8 @@ class GraspRun:
         self._free.compare()
 
     def _approach(self, settings: GripperSettings) -> Reached:
-        """Close until the contact, or the end of the way, and feed the estimates."""
-        # Fingers that are to meet find no part on their way.
+        """Close until the contact, or the end of the travel, and update the estimates."""
+        # Fingers that shall meet find no part.
         known = settings is self._settings and self._touched > 0
         approach = Approach(
             settings,
@@ -253,25 +252,25 @@ class GraspRun:
 
     @property
     def _begins_m(self) -> float:
-        """Opening in m at which the next part may begin, by those touched so far."""
+        """Opening in m at which the next part may begin, by the parts touched so far."""
         return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
     def _closed(self) -> Reached:
-        """Close until the pads meet; MechanicsContradicted where nothing stops the fingers."""
+        """Close until the pads meet; raise MechanicsContradicted if nothing stops the fingers."""
         reached = self._approach(meeting_settings(self._settings))
         if reached.event is ApproachEvent.LIMIT:
             raise not_met(self._settings, self._linkage, reached.state)
         return reached
 
     def _prove_closed(self, state: ServoFeedback) -> None:
-        """Look once whether the pads of fingers that have found nothing stop each other."""
+        """Check once, after a grasp without a part, that the pads stop each other."""
         if not self._closed_is_proven and closes_farther(self._settings, state):
             self._closed()
             self._closed_is_proven = True
 
 
 class LoadTrial:
-    """Collector of the load of one finger that moves, and of its current, while both change.
+    """Collector of the load of one moving finger, and of its current, while both change.
 
     Parameters
     ----------
@@ -295,7 +294,7 @@ class LoadTrial:
         self._points = self.rising if rises else self.falling
 
     def watched(self, step: Callable[[Moment], Action]) -> Callable[[Moment], Action]:
-        """Return a step of control that is watched."""
+        """Return a step of control that collects its values."""
 
         def watch(moment: Moment) -> Action:
             self._push(moment)
@@ -314,9 +313,9 @@ class LoadTrial:
 
 
 class RampTime:
-    """Time on a ramp: it stands at the beginning of a level until the force has risen to it.
+    """Time on a ramp: it stops at the start of a level until the force has risen to it.
 
-    What is held is then the level, however far the force was behind a fast change.
+    So the held force is the level, also after a fast change.
 
     Parameters
     ----------
@@ -330,25 +329,25 @@ class RampTime:
         self._settings = settings
         self._waited_s: float | None = None
         self.asked_n = ramp.final_n
-        """Force in N at which the ramp was to end."""
+        """Planned force in N at the end of the ramp."""
         self.ramp = ramp
         self.elapsed_s = 0.0
         """Time since the beginning of the ramp in s."""
 
     @property
     def setpoint_n(self) -> float:
-        """Force in N that is asked for now."""
+        """Present set-point in N."""
         return self.ramp.setpoint_n(self.elapsed_s)
 
     @property
     def level(self) -> int | None:
-        """Index of the level that is held; None on the way to it."""
+        """Index of the held level; None on the way to it."""
         return None if self._waited_s is not None else self.ramp.level_at(self.elapsed_s)
 
     def pass_by(self, dt_s: float, force_n: float, aperture_m: float) -> None:
-        """Let ``dt_s`` s pass, in which the force was ``force_n`` N and the opening so many m.
+        """Advance by ``dt_s`` s, at a force of ``force_n`` N and an opening in m.
 
-        A rise ends where the fingers are closed: part and foam yield, and no force would come.
+        A rise ends with closed fingers: part and foam yield without more force.
         """
         least_m, least_n = self._settings.least_pressed_m, self._settings.contact_force_n
         if aperture_m <= least_m and least_n <= self.setpoint_n < self.ramp.final_n:
@@ -368,7 +367,7 @@ class RampTime:
             self._waited_s = None
 
     def settled(self, force_n: float) -> bool:
-        """Return whether the ramp is over and its force reached, or the time for that is up."""
+        """Return whether the ramp is over and its force reached, or its time is over."""
         left_s = self.ramp.duration_s - self.elapsed_s
         if left_s > _EQUAL_S or self._waited_s is not None:
             return False
@@ -387,12 +386,12 @@ class GripStep:
     settings
         Of the gripper.
     control
-        Control of the held part; None where a contact is to come first.
+        Control of the held part; None before the contact.
     ramp
-        The way down or up.
+        The change of force.
     slip
-        Watches over what is held at the levels of the ramp; None where the force only changes, or
-        nothing could slip.
+        Slip detector at the levels of the ramp; None if the force only changes, or nothing can
+        slip.
     """
 
     def __init__(
@@ -471,9 +470,9 @@ class ContactStep(GripStep):
     linkage
         Of the gripper.
     ramp
-        Set-point of the grip force; it begins at the force that is measured at the contact.
+        Set-point of the grip force; it begins at the measured force at the contact.
     reached
-        How the approach ended.
+        End of the approach.
     end
         Request to end the ramp early.
     slip
@@ -500,7 +499,7 @@ class ContactStep(GripStep):
         )
 
     def step(self, moment: Moment) -> Action:
-        """Return the action of one period; PartSlipped when a held part slips."""
+        """Return the action of one period. Raises PartSlipped when a held part slips."""
         self._reached.stiffness.push(moment)
         if self._rest.goes_on(moment):
             return Action()
@@ -509,7 +508,7 @@ class ContactStep(GripStep):
         return self._action(moment, control)
 
     def _advance(self, moment: Moment) -> GripControl:
-        """Advance the time on the ramp: begin it, end it early, or go on."""
+        """Advance the time on the ramp: begin it, end it early, or continue."""
         if self.control is None:
             self.control = self._new_control(moment, self._rest.force_n)
             begun = self._time.ramp.starting_from(self._rest.force_n)
@@ -525,7 +524,7 @@ class ContactStep(GripStep):
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
         """Return the control of a part: the fingers close, so the drive is at the rising edge.
 
-        Where momentum alone has made the force of the ramp, they stay where friction locks them.
+        If momentum alone has made the force of the ramp, friction locks the fingers.
         """
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
         drive_n = force_n + _CONTACT_SHARE * mean_friction_n(paths)
@@ -536,7 +535,7 @@ class ContactStep(GripStep):
         )
 
     def _ends_early(self) -> bool:
-        """Return whether the ramp is to end now: wanted, not over, and enough to hold a part."""
+        """Return whether to end the ramp now: requested, not over, and enough to hold a part."""
         return (
             self._end.requested
             and self._time.ramp.duration_s - self._time.elapsed_s > _EQUAL_S
@@ -582,8 +581,8 @@ def _check_part(control: GripControl, moment: Moment) -> None:
     if control.watch.lost(moment):
         raise PartLost(
             f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
-            f"fingers apart any more, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
-            f"fingers stand still"
+            f"fingers apart, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the fingers "
+            f"stand still"
         )
 
 
@@ -599,7 +598,7 @@ def _too_small(settings: GripperSettings, asked_n: float, force_n: float, apertu
 def _obstructed(state: ServoFeedback) -> GripContradicted:
     return GripContradicted(
         f"the fingers were stopped at an opening of {state.aperture_m * 1e3:.1f} mm, pressing with "
-        f"{state.current_a:.2f} A, and the pads feel nothing: something is between the fingers "
+        f"{state.current_a:.2f} A, but the pads show no force: something is between the fingers "
         f"beside the taxels, or the pads are blind (where nothing blocks the fingers check "
         f"gripper.servos[].zero_pulse, direction and gripper.linkage). Nothing opens by itself: "
         f"look between the fingers, check pads and control unit, then clear the fault and release"
