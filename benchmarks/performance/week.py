@@ -5,7 +5,7 @@
 In each shift the service on the simulated cell starts in the folder of the ones before. The first
 shift of a day measures the self-zero. The service sorts parts. It meets a fault, which a person
 clears. It ends, starts again within the shift, and does the same once more. In one shift the clock
-is ten years ahead. Recordings are kept for two days. Process and disk are measured after each shift.
+is ten years ahead. Recordings are kept for two days. Process and disk are measured each time.
 """
 
 import argparse
