@@ -53,7 +53,7 @@ _DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
     ),
     ("servo_measured_seconds", "Unix time of a servo's measurement", {"": "measured_s"}),
 )
-"""Name and meaning of what was measured of the servos, and the key of each direction."""
+"""Name and meaning of each measured value of the servos, and its key by direction."""
 Value = tuple[tuple[str, ...], float]
 """Values of the labels, and the number."""
 

@@ -54,7 +54,7 @@ def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
 
 
 def _drive(found: DriveCharacteristic | None) -> dict[str, Any] | None:
-    """Return what was measured of a servo; None where nothing was."""
+    """Return the measured values of a servo; None without a measurement."""
     if found is None:
         return None
     names = ("breakaway_a", "rising_a_nm", "falling_a_nm", "kt_nm_a", "measured_s")

@@ -67,7 +67,7 @@ class History:
     note
         Gets messages for the operator, for example that the file cannot be written.
     shift
-        Gets what earlier programs have written of the shift that runs.
+        Gets the rows of earlier programs in the same shift.
     wall_s
         Unix time in s.
     """
@@ -140,7 +140,7 @@ class History:
 
     def _look(self) -> None:
         if self._shift is not None:
-            self._shift.values()  # a new one begins in time, also where nobody asks
+            self._shift.values()  # a new shift begins in time, even without a client
         now = self._status()
         for n in range(now.n_faults - self._n_faults, 0, -1):
             newest = n == 1 and now.fault is not None
@@ -171,9 +171,9 @@ class History:
         self._waiting.append({"time_s": self._wall_s()} | row)
 
     def _resume_shift(self) -> None:
-        """Give the shift its earlier rows, once, before the first ones of this program are there.
+        """Give the shift its earlier rows once, before this program writes its first ones.
 
-        The clock may have been set in the shift: a row counts by its own time.
+        A row counts by its own time, even if the clock was set since.
         """
         if self._shift is None or self._resumed:
             return

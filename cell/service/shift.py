@@ -56,7 +56,7 @@ class Shift:
         self._cycles_s = deque[float](maxlen=_KEPT_CYCLES)
 
     def _look(self, n_faults: int) -> None:
-        """Begin a new shift where it is time."""
+        """Begin a new shift when its hour has come."""
         if (now_s := began_s(self._now_s(), self._begins_h)) != self.began_s:
             self._begin(now_s, n_faults)
 
@@ -81,13 +81,13 @@ class Shift:
         self._forget_times()
 
     def _forget_times(self) -> None:
-        """Forget the times before the last hour; those in the future are of a clock set back."""
+        """Forget the times before the last hour, and those after now: the clock was set back."""
         now_s = self._now_s()
         while self._times_s and not now_s - _HOUR_S < self._times_s[0] <= now_s:
             self._times_s.popleft()
 
     def add_earlier(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Count what programs before this one have written to the history, of the same shift."""
+        """Count the rows of the history that earlier programs have written in the same shift."""
         with self._lock:
             rows = [row for row in rows if row["time_s"] >= self.began_s]
             self._since_s = min((self._since_s, *(row["time_s"] for row in rows)))
