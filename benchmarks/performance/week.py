@@ -12,10 +12,11 @@ import argparse
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import date, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -49,8 +50,8 @@ class ShiftUse:
     """The process; ``done`` counts shifts."""
     ledger: dict[str, Any]
     """As `Shift.values`, before the end of the shift."""
-    week: dict[str, Any]
-    """Sums of the history for the week, once the last rows were written."""
+    kinds: Counter[str]
+    """Rows of the history so far, by their kind; those of the clock ahead are on another day."""
     n_recordings: int
     disk_bytes: int
     """Recordings, and the bytes of all files of the cell."""
@@ -83,12 +84,12 @@ def week(folder: Path, config: CellConfig, days: int, n_parts: int) -> Iterator[
                 _work(service, n_parts, seed=100 * number + 50 * half)
                 ledger = service.shift.values()
                 service.history.look()
-            sums = service.history.values()["week"]
+        every = (date.fromtimestamp(_MONDAY_S) + timedelta(day) for day in range(days + 1))
         files = [path for path in folder.rglob("*") if path.is_file()]
         yield ShiftUse(
             process=look(number + 1, now_s[0] - _MONDAY_S),
             ledger=ledger,
-            week=sums,
+            kinds=Counter(row["kind"] for day in every for row in service.history.day(day)),
             n_recordings=sum(path.suffix == ".mcap" for path in files),
             disk_bytes=sum(path.stat().st_size for path in files),
         )
@@ -119,9 +120,9 @@ def wrong(shifts: Sequence[ShiftUse], n_parts: int) -> list[str]:
         if one.n_recordings > most:
             found.append(f"{at}: {one.n_recordings} recordings, {most} are kept at most")
     n_whole = len(shifts) - 1
-    sums = shifts[-1].week
-    if (sums["parts"] + sums["missed"], sums["faults"]) != (2 * n_parts * n_whole, 2 * n_whole):
-        found.append(f"the history has {sums['parts']} parts and {sums['faults']} faults")
+    kinds = shifts[-1].kinds
+    if (kinds["part"] + kinds["miss"], kinds["fault"]) != (2 * n_parts * n_whole, 2 * n_whole):
+        found.append(f"the history has {kinds['part']} parts and {kinds['fault']} faults")
     return found
 
 
@@ -136,11 +137,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         shifts = list(week(Path(folder), CellConfig(), wanted.days, wanted.parts))
     took_s = time.monotonic() - begin_s
-    sums, last = shifts[-1].week, shifts[-1]
+    last = shifts[-1]
     line("week", f"{len(shifts)} shifts, {2 * len(shifts)} starts, in {took_s / 60:.1f} min")
-    line(
-        "  history", f"{sums['parts']} parts, {sums['rejected']} rejected, {sums['faults']} faults"
-    )
+    line("  history", f"{last.kinds['part']} parts, {last.kinds['fault']} faults")
     most_mb, last_mb = max(one.disk_bytes for one in shifts) / 1e6, last.disk_bytes / 1e6
     line("  disk", f"{most_mb:.1f} MB at most, at the end {last_mb:.1f} MB")
     line("  recordings", f"{last.n_recordings} at the end")
