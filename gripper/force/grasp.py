@@ -47,10 +47,10 @@ _EQUAL_S = 1e-9
 _LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
 """Least force of the measurement of a drive in contact forces, its largest one as a share of the
 force that was held, and the least difference in N of both. [chosen]"""
-_LOAD_N_S = {True: 14.0, False: 7.0}
+_LOAD_N_S = {True: 8.0, False: 7.0}
 """Rate in N/s of the drive of that measurement while the force rises (True) and falls: by a drive
 that falls a gearing that holds its load gives way two or three times as fast. [chosen]"""
-_LOCKED_N_S, _LOCKED_SHARE = 40.0, 0.1
+_LOCKED_N_S, _LOCKED_SHARE = 30.0, 0.1
 """The same while friction locks the finger: until the force has changed by this share of its range.
 [chosen]"""
 _LIMITED_S = 0.25
