@@ -15,7 +15,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from gripper.clock import Clock
-from gripper.dynamixel.control_table import PRESENT_BLOCK, Register, RegisterBlock
+from gripper.dynamixel.control_table import PRESENT_BLOCK, RAM_START, Register, RegisterBlock
+from gripper.dynamixel.models import RAM_SHIFTS
 from gripper.dynamixel.protocol2 import (
     STATUS_OVERHEAD,
     CheckedPacketHandler,
@@ -100,6 +101,8 @@ class ServoBus:
         Longest wait in s for another thread's transaction.
     name
         Name of the line in error messages.
+    ram_shifts
+        `ServoModel.ram_shift` by servo ID, where it is known before a servo was pinged.
     """
 
     def __init__(
@@ -112,6 +115,7 @@ class ServoBus:
         allowance_s: float = 0.0015,
         lock_timeout_s: float = 1.0,
         name: str = "the servo line",
+        ram_shifts: Mapping[int, int] | None = None,
     ) -> None:
         self.alerts: set[int] = set()
         """IDs of the servos whose last answer had the Alert bit."""
@@ -131,6 +135,7 @@ class ServoBus:
         self._heard = Heard()
         self._last_error: BusTimeout | BusCorrupt | None = None
         self._misses: dict[int, int] = {}
+        self._ram_shifts = dict(ram_shifts or {})
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
         self._lock = threading.RLock()
         self._closed = False
@@ -190,7 +195,7 @@ class ServoBus:
 
     def ping(self, servo_id: int) -> ServoIdentity:
         """Ask a servo for its identity; BusTimeout when none has that ID."""
-        return _identity(self._ask(ping_request(servo_id)))
+        return self._identity(self._ask(ping_request(servo_id)))
 
     def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
         """Ping each ID once, without patience, and return who answers; for finding a mistake."""
@@ -200,7 +205,7 @@ class ServoBus:
                 with suppress(NoAnswerError):
                     status = self._exchange(ping_request(servo_id))
                     if status.error == 0:  # a servo that refuses does not say which it is
-                        found.append(_identity(status))
+                        found.append(self._identity(status))
             self._mark_suspect()
         return tuple(found)
 
@@ -221,7 +226,7 @@ class ServoBus:
             while (status := self._handler.receive(self._port)) is not None:
                 damaged |= self._handler.dropped_bytes > 0 or len(status.data) != PING_SIZE
                 if len(status.data) == PING_SIZE:
-                    found.append(_identity(status))
+                    found.append(self._identity(status))
             damaged |= self._handler.dropped_bytes > 0
             self._mark_suspect()
         return tuple(found), damaged
@@ -233,7 +238,7 @@ class ServoBus:
         nothing that an adapter takes for bytes. One answer may be lost by chance.
         """
         action = f"reading {PRESENT_BLOCK} of servo {servo_id}"
-        params = _words(PRESENT_BLOCK.address, PRESENT_BLOCK.size)
+        params = _words(self._address(servo_id, PRESENT_BLOCK), PRESENT_BLOCK.size)
         request = Request(servo_id, Instruction.READ, PRESENT_BLOCK.size, action, params)
         lost = 0
         for _ in range(_COLLISION_READS):
@@ -252,7 +257,7 @@ class ServoBus:
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""
         action = f"reading {register.name} of servo {servo_id}"
-        params = _words(register.address, register.size)
+        params = _words(self._address(servo_id, register), register.size)
         request = Request(servo_id, Instruction.READ, register.size, action, params)
         return register.decode(self._ask(request).data)
 
@@ -269,7 +274,7 @@ class ServoBus:
         if not register.writable:
             raise LimitExceeded(f"{register.name} is read-only")
         action = f"writing {register.name} = {raw} to servo {servo_id}"
-        params = _words(register.address) + register.encode(raw)
+        params = _words(self._address(servo_id, register)) + register.encode(raw)
         self._ask(Request(servo_id, Instruction.WRITE, 0, action, params))
 
     def sync_read(self, ids: Sequence[int], block: RegisterBlock) -> dict[int, dict[str, int]]:
@@ -283,7 +288,7 @@ class ServoBus:
             When an answer is still missing; nothing of the others is returned then.
         """
         action = f"reading {block} of servos {ids}"
-        params = _words(block.address, block.size)
+        params = _words(self._common_address(ids, block), block.size)
         found = self._ask_all(ids, params, block.size, action)
         return {servo_id: block.decode(status.data) for servo_id, status in found.items()}
 
@@ -301,7 +306,7 @@ class ServoBus:
             raise LimitExceeded("a sync write needs at least one servo")
         if not block.writable:
             raise LimitExceeded(f"{block}: not all are writable")
-        params = _words(block.address, block.size)
+        params = _words(self._common_address(list(values), block), block.size)
         for servo_id, raws in values.items():
             check_id(servo_id)
             params += bytes((servo_id,)) + block.encode(raws)
@@ -359,6 +364,27 @@ class ServoBus:
         finally:
             self._port.is_using = False
             self._lock.release()
+
+    def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
+        """Return the address of an item or a block in the control table of a servo's model."""
+        shift = self._ram_shifts.get(servo_id, 0) if what.address >= RAM_START else 0
+        return what.address + shift
+
+    def _common_address(self, ids: Sequence[int], block: RegisterBlock) -> int:
+        addresses = {self._address(servo_id, block) for servo_id in ids}
+        if len(addresses) != 1:
+            raise LimitExceeded(
+                f"servos {ids} have {block} at different addresses: put models with different "
+                "control tables on separate lines"
+            )
+        return addresses.pop()
+
+    def _identity(self, status: StatusPacket) -> ServoIdentity:
+        number = int.from_bytes(status.data[:2], "little")
+        self._ram_shifts[status.servo_id] = RAM_SHIFTS.get(number, 0)
+        return ServoIdentity(
+            servo_id=status.servo_id, model_number=number, firmware=status.data[2]
+        )
 
     def _ask(self, request: Request) -> StatusPacket:
         """Send a request and return the checked answer; ask again when it is lost.
@@ -560,11 +586,3 @@ class ServoBus:
 
 def _words(*values: int) -> bytes:
     return b"".join(value.to_bytes(2, "little") for value in values)
-
-
-def _identity(status: StatusPacket) -> ServoIdentity:
-    return ServoIdentity(
-        servo_id=status.servo_id,
-        model_number=int.from_bytes(status.data[:2], "little"),
-        firmware=status.data[2],
-    )

@@ -29,9 +29,8 @@ LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
 amperes for each N m. [assumed]"""
 _CHANGE_SD = 0.1
 """Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
-_BACK_EMF_SD, _UNPRESSED_SD = 0.1, 0.12
-"""Spread of the back-EMF over the motor constant within a model, as a share, and uncertainty of the
-amperes for each N m that follow from it alone. [assumed]"""
+_UNPRESSED_SD = 0.12
+"""Least uncertainty of the amperes for each N m that follow from the back-EMF alone. [assumed]"""
 _WEIGHED_SD = 0.05
 """Uncertainty of a motor constant that weights on the pads have shown: scale, friction that grows
 with the load. [assumed]"""
@@ -190,17 +189,17 @@ def anchored(
         resistance_ohm = model.nominal_voltage_v / model.stall_current_a
         idle_v = resistance_ohm * model.friction_nm / model.kt_nm_a
         expected_v_s = (model.nominal_voltage_v - idle_v) / model.no_load_rad_s
-        ratio, sd = model.kt_nm_a / expected_v_s, _BACK_EMF_SD
+        ratio, sd = model.kt_nm_a / expected_v_s, model.back_emf_sd
     values = replace(drive, back_emf_v_s=back_emf_v_s)
     if drive.kt_sd >= sd:
         values = replace(values, kt_nm_a=ratio * back_emf_v_s, kt_sd=sd)
-    kt_nm_a = values.kt_nm_a
-    if drive.load_sd < _UNPRESSED_SD:
+    kt_nm_a, load_sd = values.kt_nm_a, max(_UNPRESSED_SD, sd)
+    if drive.load_sd < load_sd:
         return values
     # No pad has measured the load.
     relief = drive.falling_a_nm / drive.rising_a_nm
     return replace(
-        values, rising_a_nm=1.0 / kt_nm_a, falling_a_nm=relief / kt_nm_a, load_sd=_UNPRESSED_SD
+        values, rising_a_nm=1.0 / kt_nm_a, falling_a_nm=relief / kt_nm_a, load_sd=load_sd
     )
 
 

@@ -374,11 +374,20 @@ class GoalWriter:
             model = settings.servo_model
             delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
             goal_current = model.current_raw(goal.current_a)
-            goal_velocity = profile_acceleration = 0
+            profile_acceleration = 0
+            least_raw, most_raw = model.goal_range_raw
+            if not least_raw <= servo.position_raw <= most_raw:
+                raise LimitExceeded(
+                    f"servo {servo.servo_id} stands at {servo.position_raw}, a {model.name} takes "
+                    f"goals from {least_raw} to {most_raw} only: switch its supply off and push "
+                    "its finger back by hand"
+                )
             goal_position = servo.position_raw + round(delta_rad / model.rad_per_pulse)
+            # A goal beyond would be refused, and nothing answers to this write.
+            goal_position = min(max(goal_position, least_raw), most_raw)
             values[servo.servo_id] = [
                 goal_current,
-                goal_velocity,
+                model.goal_velocity_raw,
                 profile_acceleration,
                 round(goal.profile_rad_s / model.velocity_unit_rad_s),
                 goal_position,
