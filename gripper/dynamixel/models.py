@@ -17,6 +17,9 @@ KT_SD = 0.15
 """Standard deviation of the logarithm of torque for current between two servos of one model: 30 %.
 [assumed]"""
 
+_SLOW_RAD_S = 0.229 * tau / 60.0
+"""Speed in rad/s of one count of the X series: 0.229 rev/min."""
+
 
 class OperatingMode(IntEnum):
     """Values of Operating Mode (register 11)."""
@@ -50,7 +53,7 @@ class ServoModel:
     """Names of the items of the X series that it does not have."""
     factory_mode: OperatingMode = OperatingMode.POSITION
     """Factory value of Operating Mode (register 11)."""
-    velocity_unit_rad_s: float = 0.229 * tau / 60.0
+    velocity_unit_rad_s: float = _SLOW_RAD_S
     acceleration_unit_rad_s2: float = 214.577 * tau / 3600.0
     """rad/s for one count of the velocity items (0.229 rev/min), and rad/s² for one of Profile
     Acceleration (214.577 rev/min²)."""
@@ -98,6 +101,12 @@ class ServoModel:
     def current_a(self, raw: int) -> float:
         """Return the current in A for counts of a current item."""
         return raw * self.current_unit_a
+
+    @property
+    def slow_rad_s(self) -> float:
+        """Speed in rad/s up to which it counts as none: one count of the X series, or of its own.
+        """
+        return max(self.velocity_unit_rad_s, _SLOW_RAD_S)
 
     @property
     def turns(self) -> bool:
@@ -240,12 +249,12 @@ RH_P12_RN_A = ServoModel(
     min_voltage_raw=150,
     max_voltage_raw=350,
     shutdown_raw=52,
-    position_gains=(0, 0, 800),
+    position_gains=(0, 0, 8000),
     velocity_gains=(1920, 100),
     kt_nm_a=10.0,
-    friction_nm=1.2,
-    kt_sd=0.4,
-    back_emf_sd=0.4,
+    friction_nm=1.8,
+    kt_sd=0.3,
+    back_emf_sd=0.3,
     nominal_voltage_v=24.0,
     stall_torque_nm=32.0,
     stall_current_a=3.33,

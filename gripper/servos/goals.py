@@ -59,7 +59,6 @@ _RESERVE_N = 1.5
 """What the moving mass needs beside the force asked for, in N, for the rate of a ramp. [tuned]"""
 _RUNNING_SHARE = 1.25
 """Rate of the opening over ``runaway_speed_m_s`` up to which a set-point does not limit it."""
-
 OPENING_MARGIN_RAD = 0.05
 """How far in rad beyond an opening its goal may lie, so that friction does not stop short of it."""
 
@@ -146,7 +145,7 @@ class GoalGuard:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
         model = servo.servo_model
         empty = force_n < self._settings.contact_force_n
-        if empty and abs(state.velocity_rad_s) <= model.velocity_unit_rad_s:
+        if empty and abs(state.velocity_rad_s) <= model.slow_rad_s:
             stood_a = self._stood_a.get(state.servo_id, 0.0)
             self._stood_a[state.servo_id] = max(stood_a, -state.current_a)
         most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
@@ -161,7 +160,7 @@ class GoalGuard:
             )
         fastest_rad_s = fastest_m_s / reach_m
         over_rad_s = -state.velocity_rad_s - fastest_rad_s
-        if over_rad_s > model.velocity_unit_rad_s:
+        if over_rad_s > model.slow_rad_s:
             # No more momentum is taken than it has too much, or the finger would swing.
             drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
