@@ -69,6 +69,8 @@ _NOISE_PER_CONTACT = 1.5
 1.2 it does (linear calibrations of 0.05 and 0.03 N a count)."""
 _SWITCH_MARGIN = 5.0
 """Way in mm or degrees from a limit of a simulated axis to a limit switch that is not its home."""
+_PINION_STOP_RAD = math.radians(250.0)
+"""Angle of a simulated pinion with the fingers wide open."""
 _LINKAGE_MARGIN_M = 1e-3
 """Opening in m that a simulated linkage keeps to its end stop."""
 
@@ -470,5 +472,5 @@ def _linkage(config: CellConfig) -> FingerLinkage:
     return RackLinkage(
         pinion_radius_m=radius_m,
         offset_m=offset_m,
-        travel_m=max(stop_rad * radius_m + offset_m, wanted_m),
+        travel_m=max(min(stop_rad, _PINION_STOP_RAD) * radius_m + offset_m, wanted_m),
     )
