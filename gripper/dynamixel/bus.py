@@ -382,9 +382,7 @@ class ServoBus:
     def _identity(self, status: StatusPacket) -> ServoIdentity:
         number = int.from_bytes(status.data[:2], "little")
         self._ram_shifts[status.servo_id] = RAM_SHIFTS.get(number, 0)
-        return ServoIdentity(
-            servo_id=status.servo_id, model_number=number, firmware=status.data[2]
-        )
+        return ServoIdentity(servo_id=status.servo_id, model_number=number, firmware=status.data[2])
 
     def _ask(self, request: Request) -> StatusPacket:
         """Send a request and return the checked answer; ask again when it is lost.

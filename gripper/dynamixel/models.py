@@ -104,8 +104,7 @@ class ServoModel:
 
     @property
     def slow_rad_s(self) -> float:
-        """Speed in rad/s up to which it counts as none: one count of the X series, or of its own.
-        """
+        """Speed in rad/s that counts as none: a count of the X series, or of its own."""
         return max(self.velocity_unit_rad_s, _SLOW_RAD_S)
 
     @property

@@ -42,9 +42,9 @@ from simulator.servo.protocol2 import ALERT, MAX_ID, Instruction, StatusError, w
 
 RESET_ALL, RESET_ALL_BUT_ID, RESET_ALL_BUT_ID_BAUD = 0xFF, 0x01, 0x02
 """Parameter of Factory Reset."""
-BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000) + (
-    6_000_000,
-    10_500_000,
+BAUD_RATES = (
+    *(9600, 57600, 115200, 1_000_000, 2_000_000),
+    *(3_000_000, 4_000_000, 4_500_000, 6_000_000, 10_500_000),
 )
 """Baud rate by the content of Baud Rate (8); the last two on the RH-P12-RN(A) only."""
 _KEPT = {
