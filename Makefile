@@ -14,22 +14,22 @@ TESTS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
 
-serve: $(RUN)  ## the simulated cell in real time, with five taught objects: prints the address of its page
+serve: $(RUN)  ## the simulated cell in real time, with five taught objects; prints the address of its page
 	$(BIN)/tactile-cell serve
 
 test: $(DEV)  ## the tests of each change: minutes, on any machine
 	$(TESTS) -m "not real_time and not long"
 
-test-long: $(DEV)  ## what takes long or has many variants: each row of the campaign, benchmarks, the paper
+test-long: $(DEV)  ## the long tests: each row of the campaign, benchmarks, the paper
 	$(TESTS) -m "long and not real_time"
 
-test-real-time: $(DEV)  ## tests that judge times of real processes, one after the other: for a quiet machine
+test-real-time: $(DEV)  ## tests that measure times of real processes, one after the other: for a quiet machine
 	$(BIN)/python -m tests.hil $(PYTEST_ARGS)
 
-coverage: $(DEV)  ## lines that the tests without real time run: less than 95 % is an error; three times as long
+coverage: $(DEV)  ## line coverage of the tests without real time: less than 95 % is an error; takes three times as long
 	$(TESTS) -m "not real_time" --cov --cov-report=term:skip-covered --cov-fail-under=95
 
-wheel-test: $(DEV)  ## a project that uses the built wheel runs its tests in a fresh environment
+wheel-test: $(DEV)  ## the tests of a project that uses the built wheel, in a fresh environment
 	.ci/wheel-test
 
 check: $(DEV)  ## lint, format, types, layers, tables of the docs
@@ -39,7 +39,7 @@ check: $(DEV)  ## lint, format, types, layers, tables of the docs
 	$(BIN)/lint-imports
 	$(BIN)/python -m docs.tools --check
 
-format: $(DEV)  ## what ruff can mend by itself
+format: $(DEV)  ## automatic fixes of ruff
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
@@ -49,13 +49,13 @@ docs: $(DOCS)  ## the site in out/docs; a warning or a broken link inside is an 
 docs-pages: $(DEV)  ## write the tables that are made from the code into the pages of docs
 	$(BIN)/python -m docs.tools
 
-pictures: $(DEV)  ## pictures of the docs and transcripts of the tutorial, of a new run (chromium)
+pictures: $(DEV)  ## pictures of the docs and transcripts of the tutorial, from a new run (chromium)
 	$(BIN)/python -m docs.tools.pictures
 
 bench: $(DEV)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks
 
-campaign: $(DEV)  ## every fault, then 2,000 new inputs for each parser and new random walks; ROUNDS=500 for a million inputs
+campaign: $(DEV)  ## every fault, then 2,000 new inputs for each parser and new random tests; ROUNDS=500 for a million inputs
 	$(TESTS) -m "not real_time" -o junit_family=xunit1 --junitxml=out/fault-campaign.xml tests/faults/test_fault_rows.py
 	$(BIN)/python -m pytest -m real_time tests/faults/test_fault_rows.py tests/hil
 	for round in $$(seq $(or $(ROUNDS),1)); do \
@@ -69,7 +69,7 @@ soak: $(DEV)  ## 10,000 connections to each interface, 10,000 grasps, a watched 
 vcan: $(DEV)  ## the CAN link on a real SocketCAN interface, in a virtual machine (qemu)
 	.ci/vcan
 
-clients: $(DEV)  ## programs that others wrote, in JavaScript and C, command the cell through each interface; installs them with npm
+clients: $(DEV)  ## independent clients in JavaScript and C command the cell through each interface; installs them with npm
 	.ci/clients
 
 paper: $(DEV)  ## the paper's figures and Table 1 beside ours: out/paper/paper.html
@@ -81,7 +81,7 @@ $(RUN): pyproject.toml constraints.txt
 	$(INSTALL) '.[report,serve]'
 	touch $@
 
-$(DEV): $(RUN)  # what tests, checks and benchmarks need beside it
+$(DEV): $(RUN)  # the packages for tests, checks and benchmarks
 	$(INSTALL) '.[dev]'
 	touch $@
 
@@ -92,7 +92,7 @@ $(DOCS): $(DEV)
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{ printf "  make %-15s %s\n", $$1, $$2 }'
 
-clean:  ## remove what runs, tests and tools left behind
+clean:  ## remove the output of runs, tests and tools
 	rm -rf out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis htmlcov
 	rm -f .coverage .coverage.*
 

@@ -8,12 +8,14 @@ import sys
 
 BENCHMARKS = {
     "performance": (
+        "archive",
         "interfaces",
         "force_cap",
         "force_messages",
         "force_ramps",
         "identify",
         "loop_lateness",
+        "sensitivity",
         "servo_factors",
         "touch",
     ),
@@ -32,6 +34,8 @@ BENCHMARKS = {
     "paper": ("reproduction",),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
+ALONE = ("sensitivity",)
+"""Benchmarks that take an hour or more: they run when they are named."""
 
 
 def modules() -> dict[str, str]:
@@ -45,7 +49,7 @@ def modules() -> dict[str, str]:
 
 def main() -> None:
     known = modules()
-    for name in sys.argv[1:] or known:
+    for name in sys.argv[1:] or [one for one in known if one not in ALONE]:
         if name not in known:
             sys.exit(f"no benchmark is named {name!r}; there are {', '.join(known)}")
         print(f"== {name}", flush=True)

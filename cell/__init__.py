@@ -1,8 +1,8 @@
 """The robot cell: puts gripper, tactile sensor, recogniser and positioner together.
 
 The composition root and the only package that imports all others. `build_cell` makes a cell from a
-config, `CellController` runs its sequences, a host program loads `TactileCellPlugin`;
-`cell.interfaces` holds the command line and the interfaces, `cell.jobs` what the commands do.
+config, `CellController` runs its sequences, a host program loads `TactileCellPlugin`.
+`cell.interfaces` has the command line and the interfaces, `cell.jobs` the jobs of the commands.
 """
 
 from importlib import import_module
@@ -36,10 +36,10 @@ _NEIGHBOURS = ("gripper", "tactile", "motion", "recognition", "simulator")
 
 
 def _refuse_shadows() -> None:
-    """Raise ImportError if another module hides one of the packages that belong to this one.
+    """Raise ImportError if another module hides a package of this project.
 
-    They have plain names: a host's own ``gripper.py`` that comes earlier on ``sys.path`` would be
-    imported instead, and fail with "'gripper' is not a package".
+    They have plain names: a host's own ``gripper.py`` earlier on ``sys.path`` would be imported
+    instead, and fail with "'gripper' is not a package".
     """
     home = Path(__file__).resolve().parents[1]
     for name in _NEIGHBOURS:
@@ -49,7 +49,7 @@ def _refuse_shadows() -> None:
             raise ImportError(
                 f"{found} hides the package {name!r} of tactile-cell, which is in {home}: both are "
                 f"called {name!r} and the other one comes first on sys.path; rename it, or start "
-                "the program where it is not found first"
+                "the program in another folder"
             )
 
 

@@ -54,35 +54,35 @@ from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.source import FrameSource
 
 _IDLE_STEP_S = 0.02
-"""Virtual time in s from one look at a paced cell with empty fingers to the next: one frame."""
+"""Virtual time in s between two checks of a paced cell with empty fingers: one frame."""
 
 Mover = Callable[[Pose], Pose | bool | None]
-"""Moves to a pose: returns the pose reached, None or True for that asked for, False to refuse."""
+"""Moves to a pose: returns None or True when reached, False to refuse, or the reached pose."""
 
 
 @dataclass(kw_only=True)
 class Cell:
-    """A cell and what it was built from; `close` ends all of it and keeps the grip."""
+    """A cell and its parts; `close` ends all of them and keeps the grip."""
 
     controller: CellController
     """Runs the sequences."""
     realtime: bool
-    """Whether time passes by itself; in a simulated cell it passes while a caller waits, or follows
-    real time from `follow` on."""
+    """Whether time passes by itself. In a simulated cell it passes while a caller waits, or follows
+    real time after `follow`."""
     simulated: SimulatedCell | None
-    """The simulated cell, where there is one in this process."""
+    """The simulated cell, if there is one in this process."""
     axes: Axes | None
-    """The axes of its positioner; None where something else moves the object."""
+    """The axes of its positioner; None if something else moves the object."""
     _recorder: Recorder | None
     _retention: Retention | None
     _closing: ExitStack
     _pace: Pace | None = None
 
     def follow(self, real: Clock, speed: float) -> float | None:
-        """Have virtual time follow a real clock, at so many virtual seconds in a real one.
+        """Let virtual time follow a real clock, at ``speed`` virtual seconds per real second.
 
-        Returns the real period in s at which `idle` is to be called from now on; None where time
-        stands still between two commands again, for a ``speed`` of 0.
+        Returns the real period in s for further calls of `idle`; None for a ``speed`` of 0, with
+        which time stands still between two commands.
         """
         if self._pace is not None:
             self._pace.end()
@@ -92,7 +92,7 @@ class Cell:
         return None if self._pace is None else _IDLE_STEP_S
 
     def idle(self) -> None:
-        """Look after the cell while no job runs; a paced one lives on to the present."""
+        """Supervise the cell while no job runs; advance the paced clock to now."""
         if self._recorder is not None:
             self._recorder.look()
         if self.simulated is None or self._pace is None:
@@ -101,7 +101,7 @@ class Cell:
         clock, hand = self.simulated.clock, self.controller.hand
         end_s = clock.monotonic() + self._pace.lag_s()
         while (left_s := end_s - clock.monotonic()) > 0.0:
-            # First the time: it goes on whatever the look finds.
+            # The time first: it passes even if the supervision raises.
             clock.sleep(min(left_s, hand.period_s if self.controller.holding else _IDLE_STEP_S))
             self.controller.tick()
 
@@ -117,23 +117,23 @@ class Cell:
 
     @property
     def recording_fault(self) -> str | None:
-        """Why the recording has stopped; None while it is written, or where there is none."""
+        """Why the recording has stopped; None while it is written, or without a recording."""
         fault = None if self._recorder is None else self._recorder.fault
         return None if fault is None else str(fault)
 
     @property
     def recording_loss(self) -> str | None:
-        """What is lost of the recording: why it has stopped, or its gap; None where nothing is."""
+        """Why the recording has stopped, or its gap; None if nothing is lost."""
         gap = "" if self._recorder is None else self._recorder.gap
         return self.recording_fault or gap or None
 
     @property
     def recording_short(self) -> str:
-        """What the operator should know of the space for recordings; empty where it suffices."""
+        """Remaining space for recordings as text for the operator; empty if there is enough."""
         return "" if self._retention is None else self._retention.short
 
     def check_recording(self) -> None:
-        """Raise RecordingError where something is lost of the recording."""
+        """Raise RecordingError if a part of the recording is lost."""
         if loss := self.recording_loss:
             raise RecordingError(loss)
 
@@ -144,7 +144,7 @@ class Cell:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the operator on how the force loop runs."""
+        """Notes for the operator about the force loop."""
         return self.controller.hand.notes
 
     @property
@@ -190,14 +190,14 @@ def build_cell(
     source: FrameSource | None = None,
     note: Callable[[str], None] = lambda _text: None,
 ) -> Cell:
-    """Open the buses of a config and put the cell together; nothing moves yet.
+    """Open the buses of a config and build the cell; nothing moves yet.
 
     Parameters
     ----------
     config
         The cell.
     folder
-        Where the recording goes; None makes none.
+        Folder of the recording; None: no recording.
     mover
         Moves for a positioner of kind ``callback``.
     places
@@ -207,19 +207,18 @@ def build_cell(
     capture
         pcap file for the CAN traffic of a simulated cell.
     simulated
-        A simulated cell that is there already and outlives this one; by default a new one.
+        An existing simulated cell that outlives this one; by default a new one.
     partial
-        Whether one line of the hand may be missing, for those who look or let go; see
-        `Cell.missing`.
+        Whether one line of the hand may be missing, for diagnosis and release; see `Cell.missing`.
     source
-        Frame source of a simulated cell, in the place of its control unit.
+        Frame source of a simulated cell, instead of its control unit.
     note
-        Gets messages for the operator, as that the recording has stopped, from any thread.
+        Gets messages for the operator, e.g. that the recording has stopped, from any thread.
 
     Raises
     ------
     ConfigError
-        If the positioner's kind needs what is not given, or a real bus is to be captured.
+        If an argument for the positioner's kind is missing, or for ``capture`` of a real bus.
     gripper.errors.PortLost, tactile.errors.LinkFault, cell.errors.PositionerError
         If a port, bus or socket cannot be opened.
     """
@@ -288,9 +287,9 @@ def build_cell(
 
 
 def kept_folder(config: CellConfig, folder: Path | None) -> Path | None:
-    """Return where self-zero and history are kept: of a real cell where its next program looks.
+    """Return the folder of self-zero and history: for a real cell that of its next program.
 
-    A simulated cell keeps it beside its recordings; one that records nothing leaves nothing behind.
+    A simulated cell saves them beside its recordings, or not at all without recordings.
     """
     if not config.simulated:
         return Path(config.recording.directory)
@@ -329,7 +328,7 @@ def _positioner(
     *,
     phase: Callable[[], GripperPhase],
 ) -> Positioner:
-    """Return the positioner that the config names; mypy refuses a kind that has no case here."""
+    """Return the positioner of the config; mypy refuses a kind without a case here."""
     placer: ObjectPlacer | None = None
     if config.positioner.socket:
         remote = SocketPlacer(config.positioner.socket)

@@ -2,7 +2,7 @@
 
 
 def reason_text(cause: Exception) -> str:
-    """Return in words what an error of Python or numpy has found wrong in a file."""
+    """Return the reason of an error of Python or numpy in a file, as text."""
     if isinstance(cause, KeyError):
         return f"{cause} is missing"
     return str(cause) or ("too little memory" if isinstance(cause, MemoryError) else "cut off")
@@ -17,7 +17,7 @@ class ConfigError(CellError):
 
 
 class MissingExtraError(ConfigError):
-    """A package is not installed that an extra of this project brings; nothing has moved."""
+    """A package of an optional extra is not installed; nothing has moved."""
 
 
 class DatasetError(CellError):
@@ -32,12 +32,16 @@ class RecordingError(CellError):
     """A recording cannot be read, or stopped while it was being written."""
 
 
+class ArchiveError(CellError):
+    """An archive of grasps cannot be read or written."""
+
+
 class ReportError(CellError):
-    """The report page cannot be made."""
+    """The report page cannot be created."""
 
 
 class CellStateError(CellError):
-    """The command is not allowed in the state that the cell is in."""
+    """The command is not allowed in the present state of the cell."""
 
 
 class PartInGrip(CellStateError):
@@ -45,15 +49,15 @@ class PartInGrip(CellStateError):
 
 
 class TooFewGrasps(CellError):
-    """The taught grasps do not suffice for a training; they are kept."""
+    """There are too few taught grasps for a training; they are kept."""
 
 
 class TrainingSetMissing(CellStateError):
-    """Teaching beside a loaded model needs the grasps that trained it; nothing has moved."""
+    """Teaching with a loaded model needs its training grasps; nothing has moved."""
 
 
 class PlanRefused(CellError, ValueError):
-    """A grasp or plan that cannot be carried out was asked for; nothing has moved."""
+    """The requested grasp or plan cannot be carried out; nothing has moved."""
 
 
 class HandLost(CellError):
@@ -61,19 +65,19 @@ class HandLost(CellError):
 
 
 class HostSilent(CellError):
-    """The program took nothing from its force loop for too long; the grip is kept."""
+    """The program read nothing from its force loop for too long; the grip is kept."""
 
 
 class PositionerError(CellError):
-    """A pose was not reached, or an object is not to be had."""
+    """A pose was not reached, or an object is not available."""
 
 
 class PositionerFault(CellError):
-    """An axis of the positioner is at fault or silent; all axes were stopped."""
+    """An axis of the positioner has a fault or is silent; all axes were stopped."""
 
 
 class ZeroRefused(CellError):
-    """A self-zero found pads or fingers beyond what may be undone; the fingers are open."""
+    """A self-zero found a deviation of pads or fingers beyond its limits; the fingers are open."""
 
 
 class NoPartFound(CellError):
@@ -85,16 +89,16 @@ class RequestRefused(CellError):
 
 
 class NotInCommand(CellError):
-    """A client commands without the lease: another one has it, or it has expired."""
+    """A client commands without the lease: another client has it, or it has expired."""
 
 
 class NotMeasured(CellError):
-    """A value was asked for that is not measured at the moment."""
+    """The requested value is not measured at the moment."""
 
 
 class HeldByClient(CellError):
-    """A client keeps the cell on hold: nothing that moves starts until it lets go."""
+    """A client keeps the cell on hold: no motion starts until the client ends its hold."""
 
 
 class CellStopped(CellError):
-    """The sequence was stopped on request; the grip is kept until it is released on purpose."""
+    """The sequence was stopped on request; the grip is kept until a release."""

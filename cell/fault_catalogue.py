@@ -1,6 +1,6 @@
 """The fault catalogue: a stable number for each error that can reach a host.
 
-Numbers never change their meaning and are never given anew. 1xx servos and servo line, 2xx grip and
+Numbers never change their meaning and are never reused. 1xx servos and servo line, 2xx grip and
 force, 3xx CAN and control unit, 4xx taxels and frames, 5xx cell, job and host, 6xx axes and wrist,
 7xx recognition and models. The page ``docs/reference/fault-numbers.md``, the recording, JSON and
 all links are made from this table.
@@ -17,20 +17,20 @@ from tactile import errors as tactile
 
 KEPT = "Kept: goals are frozen."
 LIMP = "Without torque: where the fingers are is not known."
-SET_OFF = "As `over_force.reaction` demands: kept with less current, or without torque."
+SET_OFF = "As set by `over_force.reaction`: kept with less current, or without torque."
 UNMOVED = "As it was; nothing has moved."
-APART = "Not concerned."
+APART = "Not affected."
 AXES_STOP = "As it was; all axes are stopped."
 
 RecoveryStep = Literal[
     "look", "support_part", "free_pads", "mend", "correct", "clear", "clear_reboot", "release",
     "reset", "repeat", "restart", "wait",
 ]  # fmt: skip
-"""Step of a person after a fault. ``look`` at fingers and part; ``support_part``: so that it cannot
-fall; ``free_pads`` of everything that touches them; ``mend`` the cause that the text names;
-``correct`` the request or the config; ``clear``, ``clear_reboot`` (clear with ``reboot``),
-``release`` and ``reset`` are commands; ``repeat`` the job; ``restart`` the program; ``wait`` until
-another client has let go."""
+"""Step of the operator after a fault. ``look``: at fingers and part; ``support_part``: it must not
+fall; ``free_pads``: nothing may touch them; ``mend``: remove the cause in the text; ``correct``:
+the request or the config; ``clear``, ``clear_reboot`` (clear with ``reboot``), ``release``,
+``reset``: commands; ``repeat``: the job; ``restart``: the program; ``wait``: until another client
+ends its hold."""
 
 LET_GO: tuple[RecoveryStep, ...] = ("look", "clear", "support_part", "release", "reset")
 MEND: tuple[RecoveryStep, ...] = ("look", "mend", "clear", "support_part", "release", "reset")
@@ -67,36 +67,36 @@ class Fault:
     """One entry of the catalogue."""
 
     number: int
-    """Stable number, 100 to 799; 0 stands for no fault on all links."""
+    """Stable number, 100 to 799; on all links 0 means no fault."""
     text: str
     """Short English text for displays, at most 64 ASCII characters."""
     cause: str
     remedy: str
-    """What usually causes it, and what to do."""
+    """Usual cause, and the remedy."""
     grip: str
-    """What the grip does."""
+    """State of the grip."""
     steps: tuple[RecoveryStep, ...]
-    """What a person does until the cell is ready again, in order."""
+    """Steps of the operator until the cell is ready again, in order."""
 
 
 # fmt: off
 CATALOGUE: dict[type[BaseException], Fault] = {
     # -- 1xx: servos and servo line ------------------------------------------------------------
     gripper.GripperError: Fault(100, "Gripper fault",
-        "None of the kinds below.", "Remove the cause, then clear and reset.", KEPT, MEND),
+        "An error without its own number.", "Remove the cause, then clear and reset.", KEPT, MEND),
     gripper.PortLost: Fault(101, "Servo port cannot be opened or is gone",
         "USB adapter unplugged, another program on the port, missing rights.",
         "Check adapter, cable and `gripper.port`; run `doctor`.",
-        "The servos' bus watchdog acts; a part may be held.", MEND),
+        "The servos' bus watchdog triggers; a part may be held.", MEND),
     gripper.BusTimeout: Fault(102, "Servos do not answer",
         "Supply, cable, baud rate, ID.", "Check supply and cable; run `doctor`.",
-        "The servos' bus watchdog acts; a part may be held.", MEND),
+        "The servos' bus watchdog triggers; a part may be held.", MEND),
     gripper.FingerSilent: Fault(103, "One servo is silent",
-        "Its supply or cable, or it restarts.", "Check both, then clear and reset.",
+        "Its supply, its cable, or a restart.", "Check both, then clear and reset.",
         "The other finger stands still.", REBOOT),
     gripper.LinkTooSlow: Fault(104, "Servo line too slow for the loop rate",
         "Latency timer of the USB adapter, baud rate.",
-        "Latency timer to 1 ms, a higher baud rate or a lower loop rate.", UNMOVED,
+        "Set the latency timer to 1 ms, raise the baud rate or lower the loop rate.", UNMOVED,
         START),
     gripper.BusCorrupt: Fault(105, "Damaged answers on the servo line",
         "Noise, ground, termination, two servos with one ID.", "Check cable, ground and IDs.",
@@ -108,7 +108,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "The machine is too busy.", "Give the loop its own process and priority.", KEPT, MEND),
     gripper.ServoRejected: Fault(108, "A servo refused an instruction",
         "A value or state that the servo does not allow.",
-        "Run `doctor`; correct what it names.", KEPT, MEND),
+        "Run `doctor`; correct the errors that it lists.", KEPT, MEND),
     gripper.ServoFault: Fault(109, "A servo reports a hardware error or lost its torque",
         "Overload, heat, supply, shock; a restart.",
         "Remove the cause, clear, release; then clear with reboot, reset.",
@@ -129,7 +129,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Look where the fingers stand, correct the key, clear and reset.", LIMP, START),
     # -- 2xx: grip and force -------------------------------------------------------------------
     gripper.LimitExceeded: Fault(200, "Command or measured value outside a limit",
-        "A request beyond the config, or heat.", "Ask for less, or let what is hot cool down.",
+        "A request beyond the config, or heat.", "Request less, or let the hot part cool down.",
         "Kept; a refused command moves nothing.", MEND),
     gripper.ForceAboveCap: Fault(201, "Grip force above its cap",
         "The part was pushed, or the force control is wrong.",
@@ -152,21 +152,21 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     gripper.ForceImbalance: Fault(207, "Fingers press with different forces",
         "One finger is blocked, or the part is held from outside.", "Free the finger or the part.",
         KEPT, LET_GO),
-    gripper.PartBetweenFingers: Fault(210, "A part is between fingers that were to be empty",
+    gripper.PartBetweenFingers: Fault(210, "A part is between fingers that should be empty",
         "A part was left there before a self-zero; or a horn slipped.",
         "Look; clear, release, take the part out, reset.", KEPT, LET_GO),
     gripper.GripContradicted: Fault(209, "Pads and motors disagree on a part in the grip",
-        "Wrong force messages, blind pads, something beside the taxels.",
+        "Wrong force messages, pads without signal, or contact beside the taxels.",
         "Look between the fingers; check unit and pads; then release.", KEPT, MEND),
     gripper.GraspStopped: Fault(208, "Motion stopped on request",
         "A stop was requested.", "Release or go on.", KEPT, STOPPED),
     # -- 3xx: CAN and control unit -------------------------------------------------------------
     tactile.TactileError: Fault(300, "Tactile sensor fault",
-        "None of the kinds below.", "Remove the cause, then clear and reset.", KEPT, MEND),
+        "An error without its own number.", "Remove the cause, then clear and reset.", KEPT, MEND),
     tactile.LinkStateError: Fault(301, "Sensor link call not allowed in its state",
         "A command out of order.", "Clear and reset.", UNMOVED, LET_GO),
     tactile.LinkFault: Fault(302, "Sensor link has failed",
-        "None of the kinds below.", "Check its line.", KEPT, MEND),
+        "An error without its own number.", "Check the line of the sensor.", KEPT, MEND),
     tactile.NodeMissing: Fault(303, "Control unit or sensor board does not answer",
         "Supply, cable, node-ID, bit rate.", "Check them; run `doctor`.", UNMOVED, START),
     tactile.IdentityMismatch: Fault(304, "Another control unit than configured",
@@ -176,12 +176,12 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Its supply or cable; a crash of its firmware.",
         "Check supply and cable, restart the unit.", KEPT, MEND),
     tactile.DuplicateNode: Fault(306, "Two control units with one node-ID",
-        "Same node-ID twice.", "Change one.", KEPT, MEND),
+        "The same node-ID twice.", "Change the node-ID of one unit.", KEPT, MEND),
     tactile.BusDisturbed: Fault(307, "Too many foreign or damaged CAN messages",
-        "Noise, or another device on the CAN bus.", "Check termination and who else sends.", KEPT,
+        "Noise, or another device on the CAN bus.", "Check termination and other senders.", KEPT,
         MEND),
     tactile.NodeRebooted: Fault(308, "Control unit restarted in operation",
-        "A dip of its supply.", "Check its supply; clear and reset take the zero anew.", KEPT,
+        "A dip of its supply.", "Check its supply; clear and reset measure the zero again.", KEPT,
         MEND),
     tactile.NodeStateChanged: Fault(309, "Control unit left the operational state",
         "Another CANopen master, or an error of the unit.",
@@ -200,28 +200,31 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     tactile.BusNotOpened: Fault(314, "CAN bus could not be opened",
         "Missing interface, wrong channel, missing rights.",
         "Check `tactile.interface` and `tactile.channel`; run `doctor`.", UNMOVED, OPEN),
+    tactile.PluginFault: Fault(315, "Code of a sensor package failed or hangs",
+        "A defect of the package that brings `tactile.sensor.kind`.",
+        "Restart the program; report it to its authors.", KEPT, MEND),
     # -- 4xx: taxels and frames ----------------------------------------------------------------
     tactile.FrameTimeout: Fault(401, "No whole tactile frames, or frozen values",
         "CAN load, cable, a hanging unit.",
-        "Check its line; look at `tactile.loss_max_share`.", KEPT, MEND),
+        "Check the line of the sensor; `tactile.loss_max_share` is the limit.", KEPT, MEND),
     tactile.FrameError: Fault(402, "Values do not fit into a tactile frame",
-        "Wrong layout.", "Check it.", UNMOVED, CONFIG),
+        "A wrong layout of the pads.", "Check the layout.", UNMOVED, CONFIG),
     tactile.LayoutError: Fault(403, "Pad layout impossible or not that of the unit",
         "Config and unit differ.", "Correct `tactile.layout` or the unit.", UNMOVED, CONFIG),
     tactile.CalibrationError: Fault(404, "Calibration does not fit the sensor",
         "A calibration of other pads.", "Calibrate again.", UNMOVED, CONFIG),
     tactile.TareRefused: Fault(405, "Zero not taken: pads touched, noisy or drifting",
-        "Something touches the pads, or taxels are defect.", "Free the pads; exchange bad ones.",
+        "Something touches the pads, or taxels are defective.", "Free the pads; replace bad pads.",
         UNMOVED, FREE),
     tactile.ZeroDrifted: Fault(406, "Zero of the taxels has moved",
-        "Temperature, or wear of the foam.", "Free the pads; clear and reset take the zero anew.",
-        KEPT, ZERO),
+        "Temperature, or wear of the foam.",
+        "Free the pads; clear and reset measure the zero again.", KEPT, ZERO),
     tactile.ForceContradicted: Fault(407, "Force messages and frames show different forces",
         "Another table or zero in the control unit, or a failing pad.",
-        "Check pads and calibration; a new start writes table and zero.", KEPT, MEND),
+        "Check pads and calibration; a restart writes table and zero.", KEPT, MEND),
     # -- 5xx: cell, job and host ---------------------------------------------------------------
     cell.CellError: Fault(500, "Cell error",
-        "None of the kinds below.", "Remove the cause, then clear and reset.", KEPT, MEND),
+        "An error without its own number.", "Remove the cause, then clear and reset.", KEPT, MEND),
     cell.ConfigError: Fault(501, "Config or request value refused",
         "Unknown key, wrong type or out of range.", "Correct this value.",
         UNMOVED, REQUEST),
@@ -229,10 +232,12 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "File or disk.", "Check the path.", APART, REQUEST),
     cell.RecordingError: Fault(503, "Recording cannot be read or has stopped",
         "Full disk, or a damaged file.",
-        "Free the disk: it then goes on. `recover` saves what is whole.",
-        "Kept where `recording.when_lost` is `hold`; else not concerned.", MEND),
+        "Free disk space: the recording then continues. `recover` saves undamaged data.",
+        "Kept if `recording.when_lost` is `hold`; else not affected.", MEND),
     cell.ReportError: Fault(504, "Report cannot be made",
         "File or disk.", "Check folder and disk.", APART, REQUEST),
+    cell.ArchiveError: Fault(520, "Archive cannot be read or written",
+        "Place, rights or a damaged file.", "Check the place of the archive.", APART, REQUEST),
     cell.CellStateError: Fault(505, "Command not allowed in the state of the cell",
         "A command out of order, or a job that runs.",
         "Give another command first, or wait for the job's end.", UNMOVED, REQUEST),
@@ -240,40 +245,40 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "An earlier run or a fault left it there.", "Clear, release on purpose, reset.", UNMOVED,
         LET_GO),
     cell.PlanRefused: Fault(507, "Grasp or plan cannot be carried out",
-        "A wrong plan.", "Correct it.", UNMOVED, REQUEST),
+        "A wrong plan.", "Correct the plan.", UNMOVED, REQUEST),
     cell.HandLost: Fault(508, "Process of the force loop is gone",
-        "It was killed or hangs.", "Look at the part; clear starts it anew.",
-        "The servos' bus watchdog acts; a part may be held.", LET_GO),
+        "The process was killed or hangs.", "Look at the part; clear starts the process again.",
+        "The servos' bus watchdog triggers; a part may be held.", LET_GO),
     cell.HostSilent: Fault(509, "Program too slow for its force loop",
-        "A busy machine.", "Free it.", KEPT, MEND),
+        "A busy machine.", "Reduce the load of the machine.", KEPT, MEND),
     cell.PositionerError: Fault(510, "A pose was not reached or was refused",
         "The host or the operator refused, or the positioner failed.",
         "Correct pose or positioner, start again.",
         "Open and empty between two grasps; else kept.", MEND),
     cell.NoPartFound: Fault(511, "No part found",
         "The part is missing, too thin, or was lost while pressed.",
-        "Put it in place, start again.", "Open and empty.", AGAIN),
+        "Put the part in place, start again.", "Open and empty.", AGAIN),
     cell.ZeroRefused: Fault(518, "Self-zero out of bounds: a pad or a finger",
         "A bent finger, a loose or worn pad, a horn that slipped.",
-        "Mend pad or finger, then `tactile-cell zero`.", "Open and empty.", START),
+        "Repair pad or finger, then run `tactile-cell zero`.", "Open and empty.", START),
     cell.CellStopped: Fault(512, "Job stopped on request",
         "Hold, or a silent host.", "Release, then go on.", KEPT, STOPPED),
     cell.RequestRefused: Fault(513, "Request refused: unknown, incomplete or wrong key",
         "A wrong command, value or key of the host.", "Correct the request.", UNMOVED, REQUEST),
     cell.NotInCommand: Fault(514, "This client has no lease to command",
-        "Another client has it, or it has expired.", "Acquire the lease; keep the life sign going.",
-        UNMOVED, REQUEST),
+        "Another client has the lease, or the lease has expired.",
+        "Acquire the lease and send life signs.", UNMOVED, REQUEST),
     cell.NotMeasured: Fault(516, "Value is not measured at the moment",
-        "A fault, a shutdown, or nothing that was moved yet.", "Read the state of the cell.",
+        "A fault, a shutdown, or no motion yet.", "Read the state of the cell.",
         UNMOVED, REQUEST),
     cell.TrainingSetMissing: Fault(517, "Teaching needs the training set of the loaded model",
-        "A model was loaded alone.",
+        "A model was loaded without its training set.",
         "Start `serve` with `--training-set`, or teach without `--model`.", UNMOVED, REQUEST),
     cell.TooFewGrasps: Fault(519, "Too few grasps for a training",
         "Too few grasps.", "Teach more grasps.", UNMOVED, REQUEST),
     cell.HeldByClient: Fault(515, "A client keeps the cell on hold",
         "A pressed button of a panel; the text names it.",
-        "Let the button go; `clear` acknowledges one whose client is gone.", UNMOVED, ON_HOLD),
+        "Release the button; `clear` ends the hold of a client that is gone.", UNMOVED, ON_HOLD),
     OSError: Fault(598, "The operating system refused a file or device",
         "Rights, disk, memory, too many open files.", "Check rights, disk and device, then repeat.",
         KEPT, MEND),
@@ -282,7 +287,8 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         LET_GO),
     # -- 6xx: axes and wrist -------------------------------------------------------------------
     motion.MotionError: Fault(600, "Axis fault",
-        "None of the kinds below.", "Remove the cause, then clear and reset.", AXES_STOP, MEND),
+        "An error without its own number.", "Remove the cause, then clear and reset.",
+        AXES_STOP, MEND),
     motion.AxisLimitExceeded: Fault(601, "Position outside the limits of an axis",
         "A pose of the sequence, of a place or of the host.",
         "Ask for another pose, or set `positioner.axes[].low` and `high`.", UNMOVED, MEND),
@@ -296,13 +302,14 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         MEND),
     motion.AxisRestarted: Fault(605, "Axis has restarted and lost its position",
         "Its supply was interrupted.",
-        "Check the supply, then clear and reset: it finds its home again.", AXES_STOP, MEND),
+        "Check the supply, then clear and reset: the axis homes again.", AXES_STOP, MEND),
     motion.AxisFault: Fault(606, "Axis reports a fault and has stopped",
         "Overload, following error, temperature: the text names it.",
-        "Mend the cause, then clear and reset.", AXES_STOP, MEND),
+        "Remove the cause, then clear and reset.", AXES_STOP, MEND),
     motion.LimitSwitchReached: Fault(607, "Limit switch has stopped an axis",
-        "A wrong home or limits beyond the switch.",
-        "Move the axis free, check home and limits, then clear and reset.", AXES_STOP, MEND),
+        "A wrong home position, or limits beyond the switch.",
+        "Move the axis off the switch, check home and limits, then clear and reset.",
+        AXES_STOP, MEND),
     motion.HomingFailed: Fault(608, "Axis has not found its home",
         "Home switch, homing method, or an obstacle.", "Check them, then clear and reset.",
         AXES_STOP, MEND),
@@ -311,7 +318,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Remove that master, then clear and reset.",
         AXES_STOP, MEND),
     motion.AxisDuplicated: Fault(611, "Two drives of axes with one node-ID",
-        "Same node-ID twice.", "Change one or take it off the bus, then clear and reset.",
+        "The same node-ID twice.", "Change one node-ID or remove one drive, then clear and reset.",
         AXES_STOP, MEND),
     motion.AxisAnswerWrong: Fault(612, "Drive of an axis answers wrongly",
         "Another drive or firmware, or a second sender with its node-ID.",
@@ -321,18 +328,20 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Check encoder and homing, move the axis back; clear and reset.",
         AXES_STOP, MEND),
     cell.PositionerFault: Fault(609, "Axis of the positioner at fault",
-        "The text names axis and cause.", "Mend it, then clear and reset.", AXES_STOP, MEND),
+        "The text names axis and cause.", "Remove the cause, then clear and reset.",
+        AXES_STOP, MEND),
     # -- 7xx: recognition and models -----------------------------------------------------------
     recognition.RecognitionError: Fault(700, "Recognition failed",
-        "None of the kinds below.", "Grasp again, or teach again.", APART, REQUEST),
+        "An error without its own number.", "Grasp again, or teach again.", APART, REQUEST),
     recognition.ContactError: Fault(701, "No usable contact in a grasp",
-        "A grasp beside the pads, or of too little force.", "Check pose and force.", APART, AGAIN),
+        "A grasp beside the pads, or with too little force.", "Check pose and force.",
+        APART, AGAIN),
     recognition.QuadricError: Fault(702, "No surface fits the contact",
         "Too few points.", "Grasp again.", APART, AGAIN),
     recognition.TransformError: Fault(703, "Transformation cannot be inverted",
-        "Wrong poses.", "Check them.", APART, REQUEST),
+        "Wrong poses.", "Check the poses.", APART, REQUEST),
     recognition.TrajectoryError: Fault(704, "No thresholds from this sweep",
-        "Bands overlap.", "Teach more grasps.", APART, REQUEST),
+        "The bands of the objects overlap.", "Teach more grasps.", APART, REQUEST),
     cell.MissingExtraError: Fault(705, "A library is not installed",
         "A missing extra of this program.", "Install the missing extra.", UNMOVED, CONFIG),
     cell.ModelError: Fault(706, "Taught model cannot be read, written or used",
@@ -340,7 +349,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         REQUEST),
 }
 # fmt: on
-"""Every error class and its entry; an error of a class that is not listed has that of its base."""
+"""Entry of each error class; a class that is not listed has the entry of its base class."""
 
 _UNEXPECTED = CATALOGUE[Exception].number
 
@@ -351,8 +360,8 @@ BY_NUMBER = {fault.number: fault for fault in CATALOGUE.values()}
 def fault_of(error: BaseException) -> Fault:
     """Return the most specific entry for an error.
 
-    One that only reports another, as `JobFailed`, has the entry of its cause, and so has an error
-    of the positioner that an axis caused.
+    An error that only reports another one, as `JobFailed`, has the entry of its cause. So has an
+    error of the positioner that an axis caused.
     """
     kind = next((kind for kind in type(error).__mro__ if kind in CATALOGUE), Exception)
     cause = error.__cause__
@@ -370,7 +379,7 @@ def fault_number(error: BaseException | None) -> int:
 def error_text(error: BaseException) -> str:
     """Return an error as text for hosts and operators: its message, and where the fingers stand.
 
-    The class stands in it for an unexpected error alone, which people report as a defect.
+    Only unexpected errors show their class: operators report these as defects.
     """
     text, number = str(error), fault_number(error)
     if not isinstance(error, Exception):
@@ -388,11 +397,11 @@ class Refusal:
     """Why a request was refused, as every interface shows it."""
 
     number: int = 0
-    """Fault number; 0: nothing was refused yet."""
+    """Fault number; 0: no refusal yet."""
     text: str = ""
     """Cause, value, limit and next step."""
     remedy: str = ""
-    """What to do, from the catalogue."""
+    """Remedy from the catalogue."""
 
     @classmethod
     def of(cls, error: BaseException) -> Self:
@@ -407,8 +416,8 @@ class Refusal:
 
 
 def for_display(number: int, text: str) -> str:
-    """Return a text for displays that show its beginning alone: the remedy of the number first.
+    """Return a text with the remedy first, for displays that show only its beginning.
 
-    Number 0 is no fault. The text is as of `error_text`.
+    Number 0 is no fault. ``text`` comes from `error_text`.
     """
     return f"{BY_NUMBER[number].remedy.replace('`', '')} {text}" if number else text

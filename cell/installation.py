@@ -1,6 +1,6 @@
-"""How this project is installed: which packages of an extra are missing, and the way to add it.
+"""Installation of this project: missing packages of an extra, and how to add them.
 
-Whatever an extra brings is imported within `extra`, so that all say the same where it is missing.
+Modules of an extra are imported within `extra`, so that all errors are the same.
 """
 
 import json
@@ -18,12 +18,12 @@ EXTRAS = {
     "mesh": ("trimesh",),
     "serve": ("fastapi", "segno", "uvicorn", "websockets"),
 }
-"""Extra -> the modules that it brings, which `doctor` or a note names before they are needed."""
+"""Modules of each extra, which `doctor` or a note names before they are needed."""
 
 
 @contextmanager
 def extra(name: str, *, needed_by: str) -> Iterator[None]:
-    """Have an import of an extra that is missing raise MissingExtraError, with who needs it."""
+    """Raise MissingExtraError, with the user of the extra, if an import in the block fails."""
     try:
         yield
     except ImportError as error:
@@ -32,16 +32,16 @@ def extra(name: str, *, needed_by: str) -> Iterator[None]:
 
 
 def missing_note(extra: str, what: str) -> str:
-    """Return the note that something is left out without its extra; empty where nothing lacks."""
+    """Return the note that ``what`` is omitted without its extra; empty if nothing is missing."""
     missing = [name for name in EXTRAS[extra] if find_spec(name) is None]
     return f"no {what}: {' and '.join(missing)} missing; {remedy(extra)}" if missing else ""
 
 
 def remedy(extra: str) -> str:
-    """Return how to add an extra to this installation, as an order to a person.
+    """Return instructions to add an extra to this installation.
 
-    pip finds the project where it was installed from (PEP 610, ``direct_url.json``): a folder, a
-    file, a repository, or else the index.
+    pip gets the project from its origin (PEP 610, ``direct_url.json``): a folder, a file, a
+    repository, or else the index.
     """
     text = f"install this project with its extra `{extra}`"
     try:

@@ -1,4 +1,4 @@
-"""The simulated cell as the config describes it: the one place where the simulator is wired in."""
+"""The simulated cell of a config: the only place that connects the simulator."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,11 +15,8 @@ from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
 from cell.config.tactile import (
-    ControlUnitConfig,
-    FlexiTacConfig,
     LinearCalibrationConfig,
     TableCalibrationConfig,
-    UskinConfig,
     layout_from_config,
     make_calibration,
     pad_mounts,
@@ -32,8 +29,6 @@ from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
-from simulator.boards.flexitac import FlexiTacSettings
-from simulator.boards.uskin import UskinBoard, UskinSettings
 from simulator.can.capture import PcapWriter
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
@@ -57,18 +52,18 @@ from simulator.world.taxels import NoiseModel, SensorLaw
 from simulator.world.world import NOTHING
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
-from tactile.flexitac.stream import PROFILES
 from tactile.layout import TaxelLayout
 
 _REPLY_S = 5.0
-"""Longest wait in s for the reply to a request: a job may work out a model meanwhile."""
+"""Longest wait in s for the reply to a request: a job may train a model meanwhile."""
 _NOISE_DRAWS = 200
-"""Forces of a pad at rest from which its noise is estimated."""
+"""Number of forces of a pad at rest for an estimate of its noise."""
 _NOISE_PER_CONTACT = 1.5
 """Largest noise of a pad's force, as a share of the contact force: at 2 the cell finds no part, at
 1.2 it does (linear calibrations of 0.05 and 0.03 N a count)."""
 _SWITCH_MARGIN = 5.0
-"""Way in mm or degrees from a limit of a simulated axis to a limit switch that is not its home."""
+"""Distance in mm or degrees from a limit of a simulated axis to a limit switch other than its home.
+"""
 _PINION_STOP_RAD = math.radians(250.0)
 """Angle of a simulated pinion with the fingers wide open."""
 _LINKAGE_MARGIN_M = 1e-3
@@ -78,11 +73,11 @@ _LINKAGE_MARGIN_M = 1e-3
 def simulator_settings(
     config: CellConfig, *, layout: TaxelLayout | None = None, grasps: Sequence[Grasp] = ()
 ) -> SimulatorSettings:
-    """Return the settings of the simulated cell that a config describes.
+    """Return the settings of the simulated cell of a config.
 
-    With recorded grasps to play instead of objects, ``layout`` has their taxels in the place of the
-    config's. Raises ConfigError if a shape or a fault is unknown, or the linkage cannot open as far
-    as the gripper shall.
+    With recorded grasps instead of objects, ``layout`` has their taxels instead of the config's.
+    Raises ConfigError if a shape or a fault is unknown, or if the linkage cannot open as far as the
+    gripper must.
     """
     settings = config.simulator
     try:
@@ -96,7 +91,7 @@ def simulator_settings(
             )
         for text in settings.faults:
             check_fault(text, len(config.gripper.servos), len(config.positioner.axes))
-        if isinstance(config.tactile.sensor, ControlUnitConfig):
+        if config.tactile.sensor.canopen:
             _check_noise(config, layout or layout_from_config(config.tactile))
         return SimulatorSettings(
             layout=layout or layout_from_config(config.tactile),
@@ -122,7 +117,7 @@ def simulator_settings(
             else config.tactile.serial_number,
             board_serial_numbers=config.tactile.board_serial_numbers or (1, 2),
             mounts=() if grasps else pad_mounts(config.tactile),
-            boards=None if grasps else _boards(config),
+            boards=None if grasps else config.tactile.sensor.simulated(),
             pads=PadPair(
                 shift_m=(1e-3 * settings.pads.shift_mm[0], 1e-3 * settings.pads.shift_mm[1]),
                 tilt_rad=(
@@ -152,26 +147,10 @@ def simulator_settings(
         raise ConfigError(f"simulator: {error}") from error
 
 
-def _boards(config: CellConfig) -> FlexiTacSettings | UskinSettings | None:
-    """Return the simulated boards of a config; None where the control unit reads the pads."""
-    sensor = config.tactile.sensor
-    if isinstance(sensor, UskinConfig):
-        first, second = (
-            UskinBoard(start_id=one.start, taxel_ids=one.taxels) for one in sensor.boards
-        )
-        return UskinSettings(boards=(first, second), falling=sensor.falling)
-    if not isinstance(sensor, FlexiTacConfig):
-        return None
-    profile = PROFILES[sensor.profile]
-    return FlexiTacSettings(
-        rows=profile.rows, columns=profile.columns, rows_along=sensor.rows_along
-    )
-
-
 def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:
-    """Return the simulated axes of a config, mounted as it describes them.
+    """Return the simulated axes of a config with their mounting.
 
-    There are none where a host program moves instead.
+    Empty if a host program moves instead.
     """
     if config.kind != "axes":
         return {}
@@ -182,7 +161,7 @@ def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:
 
 
 def _drive_mount(axis: DriveAxisConfig) -> DriveMount:
-    """Return the mount of a drive that begins at its home, or where it has to search for it."""
+    """Return the mount of a drive that begins at its home, or away from it."""
     si = si_per_unit(axis.moves)
     low, high = axis.low - _SWITCH_MARGIN, axis.high + _SWITCH_MARGIN
     start = 0.5 * (axis.low + axis.high)
@@ -216,7 +195,7 @@ def _wrist_mount(axis: ServoAxisConfig) -> WristMount:
 
 
 def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:
-    """Refuse noise under which a pad at rest passes for one that is touched."""
+    """Refuse noise with which a pad at rest looks touched."""
     n_taxels = layout.pads[layout.gripping_pads[0]].n_taxels
     noise = NoiseModel(kind=config.simulator.noise, level=config.simulator.noise_level)
     drawn = noise.sample(np.random.default_rng(0), _NOISE_DRAWS * 3 * n_taxels, layout.adc_max)
@@ -229,15 +208,15 @@ def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:
         raise ConfigError(
             f"simulator.noise {config.simulator.noise} of level {config.simulator.noise_level:g} "
             f"is {noise_n:.2g} N on a pad at rest under tactile.calibration, "
-            f"gripper.contact_force_n is {contact_n:g} N: contact could not be felt. Correct the "
-            "calibration, lower the noise or raise the contact force"
+            f"gripper.contact_force_n is {contact_n:g} N: no contact could be detected. Correct "
+            "the calibration, lower the noise or raise the contact force"
         )
 
 
 def simulation_of(config: CellConfig) -> SimulatedCell:
     """Return the simulated cell of a config, with its faults injected; in virtual time.
 
-    Raises ConfigError if the config describes no cell, or one of its faults does not fit it.
+    Raises ConfigError if the config does not describe a cell, or one of its faults does not fit it.
     """
     settings = simulator_settings(config)
     try:
@@ -247,7 +226,7 @@ def simulation_of(config: CellConfig) -> SimulatedCell:
 
 
 def open_servo_port(cell: SimulatedCell) -> ByteStream:
-    """Open the servo line of a simulated cell anew. Raises PortLost while its adapter is out."""
+    """Reopen the servo line of a simulated cell. Raises PortLost while its adapter is unplugged."""
     try:
         return cell.open_servo_port()
     except SimulatorError as error:
@@ -255,9 +234,9 @@ def open_servo_port(cell: SimulatedCell) -> ByteStream:
 
 
 def open_can_bus(cell: SimulatedCell, bitrate: int | None = None) -> CanBus:
-    """Open the CAN bus of a simulated cell anew, with the adapter set to ``bitrate`` in bit/s.
+    """Reopen the CAN bus of a simulated cell, with the adapter set to ``bitrate`` in bit/s.
 
-    Raises BusNotOpened while its adapter is out.
+    Raises BusNotOpened while its adapter is unplugged.
     """
     try:
         return cell.open_can_bus(bitrate)
@@ -287,15 +266,15 @@ def simulated_objects(config: CellConfig) -> dict[str, Shape]:
 
 
 def drawn_shape(text: str) -> Shape:
-    """Return the shape that a text describes, as ``cylinder:diameter=6mm,length=20mm``.
+    """Return the shape of a text such as ``cylinder:diameter=6mm,length=20mm``.
 
-    Raises ConfigError if the text is no shape, or a mesh file cannot be read.
+    Raises ConfigError if the text is not a shape, or a mesh file cannot be read.
     """
     return _shape(text, f"shape {text!r}")
 
 
 def shape_of_stl(data: bytes, name: str) -> MeshShape:
-    """Return the shape in an STL file in mm. Raises ConfigError if it holds none."""
+    """Return the shape in an STL file in mm. Raises ConfigError if it has no shape."""
     try:
         with extra("mesh", needed_by=name):
             return read_mesh(data, name)
@@ -322,7 +301,7 @@ def converter_noise(
 
 
 def sensor_law(config: CellConfig) -> SensorLaw:
-    """Return how force becomes counts on a sensor for which the config's calibration is right."""
+    """Return the law from force to counts of a sensor with the config's calibration."""
     law = config.tactile.calibration
     if isinstance(law, LinearCalibrationConfig):
         adc_max = layout_from_config(config.tactile).adc_max
@@ -333,13 +312,13 @@ def sensor_law(config: CellConfig) -> SensorLaw:
 
 
 class SimulationRequests:
-    """Requests of any thread to a simulated cell of this process, carried out on the cell's own.
+    """Requests of any thread to a simulated cell of this process, executed in the cell's thread.
 
     Parameters
     ----------
     between_jobs
-        Has something done on the thread of the cell while no job runs; else the next piece of
-        virtual time does it.
+        Runs a function in the thread of the cell while no job runs; else it runs with the next step
+        of virtual time.
     """
 
     def __init__(
@@ -354,8 +333,8 @@ class SimulationRequests:
     def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out a request of `simulator.realtime.requests` and return its reply.
 
-        Raises RequestRefused if it cannot be carried out, CellStateError if the part in the grip is
-        in its way, or the cell has no time for it.
+        Raises RequestRefused if it cannot be carried out, CellStateError if a part is in the grip,
+        or if the cell is busy.
         """
         reply: Future[dict[str, Any]] = Future()
         self._waiting.put((request, reply))
@@ -368,13 +347,13 @@ class SimulationRequests:
             raise RequestRefused(f"simulation: {error}") from error
         except TimeoutError as error:
             reply.cancel()
-            raise CellStateError(f"the cell was busy for {_REPLY_S:g} s: ask again") from error
+            raise CellStateError(f"the cell was busy for {_REPLY_S:g} s: try again") from error
 
     def part_for(self, label: str, present: str | None) -> str:
-        """Return the object to place for a label, which is a name of this object from then on.
+        """Return the object to place for a label, which then is a name of this object.
 
-        It is ``present``, or else that of the label, or else what lies between the fingers. Raises
-        CellStateError if nothing does, ConfigError if ``present`` is no object.
+        It is ``present``, else the object of the label, else the part between the fingers. Raises
+        CellStateError if there is no part, ConfigError if ``present`` is not an object.
         """
         world, placed = self._cell.devices.physical, self._cell.devices.physical.placed
         with suppress(SimulatorError):
@@ -383,8 +362,8 @@ class SimulationRequests:
         part = present or (NOTHING if placed is None else placed[0])
         if part == NOTHING:
             raise CellStateError(
-                f"{label!r:.60} is to be grasped, and nothing lies between the fingers of the "
-                "simulated cell: choose a part on the page under Simulation, or name one as "
+                f"{label!r:.60} cannot be grasped: nothing is between the fingers of the "
+                "simulated cell. Choose a part on the page under Simulation, or name one as "
                 "`present` (`--object`)"
             )
         shape = world.objects.get(part) or drawn_shape(part)
@@ -446,7 +425,7 @@ def capture_traffic(cell: SimulatedCell | None, path: Path, undo: ExitStack) -> 
 
 
 def largest_aperture_m(grasps: Sequence[Grasp]) -> float:
-    """Return the widest recorded opening in m; 0 where none is known."""
+    """Return the widest recorded opening in m; 0 if not known."""
     widest = [float(np.nanmax(g.aperture_m)) for g in grasps if np.isfinite(g.aperture_m).any()]
     return max(widest, default=0.0)
 

@@ -1,9 +1,9 @@
 """A force-controlled two-finger gripper on DYNAMIXEL X servos; no taxels, no objects.
 
-`open_gripper` opens the servos' port; what stands below is all that a program needs that moves a
-gripper. Chapters: `force` (ramps and the force loop), `servos` (the servos of one gripper as a
+`open_gripper` opens the servos' port; the names below are all that a program needs to move a
+gripper. Sub-packages: `force` (ramps and the force loop), `servos` (the servos of one gripper as a
 group), `mechanics` (linkage, friction, impact), `dynamixel` (Protocol 2.0 on a serial line; the
-only importer of `serial` and the SDK), `values` (what it reports and answers); beside them
+only importer of `serial` and the SDK), `values` (reports and results); beside them
 `gripper`, `lifecycle`, `settings`, `clock` and `errors`.
 """
 

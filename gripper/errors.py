@@ -16,7 +16,7 @@ _RESULT_CODES = {
 """Error numbers of a status packet (e-Manual, Protocol 2.0, "Error")."""
 
 _FINGERS = "the fingers "
-"""Begin of each note about the fingers: what it is found by."""
+"""Start of each note about the fingers, by which it is found."""
 
 
 class GripperError(Exception):
@@ -24,7 +24,7 @@ class GripperError(Exception):
 
 
 class PortLost(GripperError):
-    """The serial port cannot be opened, is used by another program or went away."""
+    """The serial port cannot be opened, is used by another program or was lost."""
 
 
 class BusTimeout(GripperError, TimeoutError):
@@ -32,7 +32,7 @@ class BusTimeout(GripperError, TimeoutError):
 
 
 class FingerSilent(BusTimeout):
-    """One servo has fallen silent while the other answers; the living finger stands still."""
+    """One servo is silent while the other one answers; the other finger stands still."""
 
 
 class LinkTooSlow(GripperError):
@@ -44,7 +44,7 @@ class BusCorrupt(GripperError):
 
 
 class BusUnreliable(GripperError):
-    """Too large a share of the periods had no feedback of the servos; the grip is kept."""
+    """Too many periods had no feedback of the servos; the grip is kept."""
 
 
 class BusBusy(GripperError):
@@ -74,7 +74,7 @@ class ServoFault(GripperError):
         self.bits = bits
         """Hardware Error Status (register 70); 0 where the fault is not one of its bits."""
         self.torque_lost = torque_lost
-        """True when the servo has no torque any more: the other finger must not push alone."""
+        """True when the servo has lost its torque: the other finger must not push alone."""
 
 
 class VerificationFailed(GripperError):
@@ -91,7 +91,7 @@ class VerificationFailed(GripperError):
 
 
 class ServoMissing(VerificationFailed, BusTimeout):
-    """A servo of the settings does not answer at the start; the report names who does."""
+    """A servo of the settings does not answer at the start; the report names the servos that do."""
 
 
 class LimitExceeded(GripperError, ValueError):
@@ -103,13 +103,13 @@ class ForceAboveCap(LimitExceeded):
 
 
 class FeedbackImplausible(GripperError):
-    """A servo reports what cannot be: where its finger is, is unknown; the torque goes off."""
+    """A servo reports an impossible value, so its position is unknown; the torque goes off."""
 
 
 class MechanicsContradicted(FeedbackImplausible):
     """Empty fingers move or stop where direction, zero and linkage exclude it; the torque goes off.
 
-    Raised where nothing can be held: while the torque comes on, and where the pads found nothing.
+    Raised when nothing can be held: while the torque comes on, and after the pads found nothing.
     """
 
 
@@ -118,9 +118,9 @@ class PositionContradicted(GripperError):
 
 
 class GripContradicted(GripperError):
-    """One witness shows that nothing is gripped, another one that something is; the grip is kept.
+    """Measurements contradict each other about a gripped part; the grip is kept.
 
-    Witnesses are force samples, whole frames, and motors that press while the fingers stand.
+    They are force samples, whole frames, and motors that press while the fingers stand.
     """
 
 
@@ -133,7 +133,7 @@ class ForceSensorStale(GripperError):
 
 
 class PartBetweenFingers(GripperError):
-    """Empty fingers were to meet, and something is between them; the grip is kept."""
+    """Something is between fingers that should meet empty; the grip is kept."""
 
 
 class PartLost(GripperError):
@@ -145,7 +145,7 @@ class PartSlipped(GripperError):
 
 
 class ForceImbalance(GripperError):
-    """The fingers press with different forces for too long: one of them pushes alone."""
+    """The forces of both fingers differ for too long: one of them pushes alone."""
 
 
 class WatchdogUnproven(GripperError):
@@ -153,16 +153,16 @@ class WatchdogUnproven(GripperError):
 
 
 class GraspStopped(GripperError):
-    """The running command was stopped by ``request_stop``; nothing opens or closes any more."""
+    """The running command was stopped by ``request_stop``; the fingers stand still."""
 
 
 def note_fingers(error: BaseException, left: str) -> None:
-    """Add a note to an error about the fingers; it goes with the error from process to process."""
+    """Add a note about the fingers to an error; it passes with the error between processes."""
     error.add_note(_FINGERS + left)
 
 
 def fingers_left(error: BaseException) -> str:
-    """Return the note about the fingers; empty where an error ended no motion of them."""
+    """Return the note about the fingers, or an empty text."""
     notes: list[str] = getattr(error, "__notes__", [])
     return next((note for note in notes if note.startswith(_FINGERS)), "")
 

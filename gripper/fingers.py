@@ -1,4 +1,4 @@
-"""Servos of both fingers, or of one alone, with their loop: made ready, moved, let go."""
+"""Servos of one or both fingers, with their loop: prepare, move, release."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -58,9 +58,9 @@ class Fingers:
         self.runner = LoopRunner(self.servos, self.health, sensor, settings, clock)
         self.life = Lifecycle(self.servos, self.runner, settings)
         self.free = FreeMotion(settings)
-        """Watches each motion in which nothing touches."""
+        """Observes each free motion."""
         self.on_torque: Callable[[], None] = lambda: None
-        """Called where the torque of all servos comes on."""
+        """Called when the torque of all servos comes on."""
         self._bus = bus
         self._linkage = linkage
         self._clock = clock
@@ -82,7 +82,7 @@ class Fingers:
         return self.health.verify(correct=False, refuse=not held_before)
 
     def check_link(self, ids: Sequence[int]) -> None:
-        """Raise LinkTooSlow where the answers of these servos come too late for the loop."""
+        """Raise LinkTooSlow if these servos answer too late for the loop."""
         check_link(self._bus, ids, self.settings.period_s)
         self._link_checked = True
 
@@ -94,12 +94,12 @@ class Fingers:
         )
 
     def standing_rows(self) -> tuple[VerificationRow, ...]:
-        """Read where the fingers stand, and compare it with the settings."""
+        """Read the positions of the fingers, and compare them with the settings."""
         positions_raw = [self._bus.read(servo_id, PRESENT_POSITION) for servo_id in self._ids]
         return standing_rows(self.settings, self._linkage, positions_raw)
 
     def make_ready(self, *, releasing: bool = False) -> bool:
-        """Make the servos ready for a command; return whether all of them were without torque."""
+        """Prepare the servos for a command; return whether all of them were without torque."""
         limp: ServoFeedback | None = None
         if not self.servos.goals_in_force and not self.health.torque_on():
             limp = self.servos.read_patiently()
@@ -141,7 +141,7 @@ class Fingers:
         self.free.compare()
 
     def _run_free(self, move: FirstMotion | MoveTo, state: ServoFeedback) -> ServoFeedback:
-        """Run a motion of empty fingers, and take what it shows of their friction."""
+        """Run a motion of empty fingers, and measure their friction."""
         self.free.begin()
 
         def step(moment: Moment) -> Action:
@@ -162,7 +162,7 @@ class Fingers:
                 return self._open_one(left[0], observer)
         with self.life.command("release", observer):
             was_limp = self.make_ready(releasing=True)
-            # A part that a stop leaves half held is none whose force can be controlled.
+            # The force of a part that a stop leaves half held cannot be controlled.
             self.life.controlled = False
             wider = self._wider_open()
             try:
@@ -173,13 +173,13 @@ class Fingers:
         return ReleaseReport(state=state, opened=tuple(self._ids), wider=wider)
 
     def request_stop(self) -> None:
-        """Let the running command end with GraspStopped; safe from any thread."""
+        """Stop the running command with GraspStopped; safe from any thread."""
         self.runner.request_stop()
         if self._one is not None:
             self._one.request_stop()
 
     def _open_one(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
-        """Open one finger on its own; the servo of the other one is left alone."""
+        """Open one finger alone; do not touch the servo of the other one."""
         (servo_id,) = (servo_id for servo_id in self._ids if servo_id != left.servo_id)
         index = self._ids.index(servo_id)
         self._one = one = Fingers(
@@ -202,12 +202,12 @@ class Fingers:
         return ReleaseReport(state=state, opened=(servo_id,), left=(left,))
 
     def _not_able(self) -> list[ServoCondition]:
-        """Return the servos that cannot be moved; raises where none can be."""
+        """Return the servos that cannot be moved; raises if no servo can be moved."""
         conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
             self.health.require_present()
             raise BusTimeout(
-                "the servos answer now and then only, and nothing was moved: check cable and "
+                "the servos answer only sometimes, and nothing was moved: check cable and "
                 "supply, then release again"
             )
         able = [condition.servo_id for condition in conditions if condition.able]

@@ -1,7 +1,7 @@
 """The gripper: open, grasp under a force ramp, hold, carry, release, stop.
 
-A part is let go by `Gripper.release` alone. Faults, exceptions, `keep_grip` and `close` leave
-goals and torque as they are.
+Only `Gripper.release` lets a part go. Faults, exceptions, `keep_grip` and `close` do not change
+goals and torque.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ from gripper.force.by_current import assume_friction, cap_by_current_n
 from gripper.force.control.grip_control import GripControl
 from gripper.force.grasp import GraspRun
 from gripper.force.loop import Running
-from gripper.force.ramp import ForceRamp, check_ramp
+from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.force.timing import LoopStatistics
 from gripper.lifecycle import bus_is_lost
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage
@@ -38,17 +38,17 @@ from gripper.values.servo_checks import ServoCondition, VerificationReport
 from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 
 HOLD_AT_RATE_N_S = 20.0
-"""Rate in N/s at which a held force goes to that of the carry: a host waits for the answer."""
+"""Rate in N/s from a held force to the carry force: a host waits for the answer."""
 
 
 class Gripper:
     """A two-finger gripper with force control; one thread commands it.
 
-    While the torque is on the servos' bus watchdog is armed. A running command feeds it; between
-    commands the owner calls `tick` at least every half ``watchdog_s``. A watchdog that tripped
-    while nothing was held is cleared by the next command; while a part is held it is a fault.
-    `keep_grip` and `close` disarm it, because what a servo does on a trip is not documented and a
-    grip must not depend on it.
+    While the torque is on, the servos' bus watchdog is armed. A running command feeds it; between
+    commands the owner calls `tick` at least every half ``watchdog_s``. The next command clears a
+    watchdog that tripped while nothing was held; while a part is held a trip is a fault.
+    `keep_grip` and `close` disarm it, because the reaction of a servo to a trip is not documented
+    and a grip must not depend on it.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Gripper:
     linkage
         Mechanics; its number of servos is that of the settings.
     force_sensor
-        Asked once every period of the loop; None: force by current, see
+        Read once every period of the loop; None: force by current, see
         `gripper.force.by_current.ForceByCurrent`.
     """
 
@@ -98,7 +98,7 @@ class Gripper:
         self._carried: Running | None = None
 
     def __enter__(self) -> Self:
-        """Verify the servos, see `start`; where that raises the port is closed."""
+        """Verify the servos, see `start`; an error closes the port."""
         try:
             self.start()
         except BaseException:
@@ -145,8 +145,8 @@ class Gripper:
         """Verify the servos; nothing moves and no torque is switched.
 
         With the torque off, operating mode, return delay and status return level are corrected.
-        With the torque found on a part may be held: nothing is changed, the state becomes
-        HELD_AFTER_FAULT, and `release` is the way on.
+        With the torque on, a part may be held: nothing is changed, the state becomes
+        HELD_AFTER_FAULT, and `release` is the next step.
 
         Raises
         ------
@@ -163,20 +163,20 @@ class Gripper:
         self._health.require_present()
         for servo_id, seen in self._servos.feedback.strayed.items():
             raise FeedbackImplausible(
-                f"servo {servo_id}: {seen}, and it was not restarted since then: where its finger "
-                f"is, is unknown, and nothing is moved. Check encoder, horn and linkage, then "
-                f"clear the fault with a reboot"
+                f"servo {servo_id}: {seen}, and it was not restarted since then: the position of "
+                f"its finger is unknown, and nothing is moved. Check encoder, horn and linkage, "
+                f"then clear the fault with a reboot"
             )
         report = self._fingers.verify()
         self._fingers.check_link([servo.servo_id for servo in self._settings.servos])
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:
-        """Read torque and errors of each servo, of those too that others hide; reads only."""
+        """Read torque and errors of each servo, also after the failure of another; reads only."""
         return self._fingers.conditions()
 
     def inspect(self) -> VerificationReport:
-        """Compare the servos, and where they stand, with the settings; reads only."""
+        """Compare the servos and their positions with the settings; reads only."""
         report = self._health.verify(correct=False)
         return replace(report, rows=report.rows + self._fingers.standing_rows())
 
@@ -187,8 +187,8 @@ class Gripper:
     def tick(self) -> Cycle | None:
         """Feed the bus watchdog and check the servos between commands.
 
-        While a part is carried this is one period of the force loop. Returns the period; without a
-        force where none is controlled, None where the servos were not asked or did not answer.
+        While a part is carried this is one period of the force loop. Returns the period, without a
+        force if no force is controlled; None if the servos were not asked or did not answer.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class Gripper:
         if self._life.running or self._life.phase is GripperPhase.OFF:
             return None
         if not self._servos.goals_in_force:
-            # Torque that was found on, or is lost: there is nothing here to be supervised.
+            # Torque from before the start, or lost torque: nothing to supervise.
             return None
         if self._life.fault is not None:
             with self._servos.in_loop():
@@ -224,10 +224,10 @@ class Gripper:
     ) -> ServoFeedback:
         """Move the empty fingers to an opening in m, by default aperture_open_m.
 
-        Where the torque comes on for it the motion proves direction, zero and linkage, see
-        `gripper.force.approach.mechanics_proof`. Where a servo counts in another turn than that of
-        its zero too, the fingers stand for 0.2 s first: one that does not is not where its servo
-        reports it to be. In both cases the torque goes off.
+        If the torque comes on for it, the motion proves direction, zero and linkage, see
+        `gripper.force.approach.mechanics_proof`. If a servo also counts in another turn than that
+        of its zero, the fingers must first stand for 0.2 s: a finger that moves is not at the
+        reported position. After a failure the torque goes off.
 
         With the setting ``watchdog_self_test`` the first opening ends with that test: the fingers
         close by a few mm, stand until the watchdog has tripped, and open again.
@@ -235,13 +235,13 @@ class Gripper:
         Raises
         ------
         VerificationFailed
-            When a finger stands where the settings exclude it; nothing has moved.
+            When the settings exclude the position of a finger; nothing has moved.
         MechanicsContradicted
-            When the fingers do not move as the settings have it; they have no torque then.
+            When the settings exclude the motion of the fingers; they have no torque then.
         WatchdogUnproven
             When the bus watchdog does not stop the motors.
         GripperStateError
-            While a part may be held: then `release` is the command.
+            While a part may be held: call `release`.
         """
         self._life.check_ready("open")
         target_m = self._settings.aperture_open_m if aperture_m is None else aperture_m
@@ -264,8 +264,13 @@ class Gripper:
                 state = self._fingers.move_to(target_m)
         return state
 
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force in N of a ramp: by its limit, and by the current as measured."""
+        return largest_ramp_n(self._settings, self._linkage)
+
     def check_ramp(self, ramp: ForceRamp) -> None:
-        """Raise LimitExceeded when `grasp` would refuse a ramp; the servos are not asked."""
+        """Raise LimitExceeded when `grasp` would refuse a ramp; does not use the servos."""
         check_ramp(ramp, self._settings, self._linkage)
 
     def grasp(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
@@ -288,27 +293,27 @@ class Gripper:
     ) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp to its end, return holding.
 
-        The way down is that of a grasp, and goes on below ``aperture_min_m`` until the pads meet.
-        Where they touch something farther open than a zero that is off explains, the ramp ends at
-        the contact: ``ended_early``. It is held, as whatever is between them after `end_ramp`.
+        The fingers close as in a grasp, and also below ``aperture_min_m``, until the pads meet. If
+        they touch something farther open than a wrong zero can explain, the ramp ends at the
+        contact: ``ended_early``. The part is then held, as after `end_ramp`.
 
         Raises
         ------
         MechanicsContradicted
             When nothing stops the fingers; they have no torque then.
         GripContradicted
-            When they are stopped and the pads feel nothing.
+            When they are stopped although the pads show no force.
         LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             As `grasp`.
         """
         return self._close(ramp, observer, self._grasping.press_pads_together)
 
     def measure_load(self, observer: Observer | None = None) -> None:
-        """Measure the current of each servo for its load, while the empty pads press on each other.
+        """Measure the current of each servo under load, while the empty pads press on each other.
 
-        One finger is locked by its friction, the other one moves slowly; then they change. Follows
-        `press_pads_together`, where nothing is between the pads; they press on. The results are in
-        the settings' ``drives``. A gripper with one servo has no other one to press against.
+        Friction locks one finger while the other one moves slowly, then vice versa. Call it after
+        `press_pads_together` with nothing between the pads; they still press afterwards. The
+        results are in the settings' ``drives``. Not for a gripper with one servo.
 
         Raises
         ------
@@ -322,7 +327,7 @@ class Gripper:
     def measure_friction(self, observer: Observer | None = None) -> None:
         """Measure the friction of each servo at several speeds; the empty fingers end open.
 
-        They close to a gap without a look at the pads: nothing may be between them.
+        They close to a gap without a check of the pads: nothing may be between them.
         """
         self._life.check_ready("open")
         with self._life.command("open", observer):
@@ -330,13 +335,13 @@ class Gripper:
             self._fingers.measure_friction()
 
     def read_drives(self) -> DriveReport:
-        """Return the newest drive characteristic of each servo, and what was unusual since then."""
+        """Return the newest drive characteristic of each servo, and notes about unusual values."""
         free, drives = self._fingers.free, self._settings.drives.newest
         notes, free.notes = free.notes, []
         return DriveReport(drives, tuple(notes))
 
     def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
-        """Begin with drive characteristics that were kept, by the servos' IDs."""
+        """Use saved drive characteristics, by the servos' IDs."""
         for servo_id, drive in drives.items():
             self._settings.drives.put(servo_id, drive)
         self._fingers.free.forget()
@@ -344,14 +349,14 @@ class Gripper:
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
 
-        After ``taper_after_s`` the motor gives back current that friction makes superfluous.
+        After ``taper_after_s`` the motor current falls, because friction holds part of the force.
 
         Raises
         ------
         PartLost
             When both pads become empty.
         PartSlipped
-            When the force falls at once or the fingers close after the part.
+            When the force drops or the fingers close.
         """
         control = self._held_control("hold")
         if not duration_s > 0.0:
@@ -365,14 +370,14 @@ class Gripper:
     ) -> ServoFeedback:
         """Bring the held force to ``force_n``, hold it for a time in s, and keep controlling it.
 
-        From then on each `tick` is a period of the force loop, with all supervision of `hold`,
-        until a release, a stop or a fault. The bus watchdog is disarmed meanwhile: the grip of a
-        carried part must not end because a process does.
+        Each later `tick` is a period of the force loop, with all supervision of `hold`, until a
+        release, a stop or a fault. The bus watchdog is disarmed meanwhile: the end of a process
+        must not end the grip of a carried part.
 
         Raises
         ------
         LimitExceeded
-            When no ramp may end at that force.
+            When a ramp must not end at this force.
         PartLost, PartSlipped
             As `hold`.
         """
@@ -397,7 +402,7 @@ class Gripper:
         Raises
         ------
         LimitExceeded
-            When a limit is against the ramp, or the present set-point is not below its end.
+            When a limit does not allow the ramp, or its end is not above the present set-point.
         PartLost, PartSlipped
             As `hold`.
         """
@@ -417,19 +422,18 @@ class Gripper:
     def release(self, observer: Observer | None = None) -> ReleaseReport:
         """Let go: open to aperture_open_m. The only command that lets a part go.
 
-        Needs no start before it. Where this gripper has not given the torque itself, or has lost
-        it, a servo that is silent, or that an error of its own keeps without torque, is left as it
-        is and reported: the other finger opens alone. No finger closes, not even one that stands
-        wider open. Stopped or at fault on the way the fingers stand still; a note on the error
-        names where.
+        It needs no start. If the torque is from an earlier program or lost, a servo that is silent
+        or kept without torque by an error is not changed, but reported: the other finger opens
+        alone. No finger closes, even if it is open wider. After a stop or fault the fingers stand
+        still; a note on the error names the opening.
 
         Raises
         ------
         GripperStateError
             While a fault is latched: `clear_fault` comes first.
         VerificationFailed
-            When no servo answers, or one does not match the settings; see the message for what
-            became of the torque.
+            When no servo answers, or one does not match the settings; the message names the state
+            of the torque.
         ServoFault
             When no servo can be moved.
         """
@@ -438,31 +442,30 @@ class Gripper:
         return self._fingers.release(observer)
 
     def end_ramp(self) -> None:
-        """Let the running ramp end at its present set-point, as if it had no more; from any thread.
+        """End the running ramp at its present set-point, from any thread.
 
         The force settles there without a further hold, and `grasp` returns as usual, with
-        `GraspOutcome.ended_early`: the part is held, all supervision goes on. A set-point that
-        could not hold a part yet grows to contact_force_n first. Asked while the fingers approach
-        the ramp ends as it begins; asked when the ramp is over, or while nothing is grasped,
-        nothing changes, for the next grasp neither. A stop, a fault and the loss of the part come
-        first.
+        `GraspOutcome.ended_early`: the part is held and supervised. A set-point too small to hold a
+        part first grows to contact_force_n. During the approach a call ends the ramp at its start.
+        After the ramp, or without a grasp, a call changes nothing, also for the next grasp. A stop,
+        a fault and the loss of the part have priority.
         """
         self._grasping.end_ramp()
 
     def request_stop(self) -> None:
-        """Let the running command end with GraspStopped; safe from any thread.
+        """Stop the running command with GraspStopped; safe from any thread.
 
-        Goals of a grip are frozen, fingers on their way stop where they are.
+        The goals of a grip are frozen; moving fingers stop.
         """
         self._fingers.request_stop()
 
     def keep_grip(self) -> None:
-        """Freeze in any state: no new goals, torque as it is, bus watchdog disarmed.
+        """Freeze in any state: no new goals, torque unchanged, bus watchdog disarmed.
 
-        May be called again and again. Raises when the servos cannot be reached: then their
-        watchdog may still trip. After the loss of the bus, and while a servo has not taken the goal
-        to stand still, nothing is written any more. After any other fault a servo that is silent
-        is not waited for: the report of the fault waits for this.
+        May be called repeatedly. Raises when the servos cannot be reached: then their watchdog may
+        still trip. After the loss of the bus, or of the goal to stand still, nothing is written.
+        After any other fault it does not wait for a silent servo, so that the fault is reported
+        without delay.
         """
         if self._life.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
             return
@@ -474,17 +477,16 @@ class Gripper:
             self._servos.disarm_watchdog(keep_trips=True)
 
     def clear_fault(self, *, reboot: bool = False) -> None:
-        """Acknowledge a fault, one from before the start too; nothing moves, torque stays as it is.
+        """Acknowledge a fault, also one from before the start; nothing moves, the torque stays.
 
-        A servo that does not answer is no hindrance while another one does: `start` refuses it,
-        and `release` opens the other finger.
+        One silent servo is accepted: `start` refuses it, and `release` opens the other finger.
 
         Parameters
         ----------
         reboot
-            True to restart servos that report a hardware error, or whose position has leapt: the
-            only way on after a servo has switched its torque off. A part that such a servo still
-            held would be dropped.
+            True to restart servos that report a hardware error, or whose position has jumped. This
+            is needed after a servo has switched its torque off. If the servo still holds a part,
+            the part drops.
 
         Raises
         ------
@@ -497,7 +499,7 @@ class Gripper:
             raise GripperStateError("clear_fault is not possible while a command runs")
         conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
-            # Reading again raises what is wrong with the bus.
+            # Reading again raises the fault of the bus.
             self._health.torque_on()
         faulty = [condition for condition in conditions if condition.error_bits]
         if faulty and not reboot:
@@ -518,7 +520,7 @@ class Gripper:
         if self._servos.goals_in_force and all(condition.torque_on for condition in conditions):
             self._life.rest()
         elif any(condition.torque_on or not condition.answers for condition in conditions):
-            # This gripper gave no goals, or not all of them are in force any more.
+            # This gripper gave no goals, or some are no longer in force.
             self._servos.forget()
             self._life.found_held()
         else:
@@ -527,10 +529,10 @@ class Gripper:
     def close(self) -> None:
         """End the work with the servos; the bus stays open for its owner.
 
-        With nothing held the torque goes off. With a part possibly held torque and goals stay as
-        they are and the bus watchdog is disarmed, so that the grip does not end by a trip: the
-        servos then hold on without supervision until somebody releases the part. The watchdog stays
-        armed where it alone stops fingers on their way.
+        With nothing held the torque goes off. If a part may be held, torque and goals do not change
+        and the bus watchdog is disarmed, so that a trip does not end the grip: the servos hold
+        without supervision until a release. The watchdog stays armed if only it stops moving
+        fingers.
         """
         if self._life.phase is GripperPhase.OFF or self._life.motion_unconfirmed:
             return
@@ -541,7 +543,7 @@ class Gripper:
                 self._freeze_carried()
                 self._servos.disarm_watchdog()
         except GripperError:
-            # Without a bus nothing can be changed any more; the grip stays as it is.
+            # Without a bus nothing can be changed; the grip stays as it is.
             return
         if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
             self._life.phase = GripperPhase.OFF
@@ -556,8 +558,8 @@ class Gripper:
         self._life.check_ready("grasp")
         if self._settings.watchdog_self_test and not self._watchdog_proven:
             raise GripperStateError(
-                "grasp is not possible before the bus watchdog has proven to stop the motors: "
-                "open the gripper, its self-test follows (watchdog_self_test is on)"
+                "grasp needs the self-test of the bus watchdog first (watchdog_self_test is on): "
+                "open the gripper, the test follows"
             )
         self.check_ramp(ramp)
         with self._life.command("grasp", observer):
@@ -570,7 +572,7 @@ class Gripper:
         return outcome
 
     def _freeze_carried(self) -> None:
-        """Freeze the goals of a carried part, whose force nobody controls any more."""
+        """Freeze the goals of a carried part, whose force is no longer controlled."""
         if self._carried is not None:
             self._carried = None
             if self._life.fault is None:
@@ -594,17 +596,17 @@ def open_gripper(
 ) -> Gripper:
     """Open the servos' port and return their gripper; ``with`` verifies the servos.
 
-    Leaving the block closes the port and lets no part go: what is held stays held, with its torque
-    on and nothing supervised, until somebody releases it; with nothing held the torque goes off.
+    The end of the block closes the port and lets no part go: a held part stays held, with torque
+    but without supervision, until a release; with nothing held the torque goes off.
 
     One thread commands the gripper. Between two commands the servos' bus watchdog trips after
     ``watchdog_s``: with a part in the grip call `Gripper.tick` or `Gripper.hold` meanwhile, or
-    `Gripper.keep_grip` before work that takes longer.
+    `Gripper.keep_grip` before longer work.
 
     Parameters
     ----------
     port
-        Serial port, as /dev/ttyUSB0; or an open line, as a simulated cell has one in its place.
+        Serial port, e.g. /dev/ttyUSB0; or an open line, e.g. of a simulated cell.
     settings
         Servos, limits and tuning; by default two XM430-W350 with the IDs 1 and 2.
     linkage
@@ -612,8 +614,8 @@ def open_gripper(
     baud_rate
         Of the servos, in bit/s.
     force_sensor
-        Asked once every period of the loop. None: the force is controlled by the motors' current
-        alone, which is less exact and sees less; see `gripper.force.by_current.ForceByCurrent`.
+        Read once every period of the loop. None: the force is controlled by the motors' current
+        alone, which is less exact and detects less; see `gripper.force.by_current.ForceByCurrent`.
 
     Raises
     ------

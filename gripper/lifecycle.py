@@ -1,4 +1,4 @@
-"""Lifecycle of the gripper: which command is possible when, and the response to a fault."""
+"""Lifecycle of the gripper: allowed commands of each phase, and the response to a fault."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -31,13 +31,13 @@ _DOING = {
 
 
 class Command(NamedTuple):
-    """Transition that a command makes."""
+    """Transition of a command."""
 
     phases: frozenset[GripperPhase]
     """Phases in which it is possible; empty: all."""
     running: GripperPhase
     after: GripperPhase | None
-    """Phase while it runs, and after its success; None where it is decided by what was found."""
+    """Phase while it runs, and after its success; None if the result decides."""
 
 
 _EMPTY = frozenset({GripperPhase.OFF, GripperPhase.IDLE})
@@ -56,10 +56,10 @@ COMMANDS: Mapping[str, Command] = {
 
 
 class FingersLeft(StrEnum):
-    """State in which a fault response leaves the fingers; its text stands before "while ...".
+    """State of the fingers after a fault response, as text before "while ...".
 
-    ONE_SIDED: one finger is silent or without torque, the other stands still. UNCONFIRMED: a
-    servo did not confirm its goal, or nobody answers; the servos' own watchdog ends the motion.
+    ONE_SIDED: one finger is silent or without torque, the other stands still. UNCONFIRMED: a servo
+    did not confirm its goal, or no servo answers; the servos' own watchdog ends the motion.
     """
 
     STOPPED = "stopped"
@@ -74,7 +74,7 @@ _GRIP_LEFT = {
     FingersLeft.LIMP: "have no torque any more; a part may have been dropped",
     FingersLeft.UNCONFIRMED: "do not answer; a part may still be gripped",
 }
-"""Notes after a fault in a grip, where it is not simply kept."""
+"""Notes after a fault in a grip that is not simply kept."""
 
 
 def bus_is_lost(error: BaseException | None) -> bool:
@@ -89,15 +89,16 @@ class Lifecycle:
 
     def __init__(self, servos: ServoGroup, runner: LoopRunner, settings: GripperSettings) -> None:
         self.part_possible = False
-        """True from the beginning of an approach until a release has ended or nothing was found."""
+        """True from the start of an approach until the end of a release, or until nothing is found.
+        """
         self.controlled = False
-        """True while the force of a grasp of this object can be controlled further."""
+        """True while the force of this object's grasp can still be controlled."""
         self.fault: BaseException | None = None
         """The latched fault, None without one."""
         self.running = False
         """True while a command runs."""
         self.motion_unconfirmed = False
-        """True after a fault in a motion that nothing but a servo's bus watchdog ends."""
+        """True after a fault in a motion that only a servo's bus watchdog ends."""
         self._servos = servos
         self._settings = settings
         self._runner = runner
@@ -117,7 +118,7 @@ class Lifecycle:
         self.controlled = phase is GripperPhase.RAMPING
 
     def rest(self) -> None:
-        """Set the phase that belongs to frozen goals."""
+        """Set the phase for frozen goals."""
         if self.fault is not None or (self.part_possible and not self.controlled):
             self.phase = GripperPhase.HELD_AFTER_FAULT
         elif self.part_possible:
@@ -126,12 +127,12 @@ class Lifecycle:
             self.phase = GripperPhase.IDLE
 
     def found_held(self) -> None:
-        """Set the phase of torque that was found on: a part may be held, its force is unknown."""
+        """Set the phase for torque from before the start: a part may be held, force unknown."""
         self.part_possible, self.controlled = True, False
         self.rest()
 
     def switched_off(self) -> None:
-        """Set the phase that belongs to torque off: nothing is held."""
+        """Set the phase for torque off: nothing is held."""
         self._servos.forget()
         self.part_possible = False
         self.controlled = False
@@ -155,7 +156,7 @@ class Lifecycle:
 
     @contextmanager
     def command(self, command: str, observer: Observer | None) -> Iterator[None]:
-        """Run one command in its phase; a stop freezes the goals, or stops fingers on their way."""
+        """Run one command in its phase; a stop freezes the goals, or stops moving fingers."""
         self._runner.forget_stop()
         self.phase = COMMANDS[command].running
         self._runner.observer = observer
@@ -174,7 +175,7 @@ class Lifecycle:
 
     @contextmanager
     def delegated(self, phase: GripperPhase, carrier: "Lifecycle") -> Iterator[None]:
-        """Run a command that a gripper of some of the servos carries out, and take over its fault.
+        """Run a command of a gripper with some of the servos, and take over its fault.
 
         That gripper has responded to the fault already: nothing is written here.
         """
@@ -196,7 +197,7 @@ class Lifecycle:
 
     @contextmanager
     def latching(self) -> Iterator[None]:
-        """Latch whatever goes wrong as a fault and keep the grip; a stop on request is none."""
+        """Latch each error as a fault and keep the grip; a requested stop is no fault."""
         try:
             yield
         except GraspStopped:
@@ -205,7 +206,7 @@ class Lifecycle:
             self.fault = error
             phase, self.phase = self.phase, GripperPhase.HELD_AFTER_FAULT
             left = FingersLeft.UNCONFIRMED
-            # The error that is on its way names the cause; a bus that fails again adds nothing.
+            # The raised error names the cause; a bus that fails again adds nothing.
             with suppress(GripperError):
                 left = fault_response(error, self._servos, self._settings, moving=phase.moving)
             self._note_fingers(error, phase, left)
@@ -229,7 +230,7 @@ class Lifecycle:
         raise error from stop
 
     def _note_fingers(self, error: BaseException, phase: GripperPhase, left: FingersLeft) -> None:
-        """Note on an error that ends a motion where the fingers are, and what they may hold."""
+        """Note on an error of a motion: position of the fingers, and whether a part is held."""
         if not phase.moving:
             self._note_grip(error, left)
             return
@@ -238,7 +239,7 @@ class Lifecycle:
         unconfirmed = left is FingersLeft.UNCONFIRMED
         watchdog = "; the servos' bus watchdog stops them" if unconfirmed else ""
         if not self.part_possible:
-            # That no grasp has begun is no witness of what is between the fingers.
+            # Without a grasp it is unknown whether something is between the fingers.
             empty = shows_nothing(
                 state, self._servos.fresh_force, self._settings.contact_force_n
             ) and not isinstance(error, FeedbackImplausible)
@@ -250,7 +251,7 @@ class Lifecycle:
         note_fingers(error, f"{left} while {_DOING[phase]}{where}{watchdog}; {part}")
 
     def _note_grip(self, error: BaseException, left: FingersLeft) -> None:
-        """Note on an error that ends a grip what it has left of it, and what the pads measured."""
+        """Note on an error of a grip: the state of the grip, and the force on the pads."""
         if left not in _GRIP_LEFT or not self.part_possible:
             return
         sample = self._servos.fresh_force
@@ -261,7 +262,7 @@ class Lifecycle:
 def fault_response(
     error: BaseException, servos: ServoGroup, settings: GripperSettings, *, moving: bool
 ) -> FingersLeft:
-    """Write the goals that a fault asks for; the grip is kept wherever it can be.
+    """Write the goals of a fault response; the grip is kept whenever possible.
 
     ================================== ==========================================================
     fault                              response
@@ -271,18 +272,18 @@ def fault_response(
     force above its cap                that of ``over_force``, once
     one finger silent or without       both hold their positions: none pushes alone
     torque
-    any other, fingers on their way    they stop where they are, and that is read back
+    any other, moving fingers          they stop, and this is read back
     any other                          the goals are frozen
     ================================== ==========================================================
 
     Parameters
     ----------
     moving
-        True where the fingers were on their way with nothing in their grip yet, or any more.
+        True if the fingers moved without a part in their grip.
     """
     if bus_is_lost(error):
         return FingersLeft.UNCONFIRMED
-    # No patience here: a servo that does not answer must not hold up the others.
+    # Short time-outs: a silent servo must not delay the others.
     with servos.in_loop():
         over_force = isinstance(error, ForceAboveCap) or servos.guard.force_is_too_high()
         limp = over_force and settings.over_force is OverForce.LIMP

@@ -1,7 +1,7 @@
 """Settings of a gripper: each with its unit, default and range, declared once.
 
-An object that exists is valid. The cell's config file shows the same settings in mm and ms; its
-defaults and ranges are taken from here.
+Settings are checked when they are made. The cell's config file has the same settings in mm and ms,
+with these defaults and ranges.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -15,12 +15,12 @@ from gripper.dynamixel.models import ServoModel, require_current_control
 from gripper.errors import LimitExceeded
 
 HARD_FORCE_CAP_N = 50.0
-"""No setting allows more grip force in N; it is no safety function, see the documentation."""
+"""Largest grip force in N of any setting; not a safety function, see the documentation."""
 
 CORRECTABLE = frozenset(
     {"return_delay_time", "operating_mode", "status_return_level", "position_p_gain"}
 )
-"""Registers that a start may rewrite: none changes mechanics or protection of a servo."""
+"""Registers that a start may rewrite: they do not change mechanics or protection of a servo."""
 
 _OVERSHOOT_N, _OVERSHOOT_SHARE = 0.2, 0.05
 """Largest overshoot of a ramp in N, and as a share of its force; the larger of the two counts."""
@@ -59,54 +59,54 @@ class ForceLoopSettings:
 
     bias_drift_n_rs: float = setting(0.14, above=0.0)
     bias_rate_n_s: float = setting(5.0, above=0.0)
-    """How fast the difference between sensor and model wanders, in N per root of a second; twice
-    that where the set-point moves at ``bias_rate_n_s``. With the noise and the rate of the samples
-    it makes the time in which the difference is learnt: 0.3 s from frames at 50 Hz, 0.1 s from
-    force messages."""
+    """Random walk of the difference between sensor and model, in N per root of a second; twice as
+    much while the set-point moves at ``bias_rate_n_s``. With noise and rate of the samples it sets
+    the time in which the difference is learnt: 0.3 s from frames at 50 Hz, 0.1 s from force
+    messages."""
     start_doubt_n: float = setting(0.1, low=0.0)
     friction_doubt: float = setting(0.1, low=0.0)
-    """How uncertain the model is at the contact, in N, and by how much more where the force
-    begins to move, as a share of the friction band."""
+    """Uncertainty of the model at the contact in N, and its increase when the force begins to
+    move, as a share of the friction band."""
     caution: float = setting(1.0, low=0.0)
     settled_doubt_n: float = setting(0.1, low=0.0)
-    """A rising force stays below the set-point by ``caution`` times the doubt that is beyond
-    ``settled_doubt_n`` in N: what is not known yet is approached from below."""
+    """A rising force stays below the set-point by ``caution`` times the uncertainty beyond
+    ``settled_doubt_n`` in N: an uncertain force is approached from below."""
     damping_n_s_m: float = setting(100.0, low=0.0)
-    """Drive in N taken away for each m/s that a finger is faster than the ramp needs, with a lever
-    of 60 mm; by the inverse of its square with another one, as the motor weighs."""
+    """Reduction of the drive in N for each m/s that a finger is faster than the ramp needs, with a
+    lever of 60 mm; it scales with the inverse square of the lever, like the motor's inertia."""
     motion_doubt_n_s_m: float = setting(140.0, low=0.0)
-    """Noise in N added to a sample for each m/s of a finger, with that lever: inertia makes the
-    model wrong."""
+    """Noise in N added to a sample for each m/s of a finger, with that lever, because of the
+    inertia missing in the model."""
     stiffened_n_m: float = setting(1500.0, low=0.0)
-    """Stiffness in N/m that a softer part is given by the drive while its force changes, where the
-    samples are young enough for it: on a soft part the fingers swing too slowly by themselves."""
+    """Stiffness in N/m that the drive emulates on a softer part while its force changes, if the
+    samples are new enough: on a soft part the fingers oscillate too slowly."""
     end_time_s: float = setting(0.14, low=0.0)
     """Time constant in s with which the force arrives at the end of a change; see
     `gripper.force.control.band_mode.arriving_n`."""
     dead_band_n: float = setting(0.03, low=0.0)
     hold_band_n: float = setting(0.04, low=0.0)
-    """Error in N that is left alone while the force keeps its direction: on a ramp, in a
+    """Error in N that is not corrected while the force keeps its direction: on a ramp, in a
     hold."""
     reversal_band_n: float = setting(0.22, low=0.0)
     reversal_band_share: float = setting(0.04, low=0.0)
-    """Error in N, or as a share of the set-point if that is more, that it takes to turn the
-    direction round, through twice the friction."""
+    """Error in N, or as a share of the set-point if that is more, that reverses the direction of
+    the force, through twice the friction."""
     drive_rate_n_s: float = setting(150.0, above=0.0)
     """Fastest change of the driving force in N/s, within the friction band."""
     creep_n_s: float = setting(5.0, above=0.0)
     creep_share: float = setting(0.5, low=0.0)
-    """Its rate in N/s, beside that of the set-point, where motion is about to begin: from this
-    share of the friction band on."""
+    """Its rate in N/s, beside that of the set-point, shortly before motion begins: beyond this
+    share of the friction band."""
     dither_share: float = setting(0.2, low=0.0)
     """Square wave on the drive while the force changes, as a share of the friction band."""
     push_open_share: float = setting(1.3, low=0.0)
-    """How hard the motor may push the fingers open to lower the force against friction, as a
-    share of the friction band."""
+    """Largest opening drive to lower the force against friction, as a share of the friction
+    band."""
     bias_max_n: float = setting(3.0, above=0.0)
-    """Largest plausible difference between sensor and model in N, beside what is uncertain of the
+    """Largest plausible difference between sensor and model in N, beside the uncertainty of the
     servos' torque and friction."""
     taper_n_s: float = setting(1.0, low=0.0, high=50.0)
-    """Rate in N/s at which a long hold gives back drive that friction makes superfluous."""
+    """Rate in N/s at which a long hold reduces the drive to what friction does not hold."""
 
     def __post_init__(self) -> None:
         _check_settings(self)
@@ -121,7 +121,7 @@ def largest_setpoint_n(force_max_n: float) -> float:
 
 
 class OverForce(StrEnum):
-    """What is done once when the force exceeds its cap; nothing ever pushes on.
+    """Response, once, when the force exceeds its cap.
 
     LOWER leaves a share of the currents, OPEN opens by a small step, LIMP switches the torque off.
     """
@@ -150,9 +150,9 @@ class ServoSettings:
     drive_sd: float = setting(0.05, low=0.01, high=0.5)
     """Uncertainty of these two as a share, where they are given."""
     servo_model: ServoModel = field(init=False, repr=False, compare=False)
-    """Figures of the model."""
+    """Data of the model."""
     drive: DriveCharacteristic = field(init=False, repr=False, compare=False)
-    """What is known of the servo without a measurement of the gripper's own."""
+    """Drive characteristic of the servo before a measurement."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "servo_model", require_current_control(self.model))
@@ -178,7 +178,7 @@ class ServoSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperSettings:
-    """All that a gripper needs to know beside its linkage."""
+    """Settings of a gripper beside its linkage."""
 
     servos: tuple[ServoSettings, ...] = (ServoSettings(servo_id=1), ServoSettings(servo_id=2))
     """One servo that drives both fingers, or two that drive one each (finger 0, finger 1)."""
@@ -187,22 +187,22 @@ class GripperSettings:
     aperture_open_m: float = setting(0.018, low=0.002, high=0.4)
     """Opening of `Gripper.open` and `Gripper.release` in m."""
     aperture_min_m: float = setting(0.0005, low=-0.02, high=0.4)
-    """Opening in m at which an approach ends: fingers that have touched nothing are empty. Below 0
-    where they are to meet."""
+    """Opening in m at which an approach ends: fingers without a touch are empty. Below 0 if they
+    shall meet."""
     aperture_pressed_m: float | None = setting(None, low=-0.02, high=0.4)
-    """Opening in m at which a ramp ends below its force: the part is too small or too soft for it.
-    Below 0 where the foam of the pads yields around a small part; None: ``aperture_min_m``."""
+    """Opening in m at which a ramp ends below its force: the part is too small or too soft. Below 0
+    if the foam of the pads yields around a small part; None: ``aperture_min_m``."""
     approach_speed_m_s: float = setting(0.015, low=0.004, high=0.2)
     travel_speed_m_s: float = setting(0.06, low=0.004, high=0.2)
     open_speed_m_s: float = setting(0.06, low=0.002, high=0.2)
-    """Rate of the aperture in m/s while closing where a part may begin, while closing where none
-    has begun so far, and while opening."""
+    """Rate of the opening in m/s while closing near a possible part, while closing before it, and
+    while opening."""
     approach_force_n: float = setting(1.0, above=0.0, high=10.0)
     """Grip force in N beyond friction that the current allows while approaching."""
     pad_stiffness_n_m: float = setting(55e3, low=1e3, high=1e6)
-    """Stiffness in N/m of a pad under the hardest part: a flat one on all of a pad of 55 x 20 mm
-    with foam of 3 mm and 150 kPa, as the simulated ones. With the moving mass it makes the impact
-    of an approach, see `gripper.mechanics.impact`."""
+    """Stiffness in N/m of a pad under the hardest part: by default a flat part on a whole pad of 55
+    x 20 mm with foam of 3 mm and 150 kPa, as in the simulated cell. With the moving mass it sets
+    the impact of an approach, see `gripper.mechanics.impact`."""
     contact_force_n: float = setting(0.6, low=0.1, high=5.0)
     """Force on each pad in N that counts as contact."""
     contact_samples: int = setting(3, low=1, high=50)
@@ -212,35 +212,33 @@ class GripperSettings:
     force_max_n: float = setting(15.0, low=1.0, high=HARD_FORCE_CAP_N)
     """Cap of the measured grip force in N, at most `HARD_FORCE_CAP_N`."""
     force_noise_n: float = setting(0.5, low=0.0, high=5.0)
-    """What the mean of a few samples may exceed the cap by, in N, because of noise."""
+    """Excess of the mean of a few samples over the cap in N that noise may cause."""
     grasp_force_max_n: float | None = setting(None, above=0.0)
-    """Largest force in N that a ramp may ask for; None, or what is more than
-    `largest_setpoint_n` of the cap: that."""
+    """Largest force in N of a ramp, at most `largest_setpoint_n` of the cap; None: this limit."""
     current_max_a: float = setting(0.8, low=0.05)
     """Cap of the goal current in A, at most the stall current of each servo's model."""
     temperature_max_c: float = setting(70.0, low=30.0, high=80.0)
     """Warmest servo in degrees Celsius at which goals are still written."""
     temperature_derate_k: float = setting(10.0, low=0.0, high=40.0)
-    """So many degrees below it the cap of the current begins to fall, to half at the
-    maximum."""
+    """Degrees below it at which the current limit begins to fall, to half at the maximum."""
     force_stale_s: float = setting(0.1, low=0.02, high=1.0)
     """Oldest force sample in s that may be used."""
     bus_loss_s: float = setting(0.07, low=0.02, high=2.0)
     """Time without feedback in s after which the bus counts as lost."""
     feedback_loss_max_share: float = setting(0.05, low=0.001, high=1.0)
-    """A larger share of periods without feedback is a fault; counted over so many periods that
-    one loss for ``bus_loss_s`` is just this share."""
+    """Largest share of periods without feedback; counted over a window in which one loss for
+    ``bus_loss_s`` is just this share."""
     stall_max_s: float = setting(0.25, low=0.01, high=5.0)
     """Lateness of a period in s after which the loop counts as stalled."""
     overruns_max: int = setting(10, low=1, high=1000)
-    """So many periods in a row whose work took too long end the command; the grip is kept."""
+    """Periods in a row with too long work that end the command; the grip is kept."""
     watchdog_s: float = setting(0.1, low=WATCHDOG_UNIT_S, high=127 * WATCHDOG_UNIT_S)
     """Bus watchdog of the servos in s, 0.02 to 2.54 in steps of 0.02."""
     watchdog_self_test: bool = False
     """True to prove after the first opening that the bus watchdog stops the motors, by a motion
-    of a few mm; without the proof no grasp is begun."""
+    of a few mm; a grasp then needs this proof."""
     over_force: OverForce = OverForce.LOWER
-    """What is done when the force exceeds its cap."""
+    """Response when the force exceeds its cap."""
     over_force_share: float = setting(0.5, low=0.0, high=1.0)
     """Share of the goal currents that `OverForce.LOWER` leaves, in one step."""
     over_force_open_m: float = setting(0.0005, above=0.0, high=0.005)
@@ -248,31 +246,30 @@ class GripperSettings:
     imbalance_n: float = setting(2.0, above=0.0, high=50.0)
     imbalance_share: float = setting(0.5, low=0.0, high=2.0)
     imbalance_s: float = setting(0.2, above=0.0, high=10.0)
-    """The fingers' forces may differ by so much in N, or by a share of the grip force if that
-    is more, for so long in s."""
+    """Largest difference of the fingers' forces in N, or as a share of the grip force if that is
+    more, and its longest time in s."""
     slip_drop_n: float = setting(0.8, above=0.0, high=20.0)
     slip_drop_share: float = setting(0.15, low=0.0, high=1.0)
     slip_travel_m: float = setting(0.0015, above=0.0, high=0.05)
     """A drop of the held force in N, or as a share if that is more, or closing in m while
     holding, that is reported as a slip."""
     slide_m: float = setting(0.0015, above=0.0, high=0.05)
-    """Way in m along the pads by which the centre of a held force may move; more where its noise is
-    larger, less where it moves suddenly: see `gripper.force.supervision.slip`."""
+    """Distance in m along the pads by which the centre of a held force may move; larger with more
+    noise, smaller for a sudden motion: see `gripper.force.supervision.slip`."""
     runaway_speed_m_s: float = setting(0.02, above=0.0, high=0.5)
     runaway_travel_m: float = setting(0.0005, above=0.0, high=0.05)
-    """Fingers that close faster than the force loop wants by so much in m/s, over so far in m,
-    have lost the part."""
+    """Excess in m/s over the closing speed that the force loop needs, and its distance in m, after
+    which the part counts as lost."""
     settle_timeout_s: float = setting(0.5, above=0.0, high=10.0)
     """Time in s after a ramp's end in which its force must be reached."""
     settle_tolerance_n: float = setting(0.3, low=0.0, high=5.0)
     settle_tolerance_share: float = setting(0.07, low=0.0, high=0.5)
-    """What counts as reached: in N, or as a share of the force if that is more."""
+    """Tolerance of a reached force in N, or as a share of the force if that is more."""
     taper_after_s: float = setting(1.0, low=0.0, high=600.0)
-    """Time in s after which a hold begins to give back current that friction makes
-    superfluous."""
+    """Time in s after which a hold begins to reduce the current, because friction holds part of
+    the force."""
     corrected_registers: frozenset[str] = CORRECTABLE
-    """Registers that a start makes to agree while the torque is off; the others are
-    compared."""
+    """Registers that a start corrects while the torque is off; the others are only compared."""
     force_loop: ForceLoopSettings = field(default_factory=ForceLoopSettings)
     """Tuning of the force loop."""
     drives: Drives = field(default_factory=Drives, repr=False, compare=False)
@@ -281,7 +278,7 @@ class GripperSettings:
     def __post_init__(self) -> None:
         ids = [servo.servo_id for servo in self.servos]
         if len(ids) not in (1, 2) or len(set(ids)) != len(ids):
-            raise LimitExceeded(f"servos have the IDs {ids}, must be one or two different ones")
+            raise LimitExceeded(f"servos have the IDs {ids}, must be one or two different IDs")
         _check_settings(self)
         check_number("aperture_min_m", self.aperture_min_m, high=self.aperture_open_m)
         check_number("aperture_pressed_m", self.least_pressed_m, high=self.aperture_min_m)
@@ -334,7 +331,7 @@ class GripperSettings:
         )
 
     def derates(self, temperature_c: float) -> bool:
-        """Say whether the warmest servo's temperature lowers the cap of the current."""
+        """Return whether the warmest servo's temperature lowers the current limit."""
         return temperature_c > self.temperature_max_c - self.temperature_derate_k
 
     def settle_tolerance_at_n(self, force_n: float) -> float:

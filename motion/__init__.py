@@ -1,9 +1,9 @@
 """Axes that move the object between two grasps: CiA 402 drives and one Dynamixel wrist.
 
-For a program that moves axes: `Axes` with an `Axis` for each, in m and rad.
+A program moves axes with `Axes` and an `Axis` for each, in m and rad.
 `drive` is one CiA 402 drive on a CAN bus (`bus`), `servo` one Dynamixel servo in extended position
 mode; both count in increments. `object_dictionary` names the objects of a drive (``drive.eds``),
-`errors` what can go wrong. Nothing here touches the fingers.
+and `errors` has all errors. This package does not use the fingers.
 """
 
 from importlib import import_module
@@ -23,7 +23,7 @@ _FACE = {
     "motion.errors": "MotionError",
     "motion.servo": "ServoAxis ServoAxisSettings",
 }
-"""Names by module, which is imported when one of them is first used."""
+"""Names by module; a module is imported at the first use of one of its names."""
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}
 
 __all__ = list(_HOMES)

@@ -15,11 +15,11 @@ from motion.errors import (
 )
 
 _POLL_S = 0.005
-"""Period in s in which moving axes are asked."""
+"""Period in s of the polls of moving axes."""
 _STOP_S = 0.2
-"""Time in s that a stop may take beyond that of braking: the way of the command, settling."""
+"""Longest time in s of a stop in addition to braking: for the command and the settling."""
 _TIME_FACTOR, _TIME_S = 2.0, 2.0
-"""A way may take so many times its time by velocity and acceleration, and so many s more."""
+"""Longest time of a travel: factor on its time by velocity and acceleration, and s to add."""
 
 
 class AxisDevice(Protocol):
@@ -37,23 +37,23 @@ class AxisDevice(Protocol):
         """Clear a fault; a device that must restart for it does so with ``reboot`` only."""
 
     def wake(self) -> None:
-        """Look whether the device is as it was left."""
+        """Check that the device has not changed since its last use."""
 
     def go_to(self, target: int) -> None:
         """Begin to move."""
 
     def arrived(self) -> bool:
-        """Return whether the target is reached; raises what went wrong."""
+        """Return whether the target is reached. Raises MotionError for a device at fault."""
 
     def rest(self) -> None:
-        """End a motion that has arrived: nobody has to watch the device any more."""
+        """End a motion that has arrived: the device needs no supervision now."""
 
     @property
     def position(self) -> int:
         """Present position in increments."""
 
     def stop(self) -> None:
-        """Send a stop and wait for nothing."""
+        """Send a stop without a wait."""
 
     def standing(self) -> bool:
         """Return whether the axis stands still after a stop."""
@@ -61,25 +61,25 @@ class AxisDevice(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Axis:
-    """One axis: its device, and what its increments are."""
+    """One axis: its device, and the meaning of its increments."""
 
     name: str
-    """What it moves."""
+    """Name of the axis."""
     device: AxisDevice
     """Drive or servo."""
     increments: float
-    """Increments in one m or rad; negative where the device counts the other way."""
+    """Increments in one m or rad; negative if the device counts the other way."""
     low: float
     high: float
     """Limits in m or rad."""
     plausible: tuple[float, float]
-    """Lowest and highest position in m or rad that its encoder may read: limits, home and lag."""
+    """Lowest and highest plausible position in m or rad: by limits, home and lag."""
     velocity: float
     acceleration: float
-    """Of its profile in m/s and m/s², or rad/s and rad/s²; for the longest time of a way."""
+    """Of its profile in m/s and m/s², or rad/s and rad/s²; for the longest time of a travel."""
     unit: str
     shown: float
-    """Unit of messages, and how many of it are one m or rad."""
+    """Unit of messages, and its number in one m or rad."""
 
     @property
     def position(self) -> float:
@@ -107,7 +107,7 @@ class Axis:
     def target(self, position: float) -> int:
         """Return a position in increments.
 
-        Raises AxisLimitExceeded if it is no number or outside the limits of the axis.
+        Raises AxisLimitExceeded if it is not a number or outside the limits of the axis.
         """
         if not self.low <= position <= self.high:
             raise AxisLimitExceeded(
@@ -121,7 +121,7 @@ class Axis:
         return f"{position * self.shown:.2f} {self.unit}"
 
     def longest_s(self, way: float) -> float:
-        """Return the longest time in s that a way in m or rad may take."""
+        """Return the longest time in s for a travel in m or rad."""
         time_s = abs(way) / self.velocity + self.velocity / self.acceleration
         return _TIME_FACTOR * time_s + _TIME_S
 
@@ -137,11 +137,11 @@ class Axes:
 
     @property
     def ready(self) -> bool:
-        """Whether the axes are enabled and know their positions: no motion begins with homing."""
+        """Whether the axes are enabled and homed, so that no motion begins with homing."""
         return self._ready
 
     def inspect(self) -> dict[str, str | MotionError]:
-        """Return for each axis what its device is doing, or what is wrong; nothing moves."""
+        """Return the state or the error of each device by axis; nothing moves."""
         found: dict[str, str | MotionError] = {}
         for axis in self._axes.values():
             try:
@@ -158,7 +158,7 @@ class Axes:
         Parameters
         ----------
         reboot
-            True to restart servos at fault, which drop what they carry.
+            True to restart servos at fault, which drop their load.
         """
         self._ready = False
         for axis in self._axes.values():
@@ -170,13 +170,14 @@ class Axes:
         """Move to positions in m or rad by axis; return the positions that were reached.
 
         The first motion, and the first one after a fault, prepares the devices: it enables them and
-        finds their homes, one axis after the other. A fault of a device is cleared only when it was
-        raised before: whoever moves again has seen it. Raises AxisLimitExceeded if a target is
-        outside its limits; nothing has moved. Raises PositionNotReached if a way takes too long;
-        all axes were stopped. Raises MotionError if a device is at fault or silent. All axes were
-        stopped, and are prepared anew.
+        finds their homes, one axis after the other. It clears the fault of a device only if that
+        was raised before, so the caller has seen it.
 
-        What ``supervise`` raises stops all axes too; they know their positions then, and go on from
+        Raises AxisLimitExceeded if a target is outside its limits; nothing has moved. Raises
+        PositionNotReached if a travel takes too long; all axes were stopped. Raises MotionError if
+        a device is at fault or silent. All axes were stopped, and are prepared again.
+
+        An error of ``supervise`` stops all axes too. They keep their positions and continue from
         there.
         """
         increments = {name: self._axes[name].target(value) for name, value in targets.items()}
@@ -194,7 +195,7 @@ class Axes:
             if not isinstance(error, MotionError):
                 raise
             self._ready, self._reported = False, True
-            # Two drives with one node-ID show as anything: a boot-up, a fault, a wrong state.
+            # Two drives with one node-ID cause many errors: a boot-up, a fault, a wrong state.
             found = self.inspect().values()
             cause = next((one for one in found if isinstance(one, AxisDuplicated)), error)
             raise type(cause)(f"{cause}; {raised}") from cause
@@ -212,7 +213,7 @@ class Axes:
         end_s = self._watch.clock.monotonic() + longest_s
         for name, target in increments.items():
             self._axes[name].device.go_to(target)
-        # Those that have arrived are asked on: one that fails then stops the others too.
+        # Arrived axes are polled too: if one of them fails, the others stop.
         while under_way := [name for name in targets if not self._axes[name].arrived()]:
             if self._watch.clock.monotonic() > end_s:
                 where = ", ".join(
@@ -230,7 +231,7 @@ class Axes:
         return {name: self._axes[name].position for name in targets}
 
     def stop(self) -> str:
-        """Stop all axes at once, wait until they stand, and return in words which do."""
+        """Stop all axes at once, wait until they stand, and return the result as text."""
         devices = [axis.device for axis in self._axes.values()]
         for device in devices:
             with suppress(MotionError):
@@ -256,10 +257,10 @@ def _stands(device: AxisDevice) -> bool:
 
 
 def _undisturbed(supervise: Callable[[], None]) -> Callable[[], None]:
-    """Return a supervision that goes on while axes are stopped, whatever it raises."""
+    """Return a supervision for the stop of axes, without its errors."""
 
     def guarded() -> None:
-        # The stop of the axes comes first; what was raised before is what ends the motion.
+        # The stop of the axes has priority; the earlier error ends the motion.
         with suppress(Exception):
             supervise()
 

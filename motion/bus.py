@@ -1,4 +1,4 @@
-"""Bus of the drives: one caller's thread, messages handed to the drives, time let pass."""
+"""Bus of the drives: dispatch of messages and waits, in the caller's thread."""
 
 import math
 from collections.abc import Callable
@@ -14,22 +14,22 @@ from tactile.errors import LinkFault
 
 
 def unwatched() -> None:
-    """Do nothing: the supervision of a motion that nobody supervises."""
+    """Do nothing: the default supervision of a motion."""
 
 
 class Watch:
-    """Supervision of whatever waits: called once a period while an axis moves or answers.
+    """Supervision during waits: called once a period while an axis moves or answers.
 
     Parameters
     ----------
     period_s
-        Between two calls so much time passes at least.
+        Least time in s between two calls.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
         self.clock = clock
         self.supervise: Callable[[], None] = unwatched
-        """What is called; what it raises ends the motion."""
+        """The called function; its error ends the motion."""
         self._period_s = period_s
         self._due_s = clock.monotonic()
 
@@ -41,7 +41,7 @@ class Watch:
             self.supervise()
 
     def pause(self, seconds: float) -> None:
-        """Let so many s pass under supervision."""
+        """Wait for a time in s under supervision."""
         end_s = self.clock.monotonic() + seconds
         while (left_s := end_s - self.clock.monotonic()) > 0.0:
             self.clock.sleep(min(left_s, self._period_s))
@@ -57,7 +57,7 @@ _OPERATIONAL = b"\x05"
 
 
 class DriveBus:
-    """CAN bus of one to three drives, asked by the thread that moves them.
+    """CAN bus of one to three drives, used by the thread that moves them.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class DriveBus:
         self._beat_due_s = math.inf
 
     def subscribe(self, cob_id: int, handler: Callable[[bytes], None]) -> None:
-        """Have messages with an identifier handed to a drive."""
+        """Pass messages with an identifier to a handler."""
         self._handlers[cob_id] = handler
 
     def send(self, cob_id: int, data: bytes) -> None:
@@ -86,12 +86,12 @@ class DriveBus:
             raise _lost(error) from error
 
     def beat(self) -> None:
-        """Send the host's heartbeat now and from now on, for drives that stop when it is lost."""
+        """Start the host's heartbeat, for drives that stop without it."""
         self._beat_due_s = self.clock.monotonic() + HOST_HEARTBEAT_S
         self.send(COB_HEARTBEAT + HOST_NODE, _OPERATIONAL)
 
     def service(self) -> None:
-        """Hand out what was received, send the heartbeat when it is due.
+        """Pass on received messages, and send the heartbeat when it is due.
 
         Raises AxisSilent when the interface fails.
         """
@@ -107,14 +107,14 @@ class DriveBus:
             raise _lost(error) from error
 
     def drop_old(self) -> None:
-        """Drop what came while nobody asked."""
+        """Drop messages from the time without polls."""
         try:
             self._source.start()
         except LinkFault as error:
             raise _lost(error) from error
 
     def wait(self, most_s: float) -> None:
-        """Let a moment pass, at most so many s, under supervision."""
+        """Wait for at most ``most_s`` s under supervision."""
         self._source.wait(most_s)
         self.watch.look()
 

@@ -1,7 +1,7 @@
 """One CiA 402 drive: state machine, profile position, homing, quick stop, supervision.
 
-Everything goes by SDO: no mapping of PDOs has to fit, and each write is confirmed. A drive is
-asked some hundred times a second while it moves, and not at all while it stands.
+All access is by SDO: it needs no PDO mapping, and each write is confirmed. A moving drive is polled
+some hundred times a second, a standing one is not polled.
 """
 
 import struct
@@ -38,23 +38,23 @@ from tactile.can.sdo_client import (
 HEARTBEAT_S = 0.05
 """Period in s of the drive's heartbeat (1017h)."""
 _HOST_LOST_FACTOR = 2.0
-"""A drive that misses its host stops after so many times that in which the host misses a drive."""
+"""Time after which a drive without its host stops, over that after which it counts as lost."""
 _SDO_SHARE = 0.4
-"""Share of that time for one answer: at 125 ms fifty times what a drive needs."""
+"""Share of that time for one answer: at 125 ms fifty times the time of a drive."""
 _ATTEMPTS = 3
-"""How often a transfer is tried when no answer comes; the heartbeat ends a wait before."""
+"""Attempts of a transfer without an answer; a lost heartbeat ends them earlier."""
 _START_S = 3.0
 """Longest time in s until a drive has booted and sends heartbeats."""
 _STATE_S = 2.0
 """Longest time in s for a change of state: brakes and power stages take their time."""
 _POLL_S = 0.005
-"""Period in s in which a moving drive is asked."""
+"""Period in s of the polls of a moving drive."""
 _BOOT_UP, _STOPPED, _OPERATIONAL = 0, 4, 5
 """States in a heartbeat (CiA 301, 7.2.8.3.3)."""
 _STATE_BITS = 0x7F
 """The bits of a heartbeat that are the state."""
 _SURPLUS_ANSWERS = 3
-"""So many SDO answers more than requests are a second drive's; one may be a doubled message."""
+"""Surplus of SDO answers over requests that shows a second drive; one may be a double message."""
 _EMCY_BYTES = 8
 _ANSWER_REMEDY = (
     "the drive is another one than CiA 402 describes, or somebody else sends with its node-ID. "
@@ -84,11 +84,11 @@ class DriveSettings:
     """Profile velocity (6081h) in increments/s and acceleration (6083h, 6084h) in increments/s²;
     the quick stop brakes twice as hard."""
     window: int
-    """Position window (6067h): so near counts as reached."""
+    """Position window (6067h): largest distance of a reached target."""
     following_error: int
     """Following error window (6065h) beyond which the drive goes to fault."""
     homing: HomingMethod | None
-    """Homing method; None for a drive that knows its position (absolute encoder)."""
+    """Homing method; None for a drive with an absolute encoder."""
     home: int
     """Position at the home (607Ch)."""
     homing_velocity: int
@@ -96,11 +96,11 @@ class DriveSettings:
 
 
 _FOLLOWING_MS, _WINDOW_MS = 50, 20
-"""Times in ms for which a following error is allowed, and a position has to be reached."""
+"""Time in ms of an allowed following error, and least time in ms at a reached position."""
 _STILL_SHARE = 0.01
-"""Share of its profile velocity up to which a drive stands still: encoders have noise."""
+"""Largest speed of a standing drive as a share of its profile velocity: encoders have noise."""
 _ZERO_SPEED_SHARE = 5
-"""A switch is left at this part of the speed with which it was searched."""
+"""Speed of the search for a switch over the speed away from it."""
 
 
 class Cia402Drive:
@@ -134,13 +134,13 @@ class Cia402Drive:
         bus.subscribe(od.COB_HEARTBEAT + node_id, self._on_heartbeat)
         bus.subscribe(od.COB_EMCY + node_id, self._on_emergency)
 
-    # -- what may be asked of an axis ------------------------------------------------------------
+    # -- the interface of an axis ----------------------------------------------------------------
 
     def identify(self) -> str:
         """Return state and position in words; nothing is changed and nothing moves.
 
-        Raises AxisMissing if nothing answers, or what answers is no CiA 402 drive with the modes
-        that are needed; AxisNotOperational if it is stopped, AxisDuplicated if two drives answer.
+        Raises AxisMissing without an answer, or if the device is not a CiA 402 drive with the
+        needed modes. Raises AxisNotOperational if it is stopped, AxisDuplicated for two drives.
         """
         self._supervised, self._nmt_state = False, _OPERATIONAL
         self._surplus = self._client.surplus
@@ -178,10 +178,10 @@ class Cia402Drive:
         fault, refuses its set-up or does not find its home.
         """
         self._bus.drop_old()
-        self._command("OPERATIONAL")  # a drive that is stopped answers no SDO
+        self._command("OPERATIONAL")  # a stopped drive answers no SDO
         self.identify()
         self._booted, self._emergency, self._nmt_state = False, 0, _BOOT_UP
-        self._command("OPERATIONAL")  # one that was booting did not hear the first command
+        self._command("OPERATIONAL")  # a booting drive missed the first command
         self._write(od.HEARTBEAT_MS, 0, round(1e3 * HEARTBEAT_S))
         self._until(
             lambda: self._nmt_state == _OPERATIONAL,
@@ -190,7 +190,7 @@ class Cia402Drive:
             AxisNotOperational,
         )
         if self._state() is State.OPERATION_ENABLED:
-            # It may still be on its way: nobody could stop a drive that was silent.
+            # It may still move: a silent drive could not be stopped.
             self._write(od.CONTROLWORD, 0, Control.QUICK_STOP)
             self._until(self.standing, self._braking_s, "does not stop")
         self._set_up()
@@ -204,7 +204,7 @@ class Cia402Drive:
         self._set_mode(ModeOfOperation.PROFILE_POSITION)
 
     def clear_fault(self, *, reboot: bool) -> None:
-        """Clear the fault of the drive; it needs no restart, and is neither enabled nor moved.
+        """Clear the fault of the drive, without a restart; it is not enabled and does not move.
 
         Raises MotionError if it is missing, or its fault stays.
         """
@@ -214,7 +214,7 @@ class Cia402Drive:
         self._reset_fault()
 
     def wake(self) -> None:
-        """Look whether the drive is as it was left: alive, enabled, without a fault."""
+        """Check that the drive still answers, is enabled and has no fault."""
         self._bus.drop_old()
         self._heard_s = self._bus.clock.monotonic()
         self._surplus = self._client.surplus
@@ -225,8 +225,8 @@ class Cia402Drive:
         status = self._status()
         if State.of(status) is State.SWITCH_ON_DISABLED:
             raise AxisRestarted(
-                f"{self.name} is in SWITCH ON DISABLED, it was left in OPERATION ENABLED: it has "
-                "restarted, or somebody else commands it; clear the fault and start again"
+                f"{self.name} is in SWITCH ON DISABLED, it was in OPERATION ENABLED: it has "
+                "restarted, or another program commands it; clear the fault and start again"
             )
         self._check_status(status)
 
@@ -240,7 +240,7 @@ class Cia402Drive:
             raise AxisLimitExceeded(
                 f"{self.name} was asked for {target} increments, its limits are {low} to {high}"
             )
-        # The node-ID that is watched, and its longest silence in ms (CiA 301, 1016h).
+        # The monitored node-ID, and its longest silence in ms (CiA 301, 1016h).
         host_lost_ms = round(1e3 * _HOST_LOST_FACTOR * self._bus.loss_s)
         self._write(od.CONSUMER_HEARTBEAT, 1, HOST_NODE << 16 | host_lost_ms)
         self._bus.beat()
@@ -256,7 +256,7 @@ class Cia402Drive:
         )
 
     def arrived(self) -> bool:
-        """Return whether the target is reached: by the drive's word and by the position.
+        """Return whether the target is reached: by the statusword and by the position.
 
         Raises MotionError if the drive is at fault, silent, restarted, or stopped by a limit
         switch.
@@ -269,7 +269,7 @@ class Cia402Drive:
         return abs(self.position - self.target) <= self._settings.window
 
     def rest(self) -> None:
-        """Let the drive miss the host's heartbeat from now on."""
+        """End the drive's supervision of the host's heartbeat."""
         self._write(od.CONSUMER_HEARTBEAT, 1, 0)
 
     @property
@@ -278,10 +278,10 @@ class Cia402Drive:
         return self._read(od.POSITION)
 
     def stop(self) -> None:
-        """Send a quick stop and wait for nothing; also a drive that is silent may still hear."""
+        """Send a quick stop without a wait; a silent drive may still receive it."""
         self.target, self._stopped = None, True
         if self._nmt_state == _STOPPED:
-            self._command("PRE-OPERATIONAL")  # else it hears no SDO
+            self._command("PRE-OPERATIONAL")  # else it receives no SDO
         self._bus.send(COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
 
     def standing(self) -> bool:
@@ -291,13 +291,13 @@ class Cia402Drive:
         return still and self._state() is not State.OPERATION_ENABLED
 
     def check(self) -> None:
-        """Raise what heartbeat, emergencies and answers have shown since the last look."""
+        """Raise an error from heartbeat, emergencies and answers since the last check."""
         self._bus.service()
         surplus = self._client.surplus - self._surplus
         if surplus >= _SURPLUS_ANSWERS:
             raise AxisDuplicated(
-                f"{surplus} SDO answers more came from {self.name} than were asked for: a second "
-                "drive has the same node-ID, or another program asks it. Leave one of them on the "
+                f"{self.name} sent {surplus} SDO answers more than there were requests: a second "
+                "drive has the same node-ID, or another program uses it. Leave one of them on the "
                 "bus, then clear the fault and start again"
             )
         if not self._supervised:
@@ -305,7 +305,7 @@ class Cia402Drive:
         if self._booted:
             raise AxisRestarted(
                 f"{self.name} has booted: its position is lost. Check its supply, then clear the "
-                "fault and start again; it is homed anew"
+                "fault and start again; it is homed again"
             )
         if self._nmt_state != _OPERATIONAL:
             raise self._not_operational()
@@ -316,7 +316,7 @@ class Cia402Drive:
         if silent_s > limit_s:
             raise AxisSilent(
                 f"no heartbeat from {self.name} for {silent_s:.3f} s, allowed are {limit_s:g} s; "
-                "where it has moved is not known. Check its supply and CAN cable, then clear the "
+                "its position is unknown. Check its supply and CAN cable, then clear the "
                 "fault and start again"
             )
 
@@ -401,7 +401,7 @@ class Cia402Drive:
         self._write(od.HOMING_SPEEDS, 2, slow)
         self._write(od.HOMING_ACCELERATION, 0, wanted.acceleration)
         self._write(od.CONTROLWORD, 0, Control.START_HOMING)
-        # The longest way: from one end to the other, and back from the switch.
+        # The longest travel: from one end to the other, and back from the switch.
         longest_s = _STATE_S + 2.0 * (wanted.high - wanted.low) / wanted.homing_velocity
 
         def attained() -> bool:
@@ -428,8 +428,8 @@ class Cia402Drive:
             which = {od.INPUT_NEGATIVE_SWITCH: "negative ", od.INPUT_POSITIVE_SWITCH: "positive "}
             raise LimitSwitchReached(
                 f"{self.name} is stopped by its {which.get(inputs & 3, '')}limit switch at "
-                f"{self.position} increments: find out why it got there (home, limits), then "
-                "clear the fault and start again; it is homed anew"
+                f"{self.position} increments: check home and limits, then "
+                "clear the fault and start again; it is homed again"
             )
 
     def _check_state(self, state: State) -> None:

@@ -6,11 +6,11 @@ class MotionError(Exception):
 
 
 class AxisLimitExceeded(MotionError, ValueError):
-    """A position outside the limits of an axis was asked for; nothing has moved."""
+    """A requested position is outside the limits of an axis; nothing has moved."""
 
 
 class PositionNotReached(MotionError):
-    """An axis stands still or is still under way after the time that the way may take."""
+    """An axis has not reached its target in the longest time of the travel."""
 
 
 class AxisMissing(MotionError):
@@ -18,7 +18,7 @@ class AxisMissing(MotionError):
 
 
 class AxisSilent(MotionError):
-    """A drive sends no heartbeat, or a drive or servo no answers, any more."""
+    """A drive has stopped its heartbeat, or a drive or servo its answers."""
 
 
 class AxisRestarted(MotionError):
@@ -46,8 +46,8 @@ class AxisDuplicated(MotionError):
 
 
 class AxisAnswerWrong(MotionError):
-    """A drive answers, with something else than was asked for."""
+    """A drive answers with something other than the request."""
 
 
 class PositionImplausible(MotionError):
-    """The position reading of an axis is beyond its limits; where the axis is, is not known."""
+    """The position reading of an axis is beyond its limits; its position is unknown."""

@@ -18,23 +18,23 @@ EDS_PATH = Path(__file__).with_name("drive.eds")
 COB_NMT = 0x000
 COB_EMCY = 0x080
 COB_HEARTBEAT = 0x700
-"""Identifiers of the pre-defined connection set (CiA 301, 7.3.5); but for NMT plus the node-ID."""
+"""Identifiers of the pre-defined connection set (CiA 301, 7.3.5), without the node-ID."""
 
 DEVICE_TYPE = 0x1000
 PROFILE_402 = 402
 """Lower 16 bits of the device type of a drive."""
 CONSUMER_HEARTBEAT = 0x1016
-"""U32 each: node-ID that is watched << 16, and its longest silence in ms; 0 for none."""
+"""U32 each: monitored node-ID << 16, and its longest silence in ms; 0 for none."""
 HEARTBEAT_MS = 0x1017
 ABORT_CONNECTION = 0x6007
 STOP_WHEN_HOST_IS_LOST = 3
-"""Value of it: a quick stop when the heartbeat of the host (1016h) is lost."""
+"""Its value for a quick stop when the heartbeat of the host (1016h) is lost."""
 ERROR_CODE = 0x603F
 CONTROLWORD = 0x6040
 STATUSWORD = 0x6041
 QUICK_STOP_OPTION = 0x605A
 STAY_IN_QUICK_STOP = 6
-"""Value of it: slow down on the quick stop ramp and stay in QUICK STOP ACTIVE, with torque."""
+"""Its value for a quick stop ramp to QUICK STOP ACTIVE, with torque."""
 MODE = 0x6060
 MODE_DISPLAY = 0x6061
 POSITION = 0x6064
@@ -75,7 +75,7 @@ class HomingMethod(IntEnum):
 
 
 class Control(IntEnum):
-    """Controlwords (6040h) that lead through the states."""
+    """Controlwords (6040h) for the transitions between states."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -89,7 +89,7 @@ class Control(IntEnum):
 
 
 class Status(IntFlag):
-    """Bits of the statusword (6041h) beside the state."""
+    """Bits of the statusword (6041h) other than the state."""
 
     VOLTAGE_ENABLED = 1 << 4
     WARNING = 1 << 7
@@ -116,7 +116,7 @@ class State(IntEnum):
 
     @property
     def words(self) -> str:
-        """The state as the standard writes it."""
+        """Name of the state in the standard."""
         return self.name.replace("_", " ")
 
     @classmethod
@@ -148,7 +148,7 @@ _ERROR_TEXTS: Mapping[int, str] = MappingProxyType(
         0x8612: "a position limit was passed",
     }
 )
-"""Error codes that have a text of their own (CiA 402-2, 603Fh)."""
+"""Error codes with their own text (CiA 402-2, 603Fh)."""
 _ERROR_CLASSES: Mapping[int, str] = MappingProxyType(
     {
         0x2: "current",

@@ -32,20 +32,20 @@ from motion.errors import (
 )
 
 _WATCHDOG_FACTOR = 2.0
-"""Bus watchdog, armed while the servo moves: it stops when nobody asked it for so many times that
-in which the host misses its answers."""
+"""Time of the bus watchdog over that after which the servo counts as lost. The watchdog is armed
+while the servo moves."""
 _RETRY_S = 0.005
-"""Time in s after which a servo is asked again that did not answer."""
+"""Time in s until the next attempt without an answer."""
 _ATTEMPTS = 2
-"""So often a servo is asked at least, also where the machine was busy with other work meanwhile."""
+"""Fewest attempts, also on a machine that was busy with other work meanwhile."""
 _STALL_S = 0.15
-"""A load or a lag beyond its limit that lasts so long in s is a stall; starting takes 0.05 s."""
+"""Least time in s beyond a limit of load or lag that is a stall; a start takes 0.05 s."""
 _REBOOT_S = 0.5
-"""Time in s that a servo takes to reboot, with reserve."""
+"""Time in s for a reboot of a servo, with reserve."""
 _STANDING = 2
-"""Present Velocity in counts of 0.229 rev/min up to which the servo stands."""
+"""Largest Present Velocity of a standing servo in counts of 0.229 rev/min."""
 _REVERSE_BIT = 0x01
-"""The bit of Drive Mode that may be set: all others change what the goals mean."""
+"""The bit of Drive Mode that may be set: all others change the meaning of goals."""
 
 _T = TypeVar("_T")
 
@@ -55,7 +55,7 @@ class ServoAxisSettings:
     """Set-up of a servo in pulses, 4096 a turn."""
 
     model: ServoModel
-    """Model that it must be."""
+    """Required model."""
     low: int
     high: int
     """Limits, less than a turn apart: after a loss of power the servo counts within one turn."""
@@ -65,11 +65,11 @@ class ServoAxisSettings:
     acceleration: int
     """Profile Velocity and Acceleration in their counts, at least 1."""
     window: int
-    """So near counts as reached; also the reserve at the limits for a servo that is switched on."""
+    """Largest distance of a reached target; also the reserve at the limits when switched on."""
     lag: int
-    """Distance to the profile's own position beyond which the servo is stalled."""
+    """Largest distance to the profile's position of a servo that is not stalled."""
     current_a: float
-    """Current beyond which the servo is stalled in A."""
+    """Largest current in A of a servo that is not stalled."""
     loss_s: float
     """Time in s without an answer after which the servo is lost."""
 
@@ -93,8 +93,7 @@ class ServoAxis:
     def identify(self) -> str:
         """Return state and position in words; nothing is changed and nothing moves.
 
-        Raises AxisMissing if nothing answers, or the servo is another model or set up for other
-        goals.
+        Raises AxisMissing without an answer, for another model, or for a set-up for other goals.
         """
         self._loss_s = self._settings.loss_s
         try:
@@ -111,7 +110,7 @@ class ServoAxis:
         if drive_mode & ~_REVERSE_BIT:
             raise AxisMissing(
                 f"{self.name} has Drive Mode {drive_mode}: time-based profiles and torque by goal "
-                "must be off; correct it with the maker's wizard"
+                "must be off; correct it with the vendor's wizard"
             )
         torque = "on" if self._read_torque() else "off"
         error = self._read_error()
@@ -120,7 +119,7 @@ class ServoAxis:
         return words + (f", hardware error {_names(error)}" if error else "")
 
     def prepare(self, *, reset: bool) -> None:
-        """Set the servo up and switch its torque on where it stands; nothing moves.
+        """Set the servo up and switch its torque on at its position; nothing moves.
 
         A servo at fault is restarted with ``reset`` only. Raises MotionError if it is missing,
         stays at fault, or stands outside its limits.
@@ -133,7 +132,7 @@ class ServoAxis:
             self._write(OPERATING_MODE, mode)
         at = self._ask(lambda: self._bus.read(self._id, PRESENT_POSITION))
         low, high, reserve = self._settings.low, self._settings.high, self._settings.window
-        # The turn in which the servo stands is the one that lies within the limits.
+        # The turn of the present position is the one within the limits.
         middle = (low + high) // 2
         turn = self._settings.model.pulses_per_turn
         self._turn = round((middle - (at - self._settings.zero)) / turn) * turn
@@ -147,7 +146,7 @@ class ServoAxis:
         self._target = None
 
     def clear_fault(self, *, reboot: bool) -> None:
-        """Restart a servo at fault, with ``reboot`` only: it loses its torque until it is used.
+        """Restart a servo at fault, only with ``reboot``: it loses its torque until its next use.
 
         Raises MotionError if it is missing, or at fault without ``reboot`` or after it.
         """
@@ -161,7 +160,7 @@ class ServoAxis:
             raise AxisFault(self._fault_text(error))
 
     def wake(self) -> None:
-        """Look whether the servo is as it was left: alive, with torque, without a fault."""
+        """Check that the servo still answers, has torque and no fault."""
         self._loss_s = self._settings.loss_s
         self._check()
 
@@ -198,7 +197,7 @@ class ServoAxis:
         return near and on_goal and abs(values["present_velocity"]) <= _STANDING
 
     def rest(self) -> None:
-        """Disarm the bus watchdog: nobody asks the servo while it stands."""
+        """Disarm the bus watchdog: a standing servo is not polled."""
         self._write(BUS_WATCHDOG, 0)
 
     @property
@@ -207,7 +206,7 @@ class ServoAxis:
         return self._axis(self._feedback()["present_position"])
 
     def stop(self) -> None:
-        """Have the servo hold where it is, without torque where its reading cannot be true."""
+        """Stop the servo at its position; with an implausible reading its torque goes off."""
         # Other axes wait for their stop meanwhile.
         self._loss_s = 0.0
         self._target = None
@@ -252,7 +251,7 @@ class ServoAxis:
             raise AxisFault(
                 f"{self.name} is stalled: {current_a:.2f} A (allowed are "
                 f"{self._settings.current_a:g} A) and {lag} pulses behind its profile (allowed "
-                f"are {self._settings.lag}); find what is in its way, then clear the fault and "
+                f"are {self._settings.lag}); remove the obstacle, then clear the fault and "
                 "start again"
             )
 
@@ -266,7 +265,7 @@ class ServoAxis:
         self._ask(lambda: self._bus.write(self._id, register, raw))
 
     def _ask(self, call: Callable[[], _T]) -> _T:
-        """Make a transaction; one without an answer is repeated until the servo is lost."""
+        """Make a transaction; without an answer it is repeated until the servo is lost."""
         end_s = self._watch.clock.monotonic() + self._loss_s
         attempts = 0
         while True:

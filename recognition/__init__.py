@@ -1,11 +1,10 @@
-"""Object recognition by touch: from the record of a grasp to probabilities of what was held.
+"""Object recognition by touch: from the record of a grasp to probabilities of the objects.
 
-A `Grasp` goes in, a `Posterior` comes out; `make_trainer` finds trainers by name, `fuse` joins
-several grasps of one object. Chapters: `ramp` reduces a grasp to levels of load, `features`
-describes these, `statistics` classifies, fuses grasps and chooses the next one, `recognizers` holds
-the kinds of recogniser, `drift` corrects for changed sensors, `evaluation` gives figures. `quadric`
-is the paper's method, `shape` fits shape and size. No file, clock, thread or bus is used: numbers
-in, numbers out.
+A recogniser makes a `Posterior` from a `Grasp`. `make_trainer` finds trainers by name, `fuse` joins
+several grasps of one object. Sub-packages: `ramp` reduces a grasp to levels of load, and `features`
+describes these. `statistics` classifies and fuses grasps, and `recognizers` has the kinds of
+recogniser. `drift` corrects for changed sensors, and `evaluation` computes figures. `quadric` is
+the paper's method, `shape` fits shape and size. The package uses no file, clock, thread or bus.
 """
 
 from importlib import import_module
@@ -33,7 +32,7 @@ _FACE = {
     "recognition.recognizers": "make_trainer trainer_names",
     "recognition.statistics.fusion": "Decision StopRule decide fuse",
 }
-"""Names by module, which is imported when one of them is first used."""
+"""Names by module; a module is imported at the first use of one of its names."""
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}
 
 __all__ = list(_HOMES)

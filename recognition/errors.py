@@ -1,4 +1,4 @@
-"""Errors of the package: input from which no surface, trajectory or recogniser can be made.
+"""Errors of the package: input that gives no surface, trajectory or recogniser.
 
 All derive from ``ValueError``.
 """
@@ -9,7 +9,7 @@ class RecognitionError(ValueError):
 
 
 class ContactError(RecognitionError):
-    """A pad shows no usable contact: nothing over the noise, or frames that do not fit."""
+    """A pad shows no usable contact: no load above the noise, or frames that do not fit."""
 
 
 class QuadricError(RecognitionError):
@@ -21,4 +21,4 @@ class TransformError(RecognitionError):
 
 
 class TrajectoryError(RecognitionError):
-    """A sweep is too large, or its bands cannot be turned into thresholds."""
+    """A sweep is too large, or its bands give no thresholds."""

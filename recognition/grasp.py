@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 CELL_SOURCE = "cell "
-"""Start of the source of a grasp that a cell took; the name of the cell follows."""
+"""Start of the source of a grasp by a cell; the name of the cell follows."""
 DRAWING_SOURCE = "drawing"
 """Source of a virtual grasp of a drawing."""
 
 SERIES_PAUSE_MS = 3_600_000
-"""Pause in ms between two grasps of one object from which on they are of two series."""
+"""Least pause in ms between two grasps of one object that begins a new series."""
 
 _FARTHEST_ZERO_M = 0.05
-"""Largest zero of an opening in m: far beyond any that a hand has."""
+"""Largest zero of an opening in m: far beyond that of any hand."""
 _SAME_PLACE_M = 1e-6
-"""Taxels whose positions differ by less than this are the same, in m: files round positions."""
+"""Largest difference in m between positions of the same taxel: files round positions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +32,7 @@ class _Numbers:
 
     @classmethod
     def from_values(cls, values: Sequence[float]) -> Self:
-        """Rebuild from `values`. Raises ValueError where they do not fit."""
+        """Rebuild from `values`. Raises ValueError if they do not fit."""
         names = (one.name for one in fields(cls))
         return cls(**dict(zip(names, map(float, values), strict=True)))
 
@@ -66,7 +66,7 @@ class GraspCommand(_Numbers):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelfZero(_Numbers):
-    """What the empty fingers of a cell show when they press on each other; logarithms are natural.
+    """Measurements of the empty fingers of a cell pressed on each other; logarithms are natural.
 
     Raises
     ------
@@ -76,17 +76,17 @@ class SelfZero(_Numbers):
 
     opening_m: float
     opening_sd_m: float
-    """Opening that is read where the middles of the pads just meet, in m, and its standard
+    """Reading of the opening when the middles of the pads just meet, in m, and its standard
     deviation."""
     log_gain_ratio: float
     log_gain_ratio_sd: float
-    """Logarithm of the gain of finger 0's pad over that of finger 1's: both feel one force."""
+    """Logarithm of the gain of finger 0's pad over that of finger 1's: both carry one force."""
     log_scale: float
     log_scale_sd: float
     """Logarithm of the counts of a pad, mean of both, for each A more of the motors' current."""
     log_stiffness: float
     log_stiffness_sd: float
-    """Logarithm of the counts of a pad, mean of both, for each mm that both give together."""
+    """Logarithm of the counts of a pad, mean of both, for each mm that both yield together."""
 
     def __post_init__(self) -> None:
         for name in ZERO_COLUMNS:
@@ -94,7 +94,7 @@ class SelfZero(_Numbers):
             if not math.isfinite(value) or (name.endswith("_sd") and value <= 0.0):
                 raise ValueError(f"{name} of a self-zero is {value}, must be finite, an sd above 0")
         if abs(self.opening_m) > _FARTHEST_ZERO_M:
-            raise ValueError(f"opening_m of a self-zero is {self.opening_m}: openings stand in m")
+            raise ValueError(f"opening_m of a self-zero is {self.opening_m}, must be in m")
 
 
 COMMAND_COLUMNS, ZERO_COLUMNS = (
@@ -106,7 +106,7 @@ COMMAND_COLUMNS, ZERO_COLUMNS = (
 def keep_array(
     record: object, name: str, values: ArrayLike, dtype: DTypeLike | None = None
 ) -> NDArray[Any]:
-    """Set a field of a frozen record to a read-only copy of an array, and return that."""
+    """Set a field of a frozen record to a read-only copy of an array, and return the copy."""
     array: NDArray[Any] = np.array(values, dtype=dtype)
     array.setflags(write=False)
     object.__setattr__(record, name, array)
@@ -145,7 +145,7 @@ class PadArray:
         if not np.all(np.isfinite(self.taxel_xy_m)):
             raise ValueError("taxel_xy_m has values that are not finite")
         if np.any((self.taxel_pad < 0) | (self.taxel_pad >= n_pads)):
-            raise ValueError(f"taxel_pad names pads beside the {n_pads} of pad_shape")
+            raise ValueError(f"taxel_pad names other pads than the {n_pads} of pad_shape")
         per_pad = np.bincount(self.taxel_pad, minlength=n_pads)
         if np.any(per_pad != self.pad_shape.prod(axis=1)):
             raise ValueError(
@@ -159,7 +159,7 @@ class PadArray:
     ) -> "PadArray":
         """Return equal pads, each a grid of taxels around its centre; two pads by default.
 
-        ``grid(8, 8, 3e-3)`` has 128 taxels: 64 on each of the two pads that grip. A grasp has
+        ``grid(8, 8, 3e-3)`` has 128 taxels: 64 on each of the two gripping pads. A grasp has the
         counts of both, pad by pad; ``n_pads=1`` describes a single pad.
 
         Parameters
@@ -188,7 +188,7 @@ class PadArray:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing, ValueError out of range."""
+        """Rebuild from `to_arrays`; KeyError if an array is missing, ValueError out of range."""
         found: dict[str, Any] = {one.name: arrays[one.name] for one in fields(cls)}
         return cls(**found | {"adc_max": int(found["adc_max"])})
 
@@ -227,29 +227,29 @@ class Grasp:
     """
 
     pads: PadArray
-    """The pads that the counts belong to."""
+    """The pads of the counts."""
     counts: NDArray[np.uint16]
     """(n_frames, n_taxels) uint16: raw frames, in the order of time; other numbers are rounded."""
     t_s: NDArray[np.float64]
     """(n_frames,) float64: time since the first frame in s."""
     aperture_m: NDArray[np.float64] = field(default_factory=lambda: np.array(np.nan))
-    """(n_frames,) float64: opening between the fingers in m; NaN where unknown. One number stands
-    for all frames."""
+    """(n_frames,) float64: opening between the fingers in m; NaN if unknown. A single number is
+    used for all frames."""
     force_n: NDArray[np.float64] = field(default_factory=lambda: np.array(np.nan))
     """(n_frames,) float64: commanded grip force in N, likewise."""
     label: str = ""
     shape: str = ""
     source: str = ""
-    """What was grasped, its class of shape, where the record came from (``cell NAME`` for one that
-    a cell took); empty where unknown."""
+    """The object, its class of shape, and the source of the record (``cell NAME`` for a grasp by a
+    cell); empty if unknown."""
     start_ms: int = 0
     """Time of the first frame in ms: sorts the grasps of a label."""
     thickness_m: float = float("nan")
-    """Thickness of the object along the closing axis in m by its drawing; NaN where unknown."""
+    """Thickness of the object along the closing axis in m by its drawing; NaN if unknown."""
     command: GraspCommand | None = None
-    """Commanded pose and force; None where unknown. Recognisers do not use it."""
+    """Commanded pose and force; None if unknown. Recognisers do not use it."""
     zero: SelfZero | None = None
-    """What the empty fingers showed last before the grasp; None where that was not measured."""
+    """Last self-zero before the grasp; None if it was not measured."""
 
     def __post_init__(self) -> None:
         n_frames = len(self.counts)
@@ -289,10 +289,10 @@ class Grasp:
 
     @property
     def contact_frame(self) -> int | None:
-        """First frame under a commanded force; None where that does not show the contact.
+        """First frame under a commanded force; None if that does not show the contact.
 
-        A cell begins the ramp where it stopped at the contact: there the opening shows the size,
-        however fast the ramp then is. Other hands may command a force before they touch.
+        A cell stops at the contact and begins the ramp there. The opening then shows the size for
+        a ramp of any rate. Other hands may command a force before they touch.
         """
         if not (self.source == DRAWING_SOURCE or self.source.startswith(CELL_SOURCE)):
             return None
@@ -315,12 +315,12 @@ class Grasp:
 def by_label(grasps: Sequence[Grasp]) -> dict[str, list[Grasp]]:
     """Return the grasps of each label in the order of time, labels sorted.
 
-    Raises ValueError where a grasp has no label.
+    Raises ValueError if a grasp has no label.
     """
     found: defaultdict[str, list[Grasp]] = defaultdict(list)
     for number, grasp in enumerate(grasps):
         if not grasp.label:
-            raise ValueError(f"grasp {number} has no label: it can neither teach nor test")
+            raise ValueError(f"grasp {number} has no label: label it to teach or to test")
         found[grasp.label].append(grasp)
     return {label: sorted(found[label], key=lambda g: g.start_ms) for label in sorted(found)}
 

@@ -16,15 +16,15 @@ LEAST_PROBABILITY = 0.5
 """Least probability of a name among the taught objects; with less the answer is ``UNKNOWN``."""
 
 MOST_UNKNOWN = 0.5
-"""Largest probability of a new object with which a taught one is named."""
+"""Largest probability of a new object in an answer that names a taught one."""
 
 _FAR = 3.0
-"""Half widths of a 90 % interval between a measured thickness and one that it excludes by far: five
-standard deviations."""
+"""Distance from a measured thickness that excludes a drawn one, in half widths of its 90 %
+interval: five standard deviations."""
 
 DEPENDENCE = 0.3
-"""Correlation, 0 to 1, of the log evidence of two grasps of one object: they share the object, the
-sensor and the errors of the recogniser. See docs/explanations/sequences.md."""
+"""Correlation, 0 to 1, of the log evidence of two grasps of one object. They share the object, the
+sensor and the errors of the recogniser (docs/explanations/sequences.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,10 +39,10 @@ class Posterior:
     unknown: float
     """float: probability from 0 to 1 that the object was never taught."""
     dependence: float = DEPENDENCE
-    """How far further grasps of the object repeat this one, 0 to 1; fusion weighs grasps by it."""
+    """Correlation with further grasps of the object, 0 to 1; fusion weighs grasps by it."""
     drawn_m: tuple[float, ...] = ()
-    """Thicknesses in m of the likeliest object along the closing axis by its drawing, as the
-    opening reads now; empty where there is none, or the zero of the opening is not known."""
+    """Thicknesses in m of the likeliest object along the closing axis by its drawing, in present
+    readings of the opening. Empty without a drawing, or if the zero of the opening is unknown."""
 
     def __post_init__(self) -> None:
         p = keep_array(self, "probability", self.probability, np.float64)
@@ -62,14 +62,14 @@ class Posterior:
 
     @classmethod
     def uninformed(cls, labels: tuple[str, ...]) -> "Posterior":
-        """Return the posterior of a grasp without evidence: even probabilities, surely unknown."""
+        """Return the posterior of a grasp without evidence: even probabilities, unknown is 1."""
         even = np.full(len(labels), 1.0 / len(labels))
         return cls(labels=labels, probability=even, unknown=1.0)
 
     def with_size(self, low_m: float, high_m: float) -> "Posterior":
-        """Return the posterior after a thickness with a 90 % interval in m was measured.
+        """Return the posterior after a measured thickness with its 90 % interval in m.
 
-        Where that excludes all drawn ones by far, the object is surely none that was taught.
+        If this excludes all drawn thicknesses, the object was never taught: unknown is 1.
         """
         middle_m, reach_m = 0.5 * (low_m + high_m), 0.5 * _FAR * (high_m - low_m)
         far = bool(self.drawn_m) and min(abs(d - middle_m) for d in self.drawn_m) > reach_m
@@ -79,15 +79,15 @@ class Posterior:
     def name(self) -> str:
         """The answer: the likeliest label, or ``UNKNOWN``.
 
-        A name needs its probability and its novelty: at least `LEAST_PROBABILITY` among the taught
-        objects, and at most `MOST_UNKNOWN` of a new one. There is no other rule.
+        A name needs a probability of at least `LEAST_PROBABILITY` among the taught objects, and one
+        of at most `MOST_UNKNOWN` for a new object. There is no other rule.
         """
         sure = float(self.probability.max()) >= LEAST_PROBABILITY
         return self.best if sure and self.unknown <= MOST_UNKNOWN else UNKNOWN
 
     @property
     def name_probability(self) -> float:
-        """Probability of the name; of ``UNKNOWN``, that it is not the likeliest taught object."""
+        """Probability of the name; for ``UNKNOWN`` that of not being the likeliest object."""
         named = (1.0 - self.unknown) * float(self.probability.max())
         return 1.0 - named if self.name == UNKNOWN else named
 
@@ -103,11 +103,11 @@ class Recognizer(Protocol):
         """Return the posterior of a grasp; ValueError for pads other than the taught ones."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all that was learnt as plain arrays (numbers and strings, no objects)."""
+        """Return the taught recogniser as plain arrays (numbers and strings, no objects)."""
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
+        """Rebuild from `to_arrays`. Raises ValueError that names a missing or wrong array."""
 
 
 class Trainer(Protocol):
@@ -122,4 +122,4 @@ class Trainer(Protocol):
         """Whether the opening between the fingers is used."""
 
     def fit(self, grasps: Sequence[Grasp]) -> Recognizer:
-        """Learn from labelled grasps. Raises ValueError where they do not suffice."""
+        """Learn from labelled grasps. Raises ValueError if they are too few."""

@@ -1,9 +1,9 @@
-"""A simulated cell that answers with the real bytes of the real buses.
+"""A simulated cell that speaks the real protocols of the buses.
 
-Servos are Protocol 2.0 devices, the tactile control unit is a CANopen device, and both live in
-one world in which rigid objects are pressed into foam pads. The package imports what describes
-the hardware (registers, taxel layout, frame format, object dictionary) and never a driver.
-`simulated_cell` makes one in virtual time; `simulator.realtime.process` is for real time.
+Servos are Protocol 2.0 devices, the tactile control unit is a CANopen device. Both share one world
+in which rigid objects are pressed into foam pads. The package imports descriptions of the hardware
+(registers, taxel layout, frame format, object dictionary), but never a driver. `simulated_cell`
+makes a cell in virtual time; `simulator.realtime.process` runs one in real time.
 """
 
 from importlib import import_module
@@ -17,7 +17,7 @@ _FACE = {
     "simulator.cell": "SimulatedCell simulated_cell",
     "simulator.settings": "SimulatorSettings",
 }
-"""Names by module, which is imported when one of them is first used."""
+"""Names by module; a module is imported at the first use of one of its names."""
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}
 
 __all__ = list(_HOMES)

@@ -1,4 +1,4 @@
-"""The simulated cell: one world, the devices in it, and the ends of their buses in memory."""
+"""The simulated cell: one world, its devices, and the host's ends of their buses in memory."""
 
 from typing import Self
 
@@ -18,12 +18,12 @@ from tactile.layout import TaxelLayout, paper_layout
 
 
 class SimulatedCell:
-    """The simulated cell in virtual time: everything in one thread, as fast as the machine goes.
+    """The simulated cell in virtual time: in one thread, as fast as possible.
 
     Parameters
     ----------
     clock
-        Its time; inject the same one into everything that talks to the cell.
+        Its clock; inject the same clock into all clients of the cell.
     """
 
     def __init__(
@@ -41,9 +41,9 @@ class SimulatedCell:
         self.can_bus = self._new_bus()
         """The host's end of the CAN bus; its ``clock`` is that of the cell."""
         self.axes_can_bus = self._new_axes_bus()
-        """The host's end of the bus of the axes' drives; None in a cell without any."""
+        """The host's end of the bus of the axes' drives; None without drives."""
         self.axes_streams = self._new_axes_streams()
-        """The host's ends of the lines of the axes' servos, by what they move."""
+        """The host's ends of the lines of the axes' servos, by their part of the pose."""
         self.board_streams = [MemoryServoStream(b, self.clock) for b in self.devices.boards]
         """The host's ends of the lines of the sensor boards, by finger."""
         for text in self.settings.faults:
@@ -51,14 +51,14 @@ class SimulatedCell:
 
     @property
     def servo_port(self) -> MemoryServoStream:
-        """The host's end of the servo bus; opened anew where the last one was closed."""
+        """The host's end of the servo bus; reopened after it was closed."""
         if self._servo_port.closed and not self._closed:
             self._servo_port = MemoryServoStream(self.devices.servo_bus, self.clock)
         return self._servo_port
 
     @property
     def world(self) -> PhysicalWorld | RecordedWorld:
-        """What is between the fingers."""
+        """The world between the fingers."""
         return self.devices.world
 
     @property
@@ -72,16 +72,16 @@ class SimulatedCell:
         return self.devices.unit
 
     def inject(self, text: str) -> InjectedFault:
-        """Inject a fault by its text, as ``can.loss=0.05@contact+0.5s``.
+        """Inject a fault by its text, for example ``can.loss=0.05@contact+0.5s``.
 
-        Its times count from now. See `simulator.faults.injector.VOCABULARY` for what there is.
+        Its times count from now. `simulator.faults.injector.VOCABULARY` has all faults.
 
         Raises
         ------
         SimulatorSettingsError
-            If the vocabulary has no such fault, or its value does not fit this cell.
+            If the fault is unknown, or its value does not fit this cell.
         SimulatorStateError
-            If a fault on the same knob is there at that time.
+            If another fault uses the same knob at that time.
         """
         return self.injector.inject(text)
 
@@ -98,34 +98,34 @@ class SimulatedCell:
         return self.devices.play(index)
 
     def open_servo_port(self) -> MemoryServoStream:
-        """Open the host's end of the servo line anew, as after its adapter was gone.
+        """Reopen the host's end of the servo line, as after its adapter was unplugged.
 
-        Raises PortUnplugged while the adapter is out.
+        Raises PortUnplugged while the adapter is unplugged.
         """
         if self.devices.faults.servo_wire.unplugged:
-            raise PortUnplugged("the adapter of the simulated servos is out: plug it in")
+            raise PortUnplugged("the adapter of the simulated servos is unplugged: plug it in")
         self._servo_port.close()
         return self.servo_port
 
     def open_board(self, finger: int) -> MemoryServoStream:
-        """Open the line of a finger's sensor board anew. Raises PortUnplugged while it is out."""
+        """Reopen the line of a finger's board. Raises PortUnplugged while it is unplugged."""
         board = self.devices.boards[finger]
         if board.unplugged:
-            raise PortUnplugged(f"the simulated board of finger {finger} is out: plug it in")
+            raise PortUnplugged(f"the simulated board of finger {finger} is unplugged: plug it in")
         self.board_streams[finger].close()
         board.drop_pending()
         self.board_streams[finger] = MemoryServoStream(board, self.clock)
         return self.board_streams[finger]
 
     def open_can_bus(self, bitrate: int | None = None) -> InMemoryCanBus:
-        """Open the host's end of the CAN bus anew, as after its adapter was gone.
+        """Reopen the host's end of the CAN bus, as after its adapter was unplugged.
 
-        An adapter that is set to another ``bitrate`` in bit/s than the bus hears nothing.
+        With another ``bitrate`` in bit/s than that of the bus the adapter receives nothing.
 
-        Raises SimulatorStateError while the adapter is out.
+        Raises SimulatorStateError while the adapter is unplugged.
         """
         if self.devices.faults.can.unplugged:
-            raise SimulatorStateError("the simulated CAN adapter is out: plug it in")
+            raise SimulatorStateError("the simulated CAN adapter is unplugged: plug it in")
         capture = self.can_bus.capture
         self.can_bus.shutdown()
         self.can_bus = self._new_bus(bitrate)
@@ -164,7 +164,7 @@ class SimulatedCell:
             self.axes_can_bus.shutdown()
 
     def close(self) -> None:
-        """Give all buses back; the cell cannot be used afterwards."""
+        """Close all buses; the cell cannot be used afterwards."""
         self._closed = True
         self._close_ends()
         for callback in (self.devices.advance_to, self.injector.advance):
@@ -181,20 +181,20 @@ class SimulatedCell:
 def simulated_cell(
     present: str | None = None, *, layout: TaxelLayout | None = None, seed: int = 0
 ) -> SimulatedCell:
-    """Return a simulated cell in virtual time; ``with`` gives its buses back.
+    """Return a simulated cell in virtual time; ``with`` closes its buses.
 
-    Its ``servo_port`` and ``can_bus`` are what `gripper.open_gripper` and `tactile.open_sensor`
-    take in the place of a port. Two XM430-W350 on links of 60 mm, and the control unit.
+    `gripper.open_gripper` and `tactile.open_sensor` take its ``servo_port`` and ``can_bus`` instead
+    of a port. It has two XM430-W350 on links of 60 mm, and the control unit.
 
     Parameters
     ----------
     present
-        Object between the fingers: oval, cylinder, box, ball or dumbbell; None: nothing.
-        `SimulatedCell.place` brings another one.
+        Object between the fingers: oval, cylinder, box, ball or dumbbell; None: no object.
+        `SimulatedCell.place` replaces it.
     layout
-        The taxels; by default the paper's: 408 on ten pads.
+        The taxels; by default those of the paper: 408 on ten pads.
     seed
-        Of the noise.
+        Seed of the noise.
     """
     cell = SimulatedCell(SimulatorSettings(layout=layout or paper_layout(), seed=seed))
     if present is not None:

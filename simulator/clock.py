@@ -1,4 +1,4 @@
-"""The clock of virtual time: one thread, every run the same; and its pace, where people watch."""
+"""The clock of virtual time, with one thread and repeatable runs, and its pace for real time."""
 
 import math
 from collections.abc import Callable
@@ -9,20 +9,19 @@ STEP_S = 1e-3
 ROUNDING_S = 1e-9
 """Allowance in s for sums of times that should be equal."""
 _ROUNDING_SHARE = 1e-6
-"""A rest below this share of a step joins the last piece."""
+"""A rest below this share of a step is added to the last piece."""
 _LEAD_S = 0.01
-"""Lead of virtual over real time in s that is waited off at once: half the period of a frame."""
+"""Lead of virtual over real time in s at which the clock waits: half the period of a frame."""
 _BACKLOG_S = 0.2
-"""Lag behind real time in s that is caught up; of a longer one the rest is left out for good."""
+"""Largest lag behind real time in s that is made up; the rest of a longer lag is dropped."""
 
 
 class VirtualClock:
     """A monotonic clock that moves only by its `sleep` and `advance_to`.
 
-    It has ``monotonic`` and ``sleep`` as the standard module ``time`` has them, so it stands in
-    for that module wherever a clock is injected. Waiting moves the time in pieces of at most 1 ms
-    and calls ``on_advance`` after each piece: whatever lives in the simulated world sees the time
-    pass.
+    It has ``monotonic`` and ``sleep`` like the standard module ``time``, so it can replace that
+    module as an injected clock. Waiting advances the time in pieces of at most 1 ms and calls
+    ``on_advance`` after each piece, which advances the simulated world.
     """
 
     def __init__(self, start_s: float = 0.0) -> None:
@@ -31,28 +30,28 @@ class VirtualClock:
         self._now_s = float(start_s)
         self._advancing = False
         self.on_advance: list[Callable[[float], None]] = []
-        """Called in this order with the new time in s after each piece; a callback must not move
-        the clock itself."""
+        """Called in this order with the new time in s after each piece; a callback must not advance
+        the clock."""
 
     def monotonic(self) -> float:
         """Return the time in s."""
         return self._now_s
 
     def sleep(self, seconds: float, /) -> None:
-        """Move the time on by ``seconds`` s; as ``time.sleep``, refuses a negative time."""
+        """Advance the time by ``seconds`` s; like ``time.sleep`` it refuses a negative time."""
         if not (math.isfinite(seconds) and seconds >= 0.0):
             raise ValueError(f"sleep takes a finite time of at least 0 s, got {seconds}")
         self.advance_to(self._now_s + seconds)
 
     def advance_to(self, t_s: float) -> None:
-        """Move the time on to ``t_s`` s; a time that has passed already changes nothing.
+        """Advance the time to ``t_s`` s; a time in the past has no effect.
 
         Raises
         ------
         ValueError
             If ``t_s`` is not finite.
         RuntimeError
-            If a callback of ``on_advance`` tries to move the clock that calls it.
+            If a callback of ``on_advance`` tries to advance the clock.
         """
         if not math.isfinite(t_s):
             raise ValueError(f"a clock moves to a finite time, got t_s={t_s}")
@@ -83,17 +82,16 @@ class RealClock(Protocol):
 
 
 class Pace:
-    """The pace of a virtual clock: from now on it does not run ahead of real time.
+    """The pace of a virtual clock: it keeps the clock from running ahead of real time.
 
-    A machine that is too slow for it only makes virtual time run later: what is behind by more
-    than 0.2 s is not caught up.
+    On a slow machine virtual time runs late; a lag above 0.2 s is not made up.
 
     Parameters
     ----------
     clock
-        The virtual clock; it waits after a piece that leads by 10 ms.
+        The virtual clock; it waits when it leads by 10 ms.
     speed
-        Virtual seconds in a real one.
+        Virtual seconds per real second.
     """
 
     def __init__(self, clock: VirtualClock, real: RealClock, *, speed: float = 1.0) -> None:
@@ -106,11 +104,11 @@ class Pace:
         clock.on_advance.append(self._wait)
 
     def end(self) -> None:
-        """Let the clock run freely again."""
+        """Remove the pace: the clock runs freely again."""
         self._clock.on_advance.remove(self._wait)
 
     def lag_s(self) -> float:
-        """Return the lag of virtual time in s, at most 0.2 s times the speed; negative: a lead."""
+        """Return the lag of virtual time in s, at most 0.2 s times the speed; negative: lead."""
         lag_s = self._origin_s + self._speed * self._real.monotonic() - self._clock.monotonic()
         left_out_s = max(0.0, lag_s - self._speed * _BACKLOG_S)
         self._origin_s -= left_out_s

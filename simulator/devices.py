@@ -1,16 +1,14 @@
-"""World and devices of a simulated cell, without the ends of the buses."""
+"""World and devices of a simulated cell, without the host's ends of the buses."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from simulator.boards.flexitac import BoardFaults, FlexiTacBoard, FlexiTacSettings
-from simulator.boards.resistive import ResistivePads
-from simulator.boards.uskin import SimulatedUskin, UskinFaults, UskinSettings
+from simulator.boards.site import BoardFaults, BoardSite, SerialBoard, UskinFaults
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
-from simulator.can.link import CanDevices
+from simulator.can.link import CanDevice, CanDevices
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import BAUD_RATES, SimulatedServo
@@ -25,17 +23,17 @@ from simulator.world.world import PhysicalWorld
 from tactile.layout import taxel_order
 
 _PAST_MIDDLE_M = -0.01
-"""Half opening in m at which a finger has its end stop: past the middle, where the pads meet."""
+"""Half opening in m at the closed end stop of a finger: past the middle, where the pads meet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellFaults:
-    """All fault knobs of a simulated cell; all are off until they are turned."""
+    """All fault knobs of a simulated cell; they are off by default."""
 
     servo_wire: WireFaults
     """The line between host and servos."""
     can: CanLinkFaults
-    """The way between control unit and host."""
+    """The link between control unit and host."""
     unit: ControlUnitFaults
     """The control unit."""
     boards: BoardFaults
@@ -45,7 +43,7 @@ class CellFaults:
 
 
 class CellDevices:
-    """World and devices, without the ends of the buses: what both kinds of time share."""
+    """World and devices, without the host's ends of the buses; for virtual and real time."""
 
     def __init__(self, settings: SimulatorSettings, *, start_s: float = 0.0) -> None:
         self.settings = settings
@@ -97,24 +95,37 @@ class CellDevices:
             boards=BoardFaults(),
             uskin=UskinFaults(),
         )
-        self.boards = self._make_boards(start_s)
-        """The sensor boards of finger 0 and finger 1 on their serial lines; none by default."""
-        self.can_devices = CanDevices(self._make_uskin(start_s) or self.unit)
-        """The control unit or the sensor boards, and who joins them on their bus."""
+        self.boards: tuple[SerialBoard, ...] = ()
+        """The sensor boards on their serial lines; none by default."""
+        on_can: CanDevice | None = None
+        if settings.boards is not None:
+            site = BoardSite(
+                world=self.physical,
+                layout=settings.layout,
+                taxel_faults=unit_faults,
+                faults=self.faults.boards,
+                uskin=self.faults.uskin,
+                seed=settings.seed,
+                start_s=start_s,
+            )
+            self.boards = settings.boards.serial_boards(site)
+            on_can = settings.boards.can_device(site)
+        self.can_devices = CanDevices(on_can or self.unit)
+        """The control unit or the sensor boards, and further devices on their bus."""
         self.axes: dict[str, SimulatedDrive | SimulatedWrist] = {
             moves: SimulatedDrive(mount, start_s=start_s)
             if isinstance(mount, DriveMount)
             else SimulatedWrist(mount, start_s=start_s)
             for moves, mount in settings.axes.items()
         }
-        """The drives and servos that carry the object, by what they move."""
+        """The drives and servos that carry the object, by their part of the pose."""
         drives = [axis for axis in self.axes.values() if isinstance(axis, SimulatedDrive)]
         self.axes_can_devices = CanDevices(*drives) if drives else None
-        """The drives on a bus of their own; None without any."""
+        """The drives on their own bus; None without drives."""
         self.stage = Stage(self.world, self.axes) if isinstance(self.world, PhysicalWorld) else None
-        """What carries the object, None in a cell that plays recorded grasps."""
+        """Carrier of the object; None in a cell that plays recorded grasps."""
         self.offset = ObjectPose()
-        """How far each object is placed beside the pose that is asked for."""
+        """Offset of each object from its requested pose."""
 
     def second_unit(self, now_s: float) -> SimulatedControlUnit:
         """Return another control unit with the same node id, switched on at ``now_s`` s."""
@@ -137,52 +148,19 @@ class CellDevices:
             start_s=start_s,
         )
 
-    def _make_uskin(self, start_s: float) -> SimulatedUskin | None:
-        settings = self.settings
-        if not isinstance(settings.boards, UskinSettings):
-            return None
-        return SimulatedUskin(
-            self.physical,
-            settings.layout,
-            settings.boards,
-            self.faults.uskin,
-            self.faults.unit,
-            seed=settings.seed,
-            start_s=start_s,
-        )
-
-    def _make_boards(self, start_s: float) -> tuple[FlexiTacBoard, ...]:
-        settings = self.settings
-        if not isinstance(settings.boards, FlexiTacSettings):
-            return ()
-        layout, seed = settings.layout, settings.seed
-        pads = ResistivePads(self.physical, layout, self.faults.unit, seed=seed)
-        return tuple(
-            FlexiTacBoard(
-                finger,
-                pads,
-                layout.taxels_of(pad),
-                settings.boards,
-                self.faults.boards,
-                seed=seed,
-                start_s=start_s,
-            )
-            for finger, pad in enumerate(layout.gripping_pads)
-        )
-
     @property
     def physical(self) -> PhysicalWorld:
         """The world with objects; SimulatorStateError in a cell that plays recorded grasps."""
         if isinstance(self.world, PhysicalWorld):
             return self.world
-        raise SimulatorStateError("this cell plays recorded grasps: it has no objects to place")
+        raise SimulatorStateError("this cell plays recorded grasps, so it has no objects to place")
 
     @property
     def recorded(self) -> RecordedWorld:
         """The world that plays grasps; SimulatorStateError in a cell with objects."""
         if isinstance(self.world, RecordedWorld):
             return self.world
-        raise SimulatorStateError("this cell presses objects into foam: it has no grasps to play")
+        raise SimulatorStateError("this cell has objects, so it has no recorded grasps to play")
 
     def play(self, index: int) -> int:
         """Load one of the settings' grasps; returns the number of its frames.
@@ -206,7 +184,7 @@ class CellDevices:
         return self.stage.place(label, pose)
 
     def advance_to(self, now_s: float) -> None:
-        """Let the time pass for axes, fingers, object and servos until ``now_s`` s."""
+        """Advance axes, fingers, object and servos to ``now_s`` s."""
         for axis in self.axes.values():
             axis.advance(now_s)
         if self.axes and self.stage is not None:

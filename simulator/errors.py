@@ -1,7 +1,7 @@
-"""Errors of the simulator, one small tree; none of them stands for a fault of simulated hardware.
+"""Errors of the simulator, in one tree; they are not faults of simulated hardware.
 
-A simulated device that fails does so on its bus, as the real one would. These errors mean that the
-simulator itself is used wrongly or lost something of the machine that it runs on.
+A failing simulated device fails on its bus, like the real device. These errors mean wrong use of
+the simulator, or a lost resource of this machine.
 """
 
 import math
@@ -12,23 +12,23 @@ class SimulatorError(Exception):
 
 
 class SimulatorSettingsError(SimulatorError, ValueError):
-    """A setting or a fault knob is impossible; the message names it, its value and its limit."""
+    """A setting or fault value is impossible; the message has its name, value and limit."""
 
 
 class SimulatorStateError(SimulatorError, RuntimeError):
-    """Something was asked for in the wrong order, such as polling an endpoint that is closed."""
+    """A call is not allowed in this state, for example polling a closed endpoint."""
 
 
 class PartGripped(SimulatorStateError):
-    """An object is to be exchanged while the fingers hold one."""
+    """The object cannot be replaced while the fingers hold it."""
 
 
 class PortUnplugged(SimulatorError, OSError):
-    """The simulated cable is out: reading and writing fail as on an adapter that went away."""
+    """The simulated cable is unplugged: reading and writing fail as with a removed adapter."""
 
 
 class EndpointError(SimulatorError, OSError):
-    """A pseudo-terminal, symbolic link or socket of the machine could not be made or kept."""
+    """A pseudo-terminal, symbolic link or socket could not be created or kept."""
 
 
 def require_positive(**values: float) -> None:

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
-from simulator.boards.flexitac import FlexiTacSettings
-from simulator.boards.uskin import UskinSettings
+from simulator.boards.site import SimulatedBoards
 from simulator.can.drive import DriveMount
 from simulator.errors import SimulatorSettingsError, require_positive
 from simulator.servo.gearing import IDEAL_GEARING, Gearing
@@ -21,7 +20,7 @@ from tactile.layout import PadMount, TaxelLayout, paper_layout
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedServoSettings:
-    """One servo, how it sits in the gripper, and how it differs from its kind."""
+    """One servo: its mounting in the gripper, and its differences from its model."""
 
     servo_id: int
     """ID on the bus."""
@@ -32,13 +31,13 @@ class SimulatedServoSettings:
     gearing: Gearing = IDEAL_GEARING
     """Its friction and backlash."""
     friction_factor: float = 1.0
-    """Friction without load over that of a servo of its kind."""
+    """Friction without load over that of its model."""
     kt_factor: float = 1.0
-    """Torque and back-EMF of the motor over those of its kind."""
+    """Torque and back-EMF of the motor over those of its model."""
     temperature_c: float = AMBIENT_C
-    """Its temperature at the start in degC: below `AMBIENT_C` it has more friction and warms up."""
+    """Temperature at the start in degC: below `AMBIENT_C` it has more friction and warms up."""
     wear_per_turn: float = 0.0
-    """Share by which friction without load grows with each turn of the output."""
+    """Growth of the friction without load in each turn of the output, as a share."""
 
     def __post_init__(self) -> None:
         require_positive(friction_factor=self.friction_factor, kt_factor=self.kt_factor)
@@ -53,21 +52,21 @@ class SimulatedServoSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedGrasp:
-    """Frames of one real grasp, to be played."""
+    """Frames of one real grasp, for playback."""
 
     counts: NDArray[np.uint16]
     """(n, n_taxels) uint16: frames in the order of time."""
     aperture_m: NDArray[np.float64]
     """(n,) float64: opening between the fingers in m; NaN where unknown."""
     label: str = ""
-    """What was grasped."""
+    """Name of the grasped object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatorSettings(WorldSettings):
     """A simulated cell and its world: by default the paper's sensor on two XM430-W350.
 
-    The seed is that of everything that comes by chance.
+    ``seed`` is the seed of all random values.
     """
 
     layout: TaxelLayout = field(default_factory=paper_layout)
@@ -76,36 +75,36 @@ class SimulatorSettings(WorldSettings):
         SimulatedServoSettings(servo_id=1),
         SimulatedServoSettings(servo_id=2),
     )
-    """One servo that drives both fingers, or two that drive one each."""
+    """One servo for both fingers, or one servo for each finger."""
     linkage: FingerLinkage = field(default_factory=lambda: ParallelogramLinkage(link_m=0.06))
     """Geometry from servo angle to half opening."""
     servo_baud_rate: int = 1_000_000
-    """Baud rate that the servos are set to."""
+    """Baud rate of the servos."""
     node_id: int = 5
     can_bitrate: int = 1_000_000
     serial_number: int = 1
     """Node id, bit rate in bit/s and serial number of the control unit."""
     board_serial_numbers: tuple[int, int] = (1, 2)
-    """Those of the pads' boards on finger 0 and finger 1."""
+    """Serial numbers of the pads' boards on finger 0 and finger 1."""
     mounts: tuple[PadMount, ...] = ()
-    """Pads that sit otherwise than the layout has them."""
-    boards: FlexiTacSettings | UskinSettings | None = None
+    """Pads that are mounted differently from the layout."""
+    boards: SimulatedBoards | None = None
     """Boards on serial lines or on CAN that read the pads; None: the control unit reads them."""
     aperture_m: float = 0.03
     """Opening between the pads at the start in m."""
     grasps: tuple[RecordedGrasp, ...] = ()
-    """With any, the cell plays these grasps instead of pressing objects into foam."""
+    """Grasps to play; if empty, the cell presses objects into foam."""
     axes: Mapping[str, DriveMount | WristMount] = field(default_factory=dict)
-    """Drives and servos that carry the object, by what they move: ``x``, ``y``, ``rotation`` or
-    ``roll``."""
+    """Drives and servos that carry the object, by their part of the pose: ``x``, ``y``,
+    ``rotation`` or ``roll``."""
     axes_can_bitrate: int = 1_000_000
     """Bit rate of the drives' CAN bus in bit/s."""
     faults: tuple[str, ...] = ()
-    """Texts of faults that the cell injects as it is made, as ``can.loss=0.05@2s``."""
+    """Faults at the start, for example ``can.loss=0.05@2s``."""
 
     def __post_init__(self) -> None:
         reach_m = 2.0 * self.linkage.half_opening_max_m
         if not 0.0 <= self.aperture_m <= reach_m:
             raise SimulatorSettingsError(
-                f"aperture_m is {self.aperture_m}, the linkage reaches 0 to {reach_m:.3f} m"
+                f"aperture_m is {self.aperture_m}, must be from 0 to {reach_m:.3f} m (linkage)"
             )

@@ -1,8 +1,8 @@
 """The tactile sensor: taxels, CAN transport, node supervision, force; no servos, no objects.
 
-`open_sensor` opens the control unit's bus; what stands below is all that a program needs that
-measures. Chapters: `sensor` (counts to newtons, tare), `unit` (the CANopen node), `frames` (whole
-frames and force messages), `can` (the bus); beside them `layout`, `clock` and `errors`.
+`open_sensor` opens the control unit's bus; a program that measures needs only the names below.
+Sub-packages are `sensor` (counts to newtons, tare), `unit` (the CANopen node), `frames` (complete
+frames and force messages) and `can` (the bus). Modules are `layout`, `clock` and `errors`.
 """
 
 from importlib import import_module
@@ -43,7 +43,7 @@ _FACE = {
     "tactile.sensor.tare": "TareResult",
     "tactile.unit.settings": "LinkSettings",
 }
-"""Names by module, which is imported when one of them is first used."""
+"""Names by module; a module is imported at the first use of one of its names."""
 _HOMES = {name: home for home, names in _FACE.items() for name in names.split()}
 
 __all__ = list(_HOMES)

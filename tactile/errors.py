@@ -97,6 +97,10 @@ class FrameTimeout(LinkFault):
     """Whole frames stay away although the control unit runs, or the values are frozen."""
 
 
+class PluginFault(LinkFault):
+    """The code of a sensor that another package brings hangs, or does what it must not."""
+
+
 class BusNotOpened(LinkFault):
     """The CAN bus could not be opened."""
 

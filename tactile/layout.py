@@ -13,9 +13,8 @@ Pad plane: origin in the pad's centre, x along the rows' direction, y along the 
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -340,15 +339,21 @@ def pinch_layout() -> TaxelLayout:
     return inner_pads("pinch", 13, 6, 3.4e-3, adc_max=4095)
 
 
-LAYOUTS: Mapping[str, Callable[[], TaxelLayout]] = MappingProxyType(
-    {
-        "paper": paper_layout,
-        "pinch": pinch_layout,
-        # The long side lies along the finger. Boards come in several pitches: 2 mm is assumed.
-        "flexitac_12x32": lambda: inner_pads("flexitac_12x32", 32, 12, 2e-3),
-        "flexitac_16x32": lambda: inner_pads("flexitac_16x32", 32, 16, 2e-3),
-        "flexitac_16x16": lambda: inner_pads("flexitac_16x16", 16, 16, 2e-3),
-        "uskin_4x4": lambda: inner_pads("uskin_4x4", 4, 4, 4.7e-3, adc_max=65535),
-    }
-)
-"""The named layouts, as the config offers them."""
+def flexitac_12x32_layout() -> TaxelLayout:
+    """Return two pads of FlexiTac whose long side lies along the finger, at 2 mm pitch."""
+    return inner_pads("flexitac_12x32", 32, 12, 2e-3)
+
+
+def flexitac_16x32_layout() -> TaxelLayout:
+    """Return two pads of FlexiTac whose long side lies along the finger, at 2 mm pitch."""
+    return inner_pads("flexitac_16x32", 32, 16, 2e-3)
+
+
+def flexitac_16x16_layout() -> TaxelLayout:
+    """Return two square pads of FlexiTac at 2 mm pitch; boards come in several pitches."""
+    return inner_pads("flexitac_16x16", 16, 16, 2e-3)
+
+
+def uskin_4x4_layout() -> TaxelLayout:
+    """Return two pads of uSkin at 4.7 mm pitch, 16 bit."""
+    return inner_pads("uskin_4x4", 4, 4, 4.7e-3, adc_max=65535)

@@ -33,8 +33,14 @@ FOAM_N_M, FOAM_N_M2 = 5e3, 4e6
 CREEP, CREEP_S = 0.08, 0.5
 """Share of its force that foam loses at a constant depth, and the time constant in s: 7 % in the
 first second. A standard linear solid whose springs are those of the foam; assumptions."""
+_FREE_M = 0.008
+"""Way in m of open fingers to the part."""
 _HOLD_S = 1.5
 _SETTLED_S = 0.3
+_PADS_N, _PADS_N_S = 10.0, 5.0
+"""Force in N, and its growth in N/s, with which a cell presses its empty pads on each other."""
+_PADS_GIVE_M = 0.004
+"""Way in m of each finger beyond the middle, where empty pads press on each other."""
 _UNSUPERVISED_M = 0.05
 """Way in m of fingers that run ahead, longer than any here."""
 
@@ -212,12 +218,13 @@ class Rig:
         for motor in motors:
             motor.kt_factor = kt_factor * (1.0 + truth.kt_error)
             motor.friction_factor = friction_factor * (1.0 + truth.friction_error)
-        directions, open_m = (1, -1), part.width_m + 0.008
+        directions, open_m = (1, -1), part.width_m + _FREE_M
         self._mechanics = FingerMechanics(
             motors,
             [ServoMount(direction=direction) for direction in directions],
             ParallelogramLinkage(link_m=0.06),
             aperture_m=open_m,
+            half_opening_min_m=-_PADS_GIVE_M,
         )
         eeprom = {"baud_rate": 3, "return_delay_time": 0}
         servos = [
@@ -275,8 +282,21 @@ class Rig:
         self._sensor.measure(now_s, self.force_n)
         self._trace.append((now_s, self.force_n))
 
-    def grasp(self, final_n: float, rate_n_s: float) -> RampQuality:
-        """Grasp and hold, and judge the true force."""
+    def measure_servos(self) -> None:
+        """Measure both servos as the self-zero of a cell does, without the part."""
+        part, self._part = self._part, Part(width_m=0.0, stiffness_n_m=math.inf)
+        self.gripper.start()
+        self.gripper.open()
+        self.gripper.press_pads_together(ForceRamp.linear(_PADS_N, _PADS_N_S))
+        self.gripper.measure_load()
+        self.gripper.release()
+        self.gripper.measure_friction()
+        self.gripper.open(part.width_m + _FREE_M)
+        self._part = part
+        self._trace.clear()
+
+    def grasp(self, final_n: float, rate_n_s: float, *, measured: bool = False) -> RampQuality:
+        """Grasp and hold, and judge the true force; ``measured``: after `measure_servos`."""
         ends_s: list[float] = []
 
         def observe(cycle: Cycle) -> None:
@@ -284,9 +304,12 @@ class Rig:
             if cycle.phase is not GripperPhase.APPROACHING and arrived:
                 ends_s.append(cycle.t_s)
 
-        self.gripper.start()
         contact_s: float | None = None
         with suppress(GripperError):
+            if measured:
+                self.measure_servos()
+            else:
+                self.gripper.start()
             outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
             if outcome.result is not GraspResult.PART_LOST and outcome.contact_t_s is not None:
                 self.gripper.hold(_HOLD_S, observe)

@@ -5,8 +5,9 @@ take turns on the same plant with the same approach and noise, with force messag
 the torque figures are right in one run and wrong in the two others. Each figure is the worst of the
 runs, of the true force. The seeds are none of those that the loop was tuned with. The force loop
 also meets a plant with further truths (friction that grows with load, backlash, ripple, creep), and
-more noise with figures that are more wrong. At last it meets the gearings of real servos with the
-ramps of 10 N/s and more; ``--factors`` does that with factors on friction and torque, in an hour.
+more noise with figures that are more wrong. At last it meets the gearings of real servos, which it
+measures before as a self-zero does. ``--gearing`` does that alone, with one of them;
+``--factors`` adds factors on friction and torque, ``--frames`` takes the force messages away.
 
 ``python -m benchmarks.performance.force_ramps --page`` writes the figures into
 docs/explanations/force-loop.md; the tests run some of them again and compare.
@@ -76,6 +77,8 @@ class Setup:
     """Name of the servos' gearing."""
     friction_factor: float = 1.0
     kt_factor: float = 1.0
+    measured: bool = False
+    """Whether the gripper has measured its servos, as a self-zero does."""
     creep: float = 0.0
     """As for `Rig`."""
     hard: bool = False
@@ -125,8 +128,8 @@ CASES = tuple(
     if final_n / part.stiffness_n_m < LONGEST_WAY_M
 )
 
-FAST = tuple(case for case in CASES if case.rate_n_s >= 10.0)
-"""Ramps that meet the gearings of real servos."""
+GEARED_HZ = 200.0
+"""Force messages a second with the gearings of real servos: as a cell has them."""
 FRICTIONS, KTS = (0.5, 1.0, 1.5, 2.0, 3.0), (0.7, 1.0, 1.3)
 """Factors on friction and torque of both servos."""
 
@@ -150,7 +153,9 @@ def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> RampQuality:
             )
             for truth in truths[:n_truths]
         ]
-        return worst([rig.grasp(case.final_n, case.rate_n_s) for rig in rigs])
+        return worst(
+            [rig.grasp(case.final_n, case.rate_n_s, measured=setup.measured) for rig in rigs]
+        )
 
 
 def worst(runs: Sequence[RampQuality]) -> RampQuality:
@@ -202,14 +207,29 @@ def main(effort: float = 1.0, *, page: bool = False) -> None:
     geared(effort, [(1.0, 1.0)])
 
 
-def geared(effort: float, factors: Sequence[tuple[float, float]]) -> None:
-    """Print the ramps of `FAST` with each gearing and factors on friction and torque."""
-    cases = FAST[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else FAST
+def geared(
+    effort: float,
+    factors: Sequence[tuple[float, float]],
+    names: Sequence[str] = tuple(GEARINGS),
+    rate_hz: float | None = GEARED_HZ,
+) -> None:
+    """Print the ramps with each gearing, measured, and factors on friction and torque."""
+    cases = CASES[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else CASES
     n_truths = repeats(len(TRUTHS), effort)
-    line("gearings", f"of {len(cases)} ramps: overshoot, settling, hold met, mean error, lost")
-    for name in GEARINGS:
+    sensor = "frames" if rate_hz is None else f"{rate_hz:g} messages a second"
+    line(
+        "gearings",
+        f"of {len(cases)} ramps, {sensor}: overshoot, settling, hold met, mean error, lost",
+    )
+    for name in names:
         for friction, kt in factors:
-            setup = Setup(gearing=name, friction_factor=friction, kt_factor=kt)
+            setup = Setup(
+                gearing=name,
+                friction_factor=friction,
+                kt_factor=kt,
+                measured=True,
+                rate_hz=rate_hz,
+            )
             found = {case: run(setup, case, n_truths) for case in cases}
             counts = ", ".join(f"{n:2d}" for n in _counts(found))
             line(
@@ -272,9 +292,17 @@ def write_page(lines: Sequence[str]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Force ramps on a simulated gripper.")
     parser.add_argument("--page", action="store_true", help=f"write the figures into {PAGE.name}")
+    parser.add_argument("--gearing", choices=tuple(GEARINGS), help="this gearing alone")
     parser.add_argument("--factors", action="store_true", help="gearings with factors alone")
+    parser.add_argument("--frames", action="store_true", help="gearings without force messages")
+    parser.add_argument("--effort", type=float, default=1.0, help="0.1: one truth alone")
     given = parser.parse_args()
-    if given.factors:
-        geared(1.0, [(friction, kt) for friction in FRICTIONS for kt in KTS])
+    if given.factors or given.frames or given.gearing:
+        geared(
+            given.effort,
+            [(f, k) for f in FRICTIONS for k in KTS] if given.factors else [(1.0, 1.0)],
+            (given.gearing,) if given.gearing else tuple(GEARINGS),
+            None if given.frames else GEARED_HZ,
+        )
     else:
-        main(page=given.page)
+        main(given.effort, page=given.page)

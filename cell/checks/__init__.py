@@ -1,5 +1,5 @@
-"""Checks of a cell that the system check and the commissioning share; nothing here moves.
+"""Checks of a cell for the system check and the commissioning; no check moves the cell.
 
-`findings`: what steps and checks found. `changes`: what differs from the commissioning. `ports`:
+`findings`: results of steps and checks. `changes`: differences from the commissioning. `ports`:
 rights and speed of serial ports.
 """

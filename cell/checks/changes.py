@@ -1,4 +1,4 @@
-"""What differs in a cell from its commissioning, and which step is to be done again."""
+"""Differences of a cell from its commissioning, and the steps to repeat."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,45 +15,46 @@ from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.sensor.tare import assess_health
 
 _OPENING_MM = 0.3
-"""Difference of the opening in mm that placing a gauge object by hand does not make: a box that
-stands askew by 1 degree over 15 mm is 0.26 mm wider."""
+"""Reported difference of the opening in mm. Placing the object by hand gives less: a box tilted by
+1 degree over 15 mm is 0.26 mm wider."""
 _FINGERS_SHARE = 0.15
-"""Difference of both fingers' forces, as a share of the grip force, that is none in equilibrium."""
+"""Reported change of the difference of both fingers' forces, as a share of the grip force."""
 _CURRENT_SHARE = 0.3
-"""Change of the motors' current at the same force: friction that grows by more wears something."""
+"""Reported change of the motors' current at the same force, as a share; more means wear."""
 _ZERO_SHARE = 0.03
-"""Change of the zero of a pad, as a share of the full scale: drift of hours is a third of it."""
+"""Reported change of a pad's zero, as a share of the full scale; drift of hours is a third of it.
+"""
 _NOISE_FACTOR = 2.0
-"""Noise of a pad over that at commissioning from which it is worth a word."""
+"""Reported noise of a pad, as a multiple of its noise at commissioning."""
 _LEAST_NOISE = 1.0
-"""Noise in counts below which the factor means nothing."""
+"""Noise in counts; smaller values are raised to it before the factor applies."""
 _TAXELS_NAMED = 6
-"""Taxels that are named one by one; of more the number is given."""
+"""Most taxels that are named individually; further taxels are counted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """Something that is not as it was at commissioning."""
+    """A difference from the commissioning."""
 
     what: str
     was: str
     found: str
-    """What it is, how it was, and how it was found."""
+    """Item, its value at commissioning, and its present value."""
     step: str
-    """Key of the step that is to be done again, with all that needs it."""
+    """Key of the step to repeat, with all steps that need it."""
 
     def advice(self, folder: Path) -> str:
-        """Return what to do with the commissioning in a folder."""
+        """Return the next step for the commissioning in a folder."""
         place = "" if folder == Path() else f" {quote(str(folder))}"
-        return f"`tactile-cell commission{place} --redo {self.step}` does what depends on it again"
+        return f"`tactile-cell commission{place} --redo {self.step}` repeats the steps it affects"
 
 
 def _change(
     what: str, step: str, was: Any, now: Any, text: str, *, differs: bool | None = None
 ) -> list[Change]:
-    """Return the change of one value, none where it is equal, or ``differs`` denies it.
+    """Return the change of one value; empty if it is equal, or if ``differs`` is false.
 
-    ``text`` formats the value as it was and as it is.
+    ``text`` formats both values.
     """
     if (was == now) if differs is None else not differs:
         return []
@@ -62,19 +63,19 @@ def _change(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gauge:
-    """How a gauge object felt."""
+    """Measured values of a gauge object."""
 
     gauge: str
-    """Its name, as the person typed it."""
+    """Name of the object."""
     force_n: float
-    """Force asked for in N."""
+    """Requested force in N."""
     held_n: tuple[float, float]
-    """Force on finger 0 and 1 while it was held, in N."""
+    """Force on finger 0 and 1 during the hold, in N."""
     contact_mm: float
     held_mm: float
-    """Opening at the contact and while it was held, in mm."""
+    """Opening at the contact and during the hold, in mm."""
     current_ma: float
-    """Mean goal current of the motors while it was held, in mA."""
+    """Mean goal current of the motors during the hold, in mA."""
     patch_taxels: tuple[int, int]
     """Touched taxels of the inner pad of finger 0 and 1."""
 
@@ -86,10 +87,10 @@ def changed_unit(
     revision: int,
     boards: tuple[int, int],
 ) -> list[Change]:
-    """Return how a control unit and its pads differ from those that were commissioned.
+    """Return the differences of a control unit and its pads from the commissioning.
 
-    ``found`` has the values of the findings by the key of the step; the rest is of the unit that
-    answers now.
+    ``found`` has the values of the findings by the key of the step; the other arguments are values
+    of the present unit.
     """
     unit, pads = found.get("unit", {}), found.get("pads_at_rest", {})
     was_serial, was_revision = unit.get("serial_number", serial), unit.get("revision", revision)
@@ -111,7 +112,7 @@ def changed_unit(
 def changed_servos(
     found: Mapping[str, Mapping[str, Any]], servos: Mapping[int, tuple[str, int]]
 ) -> list[Change]:
-    """Return how servos differ from those that were commissioned; ``servos``: model, firmware."""
+    """Return the differences of servos from the commissioning; ``servos``: model, firmware."""
     changes = []
     for was in found.get("servos", {}).get("servos", ()):
         before = (was["model"], was["firmware"])
@@ -126,16 +127,16 @@ def changed_pads(
     frames: NDArray[np.uint16],
     mounts: Sequence[PadMount] = (),
 ) -> list[Change]:
-    """Return how pads at rest differ from those that were commissioned.
+    """Return the differences of pads at rest from the commissioning.
 
     Parameters
     ----------
     found
         Values of the findings by the key of the step.
     layout, frames
-        The taxels, and frames (n, n_taxels) that nothing touched, at least 8.
+        The taxels, and at least 8 frames (n, n_taxels) without contact.
     mounts
-        How pads sit; what was found at rest is in the order in which the unit sends them.
+        Mounting of the pads; the findings at rest are in the order of the unit's samples.
     """
     was = found.get("pads_at_rest", {})
     if len(was.get("zero_counts", ())) != layout.n_pads:
@@ -163,7 +164,7 @@ def changed_pads(
 
 
 def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
-    """Return taxels by pad, row and column, the first few of many."""
+    """Return the names of taxels by pad, row and column; of many taxels only the first."""
     named = []
     for taxel in taxels[:_TAXELS_NAMED]:
         pad = int(layout.taxel_pad[taxel])
@@ -175,7 +176,7 @@ def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
 
 
 def changed_gauge(was: Gauge, now: Gauge) -> list[Change]:
-    """Return how the gauge object feels otherwise than at commissioning."""
+    """Return the differences of the gauge object from the commissioning."""
     changes = []
     for what, before, after in (
         ("opening at the contact", was.contact_mm, now.contact_mm),
@@ -206,20 +207,20 @@ def changed_gauge(was: Gauge, now: Gauge) -> list[Change]:
 
 
 def gauge_of(found: Mapping[str, Mapping[str, Any]]) -> Gauge | None:
-    """Return the gauge object of the commissioning; None where there is none."""
+    """Return the gauge object of the commissioning; None without a gauge object."""
     values = found.get("baseline", {}).get("gauge")
     return None if values is None else TypeAdapter(Gauge).validate_python(values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommissionedValues:
-    """What was found at commissioning, in which folder; nothing where there was none."""
+    """Values of the commissioning and its folder; empty without a commissioning."""
 
     folder: Path
     found: Mapping[str, Mapping[str, Any]]
 
     def findings(self, what: str, changes: Sequence[Change]) -> list[CheckResult]:
-        """Return what has changed since the commissioning, or one finding that nothing has."""
+        """Return the changes since the commissioning, or one finding without a change."""
         if not self.found:
             return []
         return [

@@ -8,16 +8,16 @@ from pathlib import Path
 from gripper.dynamixel.serial_port import latency_timer_file
 
 LATENCY_MS = 1
-"""Latency timer in ms with which the force loop of 200 Hz works."""
+"""Latency timer in ms that the force loop of 200 Hz needs."""
 
 
 def latency_command(port: str) -> str:
-    """Return the command that sets the latency timer of a port until the next start."""
+    """Return the command that sets the latency timer of a port until the next reboot."""
     return f"echo {LATENCY_MS} | sudo tee {latency_timer_file(port)}"
 
 
 def udev_rule() -> str:
-    """Return the udev rule that sets the latency timer of each adapter that has one."""
+    """Return the udev rule that sets the latency timer of all FTDI adapters."""
     return (
         'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
         f'ATTR{{latency_timer}}="{LATENCY_MS}" in /etc/udev/rules.d/99-tactile-cell.rules'
@@ -25,7 +25,7 @@ def udev_rule() -> str:
 
 
 def rights_command(port: str) -> str:
-    """Return the command after which this user may open a port; empty where none is needed."""
+    """Return the command that permits this user to open a port; empty if not needed."""
     device = Path(port)
     if not device.exists() or os.access(device, os.R_OK | os.W_OK):
         return ""

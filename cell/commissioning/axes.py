@@ -1,4 +1,4 @@
-"""Step `axes`: finds a wrist servo on a port of its own, and CiA 402 drives; they are named."""
+"""Step `axes`: finds and names a wrist servo on its own port, and CiA 402 drives."""
 
 from collections.abc import Iterator
 from os.path import realpath
@@ -11,7 +11,6 @@ from cell.commissioning.engine import Dialog, Step
 from cell.commissioning.ports import by_id
 from cell.commissioning.servos import Scan, check_supply, scan_servos
 from cell.commissioning.unit import network_interfaces
-from cell.config.tactile import ControlUnitConfig
 from gripper.dynamixel.models import MODELS, model_name
 from gripper.errors import GripperError
 from tactile.can.bus import CanBus
@@ -73,10 +72,10 @@ def _further_ports(bench: Bench) -> list[str]:
 
 
 def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:
-    """Ask before bytes are sent to a port of an unknown device."""
+    """Ask the person before sending bytes to a port of an unknown device."""
     answer = dialog.choose(
         "axes.port",
-        f"Does the serial port {by_id(port)} lead to the servo of an axis? It is scanned then.",
+        f"Does the serial port {by_id(port)} lead to the servo of an axis? Then it is scanned.",
         {"no": "no, or another device: leave it alone", "yes": "yes, scan it"},
         "no",
     )
@@ -84,7 +83,7 @@ def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:
 
 
 def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Finding) -> list[dict[str, Any]]:
-    """Scan a port; return its axis as the config names it, none where it cannot be driven."""
+    """Scan a port; return its axis in the form of the config, empty if it cannot be driven."""
     found = scan_servos(bench, port, dialog)
     if complaint := _complaint(port, found):
         notes.fail(complaint)
@@ -94,7 +93,7 @@ def _servo_axis(bench: Bench, dialog: Dialog, port: str, notes: Finding) -> list
     notes.fact(f"servo {name}, ID {servo_id} at {servo.baud_rate} bit/s on {by_id(port)}")
     model = MODELS.get(name)
     if model is None:
-        notes.fail(f"the cell drives {', '.join(MODELS)}; {name} is none of them")
+        notes.fail(f"the cell cannot drive {name}; use one of {', '.join(MODELS)}")
         return []
     with bench.servo_bus(port, servo.baud_rate) as bus:
         check_supply(servo_id, model, read_control_table(bus, servo_id), notes)
@@ -113,7 +112,7 @@ def _complaint(port: str, found: Scan) -> str:
     """Return why the servos of a line cannot be an axis; empty for one servo."""
     if found.crowded or len(found.servos) > 1:
         return (
-            f"several servos answer on {port}: the servo of an axis is alone on its port. "
+            f"several servos answer on {port}: the servo of an axis needs its own port. "
             "Disconnect the others, then run the step again"
         )
     if not found.servos:
@@ -125,25 +124,25 @@ def _complaint(port: str, found: Scan) -> str:
 
 
 def _can_buses(bench: Bench, dialog: Dialog) -> Iterator[tuple[str, str, int]]:
-    """Return the buses on which drives may be: that of the control unit, and one more if named."""
+    """Return the buses of possible drives: that of the control unit, and one more if named."""
     tactile = bench.tactile()
     own: tuple[str, ...] = ()
     if not bench.gripper_alone:
         own = (tactile.channel,)
-        # Boards that are no control unit are alone on their bus.
-        if isinstance(tactile.sensor, ControlUnitConfig):
+        # Sensor boards share their bus with no CANopen node.
+        if tactile.sensor.canopen:
             yield tactile.interface, tactile.channel, tactile.bitrate
     others = [name for name in network_interfaces() if name not in own]
     if not others:
         return
     answer = dialog.choose(
         "axes.can",
-        "Are there drives on a CAN bus of their own? Its nodes are asked who they are.",
+        "Are there drives on another CAN bus? Its nodes are asked for their identity.",
         {_NO: "no"} | {name: name for name in others},
         _NO,
     )
     if answer != _NO:
-        # A network interface has its bit rate from the system.
+        # The system sets the bit rate of a network interface.
         yield "socketcan", str(answer), tactile.bitrate
 
 

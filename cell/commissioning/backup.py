@@ -1,7 +1,7 @@
-"""Backup of the servos: the whole control table of each before its first write, and its return.
+"""Backup of the servos: the whole control table of each before its first write, and its restore.
 
-A file for each servo in the cell's folder: backup-servo1.json is of the servo that has ID 1 now.
-The first backup stays: it holds the servo as it came.
+The cell's folder has a file for each servo: backup-servo1.json is of the servo that has ID 1 now.
+The first backup stays: it has the original state of the servo.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,36 +31,36 @@ from gripper.dynamixel.transactions import HIGHEST_ID
 from gripper.errors import BusCorrupt, BusTimeout, ServoRejected
 
 _LAST = (BAUD_RATE.name, SERVO_ID.name)
-"""Items that are written last: with each of them the servo is reached in another way. Between the
-two it has the ID that no other servo has had."""
+"""Items that are written last, because each of them changes the address of the servo. Between the
+two writes it has an ID that no other servo has had."""
 SETTLE_S = 0.1
-"""Time in s after a change of ID or baud rate before the servo is asked."""
+"""Time in s between a change of ID or baud rate and the next request."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Backup:
-    """Control table of a servo as it was found."""
+    """Original control table of a servo."""
 
     servo_id: int
     baud_rate: int
-    """Where the servo is reached after its commissioning: ID, baud rate in bit/s."""
+    """Address of the servo after its commissioning: ID, baud rate in bit/s."""
     found: Mapping[str, int]
     """Raw values by the name of the item, read before the first write."""
 
     @property
     def set_at(self) -> "Place":
-        """Where it is reached after its commissioning."""
+        """Its address after its commissioning."""
         return Place(self.servo_id, self.baud_rate)
 
     @property
     def found_at(self) -> "Place":
-        """Where it was found."""
+        """Its address before."""
         code = self.found[BAUD_RATE.name]
         rate = next(rate for rate, number in BAUD_CODES.items() if number == code)
         return Place(self.found[SERVO_ID.name], rate)
 
     def wrong(self) -> str:
-        """Return which value no servo can have, or is missing; empty where all is well."""
+        """Return which value is invalid or missing, or an empty text."""
         for name in (MODEL_NUMBER.name, *_LAST):
             if name not in self.found:
                 return f"{name} is missing"
@@ -77,7 +77,7 @@ class Backup:
 
 
 class Place(NamedTuple):
-    """Where a servo is reached."""
+    """Address of a servo: ID and baud rate in bit/s."""
 
     servo_id: int
     baud_rate: int
@@ -93,7 +93,7 @@ _BACKUP = TypeAdapter(Backup)
 def register_writes(
     where: str, changes: Mapping[str, tuple[object, object]], undo: str
 ) -> list[ProposedChange]:
-    """Return the writes of some items of a servo, by name with present and coming value."""
+    """Return the writes of some items of a servo, given by name with present and new value."""
     return [
         ProposedChange(
             where=where,
@@ -120,14 +120,14 @@ def read_control_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
 
 
 def backup_file(folder: Path, servo_id: int) -> Path:
-    """Return where the backup of a servo is."""
+    """Return the path of the backup of a servo."""
     return folder / f"backup-servo{servo_id}.json"
 
 
 def keep(folder: Path, backup: Backup) -> Path | None:
-    """Write a backup and return its file; None where one of the same model is there already.
+    """Write a backup and return its file; None if a backup of the same model exists.
 
-    One of another model belongs to a servo that was exchanged, and is kept under another name.
+    A backup of another model belongs to an exchanged servo, and is kept under another name.
     """
     path = backup_file(folder, backup.servo_id)
     earlier = _read(path)
@@ -143,23 +143,23 @@ def keep(folder: Path, backup: Backup) -> Path | None:
 def restore(
     bench: Bench, dialog: Dialog, port: str, begin: Callable[[], object] = lambda: None
 ) -> tuple[str, ...]:
-    """Write the EEPROM of each servo back as its backup has it; return what was done, in lines.
+    """Write the EEPROM of each servo back from its backup; return the results as lines.
 
     Each servo is read back. Baud rate and ID come last; servos that shared an ID do so again.
-    ``begin`` is called before the first write: from then on no servo is as it was commissioned.
-    Raises WizardAborted when the changes are refused; nothing is written then. Raises
-    CellError if there is no backup, a value of one is none, a servo does not answer where it
-    should, is of another model, has its torque on, or does not keep a value.
+    ``begin`` is called before the first write, which ends the commissioned state of the servos.
+    Raises WizardAborted when the changes are refused; nothing is written then. Raises CellError if
+    there is no backup, one of its values is invalid, or a servo does not answer, is of another
+    model, has its torque on, or does not keep a value.
     """
     files = (backup_file(bench.folder, number) for number in range(HIGHEST_ID + 1))
     backups = [backup for path in files if (backup := _read(path)) is not None]
     if not backups:
-        raise CellError(f"{bench.folder} holds no backup of a servo (backup-servo*.json)")
+        raise CellError(f"{bench.folder} has no backup of a servo (backup-servo*.json)")
     places, changes = _places(bench, port, backups), {}
     for backup in backups:
         place = places[backup.servo_id]
         if place == backup.found_at != backup.set_at:
-            continue  # it is back; others may be there, too
+            continue  # it is back; other servos may have this address, too
         with bench.servo_bus(port, place.baud_rate) as bus:
             changes[backup.servo_id] = _differing(bus, backup)
     undo = "run `tactile-cell commission --redo servos`"
@@ -177,16 +177,15 @@ def restore(
         found = changes[backup.servo_id]
         _write_back(bench, port, places[backup.servo_id], backup, found)
         lines.append(
-            f"servo {backup.servo_id}: {len(found)} items as they were found; it is "
-            f"{backup.found_at}"
+            f"servo {backup.servo_id}: {len(found)} items restored; it is {backup.found_at}"
         )
     return tuple(lines)
 
 
 def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, str, str]]:
-    """Return the items of a servo's EEPROM that differ from its backup: name, value then and now.
+    """Return the items of a servo's EEPROM that differ from its backup: name, old and new value.
 
-    None without a backup. Raises CellError as `restore`.
+    Empty without a backup. Raises CellError as `restore`.
     """
     rates = {code: rate for rate, code in BAUD_CODES.items()}
 
@@ -199,7 +198,7 @@ def since_backup(folder: Path, bus: ServoBus, servo_id: int) -> list[tuple[str, 
 
 
 def _read(path: Path) -> Backup | None:
-    """Return the backup in a file, None where there is no file."""
+    """Return the backup in a file; None without the file."""
     kept = read_json(path, SERVO_BACKUP, error=CellError)
     if kept is None:
         return None
@@ -216,11 +215,10 @@ def _read(path: Path) -> Backup | None:
 
 
 def _places(bench: Bench, port: str, backups: Sequence[Backup]) -> dict[int, Place]:
-    """Return where each servo is now: where the wizard put it, where it was found, or half way.
+    """Return the present address of each servo: that of the wizard, the original one, or half way.
 
-    Half way, at its new ID and old baud rate, writes were interrupted. Servos may have been found
-    at one place, but no other one is half way there: the highest ID, which is written back last,
-    is looked for first.
+    Half way, at the new ID and old baud rate, writes were interrupted. Servos may have shared their
+    original address, but not one half way: the highest ID, written back last, is searched first.
     """
     places: dict[int, Place] = {}
     for backup in sorted(backups, key=lambda one: one.servo_id, reverse=True):
@@ -232,15 +230,15 @@ def _places(bench: Bench, port: str, backups: Sequence[Backup]) -> dict[int, Pla
                 break
         else:
             raise CellError(
-                f"servo {backup.servo_id} answers neither as {backup.set_at} nor as it was found, "
-                f"as {backup.found_at}; nothing was written: check its supply and cable, or let "
-                "`tactile-cell commission` find it"
+                f"servo {backup.servo_id} answers neither as {backup.set_at} nor at its original "
+                f"{backup.found_at}; nothing was written: check its supply and cable, or find it "
+                "with `tactile-cell commission`"
             )
     return places
 
 
 def _answers(bench: Bench, port: str, place: Place) -> bool:
-    """Return whether a servo answers at a place, or several, whose answers collide."""
+    """Return whether one servo, or several with colliding answers, answer at an address."""
     with bench.servo_bus(port, place.baud_rate) as bus:
         try:
             bus.ping(place.servo_id)
@@ -254,7 +252,7 @@ def _answers(bench: Bench, port: str, place: Place) -> bool:
 def _differing(bus: ServoBus, backup: Backup) -> dict[str, tuple[int, int]]:
     """Return the items of the EEPROM that differ from a backup: present and wanted value.
 
-    Those come last with which a servo is reached otherwise.
+    Items that change the address of the servo come last.
     """
     servo_id = backup.servo_id
     now = read_control_table(bus, servo_id)

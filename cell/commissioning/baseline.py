@@ -1,6 +1,6 @@
-"""Baseline: how a gauge object feels in the new cell, and what has changed since then.
+"""Baseline: measurement of a gauge object in the new cell, and changes since then.
 
-`tactile-cell doctor` compares with it. What differs names the steps that are to be done again.
+`tactile-cell doctor` compares with it. Each difference names the steps to repeat.
 """
 
 from collections.abc import Iterable
@@ -42,9 +42,9 @@ _HOLD_S = 0.5
 
 
 def changed_hardware(bench: Bench) -> list[Change]:
-    """Ask unit and servos of a bench who they are, and return who is not whom it was.
+    """Read the identity of unit and servos of a bench, and return the changes.
 
-    A line that cannot be opened or is silent tells nothing here: its own step finds out why.
+    A line that cannot be opened or is silent is skipped: its own step finds the cause.
     """
     changes: list[Change] = []
     if "serial_number" in bench.found.get("unit", {}):
@@ -65,7 +65,7 @@ def changed_hardware(bench: Bench) -> list[Change]:
 
 
 class BaselineStep(Step):
-    """Grasps a gauge object and keeps how it felt, for `tactile-cell doctor` to compare."""
+    """Grasps a gauge object and saves the measurement, for `tactile-cell doctor` to compare."""
 
     key = "baseline"
     title = "Gauge object"
@@ -78,7 +78,7 @@ class BaselineStep(Step):
     undo = "nothing is written; the torque goes off at the end"
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Grasp the gauge object, and keep how it felt."""
+        """Grasp the gauge object, and save the measurement."""
         gauge, force_on_taxels_n = measure_gauge(bench, bench.config, dialog)
         layout = layout_from_config(bench.config.tactile)
         notes.fact(
@@ -95,14 +95,14 @@ class BaselineStep(Step):
 def measure_gauge(
     bench: Bench, config: CellConfig, dialog: Dialog, gauge: str | None = None
 ) -> tuple[Gauge, NDArray[np.float64]]:
-    """Grasp the gauge object once and let go; returns how it felt, and the force on each taxel.
+    """Grasp the gauge object once and release it; return values and the force on each taxel.
 
-    Without a name of the gauge it asks for it.
+    Without a name of the gauge it asks for one.
 
     Raises
     ------
     WizardAborted
-        When the person leaves; a part that is held then stays held.
+        When the person leaves; a held part stays held.
     StepFailed
         When nothing is held.
     CellError, GripperError, TactileError
@@ -175,9 +175,9 @@ def measure_gauge(
 
 
 def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[CheckResult]:
-    """Grasp the gauge object of the commissioning again, and return what differs.
+    """Grasp the gauge object of the commissioning again, and return the differences.
 
-    The bench is that of the commissioning; the dialog shows each motion before it is made, and asks
+    The bench is that of the commissioning. The dialog shows each motion before it starts, and asks
     for the object.
 
     Raises

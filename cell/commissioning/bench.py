@@ -18,14 +18,13 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream, SerialStream, serial_candidates
 from tactile.can.bus import CanBus, close_bus, open_bus
-from tactile.flexitac.stream import BAUD_RATE
 
 _Section = TypeVar("_Section", bound=BaseModel)
 CONFIG_NAME = "tactile-cell.yaml"
-"""File in the cell's folder that the finished wizard writes; commands there take it unasked."""
+"""File in the cell's folder that the finished wizard writes; commands there use it by default."""
 _PATIENCE_S = 0.02
-"""Allowance in s for adapter and operating system: an adapter with a latency timer of 16 ms, set
-right only later, answers within it."""
+"""Allowance in s for adapter and operating system, enough for a latency timer of 16 ms, which is
+corrected later."""
 
 
 class LineOpener:
@@ -36,7 +35,7 @@ class LineOpener:
     def serial_ports(self) -> tuple[str, ...]:
         """Return the paths of the serial ports that are plugged in.
 
-        Those of the main board (ttyS) are left out: most of them lead nowhere.
+        Ports of the main board (ttyS) are omitted: most of them have no device.
         """
         return tuple(p for p in serial_candidates() if not Path(p).name.startswith("ttyS"))
 
@@ -48,13 +47,13 @@ class LineOpener:
         """Open a CAN bus. Raises tactile.errors.BusNotOpened."""
         return open_bus(interface, channel, bitrate=bitrate)
 
-    def open_board(self, port: str) -> ByteStream:
+    def open_board(self, port: str, baud_rate: int) -> ByteStream:
         """Open the serial line of a sensor board. Raises gripper.errors.PortLost."""
-        return SerialStream(port, BAUD_RATE)
+        return SerialStream(port, baud_rate)
 
 
 class Bench:
-    """What the steps work on. Each step opens the lines that it needs, and gives them back.
+    """Lines, folder and config for the steps. Each step opens the lines it needs, and closes them.
 
     Raises ConfigError if the config of the folder is not valid.
 
@@ -63,13 +62,13 @@ class Bench:
     folder
         Folder of the cell: commissioning.json, config, record, backups.
     lines
-        What opens ports and buses.
+        Opens ports and buses.
     given
-        Values of the config by dotted key that the person named at the start, as
-        ``{"gripper.port": "/dev/ttyUSB0"}``; steps take them in the place of asking.
+        Values of the config by dotted key that the person gave at the start, e.g.
+        ``{"gripper.port": "/dev/ttyUSB0"}``; steps use them instead of asking.
     base
-        Config to begin with, whose values stay where no step finds others; by default that of the
-        folder, where an earlier commissioning and its users have left one.
+        First config, whose values stay unless a step finds others; by default that of the folder,
+        if there is one.
     """
 
     def __init__(
@@ -84,7 +83,7 @@ class Bench:
         if base is None and (folder / CONFIG_NAME).exists():
             base = load_config(folder / CONFIG_NAME)
         self.base = _new_cell(folder) if base is None else base
-        """Config to begin with."""
+        """First config."""
         self.lines = lines or LineOpener()
         self.given: Mapping[str, Any] = given or {}
         self.settings: Mapping[str, Any] = {}
@@ -99,12 +98,12 @@ class Bench:
 
     @property
     def gripper_alone(self) -> bool:
-        """Whether the gripper has no control unit: its force is known by current alone."""
+        """Whether the gripper has no control unit: its force comes from the current alone."""
         return bool(self.found.get("unit", {}).get("gripper_alone", False))
 
     @property
     def config(self) -> CellConfig:
-        """The whole config so far; ConfigError while it lacks what makes it valid."""
+        """The whole config so far. Raises ConfigError while it is incomplete."""
         changes: dict[str, Any] = {"simulator.faults": []}
         positioner = self.base.positioner
         if positioner.kind == "simulated" and not positioner.socket:
@@ -126,8 +125,9 @@ class Bench:
         return changed_config(base, found | dict(changes))
 
     def board_openers(self, tactile: TactileConfig) -> list[Callable[[], ByteStream]]:
-        """Return what opens the lines of the sensor's boards; empty for one on CAN."""
-        return [partial(self.lines.open_board, port) for port in tactile.serial_ports]
+        """Return functions that open the lines of the sensor's boards; empty for CAN."""
+        rate = tactile.sensor.baud_rate
+        return [partial(self.lines.open_board, port, rate) for port in tactile.serial_ports]
 
     @contextmanager
     def servo_bus(
@@ -135,7 +135,7 @@ class Bench:
     ) -> Iterator[ServoBus]:
         """Open the line of the servos, and close it at the end; goals and torque stay.
 
-        Without a port and baud rate those of the config so far.
+        Port and baud rate are by default those of the config so far.
         """
         gripper = self.gripper()
         rate = baud_rate or gripper.baud_rate
@@ -158,7 +158,7 @@ class Bench:
     ) -> Iterator[CanBus]:
         """Open the CAN bus of the control unit, and close it at the end.
 
-        What is not given is that of the config so far.
+        Arguments are by default those of the config so far.
         """
         tactile = self.tactile()
         bus = self.lines.open_can(

@@ -1,7 +1,7 @@
-"""Backup of a cell: one file with all that makes it this cell, and its return.
+"""Backup of a cell: one file with all data of the cell, and its restore.
 
-A zip archive without packing. Its first member, manifest.json, has format, versions, the control
-tables of the servos, the objects of the control unit, and the checksum of each other member.
+A zip archive without compression. Its first member, manifest.json, has format, versions, the
+control tables of the servos, the objects of the control unit, and the checksum of each member.
 """
 
 import os
@@ -42,7 +42,6 @@ from cell.config.file import (
     text_with_values,
 )
 from cell.config.model import CellConfig
-from cell.config.tactile import ControlUnitConfig
 from cell.control.self_zero import zero_file
 from cell.data.files import DAMAGE, free_name, open_plain, write_atomically
 from cell.data.formats import (
@@ -61,16 +60,16 @@ from tactile.errors import TactileError
 MANIFEST = "manifest.json"
 """First member of a backup."""
 UNDO = "restore-undo.zip"
-"""Backup of what the last restore has replaced, in the folder of the cell."""
+"""Backup of the files that the last restore replaced, in the folder of the cell."""
 MAX_MEMBERS = 5000
-"""Files of a backup: a data set, a model and a photo of each of a thousand objects, and more."""
+"""Most files of a backup: data set, model and photo of each of a thousand objects, and more."""
 PORTS = (
     *("gripper.port", "tactile.interface", "tactile.channel", "tactile.sensor.ports"),
     *("positioner.can.interface", "positioner.can.channel", "positioner.socket"),
 )
-"""Keys of the config that name what this machine has; a restore leaves them as they are."""
+"""Keys of the config for devices of this machine; a restore does not change them."""
 _KEPT = (STORE_NAME, RECORD_NAME, "backup-servo*.json", "*.npz", "*.photos/*.jpg", "*.photos/*.png")
-"""Files in the folder of a cell that are its own, beside its config."""
+"""Files of a cell in its folder, beside its config."""
 _NAME = re.compile(
     r"cell/([\w-][\w .-]*\.photos/)?[\w-][\w .-]*\.(yaml|yml|json|html|npz|jpg|png)"
     r"|jobs/self-zero-[\w-]*\.json"
@@ -82,14 +81,14 @@ _MOST_SHOWN = 40
 
 
 class Member(BaseModel):
-    """What the manifest has of a file."""
+    """Entry of a file in the manifest."""
 
     n_bytes: int
     sha256: str
 
 
 class Manifest(BaseModel):
-    """What a backup says of itself."""
+    """Description of a backup."""
 
     name: str
     """Of the cell."""
@@ -103,15 +102,15 @@ class Manifest(BaseModel):
     """Folder of the jobs, ``recording.directory``."""
     members: dict[str, Member]
     undo: bool = False
-    """Whether it is what a restore has replaced: it is put back exactly."""
+    """Whether it has the files that a restore replaced; it is then restored exactly."""
     absent: list[str] = []
-    """Files that were not there then: they are removed."""
+    """Files that did not exist then; they are removed."""
     servos: list[Backup] = []
-    """Control table of each servo, as it was when the backup was made."""
+    """Control table of each servo at the time of the backup."""
     control_unit: dict[str, Any] = {}
-    """Identity, layout and objects of the control unit; empty where it was not read."""
+    """Identity, layout and objects of the control unit; empty if not read."""
     missing: list[str] = []
-    """What could not be read of the devices, and why."""
+    """Device data that could not be read, and why."""
 
 
 _MANIFEST = TypeAdapter(Manifest)
@@ -121,7 +120,7 @@ def back_up(
     path: Path, config_file: Path, config: CellConfig, *, models: Sequence[Path] = (),
     bench: Bench | None = None,
 ) -> Manifest:  # fmt: skip
-    """Write all that makes a cell to one file; return what it holds.
+    """Write all data of a cell to one file; return its manifest.
 
     Parameters
     ----------
@@ -130,15 +129,15 @@ def back_up(
     config_file, config
         The cell; its folder has findings, record, backups of the servos, models and data sets.
     models
-        Models elsewhere; with each go its data set and its photos.
+        Models in other folders, with their data sets and photos.
     bench
-        Reads control tables and objects of the devices; None: they are left out. A device that does
-        not answer is named in ``missing``.
+        Reads control tables and objects of the devices; None: they are omitted. A device that does
+        not answer is in ``missing``.
 
     Raises CellError if a file cannot be read or written.
     """
     if os.path.lexists(path):
-        raise CellError(f"{path} is there already; backups are never overwritten, name another")
+        raise CellError(f"{path} exists; backups are never overwritten, name another file")
     folder = config_file.parent
     files = [(f"cell/{config_file.name}", config_file)]
     files += [(f"cell/{one.relative_to(folder).as_posix()}", one) for one in _own(folder, _KEPT)]
@@ -152,9 +151,9 @@ def back_up(
     names = dict(files)
     for name, source in files:
         if names[name].resolve() != source.resolve():
-            raise CellError(f"{names[name]} and {source} have one name; rename one of them")
+            raise CellError(f"{names[name]} and {source} have the same name; rename one of them")
         if not _NAME.fullmatch(name):
-            raise CellError(f"{source} has a name that no backup takes; rename it to plain letters")
+            raise CellError(f"{source} has an unsupported name; rename it to plain letters")
     found_devices = {} if bench is None else _devices(bench, config)
     return _write(path, names, found_devices | {
         "name": config.name, "config": files[0][0], "directory": config.recording.directory,
@@ -167,7 +166,7 @@ def _own(folder: Path, patterns: Iterable[str]) -> Iterator[Path]:
 
 
 def _devices(bench: Bench, config: CellConfig) -> dict[str, Any]:
-    """Return what the devices have stored: read, and nothing written."""
+    """Return the stored values of the devices; only reads."""
     servos, unit, missing = list[Backup](), dict[str, Any](), list[str]()
     if config.simulated:
         return {"missing": ["the devices are simulated"]}
@@ -181,7 +180,7 @@ def _devices(bench: Bench, config: CellConfig) -> dict[str, Any]:
             missing.append(f"registers of servo {servo.id}: {error}")
     try:
         # Where another program has the servos, its requests to the unit are not disturbed.
-        boards = not isinstance(config.tactile.sensor, ControlUnitConfig)
+        boards = not config.tactile.sensor.canopen
         unit = {} if missing or boards else unit_values(bench)
         missing += ["objects of the control unit: the servos come first"] if missing else []
     except TactileError as error:
@@ -248,7 +247,7 @@ def open_backup(path: Path) -> Iterator[OpenBackup]:
     """Read all of a backup and compare it with its checksums.
 
     Raises CellError if it is damaged, of a later format, or not made by `back_up`: a member with
-    another name or packing, or more than the file can hold.
+    another name or compression, or a size beyond that of the file.
     """
     with ExitStack() as opened:
         file = opened.enter_context(open_plain(path, error=CellError, what=CELL_BACKUP.what))
@@ -270,9 +269,9 @@ def _checked(path: Path, archive: zipfile.ZipFile, n_bytes: int) -> Manifest:
     if MANIFEST not in infos or infos[MANIFEST].file_size > KEPT_BYTES:
         wrong = f"it has no {MANIFEST} of at most {KEPT_BYTES} bytes"
     elif packed or total > n_bytes or not len(archive.infolist()) == len(infos) <= MAX_MEMBERS:
-        wrong = f"it is packed, has a file twice, or more than {MAX_MEMBERS} files"
+        wrong = f"it is compressed, has a file twice, or more than {MAX_MEMBERS} files"
     if wrong:
-        raise CellError(f"{path} is no {CELL_BACKUP.what}: {wrong}; {CELL_BACKUP.remedy}")
+        raise CellError(f"{path} is not a {CELL_BACKUP.what}: {wrong}; {CELL_BACKUP.remedy}")
     text = archive.read(MANIFEST)
     try:
         values = parse_json(text, CELL_BACKUP, path, error=CellError)
@@ -283,14 +282,14 @@ def _checked(path: Path, archive: zipfile.ZipFile, n_bytes: int) -> Manifest:
         ) from error
     named = {*manifest.members, *manifest.absent}
     if bad := next((name for name in sorted(named) if not _NAME.fullmatch(name)), None):
-        raise CellError(f"{path} holds {bad!r:.80}, which no cell has; {CELL_BACKUP.remedy}")
+        raise CellError(f"{path} has {bad!r:.80}, not a file of a cell; {CELL_BACKUP.remedy}")
     if manifest.members.keys() != infos.keys() - {MANIFEST}:
         raise CellError(f"{path} is damaged: files are missing or added; {CELL_BACKUP.remedy}")
     for name, member in manifest.members.items():
         with archive.open(name) as stream:
             if checksum(_pieces(stream)) != member.sha256:
                 raise CellError(
-                    f"{path} is damaged: {name} does not have its checksum; {CELL_BACKUP.remedy}"
+                    f"{path} is damaged: the checksum of {name} is wrong; {CELL_BACKUP.remedy}"
                 )
     for wrong in filter(None, (servo.wrong() for servo in manifest.servos)):
         raise CellError(f"{path} is damaged: {wrong} of a servo; {CELL_BACKUP.remedy}")
@@ -300,12 +299,12 @@ def _checked(path: Path, archive: zipfile.ZipFile, n_bytes: int) -> Manifest:
 def restore(
     path: Path, folder: Path, approve: Callable[[Sequence[ProposedChange]], object]
 ) -> list[str]:
-    """Put the files of a backup back into a folder; return what was done, in lines.
+    """Restore the files of a backup in a folder; return the results as lines.
 
-    Nothing is written before the whole backup is read and the changes are approved. What is
-    replaced goes to `UNDO` first; to restore that takes all back. Else the ports stay those of the
-    config that is there, where both are of real cells. Raises CellError as `open_backup`, or if a
-    file cannot be written.
+    Nothing is written before the whole backup is read and the changes are approved. Replaced files
+    are saved to `UNDO` first; a restore of `UNDO` reverts all. Otherwise the ports of the present
+    config stay, if both configs are of real cells. Raises CellError as `open_backup`, or if a file
+    cannot be written.
     """
     with open_backup(path) as backup:
         manifest = backup.manifest
@@ -342,14 +341,14 @@ def restore(
                 )
         for place in gone.values():
             place.unlink()
-        lines = [f"{len(differing)} files of {manifest.name} ({manifest.made}) are back"]
+        lines = [f"{len(differing)} files of {manifest.name} ({manifest.made}) are restored"]
         lines += [f"{len(gone)} files are removed"] if gone else []
-        lines += [f"kept, as this machine has it: {one}" for one in kept]
-        return [*lines, "`tactile-cell restore --undo` takes it back"]
+        lines += [f"kept from this machine: {one}" for one in kept]
+        return [*lines, "`tactile-cell restore --undo` reverts it"]
 
 
 def restore_registers(path: Path, config: CellConfig, bench: Bench, dialog: Dialog) -> list[str]:
-    """Write the EEPROM of each servo as a backup of the cell has it; return what was done.
+    """Write the EEPROM of each servo from a backup of the cell; return the results as lines.
 
     Raises as `open_backup` and `cell.commissioning.backup.restore`.
     """
@@ -359,7 +358,7 @@ def restore_registers(path: Path, config: CellConfig, bench: Bench, dialog: Dial
                 backup_file(Path(folder), servo.servo_id), SERVO_BACKUP, servo, error=CellError
             )
         if not backup.manifest.servos:
-            raise CellError(f"{path} holds no registers of servos")
+            raise CellError(f"{path} has no registers of servos")
         there = Bench(Path(folder), bench.lines, base=config)
         return list(restore_servos(there, dialog, config.gripper.port))
 
@@ -370,7 +369,7 @@ def _place(name: str, folder: Path, manifest: Manifest) -> Path:
 
 
 def _member(place: Path) -> Member | None:
-    """Return size and checksum of a file; None where there is none."""
+    """Return size and checksum of a file; None without the file."""
     if not place.exists():
         return None
     with open_plain(place, error=CellError, what="file") as file:
@@ -389,7 +388,7 @@ def _change(place: Path, before: str, after: str, folder: Path, what: str = "") 
 
 
 def _config_for(backup: OpenBackup, place: Path | None) -> tuple[bytes, list[str]]:
-    """Return the config that is to be written, and which ports of the present one it keeps."""
+    """Return the config to write, and the ports that it keeps from the present one."""
     name = backup.manifest.config
     if place is None:
         return b"", []
@@ -402,7 +401,7 @@ def _config_for(backup: OpenBackup, place: Path | None) -> tuple[bytes, list[str
     try:
         present = parse_config(config_file_text(place), source=str(place))
     except ConfigError:
-        return text.encode(), []  # it could not be used
+        return text.encode(), []  # the present config is not valid
     if present.simulated or coming.simulated:
         return text.encode(), []
     here, there = (_flat(one.model_dump(mode="json")) for one in (present, coming))
@@ -422,7 +421,7 @@ def _flat(values: Any, way: str = "") -> dict[str, Any]:
 
 
 def _config_changes(place: Path, config: bytes, folder: Path) -> list[ProposedChange]:
-    """Return which keys of a config change; none where they are too many or cannot be read."""
+    """Return the keys of a config that change; empty if too many, or if it cannot be read."""
     try:
         texts = config_file_text(place), config.decode()
         before, after = (
@@ -437,7 +436,7 @@ def _config_changes(place: Path, config: bytes, folder: Path) -> list[ProposedCh
 
 
 def _keep_undo(folder: Path, manifest: Manifest, places: Mapping[str, Path]) -> None:
-    """Write what a restore is about to replace or remove to `UNDO`; an earlier one stays beside."""
+    """Save the files that a restore replaces or removes to `UNDO`; an earlier `UNDO` is kept."""
     there = {name: place for name, place in places.items() if place.exists()}
     absent = [name for name in places if name not in there]
     facts = {"name": manifest.name, "config": manifest.config, "directory": manifest.directory,

@@ -1,7 +1,7 @@
-"""Engine of the commissioning wizard: runs steps in turn, and keeps what each of them found.
+"""Engine of the commissioning wizard: runs the steps in order, and saves their findings.
 
-A person may leave at any moment. What was found by then stands in commissioning.json of the
-cell's folder, and the next run begins with the first step that is not done.
+A person may leave at any moment. The findings are in commissioning.json of the cell's folder, and
+the next run begins with the first step that is not done.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,11 +32,11 @@ LIVE_CALL_S = 0.05
 
 
 class StepFailed(CellError):
-    """A step cannot be done as things are; the message has the cause, and what to do next."""
+    """A step has failed; the message has the cause and the next step."""
 
 
 class WizardAborted(CellError):
-    """The person left the wizard, or refused a write; what was found before is kept."""
+    """The person left the wizard, or refused a write; earlier findings are kept."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,11 +44,11 @@ class Choice:
     """One of several answers."""
 
     key: str
-    """What `Dialog.ask` returns."""
+    """Return value of `Dialog.ask`."""
     text: str
-    """What the person reads."""
+    """Text for the person."""
     picture: str = ""
-    """Name of its picture, which each face has in its own way; empty without one."""
+    """Name of its picture in the user interface, or empty."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +63,7 @@ class NumberRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """What a person is asked: one of some choices, a number, or a free text without either."""
+    """Question to a person: choices, a number, or a free text without either."""
 
     key: str
     """Name of the question, the same in every run: ``step.subject``."""
@@ -71,18 +71,18 @@ class Question:
     choices: tuple[Choice, ...] | None = None
     number: NumberRange | None = None
     default: str | float | None = None
-    """Answer where the person just confirms; None where there is none."""
+    """Answer on a plain confirmation, or None."""
 
 
 class Dialog(Protocol):
-    """The face of the wizard: terminal, page or script. Every call may raise `WizardAborted`."""
+    """User interface of the wizard: terminal, page or script. Calls may raise `WizardAborted`."""
 
     def start_step(self, step: "Step", number: int, count: int) -> None:
-        """Show which step begins: its title and purpose, as ``number`` of ``count``."""
+        """Show the step that begins: its title and purpose, as ``number`` of ``count``."""
         ...
 
     def found(self, step: "Step", finding: Finding) -> None:
-        """Show what a step found."""
+        """Show the findings of a step."""
         ...
 
     def say(self, text: str) -> None:
@@ -90,19 +90,19 @@ class Dialog(Protocol):
         ...
 
     def live(self, name: str, value_text: str) -> None:
-        """Show a value in the place of its previous one, while a person moves something."""
+        """Show a value instead of its previous one, while a person moves something."""
         ...
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
         """Return the key of the chosen choice, the number, or the text typed.
 
-        While the person has not answered, ``watch`` is called about ten times a second in the
-        caller's thread, and its text shown as by `live`; its errors end the question.
+        Before the answer ``watch`` is called about ten times a second in the caller's thread, and
+        its text shown as by `live`; its errors end the question.
         """
         ...
 
     def approve(self, writes: Sequence[ProposedChange]) -> None:
-        """Show changes and motions before they are done; raises `WizardAborted` at a refusal."""
+        """Show changes and motions before they are done; raises `WizardAborted` on refusal."""
         ...
 
     def choose(
@@ -113,7 +113,7 @@ class Dialog(Protocol):
         default: str | None = None,
         watch: Callable[[], str] | None = None,
     ) -> str:
-        """Ask which of some answers holds, their texts by key; return its key."""
+        """Ask for one of some answers, texts by key; return its key."""
         choices = tuple(Choice(key=name, text=answer) for name, answer in answers.items())
         question = Question(key=key, text=text, choices=choices, default=default)
         return str(self.ask(question, watch=watch))
@@ -121,49 +121,49 @@ class Dialog(Protocol):
     def confirm(
         self, key: str, text: str, done: str = "done", watch: Callable[[], str] | None = None
     ) -> None:
-        """Ask for something to be done by hand, and wait for it."""
+        """Ask for an action by hand, and wait for it."""
         self.choose(key, text, {"done": done}, "done", watch)
 
 
 class Step:
-    """One step: finds something out, and sets it where the person approves."""
+    """One step: measures something, and sets it if the person approves."""
 
     key: str
     """Name in commissioning.json and for ``--redo``."""
     title: str
     purpose: str
-    """Heading, and in a sentence or two what it finds, what it writes and what it moves."""
+    """Heading, and in one or two sentences what it finds, writes and moves."""
     needs: tuple[str, ...] = ()
     """Keys of the steps whose findings it uses; redoing one of them redoes this step."""
     needs_pads: bool = False
-    """Whether a gripper without a control unit passes it by."""
+    """Whether a gripper without a control unit skips it."""
     undo: str = "nothing to undo"
-    """How a person takes back what it writes."""
+    """How a person reverts its writes."""
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Carry it out, from the beginning even where it was left half done.
+        """Run the step from its start, also after an earlier partial run.
 
-        Nothing is written or moved that `Dialog.approve` did not show. However it ends, no servo
-        has torque that had none before, and nothing held is let go.
+        Nothing is written or moved without `Dialog.approve`. After it, also after an error, no
+        servo has torque that had none before, and a held part stays held.
 
         Raises
         ------
         WizardAborted
-            When the person leaves or refuses; of the step its values alone are kept then.
+            When the person leaves or refuses; only the values of the step are kept then.
         CellError, GripperError, TactileError
-            What ends the step; `carry_out` adds it to the notes.
+            Errors that end the step; `carry_out` adds them to the notes.
         """
         raise NotImplementedError
 
 
 def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = None) -> Finding:
-    """Run a step and return what it found; an error of cell or lines is a failure of the step.
+    """Run a step and return its findings; an error of cell or lines is a failure of the step.
 
-    Raises WizardAborted when the person leaves or refuses; ``notes`` has what was found by then.
+    Raises WizardAborted when the person leaves or refuses; ``notes`` has the findings until then.
     """
     notes = notes or Finding()
     if step.needs_pads and bench.gripper_alone:
-        notes.warn("This gripper has no pads yet: `--redo unit` once its control unit is there.")
+        notes.warn("This gripper has no pads: connect its control unit, then `--redo unit`.")
         return notes
     try:
         step.run(bench, dialog, notes)
@@ -172,7 +172,7 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = 
     except StepFailed as why:
         notes.fail(str(why))
     except (CellError, GripperError, TactileError) as error:
-        # A cable that was pulled, a disk that is full: mended, the step runs again.
+        # A pulled cable, a full disk: after the repair the step runs again.
         notes.fail(error_text(error))
     if notes.failed:
         notes.settings.clear()
@@ -181,7 +181,7 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog, notes: Finding | None = 
 
 
 class _Logged:
-    """A dialog that logs what is approved; implements `Dialog`."""
+    """A dialog that logs approved writes; implements `Dialog`."""
 
     def __init__(self, dialog: Dialog, log: Callable[[Sequence[ProposedChange]], None]) -> None:
         self.start_step, self.found, self.say = dialog.start_step, dialog.found, dialog.say
@@ -190,26 +190,26 @@ class _Logged:
         self._approve, self._log = dialog.approve, log
 
     def approve(self, writes: Sequence[ProposedChange]) -> None:
-        """Log the writes once they are approved."""
+        """Log the writes after their approval."""
         self._approve(writes)
         self._log(writes)
 
 
 class Engine:
-    """Steps in their order, and what they found so far.
+    """Steps in their order, and their findings so far.
 
-    Raises CellError if commissioning.json cannot be read, or a step needs one that does not stand
-    before it.
+    Raises CellError if commissioning.json cannot be read, or if a needed step does not come before
+    its user.
 
     Parameters
     ----------
     steps
-        The steps; each stands behind those that it needs.
+        The steps; each comes after the steps that it needs.
     bench
-        What they work on; its settings and findings are filled from commissioning.json.
+        Lines and config; its settings and findings are filled from commissioning.json.
     finish
-        Called with the engine once all steps are done and the config is written; returns the
-        files that it wrote (the record).
+        Called with the engine after all steps are done and the config is written; returns the files
+        that it wrote (the record).
     """
 
     def __init__(
@@ -241,7 +241,7 @@ class Engine:
 
     @property
     def corrected(self) -> list[str]:
-        """What was wrong with the cell, and what it is set to now, in the order of the steps."""
+        """Corrected settings of the cell, with their new values, in the order of the steps."""
         done = (self.findings.get(step.key, Finding()) for step in self.steps)
         return [line for finding in done for line in finding.corrected]
 
@@ -264,11 +264,11 @@ class Engine:
         return ordered
 
     def run(self, dialog: Dialog) -> tuple[Path, ...]:
-        """Run the steps that are not done, then write the config; return the files written.
+        """Run the steps that are not done, then write the config; return the written files.
 
-        A step that fails is run again, or the person leaves. Raises WizardAborted then; a
-        further run goes on with the same step. Raises CellError if the files cannot be written, or
-        the config that was found is not valid.
+        A failed step runs again, or the person leaves. Raises WizardAborted then; a further run
+        continues with the same step. Raises CellError if the files cannot be written, or if the
+        config is not valid.
         """
         for number, step in enumerate(self.steps, start=1):
             while not self.done(step):
@@ -308,8 +308,8 @@ class Engine:
     def _again(self, step: Step, dialog: Dialog) -> None:
         answer = dialog.choose(
             f"{step.key}.again",
-            f"{step.title} failed. Mend it, then run the step again.",
-            {"again": "run the step again", "leave": "leave; what was found is kept"},
+            f"{step.title} failed. Correct the cause, then run the step again.",
+            {"again": "run the step again", "leave": "leave; the findings are kept"},
             "again",
         )
         if answer == "leave":
@@ -328,9 +328,9 @@ class Engine:
 
 
 def leave(why: str) -> NoReturn:
-    """Raise `WizardAborted` with the word how to go on."""
+    """Raise `WizardAborted` with instructions to resume."""
     raise WizardAborted(
-        f"left: {why}. What was found is kept; run `tactile-cell commission` again to go on"
+        f"left: {why}. The findings are kept; run `tactile-cell commission` again to continue"
     )
 
 

@@ -1,7 +1,7 @@
-"""Figures of the findings: numbers that JSON holds, and their drawing as SVG.
+"""Figures of the findings: numbers in JSON, and their drawing as SVG.
 
-`curves` and `pads` make the numbers where they are measured; `svg` draws them in the style of the
-report, for the record, and `standalone_svg` as a picture of its own.
+`curves` and `pads` make the numbers; `svg` draws them in the style of the report, for the record,
+and `standalone_svg` as a separate picture.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,12 +16,12 @@ from cell.report.plots import MUTED, colour, drawing, new_figure, to_svg
 from tactile.layout import TaxelLayout
 
 _MOST_POINTS = 600
-"""Points of a curve that are kept; the picture has about as many pixels."""
+"""Most points of a kept curve; the picture has about as many pixels."""
 _DECIMALS = 6
-"""Of the numbers that are kept, in their units."""
+"""Decimals of the kept numbers, in their units."""
 
 _CELL, _CELL_HEIGHT, _GAP, _CAPTION = 260, 130, 20, 24
-"""Width and height of a pad in a picture of its own, between two, and for its caption, in px."""
+"""Size of a pad in a separate picture, distance between two, and height of a caption, in px."""
 
 Figure = Mapping[str, Any]
 
@@ -44,9 +44,9 @@ def curves(
     series
         Values (n,) of each curve by its name.
     x_label, y_label
-        What the axes show, with units.
+        Names of the axes, with units.
     limits
-        Lines across, by name, as ``{"cap": 15.0}``.
+        Horizontal lines by name, e.g. ``{"cap": 15.0}``.
     """
     every = max(1, -(-np.asarray(x).size // _MOST_POINTS))
     return {
@@ -82,7 +82,7 @@ def pads(title: str, layout: TaxelLayout, values: ArrayLike, *, unit: str) -> Fi
 
 
 def svg(figure: Figure, name: str) -> str:
-    """Return a figure as SVG elements; ``name`` tells those of one page apart.
+    """Return a figure as SVG elements; ``name`` is unique within a page.
 
     Raises MissingExtraError if matplotlib is missing.
     """
@@ -90,7 +90,7 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def standalone_svg(figure: Figure) -> str:
-    """Return a figure as an SVG file, light or dark as its viewer. Raises as `svg`."""
+    """Return a figure as an SVG file, light or dark like its viewer. Raises as `svg`."""
     css = page_template("style.css.j2").render()
     drawn = _grid(figure) if figure["kind"] == "pads" else _curves_svg(figure, "figure")
     head, rest = drawn.split(">", 1)
@@ -107,7 +107,7 @@ def _floats(values: Sequence[float | None]) -> NDArray[np.float64]:
 
 
 def _pictures(figure: Figure) -> list[tuple[str, str]]:
-    """Return the caption and the SVG of each pad, all of one scale."""
+    """Return the caption and the SVG of each pad, with one scale."""
     values = [_floats(pad["values"]) for pad in figure["pads"]]
     full = max([1e-9, *(float(np.nanmax(v)) for v in values if np.isfinite(v).any())])
     found = []

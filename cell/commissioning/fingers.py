@@ -1,7 +1,7 @@
 """Step `fingers`: directions, zero, ends and linkage by hand, then the first motion.
 
-A person moves the limp fingers while the angles run on the screen; known blocks between the pads
-make lengths of angles. Only then does a motor move, at the least current that moves it.
+A person moves the limp fingers while the screen shows the angles; known blocks between the pads
+convert angles to lengths. Then a motor moves, at the least current that moves it.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ KINDS: dict[Kind, str] = {
     "pinion": "the fingers slide straight, on racks with a pinion",
     "swinging": "the fingers swing, or their links stand askew when closed",
 }
-"""Kinds of linkage that are fitted, as a person sees them."""
+"""Kinds of linkage that are fitted, with their descriptions."""
 
 Pulses = tuple[int, ...]
 """Present Position of each servo in pulses, in the order of the fingers."""
@@ -51,45 +51,45 @@ Signs = tuple[Literal[1, -1], ...]
 """Direction of each servo."""
 
 _CLOSED = "closed"
-"""Answer with which the closed fingers are measured again."""
+"""Answer that asks to measure the closed fingers again."""
 _MOVED_PULSES = 60
-"""Way of a servo in pulses, 5 degrees, from which a finger was moved."""
+"""Travel of a servo, 5 degrees, above which a finger was moved."""
 _STILL_SHARE = 0.2
-"""Way of the other finger, as a share of that of the moved one, that still counts as none."""
+"""Travel of the other finger, as a share of that of the moved one, that does not count."""
 _END_MARGIN_M = 2e-3
-"""Opening in m that the cell keeps from the widest by hand."""
+"""Margin in m to the widest opening by hand."""
 _GOOD_FIT_M = 0.3e-3
-"""Largest residual in m with which the simplest linkage is taken: calliper, touch and encoder."""
+"""Largest residual in m of the simplest linkage: calliper, touch and encoder."""
 _MOST_OFFSET_M = 0.05
 """Largest offset in m of a linkage in the config (gripper.linkage.offset_mm)."""
 _BAD_FIT_M = 0.5e-3
-"""Largest residual in m that is passed without a warning."""
+"""Largest residual in m without a warning."""
 _UNUSABLE_FIT_M = 3e-3
-"""Largest residual in m with which anything is moved."""
+"""Largest residual in m with which a motor may move."""
 _BLOCKS = (
     ("Take a stiff block with parallel faces, best about 10 mm thick; measure it.", 1.0),
     ("A second one, best about 30 mm thick; 0 if you have none.", 0.0),
     (
         "No simple linkage fits both blocks: is each thickness right? A third one, best about 20 "
-        "mm thick, tells; 0 if you have none.",
+        "mm thick, decides; 0 if you have none.",
         0.0,
     ),
 )
 """Texts that ask for the blocks, each with the least thickness in mm."""
 _SIMPLE_BLOCKS = 2
-"""Blocks that tell a simple linkage."""
+"""Number of blocks that determine a simple linkage."""
 _OFF_PULSES = 60
-"""Distance of a zero from that of the config which is named."""
+"""Least distance of a zero from that of the config that is reported."""
 _LEAST_ROOM_M = 6e-3
 """Opening in m, and distance from the widest one, that the first motion needs."""
 _FIRST_WAY_RAD = 0.05
-"""Way of the first motion in rad: 3 mm with links of 60 mm."""
+"""Travel of the first motion in rad: 3 mm with links of 60 mm."""
 _FRICTION_FACTOR = 2.0
-"""Largest current of the first motion, as a factor on that which friction takes."""
+"""Largest current of the first motion, as a factor on the friction current."""
 _RAMP_A_S = 0.1
 """Rise of the current in the first motion in A/s."""
 _WRONG_WAY_RAD = 0.01
-"""Way in rad against the expected direction at which all torque goes off: 0.6 mm."""
+"""Travel in rad in the wrong direction at which all torque goes off: 0.6 mm."""
 _FIRST_FORCE_N = 0.1
 """Force in N, beyond friction, with which the fingers hold still before the first motion."""
 
@@ -128,7 +128,7 @@ def directions(closed: Sequence[int], opened: Sequence[int]) -> Signs:
 
 
 def moved_alone(before: Sequence[int], after: Sequence[int]) -> int | None:
-    """Return the index of the only servo that was moved; None where none or several were."""
+    """Return the index of the only servo that was moved; None if no servo or several were moved."""
     ways = [abs(b - a) for a, b in zip(before, after, strict=True)]
     index = int(np.argmax(ways))
     others = [way for i, way in enumerate(ways) if i != index]
@@ -139,10 +139,10 @@ def moved_alone(before: Sequence[int], after: Sequence[int]) -> int | None:
 def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]:
     """Return the linkages that fit closed fingers and blocks, the most probable first.
 
-    Closed fingers (opening 0 at angle 0) are a measurement of their own. A swinging finger follows
-    the law of a parallelogram at the middle of its pad, with links that stand askew when closed; it
-    has one more unknown and is fitted from two blocks on, and preferred only where the simpler ones
-    fail. Raises ValueError if there is no block, or an angle that does not grow with the opening.
+    Closed fingers (opening 0 at angle 0) are a separate measurement. A swinging finger follows the
+    law of a parallelogram at the middle of its pad, with oblique links when closed. It has one more
+    unknown: it needs two blocks, and is preferred only if the simpler ones fail. Raises ValueError
+    if there is no block, or if an angle does not grow with the opening.
     """
     if not measured or any(sum(one.angles_rad) <= 0.0 for one in measured):
         raise ValueError("a linkage needs a block on which the fingers are open")
@@ -151,7 +151,7 @@ def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]
     sizes_m = np.array([one.aperture_m for one in measured])
 
     def scale_m(way: NDArray[np.float64]) -> float:
-        """Return the length that makes openings of ways of the fingers, by least squares."""
+        """Return the length that converts travel of the fingers to openings, by least squares."""
         both = 2.0 * way.mean(axis=1)
         return float(both @ sizes_m / (both @ both))
 
@@ -176,14 +176,14 @@ def fit_linkages(measured: Sequence[BlockMeasurement]) -> tuple[LinkageFit, ...]
 def decided(fits: Sequence[LinkageFit]) -> bool:
     """Return whether the first fit is better than the others by more than the measuring error.
 
-    A swinging finger has one more unknown and fits always: beside a simple linkage it is no rival.
+    A swinging finger has one more unknown and always fits: it does not compete with a simple one.
     """
     rivals = [fit.residual_m for fit in fits[1:] if fit.kind != "swinging"]
     return min(rivals) - fits[0].residual_m > _GOOD_FIT_M
 
 
 def _simple(fit: LinkageFit) -> bool:
-    """Return whether two blocks have told the linkage."""
+    """Return whether two blocks have determined the linkage."""
     return fit.kind != "swinging" and fit.residual_m <= _GOOD_FIT_M
 
 
@@ -229,7 +229,7 @@ def zero_pulse(model: ServoModel, closed_raw: int, direction: int, closed_rad: f
 
 
 def first_current_max_a(settings: GripperSettings) -> float:
-    """Return the largest current of the first motion in A: twice what friction takes."""
+    """Return the largest current of the first motion in A: twice the friction current."""
     return max(
         _FRICTION_FACTOR * settings.drives.of(servo.servo_id, servo.drive).breakaway_a
         for servo in settings.servos
@@ -260,7 +260,7 @@ class FingersStep(Step):
 
 
 class _ClosedAgain(Exception):
-    """The person wants to measure the closed fingers again."""
+    """The person measures the closed fingers again."""
 
 
 class _Hands:
@@ -319,7 +319,7 @@ class _Hands:
     def _measured(self) -> tuple[Pulses, Pulses, Signs, list[BlockMeasurement]]:
         """Return the positions closed and wide open, the directions, and the fingers on blocks.
 
-        All is measured anew where the person finds that the fingers were not closed.
+        All is measured again if the person finds that the fingers were not closed.
         """
         while True:
             self._shown = self._pulses
@@ -366,7 +366,7 @@ class _Hands:
     def _by_hand(self, key: str, text: str) -> Pulses:
         """Ask for a position by hand and return it in pulses.
 
-        Raises _ClosedAgain where the person wants to measure the closed fingers anew.
+        Raises _ClosedAgain if the person measures the closed fingers again.
         """
         answers = {"done": "done", _CLOSED: "measure the closed fingers again"}
         if key == "close":
@@ -412,7 +412,7 @@ class _Hands:
         return closed, (first, both[1])
 
     def _blocks(self, closed: Pulses, signs: Signs) -> list[BlockMeasurement]:
-        """Return the fingers on blocks of known size: two, a third where no simple law fits."""
+        """Return the fingers on blocks of known size: two, and a third if no simple law fits."""
         self._shown = lambda: ", ".join(
             f"finger {number}: {degrees(angle):.1f} deg open"
             for number, angle in enumerate(self._turned(self._read(), closed, signs))
@@ -437,7 +437,7 @@ class _Hands:
     def _on_block(
         self, number: int, size_mm: float, closed: Pulses, signs: Signs
     ) -> BlockMeasurement:
-        """Return the fingers on a block: each stands farther open there than on the other one."""
+        """Return the fingers on a block, each farther open than when closed."""
         text = (
             f"Hold the block of {size_mm:g} mm between the pads and close both fingers by hand "
             "until they just touch it, flat."
@@ -452,7 +452,7 @@ class _Hands:
             if not closer:
                 return BlockMeasurement(angles_rad=angles_rad, aperture_m=size_mm * 1e-3)
             text = (
-                f"On the block fingers stand closer than in the closed position: "
+                f"On the block fingers are closer than in the closed position: "
                 f"{', '.join(closer)}. Was something between the pads there, or was a finger "
                 "pushed past the other one instead of opened? Then measure the closed fingers "
                 "again. Otherwise hold the block in the middle, and close both fingers until they "
@@ -460,7 +460,7 @@ class _Hands:
             )
 
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
-        """Return the linkage that the person sees; the fit proposes one where it can."""
+        """Return the linkage that the person confirms; the fit proposes one if it can."""
         sure = decided(fits)
         shown = fits if sure else sorted(fits, key=lambda fit: list(KINDS).index(fit.kind))
         answer = self._dialog.ask(
@@ -489,7 +489,7 @@ class _Hands:
     def _judge(
         self, fit: LinkageFit, widest_m: float, measured: Sequence[BlockMeasurement]
     ) -> None:
-        """Note what was measured by hand, and set it."""
+        """Note the measurements by hand, and set them."""
         notes, drive = self._notes, fit.linkage
         proven = len(measured) > (2 if fit.kind == "swinging" else 1)
         if isinstance(drive, ParallelLinkage):
@@ -533,7 +533,7 @@ class _Hands:
             )
 
     def _compare(self, linkage: Linkage, measured: Sequence[BlockMeasurement]) -> None:
-        """Note what the config had otherwise."""
+        """Note differences from the config."""
         was_by_id = {servo.id: servo for servo in self._bench.base.gripper.servos}
         for servo, model in zip(self._servos, self._models, strict=True):
             was = was_by_id.get(servo.id, ServoConfig(id=servo.id))
@@ -617,8 +617,8 @@ class _Hands:
                     )
                 if way_rad < _FIRST_WAY_RAD / 2.0:
                     raise StepFailed(
-                        f"{name}: did not move with {cap_a:.2f} A: look for what blocks or pinches "
-                        "it, and check the supply"
+                        f"{name}: did not move with {cap_a:.2f} A: check what blocks it, and check "
+                        "the supply"
                     )
                 self._notes.fact(
                     f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
@@ -643,7 +643,7 @@ class _Hands:
     ) -> tuple[float, float]:
         """Raise the current of one servo until its finger opens; return current in A, way in rad.
 
-        The other one holds where it is. Limits stand beside the write, in `gripper.servos.goals`.
+        The other servo holds its position. Limits are beside the write, in `gripper.servos.goals`.
         """
         clock, period_s = self._bench.clock, settings.period_s
         state = group.read_patiently()
@@ -657,7 +657,7 @@ class _Hands:
             state = group.read_patiently()
             way_rad = state.angles_rad[index] - start[index]
             if clock.monotonic() >= shown_s:
-                # The person may stop the motion here: the servos go limp then.
+                # The person may stop the motion here: the servos then go limp.
                 self._dialog.live(
                     f"finger {index}", f"{degrees(way_rad):.1f} deg open, {current_a:.2f} A"
                 )
@@ -679,13 +679,13 @@ def _goals(start: Sequence[float], index: int, current_a: float, hold_a: float) 
 
 
 def _linkage_text(linkage: Linkage) -> str:
-    """Return a linkage as the config names it."""
+    """Return a linkage in the words of the config."""
     kind = "parallel_linkage" if isinstance(linkage, ParallelLinkage) else "rack_pinion"
     return f"{kind}, {linkage}"
 
 
 def _missed_m(linkage: Linkage, measured: Sequence[BlockMeasurement]) -> float:
-    """Return by how many m a linkage misses the blocks at most, from the closed fingers on."""
+    """Return the largest error in m of a linkage at the blocks, relative to the closed fingers."""
     closed = linkage.angles_rad(0.0)
     return max(
         abs(

@@ -29,32 +29,32 @@ from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import Cycle
 
 FIRST_FORCE_N = 1.0
-"""Force in N of the first ramp: a part that it breaks is held by nothing."""
+"""Force in N of the first ramp, small enough for every part."""
 _HOLD_S = 0.5
 """Time in s for which each force is held and measured."""
 _WRONG_N, _WRONG_SHARE = 0.2, 0.08
-"""Difference of measured and asked force in N, or as a share if that is more, that is worth a word:
-a cell's own ramps end within 0.2 N or 5 %."""
+"""Least reported difference of measured force and set-point in N, or as a share if that is more; a
+cell's own ramps end within 0.2 N or 5 %."""
 _EMPTY_SHARE = 0.5
-"""Share of the contact force up to which pads of empty fingers may show force."""
+"""Largest force that pads of empty fingers may show, as a share of the contact force."""
 MEET_FORCE_N = 8.0
 """Force in N with which the empty fingers press on each other: foam on foam is so stiff that a step
 of the encoders, 0.18 mm, makes 4 N."""
 _MEET_N_S = 10.0
 """Rise of that force in N/s."""
 _MEET_MM = 1.5
-"""Opening in mm, either way, at which the empty pads may meet: foam gives by 0.3 mm each, and a
-zero is set by hand."""
+"""Opening in mm, positive or negative, at which the empty pads may meet: each foam yields by 0.3
+mm, and a zero is set by hand."""
 _LAST_PERIODS = 20
 """Periods of the loop, 0.1 s, whose mean is the force at the end of a motion."""
 _GAP_S = 0.1
-"""Time in s without an asked force that parts two curves in the picture."""
+"""Time in s without a set-point that separates two curves in the picture."""
 
 
 def _course(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
-    """Return time in s, force asked for, and measured on finger 0 and 1 in N, of each period.
+    """Return time in s, set-point, and measured force of finger 0 and 1 in N, of each period.
 
-    (n, 4) float64, NaN without a sample; periods in which no force is asked for are left out.
+    (n, 4) float64, NaN without a sample; periods without a set-point are omitted.
     """
     rows = [
         (one.t_s, one.setpoint_n, *((np.nan, np.nan) if one.force is None else one.force.force_n))
@@ -65,15 +65,15 @@ def _course(cycles: Sequence[Cycle]) -> NDArray[np.float64]:
 
 
 def _grip_n(course: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean of both fingers in N where it was measured; 0 without any."""
+    """Return the mean measured force of both fingers in N; 0 without samples."""
     grip_n = course[:, 2:].mean(axis=1)
     known = grip_n[np.isfinite(grip_n)]
     return known if known.size else np.zeros(1)
 
 
 def _figure(course: NDArray[np.float64], cap_n: float) -> Figure:
-    """Return the picture of asked and measured force over time."""
-    # No line goes from one motion to the next.
+    """Return the picture of set-point and measured force over time."""
+    # No line connects two motions.
     gaps = np.flatnonzero(np.diff(course[:, 0]) > _GAP_S) + 1
     t_s = np.insert(course[:, 0], gaps, course[gaps, 0])
     asked_n, first_n, second_n = np.insert(course[:, 1:], gaps, np.nan, axis=0).T
@@ -98,16 +98,16 @@ class FirstForceStep(Step):
     key = "first_force"
     title = "First force"
     purpose = (
-        "The empty fingers open and prove direction and zero; their bus watchdog has to stop them "
-        "when this program falls silent; then they press a soft part with 1 N, and with as much as "
-        "you allow, and, empty again, each other. Measured and asked force are compared. Keep your "
-        "hands away while they move."
+        "The empty fingers open and prove direction and zero. Their bus watchdog must stop them "
+        "when this program is silent. Then they press a soft part with 1 N, and with the force "
+        "that you allow, and, empty again, each other. Measured force and set-point are compared. "
+        "Keep your hands away while they move."
     )
     needs = ("fingers", "unit", "pads_law", "link_quality")
     undo = "nothing is written; the torque goes off at the end"
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Open, prove, grasp, release; with pads the empty fingers meet at last."""
+        """Open, prove, grasp, release; with pads close the empty fingers on each other."""
         config = changed_config(bench.config, {"gripper.watchdog_self_test": True})
         alone = bench.gripper_alone
         cap_n = config.gripper.force_max_n
@@ -144,12 +144,12 @@ class FirstForceStep(Step):
 
 
 def _asked(dialog: Dialog, limit_n: float) -> float:
-    """Return how hard the soft part may be pressed in N."""
+    """Return the largest force for the soft part in N."""
     answer = dialog.ask(
         Question(
             key="first_force.most",
-            text="Choose a soft part of 10 to 20 mm, as a piece of foam or rubber. With which "
-            f"force may it be pressed? {limit_n:g} N is what the cap of the config allows.",
+            text="Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With "
+            f"which force may it be pressed? The cap of the config allows {limit_n:g} N.",
             number=NumberRange(lowest=FIRST_FORCE_N, highest=limit_n, unit="N"),
             default=limit_n,
         )
@@ -164,7 +164,7 @@ def meets(config: CellConfig) -> bool:
 
 def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[ProposedChange]:
     gripper = config.gripper
-    limp = "the torque goes off at the end of the step; who leaves stops the fingers where they are"
+    limp = "the torque goes off at the end of the step; leaving stops the fingers where they are"
     opened = f"{gripper.aperture_open_mm:g} mm open"
     settings = config.gripper_settings
     travel_mm = 1e3 * proof_travel_m(settings, config.linkage, settings.aperture_open_m)
@@ -185,7 +185,7 @@ def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Proposed
             "grasp the soft part",
             "0 N",
             f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N",
-            "they open when you confirm it; a part that is held stays held where you leave",
+            "they open when you confirm it; a held part stays held if you leave",
         ),
     ]
     if meets(config) and not alone:
@@ -211,17 +211,17 @@ class _Trial:
     cap_n: float
     alone: bool
     weighed: bool
-    """Whether weights have shown the law of the pads."""
+    """Whether weights have confirmed the law of the pads."""
     zeros: SelfZeros
-    """Store of what is measured of the servos."""
+    """Store of the measured drive characteristics."""
 
     def run(self) -> None:
         if not self.alone:
             self.hand.start_sensor()
         self._open()
         self.notes.fact(
-            "The empty fingers opened as direction, zero and linkage say, and the bus watchdog "
-            "stopped them when this program fell silent."
+            "The empty fingers opened as direction, zero and linkage predict, and the bus watchdog "
+            "stopped them when this program was silent."
         )
         if not self.alone:
             self._check_empty()
@@ -234,13 +234,13 @@ class _Trial:
             self._meet()
 
     def _ask(self, key: str, text: str) -> None:
-        """Ask for something by hand, while the grip is looked after."""
+        """Ask for an action by hand, and supervise the grip meanwhile."""
         self.dialog.confirm(
             f"first_force.{key}", text, watch=lambda: look_after(self.hand, self.clock)
         )
 
     def _open(self) -> None:
-        """Open the empty fingers; where that fails their torque may go off at the end."""
+        """Open the empty fingers; after a failure their torque may go off at the end."""
         try:
             self.hand.open(self.motion)
         except GripperError:
@@ -249,7 +249,7 @@ class _Trial:
             raise
 
     def _check_empty(self) -> None:
-        """Take the zero; the pads of the open fingers show no force then."""
+        """Take the zero; then check that the pads of the open fingers show no force."""
         self.hand.tare(self.config.tactile.tare_frames)
         first_n, second_n = self.hand.read_sensor(timeout_s=1.0).finger_force_n
         limit_n = _EMPTY_SHARE * self.config.gripper.contact_force_n
@@ -264,10 +264,10 @@ class _Trial:
             )
 
     def _meet(self) -> None:
-        """Close the empty fingers onto each other: the zero of the opening, and pad against pad."""
+        """Close the empty fingers onto each other: check the zero of the opening and both pads."""
         self._ask(
             "empty_again",
-            "Take the part away, and your hands: the empty fingers press on each other next.",
+            "Take the part and your hands away: next the empty fingers press on each other.",
         )
         begun = len(self.motion.cycles)
         ramp = ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S)
@@ -300,12 +300,12 @@ class _Trial:
         )
         if abs(opening_mm) > _MEET_MM:
             self.notes.warn(
-                "The zero of the opening is off: close the fingers by hand again with "
+                "The zero of the opening is wrong: close the fingers by hand again with "
                 "`tactile-cell commission --redo fingers`."
             )
 
     def _grasp(self) -> None:
-        """Press the soft part, and let it go."""
+        """Press the soft part, and release it."""
         ramp, motion = self.config.sequence.ramp, self.motion
         first_n = max(FIRST_FORCE_N, 1.5 * self.config.gripper.contact_force_n)
         measured: list[list[float]] = []
@@ -335,7 +335,7 @@ class _Trial:
         self.hand.release()
 
     def _judge(self, asked_n: float, held_n: float, outcome: GraspOutcome) -> None:
-        """Note how a force was reached and held."""
+        """Note the quality of a held force."""
         self.notes.fact(
             f"{asked_n:g} N asked: {held_n:.2f} N held, overshoot {outcome.overshoot_n:.2f} N, "
             f"opening {1e3 * outcome.final_aperture_m:.2f} mm."
@@ -345,7 +345,7 @@ class _Trial:
                 "The part is too small or too soft for that force: the fingers closed to "
                 "gripper.aperture_min_mm. Take a thicker part, or ask for less."
                 if outcome.short
-                else "That force was not reached: raise gripper.current_max_a where servos and "
+                else "That force was not reached: raise gripper.current_max_a if servos and "
                 "parts allow it, or ask for less."
             )
         elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):

@@ -1,4 +1,4 @@
-"""The law from counts to newtons: checked with weights or a kitchen scale, and set right."""
+"""The law from counts to newtons: checked with weights or a kitchen scale, and corrected."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig,
 from tactile.sensor.sensor import TactileSensor
 
 GRAVITY_N_KG = 9.80665
-"""Standard acceleration of fall (ISO 80000-3): what a kitchen scale takes for its grams."""
+"""Standard acceleration of free fall (ISO 80000-3), which a kitchen scale assumes for its grams."""
 _TYPED = "loads_so_far_n"
-"""Name of the loads by finger among the values, until all of them are there."""
+"""Name of the loads by finger among the values, until all loads are measured."""
 _TABLE_SHARES = (0.0, 0.0625, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
 """Nodes of a table of counts and forces, as shares of the full scale."""
 _STEPS = 3
@@ -30,23 +30,22 @@ _LOAD_FRAMES = 25
 _WATCH_FRAMES = 4
 """Frames between two values on the screen."""
 _RIGHT_SHARE = 0.05
-"""Deviation of the factor from 1 up to which the law is right: a kitchen scale that a hand holds
-wavers by 2 %, the simulated cell has shown up to 3 %."""
+"""Largest deviation of the factor from 1 of a correct law: a kitchen scale held by hand varies by
+2 %, the simulated cell by up to 3 %."""
 _RESIDUAL_SHARE = 0.12
-"""Root of the mean squared residual over the largest load from which it is no factor that is
-wrong."""
+"""Root mean square residual over the largest load above which a factor cannot correct the law."""
 _FINGERS_APART = 0.12
-"""Difference of the factors of both pads from which one factor for both is worth a word."""
+"""Least reported difference of the factors of both pads."""
 _LEAST_LOAD_N = 0.2
-"""Smallest load in N that counts: of less the noise is a tenth."""
+"""Smallest load in N that counts: the noise is a tenth of smaller ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Factor:
-    """Straight line through the origin from the forces shown to the true ones."""
+    """Straight line through the origin from the shown forces to the true ones."""
 
     factor: float
-    """True force over the force shown."""
+    """True force over shown force."""
     residual_n: float
     """Root of the mean squared residual in N."""
     residual_share: float
@@ -54,9 +53,9 @@ class Factor:
 
 
 def fit_factor(true_n: ArrayLike, shown_n: ArrayLike) -> Factor:
-    """Return the factor that brings the forces shown nearest to the true ones.
+    """Return the factor that fits the shown forces best to the true ones.
 
-    Both are forces in N, (n,) float64. Raises ValueError if nothing is shown, or there is no load.
+    Both are forces in N, (n,) float64. Raises ValueError without shown forces or loads.
     """
     true = np.asarray(true_n, dtype=np.float64)
     shown = np.asarray(shown_n, dtype=np.float64)
@@ -73,7 +72,7 @@ def fit_factor(true_n: ArrayLike, shown_n: ArrayLike) -> Factor:
 
 
 def table_parts(tared_counts: ArrayLike, adc_max: int) -> list[float]:
-    """Return how many counts of a pad lie in each part of the full scale, summed over taxels.
+    """Return the counts of a pad in each part of the full scale, summed over taxels.
 
     A law of straight lines over these parts gives the pad's force as their sum, each times its
     slope. ``tared_counts`` is (n,).
@@ -81,7 +80,7 @@ def table_parts(tared_counts: ArrayLike, adc_max: int) -> list[float]:
     counts = np.asarray(tared_counts, dtype=np.float64)[:, np.newaxis]
     nodes = adc_max * np.array(_TABLE_SHARES)
     parts = np.clip(counts - nodes[:-1], 0.0, np.diff(nodes))
-    # Below zero the first line goes on: noise averages out.
+    # The first line continues below zero: noise averages out.
     parts[:, 0] = np.minimum(counts[:, 0], nodes[1])
     return [float(part) for part in parts.sum(axis=0)]
 
@@ -89,23 +88,23 @@ def table_parts(tared_counts: ArrayLike, adc_max: int) -> list[float]:
 def fit_table(
     true_n: ArrayLike, parts: ArrayLike, adc_max: int
 ) -> tuple[list[float], list[float], float]:
-    """Return counts and forces in N of the table nearest to loads, and its residual in N.
+    """Return counts and forces in N of the table that fits the loads, and its residual in N.
 
-    A taxel is less sensitive the more it is pressed, so no line is less steep than the one before.
-    It ends with the last part in which the loads had counts. Raises ValueError where no table fits.
+    A pressed taxel is less sensitive, so each line is at least as steep as the one before. The
+    table ends with the last part that has counts of the loads. Raises ValueError if no table fits.
 
     Parameters
     ----------
     true_n
         (n,): loads in N.
     parts
-        (n, n_parts): what `table_parts` gives of each.
+        (n, n_parts): `table_parts` of each load.
     """
     loads, counted = np.asarray(true_n), np.asarray(parts)
     used = int(np.count_nonzero(counted.max(axis=0) > 0.0))
     if not used:
         raise ValueError("the loads show no counts")
-    # Slopes that rise are sums of steps that are not negative.
+    # Rising slopes are sums of non-negative steps.
     steps = np.cumsum(counted[:, :used][:, ::-1], axis=1)[:, ::-1]
     found, _ = nnls(steps, loads)
     slopes = np.cumsum(found)
@@ -118,7 +117,7 @@ def fit_table(
 
 
 class LawStep(Step):
-    """Has each inner pad loaded three times, and sets the law: its factor, or a table."""
+    """Asks for three loads on each inner pad, and sets the law: its factor, or a table."""
 
     key = "pads_law"
     title = "Newtons of the pads"
@@ -150,7 +149,7 @@ class LawStep(Step):
             "Lay a flat stamp of about 10 mm across on the middle of the pad. Press it against the "
             "scale, or lay the weight on it, and keep it so until the next question."
         )
-        # Loads of a run that did not come to its end; an error of the unit cost them otherwise.
+        # Loads of an unfinished run, e.g. after an error of the unit.
         loads = [list(map(tuple, of)) for of in bench.found.get(self.key, {}).get(_TYPED, ([], []))]
         if kept := sum(map(len, loads)):
             dialog.say(f"{kept} loads are kept from before.")
@@ -169,7 +168,7 @@ Load = tuple[float, ...]
 
 
 def _targets_n(bench: Bench) -> list[float]:
-    """Return the loads in N that are asked for: even steps over the forces of the sequence."""
+    """Return the planned loads in N: even steps over the forces of the sequence."""
     least_n, most_n = sequence_forces_n(bench)
     return [round(float(n), 1) for n in np.linspace(min(least_n, 0.5 * most_n), most_n, _STEPS)]
 
@@ -181,7 +180,7 @@ def _load(
     targets_n: Sequence[float],
     loads: list[Load],
 ) -> None:
-    """Add the true and shown forces of the loads on one inner pad to those that are there."""
+    """Add the true and shown forces of the loads on one inner pad to the present ones."""
     pad = sensor.layout.gripping_pads[finger]
     name = sensor.layout.pads[pad].name
     most_g = 2e3 * max(targets_n) / GRAVITY_N_KG
@@ -206,16 +205,16 @@ def _load(
 
 
 def _counts(sensor: TactileSensor, pad: int, n_frames: int) -> NDArray[np.float64]:
-    """Return the tared counts of a pad's taxels, (n,), over the mean of some frames.
+    """Return the tared counts of a pad's taxels, (n,), as the mean of some frames.
 
-    The sensor itself leaves out taxels that do not stand out of the noise of three frames.
+    The sensor itself omits taxels below the noise of three frames.
     """
     counts = np.mean([sensor.read(timeout_s=1.0).tared_counts for _ in range(n_frames)], axis=0)
     return np.asarray(counts[sensor.layout.taxels_of(pad)], dtype=np.float64)
 
 
 def _force_n(sensor: TactileSensor, pad: int, counts: NDArray[np.float64]) -> float:
-    """Return the force in N that the law in use makes of the tared counts of a pad."""
+    """Return the force in N by the present law from the tared counts of a pad."""
     of_all = np.zeros(sensor.layout.n_taxels)
     taxels = sensor.layout.taxels_of(pad)
     of_all[taxels] = counts
@@ -228,10 +227,10 @@ def judge_law(
     notes: Finding,
     adc_max: int = 0,
 ) -> None:
-    """Note what the loads on both inner pads say of the law, and set it right.
+    """Judge the law by the loads on both inner pads, and correct it.
 
-    ``tactile`` has the law by which the forces were shown; ``loads`` are the true force and the one
-    shown in N of each load, by finger. Raises StepFailed where the loads show no law.
+    ``tactile`` has the law of the shown forces; ``loads`` are the true and the shown force in N of
+    each load, by finger. Raises StepFailed if the loads show no law.
     """
     both = [load for of_finger in loads for load in of_finger if load[0] >= _LEAST_LOAD_N]
     true_n = sorted(load[0] for load in both)
@@ -300,7 +299,7 @@ def judge_law(
 def _set_table(
     loads: Sequence[Sequence[Load]], gains: Sequence[float], adc_max: int, notes: Finding
 ) -> bool:
-    """Set the table that the loads make, and return whether they lie on it."""
+    """Set the table of the loads, and return whether they lie on it."""
     true_n = [load[0] / gain for one, gain in zip(loads, gains, strict=True) for load in one]
     parts = [load[2:] for one in loads for load in one]
     if not all(parts):
@@ -332,6 +331,6 @@ def _rising(loads: Sequence[Sequence[Load]]) -> bool:
 
 
 def _at(loads: Sequence[Load], places_n: Sequence[float]) -> list[float]:
-    """Return the forces shown at some true forces, between the loads by straight lines."""
+    """Return the shown forces at some true forces, interpolated between the loads."""
     true_n, shown_n = zip(*loads, strict=True) if loads else ((0.0,), (0.0,))
     return [float(v) for v in np.interp(places_n, true_n, shown_n, left=np.nan, right=np.nan)]

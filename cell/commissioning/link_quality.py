@@ -22,27 +22,27 @@ from tactile.sensor.sensor import TactileSensor
 from tactile.source import SourceStatistics
 
 DURATION_S = 60.0
-"""Time in s for which the lines are watched: a loose plug shows now and then."""
+"""Duration in s of the test of the lines; a loose plug shows only sometimes."""
 _LOSS_SHARE = 1e-3
-"""Share of messages, of frames or of answers from which losses are worth a word: on a sound bus
-none is lost, and one in a thousand already costs 6 % of the frames."""
+"""Least reported share of lost messages, frames or answers: a good bus loses none, and one lost
+message in a thousand already costs 6 % of the frames."""
 _OVERRUN_SHARE = 1e-3
-"""Share of the periods that may take too long here: this program has no real-time priority, the
-loop of the cell has."""
+"""Share of the periods that may take too long here: this program has no real-time priority, unlike
+the loop of the cell."""
 _LATE_SHARE = 0.8
-"""Share of the period that answers may take; the bound of `gripper.dynamixel.latency` too."""
+"""Share of the period that answers may take; also the limit of `gripper.dynamixel.latency`."""
 _GAP_PERIODS = 4.0
-"""Periods of the force messages from which a gap between two of them is worth a word."""
+"""Least reported gap between two force messages, in their periods."""
 _LIVE_S = 1.0
-"""Time in s between two words on the screen, and between two points of the picture."""
+"""Time in s between two texts on the screen, and between two points of the picture."""
 
 
 @dataclass(slots=True)
 class LinkQuality:
-    """What both lines did, second by second."""
+    """Measurements of both lines, second by second."""
 
     answer_s: list[float] = field(default_factory=list)
-    """Time in s from asking all servos to their answers, of each period; NaN without an answer."""
+    """Time in s from the request to all servos to their answers, of each period; NaN if missing."""
     force_gap_s: list[float] = field(default_factory=list)
     """Time in s between two force messages."""
     second_s: list[float] = field(default_factory=list)
@@ -65,9 +65,9 @@ def watch_lines(
     duration_s: float,
     dialog: Dialog,
 ) -> LinkQuality:
-    """Ask all servos and take in the pads, if there are any, once a period; return how both did.
+    """Read all servos, and the pads if there are any, once a period; return the quality of both.
 
-    Raises GripperError or TactileError where a line fails for good.
+    Raises GripperError or TactileError if a line fails permanently.
     """
     quality = LinkQuality()
     began_s = due_s = clock.monotonic()
@@ -116,16 +116,16 @@ class LinkQualityStep(Step):
     key = "link_quality"
     title = "Quality of the lines"
     purpose = (
-        "Asks the servos and takes in the pads at the rate of the force loop for a minute, and "
-        "counts what is late or lost. Move cables and plugs by hand meanwhile: a loose one shows. "
-        "Nothing moves by itself."
+        "Reads the servos and the pads at the rate of the force loop for a minute, and counts late "
+        "and lost messages. Move cables and plugs by hand meanwhile to find loose ones. Nothing "
+        "moves by itself."
     )
     needs = ("servos", "unit")
     duration_s: float = DURATION_S
-    """How long the lines are watched, in s."""
+    """Duration of the test in s."""
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Watch both lines, and judge what was counted."""
+        """Watch both lines, and judge the counts."""
         gripper = bench.gripper()
         ids = [servo.id for servo in gripper.servos]
         period_s = 1.0 / gripper.loop_rate_hz
@@ -158,7 +158,7 @@ class LinkQualityStep(Step):
             advice += _judge_pads(quality, source, force_period_s, notes)
         notes.fact(
             f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took "
-            "too long, without the real-time priority that the loop of the cell has."
+            "too long, without the real-time priority of the cell's loop."
         )
         if quality.overruns > _OVERRUN_SHARE * quality.periods:
             advice.append(
@@ -188,7 +188,7 @@ def _judge_servos(
     period_s: float,
     notes: Finding,
 ) -> list[str]:
-    """Note what was counted on the line of the servos; returns what to mend."""
+    """Note the counts of the servos' line; return advice."""
     asked, answers = len(quality.answer_s), _known(quality.answer_s)
     lost, retries = asked - len(answers), after.retries - before.retries
     damaged = after.corrupt - before.corrupt
@@ -221,7 +221,7 @@ def _judge_servos(
 def _judge_pads(
     quality: LinkQuality, source: SourceStatistics, force_period_s: float, notes: Finding
 ) -> list[str]:
-    """Note what was counted on the CAN bus; returns what to mend."""
+    """Note the counts of the CAN bus; return advice."""
     frames, forces = source.frames, source.forces
     lost = frames.lost + frames.torn + frames.corrupt
     _, high_s, worst_s = _quantiles(_known(quality.force_gap_s))
@@ -250,7 +250,7 @@ def _judge_pads(
     if force_period_s and high_s > _GAP_PERIODS * force_period_s:
         advice.append(
             f"Force messages come with gaps of {1e3 * high_s:.0f} ms: another program or the "
-            "adapter holds them up."
+            "adapter delays them."
         )
     return advice
 

@@ -1,4 +1,4 @@
-"""Motions that a person watches: shown while they run, and stopped where the person leaves."""
+"""Motions with a person: shown while they run, and stopped when the person leaves."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,18 +21,18 @@ from tactile.can.bus import MissingBus
 from tactile.source import TactileFrame
 
 _TICK_S = 0.08
-"""Time in s for which the grip is controlled between two looks at the person's answer."""
+"""Time in s of grip control between two checks of the person's answer."""
 
 
 @dataclass(slots=True)
 class WatchedMotion:
-    """Watch of the commands: shows opening and force while fingers move, and asks for a stop."""
+    """Watch of the commands: shows opening and force while fingers move, and requests a stop."""
 
     dialog: Dialog
     request_stop: Callable[[], None]
-    """Lets the running command end with GraspStopped, where the person leaves."""
+    """Ends the running command with GraspStopped, when the person leaves."""
     left: WizardAborted | None = field(default=None, init=False)
-    """How the person left, once that is so."""
+    """The error of the person who left, or None."""
     cycles: list[Cycle] = field(default_factory=list, init=False)
     frames: list[TactileFrame] = field(default_factory=list, init=False)
     """Periods of the loop and tactile frames of all motions so far."""
@@ -41,7 +41,7 @@ class WatchedMotion:
     _due_s: float = field(default=0.0, init=False)
 
     def __call__(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
-        """Keep one period of the loop, and show it where the last one shown is old enough."""
+        """Keep one period of the loop, and show it if the last shown one is old enough."""
         self.cycles.append(cycle)
         self.frames += frames
         if self.left is not None or cycle.t_s < self._due_s:
@@ -61,9 +61,9 @@ def watched_hand(
 ) -> Iterator[tuple[Hand, WatchedMotion]]:
     """Open and start the hand of a config on the bench's lines, for a gripper alone without pads.
 
-    A person who leaves stops the fingers: empty ones stand where they are. At the end the torque
-    goes off where nothing is held; what is held stays held, and who leaves is told so. Raises
-    PortLost, LinkFault or HandLost if a line cannot be opened.
+    A person who leaves stops the fingers. At the end the torque goes off if nothing is held; a held
+    part stays held, with a message to the person who leaves. Raises PortLost, LinkFault or HandLost
+    if a line cannot be opened.
     """
     hand = _opened(bench, config)
     motion = WatchedMotion(dialog, hand.request_stop)
@@ -80,7 +80,7 @@ def watched_hand(
             raise left from None
         raise WizardAborted(
             f"{left}. The fingers keep their grip: take hold of the part and run `tactile-cell "
-            "commission` again, it asks to open them first"
+            "commission` again; it first asks to open them"
         ) from None
     finally:
         try:
@@ -97,7 +97,7 @@ def _opened(bench: Bench, config: CellConfig) -> Hand:
         lambda: bench.lines.open_servos(gripper.port, gripper.baud_rate),
         lambda: (
             MissingBus()
-            if alone or tactile.serial_ports
+            if alone or not tactile.sensor.on_can
             else bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate)
         ),
         open_boards=bench.board_openers(tactile),
@@ -106,7 +106,7 @@ def _opened(bench: Bench, config: CellConfig) -> Hand:
 
 
 def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:
-    """Verify the servos; fingers that an earlier run left with torque are opened first.
+    """Verify the servos; first open fingers that have torque from an earlier run.
 
     They may hold a part: the person confirms it.
     """
@@ -114,7 +114,7 @@ def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:
     if hand.phase is GripperPhase.HELD_AFTER_FAULT:
         dialog.confirm(
             "fingers.held",
-            "The servos have torque from before: a part may be held. Take hold of it; the "
+            "The servos have torque from an earlier run: a part may be held. Take hold of it; the "
             "fingers open when you confirm.",
         )
         hand.release()
@@ -123,7 +123,7 @@ def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:
 
 
 def look_after(hand: Hand, clock: Clock) -> str:
-    """Feed the watchdog, and control what is held, for a while; returns the phase as text."""
+    """Feed the watchdog, and control a held part, for a while; return the phase as text."""
     end_s = clock.monotonic() + _TICK_S
     while clock.monotonic() < end_s:
         hand.tick()

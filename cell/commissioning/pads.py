@@ -1,7 +1,6 @@
-"""The pads: their zero, noise and broken taxels at rest, and which pad sits where, by a fingertip.
+"""The pads: zero, noise and broken taxels at rest, and the position of each pad, by a fingertip.
 
-What is judged is judged by pure functions of frames: `rest_of`, `judge_rest`, `pressed_at`,
-`mounts_of`.
+Pure functions of frames judge them: `rest_of`, `judge_rest`, `pressed_at`, `mounts_of`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,27 +28,27 @@ from tactile.sensor.tare import TareLimits, TaxelHealth, assess_health, compute_
 from tactile.unit.mounting import Mounting
 
 _REST_FRAMES = 100
-"""Frames at rest: the zero of a cell is taken from as many."""
+"""Number of frames at rest, the same as for the zero of a cell."""
 _MEAN_FRAMES = 3
-"""Frames that the sensor averages; see `SensorSettings.mean_frames`."""
+"""Number of frames that the sensor averages; see `SensorSettings.mean_frames`."""
 _NOISY_FACTOR = 2.0
-"""Noise of a pad over that of the quietest one from which it is worth a word: pads of one make
-differ by less than a third in the simulated cell."""
+"""Least reported noise of a pad, relative to the quietest one: pads of one make differ by less than
+a third in the simulated cell."""
 _NOISE_PER_CONTACT = 1.5
-"""Largest noise of a pad's force over the contact force: above it contact cannot be felt; the same
-bound as for simulated noise."""
+"""Largest noise of a pad's force over the contact force: above it no contact can be detected; the
+same limit as for simulated noise."""
 _PRESS_N = 0.5
-"""Force in N on a pad from which a fingertip is taken to press it, by whatever law."""
+"""Force in N on a pad that counts as pressed by a fingertip, by any law."""
 _PRESS_FRAMES = 10
-"""Frames in a row, 0.2 s, in which the patch stays where it is."""
+"""Frames in a row, 0.2 s, in which the patch does not move."""
 _PRESS_APART = 0.3
-"""Distance within which it stays, in half extents of the pad."""
+"""Largest motion of a resting patch, in half extents of the pad."""
 _OFF_MIDDLE = 0.15
-"""Distance from the pad's middle, in half extents, from which a patch is on one side of it."""
+"""Least distance from the pad's middle, in half extents, of a patch on one side."""
 _PRESS_TIMEOUT_S = 30.0
-"""Longest wait in s for a pad to be pressed."""
+"""Longest wait in s for a pressed pad."""
 _LOOK_FRAMES = 5
-"""Frames between two words on the screen: ten a second."""
+"""Frames between two texts on the screen: ten a second."""
 
 Counts = NDArray[np.uint16]
 
@@ -69,7 +68,7 @@ def read_frames(sensor: TactileSensor, n_frames: int) -> Counts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PadsAtRest:
-    """Pads that nothing touches."""
+    """Untouched pads."""
 
     zero_counts: NDArray[np.float64]
     noise_counts: NDArray[np.float64]
@@ -83,7 +82,7 @@ class PadsAtRest:
 
 
 def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> PadsAtRest:
-    """Return what frames (n, n_taxels) at rest show."""
+    """Return the values of untouched pads from frames (n, n_taxels) at rest."""
     zero = frames.mean(axis=0, dtype=np.float64)
     health = assess_health(frames, layout.adc_max)
     n = len(frames) // _MEAN_FRAMES
@@ -115,23 +114,23 @@ def judge_rest(
     contact_force_n: float,
     most_force_n: float,
 ) -> None:
-    """Note why pads at rest are not fit for grasps.
+    """Note why pads are not suitable for grasps.
 
     Parameters
     ----------
     layout, frames, rest
-        The taxels, frames (n, n_taxels) at rest, and what they show.
+        The taxels, frames (n, n_taxels) at rest, and their values.
     limits
         Limits of the zero.
     contact_force_n, most_force_n
-        Force in N that has to be felt, and the largest one that has to be measured.
+        Force in N that must be detected, and the largest force that must be measured.
     """
     health = rest.health
     kinds = {"dead": health.dead, "stuck": health.stuck, "at full scale": health.saturated}
     for name, mask in kinds.items():
         if mask.any():
             taxels = np.flatnonzero(mask).tolist()
-            what = f"{name}: {taxel_names(layout, taxels)}. Their neighbours stand in for them."
+            what = f"{name}: {taxel_names(layout, taxels)}. Their neighbours replace them."
             one = len(taxels) == 1
             notes.warn(f"1 taxel is {what}" if one else f"{len(taxels)} taxels are {what}")
     for index, pad in enumerate(layout.pads):
@@ -142,7 +141,7 @@ def judge_rest(
                 f"{limits.bad_share:.0%}: check its plug and cable, then replace the pad."
             )
     if not health.noisy:
-        notes.warn("The counts do not move at rest: dead and stuck taxels show only under a press.")
+        notes.warn("The counts do not change at rest: press each pad to find dead or stuck taxels.")
     noise = _by_pad(layout, rest.noise_counts)
     quiet = max(min(noise), 1.0)
     for pad, counts in zip(layout.pads, noise, strict=True):
@@ -155,8 +154,8 @@ def judge_rest(
         name, noise_n = layout.pads[index].name, rest.noise_n[index]
         if noise_n > _NOISE_PER_CONTACT * contact_force_n:
             notes.fail(
-                f"The force of {name} at rest shakes by {noise_n:.2f} N, contact is to be felt "
-                f"at {contact_force_n:g} N: mend its noise, or raise gripper.contact_force_n."
+                f"The force of {name} at rest varies by {noise_n:.2f} N, too much for a contact "
+                f"at {contact_force_n:g} N: reduce its noise, or raise gripper.contact_force_n."
             )
         largest_n = TAXELS_OF_SMALL_PART * rest.full_n[index]
         if most_force_n > largest_n:
@@ -178,7 +177,7 @@ class PadsAtRestStep(Step):
     title = "Pads at rest"
     purpose = (
         "Reads the taxels for two seconds while nothing touches the pads: zero, noise, dead and "
-        "stuck taxels, and whether the forces of the config can be felt and measured. Nothing "
+        "stuck taxels, and whether the forces of the config can be measured. Nothing "
         "moves."
     )
     needs = ("unit",)
@@ -197,7 +196,7 @@ class PadsAtRestStep(Step):
         notes.fact(
             f"{layout.n_taxels} taxels read: zero {min(zero):.1f} to {max(zero):.1f}, noise "
             f"{min(noise):.1f} to {max(noise):.1f} counts of {layout.adc_max} by pad; at rest the "
-            f"force of the inner pads shakes by {rest.noise_n[grip[0]]:.2f} and "
+            f"force of the inner pads varies by {rest.noise_n[grip[0]]:.2f} and "
             f"{rest.noise_n[grip[1]]:.2f} N."
         )
         judge_rest(
@@ -214,7 +213,7 @@ class PadsAtRestStep(Step):
         if alike:
             notes.warn(
                 "The boards of both fingers have the same serial number, so pads that are "
-                "exchanged later are not noticed: press each pad after every work on their cables."
+                "exchanged later are not detected: press each pad after every work on their cables."
             )
         notes.values |= {
             "board_serial_numbers": list(boards),
@@ -232,19 +231,19 @@ class PadsAtRestStep(Step):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patch:
-    """Where a fingertip presses, in the order in which the unit sends the taxels."""
+    """Patch of a fingertip, in the order of the unit's taxels."""
 
     pad: int
     """Pad whose taxels show it."""
     along: float
     across: float
-    """Place on that pad, -1 to 1 along its rows and its columns."""
+    """Position on that pad, -1 to 1 along its rows and its columns."""
     force_n: float
     """Force in N by the law so far."""
 
 
 def pressed_at(layout: TaxelLayout, force_n: NDArray[np.float64]) -> Patch | None:
-    """Return the patch of the pad that is pressed most, None where none is pressed.
+    """Return the patch on the most loaded pad; None if no pad is pressed.
 
     ``force_n`` is (n_taxels,) float64: the force on each touched taxel in N.
     """
@@ -259,9 +258,9 @@ def pressed_at(layout: TaxelLayout, force_n: NDArray[np.float64]) -> Patch | Non
 
 
 def corner_text(layout: TaxelLayout, pad: int) -> str:
-    """Return in words where the last row and column of a pad are, seen by who looks at it."""
+    """Return the corner of the last row and column of a pad as text, for a person facing it."""
     one = layout.pads[pad]
-    # Finger 1's frame is left-handed: what is on the left of finger 0 is on the right there.
+    # Finger 1's frame is left-handed: left of finger 0 is right there.
     side = "left" if one.finger == 0 else "right"
     if abs(one.x_axis[0]) > 0.5:
         return f"near the tip and at the {side} edge, as you look at it with the tip upwards"
@@ -272,9 +271,9 @@ def corner_text(layout: TaxelLayout, pad: int) -> str:
 
 
 def mounts_of(layout: TaxelLayout, patches: Mapping[int, Patch]) -> tuple[PadMount, ...]:
-    """Return the pads that sit otherwise than the layout has them.
+    """Return the pads whose mounting differs from the layout.
 
-    ``patches`` are where the patch was, by the pad that was pressed near its last row and column.
+    ``patches``: measured patch by pad, each pressed near its last row and column.
     """
     mounts = []
     for pad, patch in patches.items():
@@ -290,7 +289,7 @@ def mounts_of(layout: TaxelLayout, patches: Mapping[int, Patch]) -> tuple[PadMou
 
 
 def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
-    """Return in words how pads sit otherwise than the layout has them."""
+    """Return differences of the mounting from the layout as text."""
     lines = []
     by_pad = {mount.pad: mount.sent_as for mount in mounts}
     exchanged = {
@@ -316,7 +315,7 @@ def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
 
 
 class PadsPressedStep(Step):
-    """Has each pad pressed at a corner, and sets which pad sits where and how it is turned."""
+    """Asks for a press on a corner of each pad, and sets position and rotation of the pads."""
 
     key = "pads_pressed"
     title = "Which pad is where"
@@ -329,7 +328,7 @@ class PadsPressedStep(Step):
     undo = "nothing to undo: it is a setting of the config (tactile.mounting)"
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
-        """Have the pads pressed, and judge where they sit."""
+        """Ask for presses on the pads, and judge their mounting."""
         dialog.say(
             "Finger 0 is the one that the first servo drives. Nothing may touch the pads at first."
         )
@@ -347,14 +346,14 @@ class PadsPressedStep(Step):
             notes.warn(line, corrected=True)
         if bench.tactile().sends_forces and not Mounting(layout, mounts).unit_can_sum:
             notes.warn(
-                "The inner pads are not mounted alike, so the unit's force messages cannot be used "
-                "and the force comes from whole frames, which is slower: turn the pad on its "
+                "The inner pads have different mountings, so the unit's force messages cannot be "
+                "used and the force comes from whole frames, which is slower: turn the pad on its "
                 "finger, run this step again, or set gripper.approach_speed_mm_s to 12."
             )
         for pad in missing:
             (notes.fail if pad in grip else notes.warn)(
-                f"{layout.pads[pad].name} was not seen: no pad of its size that was not found "
-                "before showed a patch. Check its plug and cable."
+                f"{layout.pads[pad].name} was not found: no other pad of its size showed a patch. "
+                "Check its plug and cable."
             )
         notes.values["patches"] = {layout.pads[pad].name: asdict(p) for pad, p in patches.items()}
         notes.settings["tactile.mounting"] = [asdict(mount) for mount in mounts]
@@ -364,18 +363,18 @@ class PadsPressedStep(Step):
 
 
 class _Presses:
-    """Has pads pressed one after another."""
+    """Asks for presses on the pads, one after another."""
 
     def __init__(self, sensor: TactileSensor, clock: Clock, dialog: Dialog) -> None:
         self._sensor, self._clock, self._dialog = sensor, clock, dialog
         self.patches: dict[int, Patch] = {}
-        """Where the patch was, by the pad that was asked for."""
+        """Measured patch by requested pad."""
         self.shown_n = np.zeros(sensor.layout.n_taxels)
         """(n_taxels,) float64: largest force in N on each taxel, for the picture."""
         self._force_n = self.shown_n
 
     def press(self, pad: int) -> bool:
-        """Have a pad pressed, and keep its patch; returns whether it was seen."""
+        """Ask for a press on a pad, and keep its patch; return whether it was found."""
         layout, dialog = self._sensor.layout, self._dialog
         name = layout.pads[pad].name
         while True:
@@ -393,7 +392,7 @@ class _Presses:
                 f"Press {name} again?",
                 {
                     "again": "press it again",
-                    "skip": "it shows nothing: go on without it",
+                    "skip": "it shows nothing: continue without it",
                 },
                 "again",
                 watch=lambda: _patch_text(layout, self._look()[-1]),
@@ -403,7 +402,7 @@ class _Presses:
             self._lifted()
 
     def _look(self) -> list[Patch | None]:
-        """Take in some frames, which keeps the link alive, and return the patch in each."""
+        """Read some frames, which serves the link, and return the patch in each."""
         patches = []
         for _ in range(_LOOK_FRAMES):
             self._force_n = self._sensor.read(timeout_s=1.0).force_n
@@ -411,7 +410,7 @@ class _Presses:
         return patches
 
     def _patch(self) -> Patch | None:
-        """Wait until a fingertip rests on a pad, and return where; None after the time-out."""
+        """Wait until a fingertip rests on a pad, and return its patch; None after the time-out."""
         deadline_s = self._clock.monotonic() + _PRESS_TIMEOUT_S
         steady: list[Patch] = []
         while self._clock.monotonic() < deadline_s:
@@ -427,7 +426,7 @@ class _Presses:
         return None
 
     def _lifted(self) -> None:
-        """Wait until nothing presses a pad, or for so long as a press may take."""
+        """Wait until nothing presses a pad, at most for the time-out of a press."""
         deadline_s = self._clock.monotonic() + _PRESS_TIMEOUT_S
         while self._clock.monotonic() < deadline_s and self._look()[-1] is not None:
             self._dialog.live("fingertip", "still there")
@@ -436,7 +435,7 @@ class _Presses:
 def _complaint(
     layout: TaxelLayout, pad: int, patch: Patch | None, patches: Mapping[int, Patch]
 ) -> str:
-    """Return why a patch cannot be that of the pad that was asked for; empty where it can."""
+    """Return why a patch cannot be that of the requested pad, or an empty text."""
     if patch is None:
         return f"No pad showed a fingertip within {_PRESS_TIMEOUT_S:.0f} s."
     asked, seen = layout.pads[pad], layout.pads[patch.pad]

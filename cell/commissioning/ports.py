@@ -1,4 +1,4 @@
-"""Step `ports`: finds the serial port of the servos and checks what keeps programs off it."""
+"""Step `ports`: finds the serial port of the servos and checks for obstacles to its use."""
 
 import os
 from collections.abc import Iterator
@@ -12,21 +12,21 @@ from gripper.dynamixel.serial_port import latency_timer_ms
 from gripper.errors import PortLost
 
 BY_ID = Path("/dev/serial/by-id")
-"""Where udev names each adapter by its maker and serial number, whatever port it is plugged in."""
+"""Folder in which udev names each adapter by its maker and serial number, at any port."""
 _WAIT_S = 30.0
-"""Longest time in s for an adapter to vanish or come back after it was asked for."""
+"""Longest time in s until an adapter disappears or comes back on request."""
 _LOOK_S = 0.5
-"""Time in s between two looks at the ports: udev takes some tenths."""
+"""Time in s between two checks of the ports: udev takes some tenths."""
 
 
 class PortsStep(Step):
-    """Finds the servos' port: named, the only one, or the one that vanishes when it is pulled."""
+    """Finds the servos' port: given, the only one, or the one whose plug is pulled."""
 
     key = "ports"
     title = "Ports"
     purpose = (
         "Finds the serial port of the servos' adapter and checks that this user may open it, that "
-        "no other program has it, and how fast it hands on answers. Writes and moves nothing."
+        "no other program has it, and its latency. Writes and moves nothing."
     )
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
@@ -49,17 +49,17 @@ class PortsStep(Step):
 
 
 def by_id(port: str, folder: Path = BY_ID) -> str:
-    """Return the name below /dev/serial/by-id of a port; the port itself where it has none."""
+    """Return the name of a port below /dev/serial/by-id, or the port itself."""
     device = os.path.realpath(port)
     names = sorted(folder.iterdir()) if folder.is_dir() else []
     return next((str(name) for name in names if os.path.realpath(name) == device), port)
 
 
 def users_of(port: str, processes: Path = Path("/proc")) -> tuple[str, ...]:
-    """Return the programs that have a port open, as ``name (process 12)``, without this one.
+    """Return the programs that have a port open, e.g. ``name (process 12)``, without this one.
 
-    Programs of other users are seen by an administrator only. A pseudo-terminal has none here: who
-    makes it has it open.
+    Only an administrator sees the programs of other users. Pseudo-terminals are skipped: their
+    maker has them open.
     """
     device = os.path.realpath(port)
     if device.startswith("/dev/pts/"):
@@ -80,13 +80,13 @@ def users_of(port: str, processes: Path = Path("/proc")) -> tuple[str, ...]:
 
 
 def _found(bench: Bench, dialog: Dialog) -> str:
-    """Return the only port, or the one that goes and comes back with its plug."""
+    """Return the only port, or the port that disappears and comes back with its plug."""
     ports = bench.lines.serial_ports()
     while not ports:
         dialog.confirm(
             "ports.plug_in",
-            "No serial adapter is there. Plug in that of the servos. (A port of the main board "
-            "is named with --servo-port.)",
+            "No serial adapter was found. Plug in that of the servos. (Name a port of the main "
+            "board with --servo-port.)",
             "it is plugged in",
         )
         ports = _changed(bench, ports)
@@ -117,7 +117,7 @@ def _found(bench: Bench, dialog: Dialog) -> str:
 
 
 def _changed(bench: Bench, before: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the ports once they differ from ``before``, or those after 30 s."""
+    """Return the ports when they differ from ``before``, at the latest after 30 s."""
     deadline_s = bench.clock.monotonic() + _WAIT_S
     while (now := bench.lines.serial_ports()) == before and bench.clock.monotonic() < deadline_s:
         bench.clock.sleep(_LOOK_S)
@@ -125,7 +125,7 @@ def _changed(bench: Bench, before: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _obstacles(bench: Bench, port: str) -> Iterator[str]:
-    """Return why a port cannot be opened, with the command that mends it."""
+    """Return why a port cannot be opened, with the remedy."""
     if command := rights_command(port):
         yield f"this user may not open it: {command}, then log out and in"
         return

@@ -17,13 +17,13 @@ from cell.report.page import page_template
 RECORD_NAME = "commissioning.html"
 """File in the cell's folder."""
 _HARDWARE = ("serial", "firmware", "model", "revision", "hardware", "layout")
-"""Parts of the names of values that say which hardware was commissioned."""
+"""Parts of the names of values that identify the commissioned hardware."""
 _LONGEST_LIST = 8
-"""Numbers of a list that are printed; longer ones are in the figures, or in commissioning.json."""
+"""Longest printed list; longer ones are in the figures, or in commissioning.json."""
 
 
 def write_record(engine: Engine) -> tuple[Path, ...]:
-    """Write the record of what the engine has found so far; return its path.
+    """Write the record of the findings so far; return its path.
 
     Raises CellError if the disk refuses, or the packages of the extra ``report`` are missing
     (MissingExtraError).
@@ -34,7 +34,7 @@ def write_record(engine: Engine) -> tuple[Path, ...]:
 
 
 def render_record(engine: Engine) -> str:
-    """Return the record as HTML that needs nothing else: no script, no font, no network."""
+    """Return the record as self-contained HTML: no script, no font, no network."""
     folder = engine.bench.folder
     findings = engine.findings
     verdicts = [one.status for one in findings.values()]
@@ -61,7 +61,7 @@ def render_record(engine: Engine) -> str:
 
 
 def _step_view(engine: Engine, step: Step) -> dict[str, Any]:
-    """Return what the template shows of a step."""
+    """Return the values of a step for the template."""
     done = step.key in engine.findings
     finding = engine.findings[step.key] if done else Finding(status=Verdict.FAIL)
     writes = [one for one in engine.approved if one.step == step.key]
@@ -95,7 +95,7 @@ def _flat(values: Mapping[str, Any], way: str = "") -> Iterator[tuple[str, str]]
 
 
 def _time(iso: str) -> str:
-    """Return a wall-clock time of commissioning.json as people read it."""
+    """Return a wall-clock time of commissioning.json for people."""
     return iso.replace("T", " ").replace("+00:00", " UTC")
 
 

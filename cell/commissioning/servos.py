@@ -15,6 +15,8 @@ from cell.commissioning.backup import (
 )
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed, leave
+from cell.config.gripper import use_servo_models
+from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.bus import ServoBus, ServoIdentity
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
@@ -34,13 +36,13 @@ from gripper.values.servo_checks import hardware_error_names
 SCAN_RATES = (57600, 1_000_000, *(r for r in BAUD_RATES if r not in {57600, 1_000_000}))
 """Order in which baud rates are scanned: the factory's and this package's first."""
 _COUNT = "n_servos"
-"""Name of the number of servos among the values that the step has found."""
+"""Name of the number of servos among the values of the step."""
 _BOOT_S = 1.0
-"""Time in s after servos were connected: they boot."""
+"""Wait in s for new servos to boot."""
 _MOST_FINGER_SERVOS = 2
-"""Servos that drive fingers at most."""
+"""Most servos of the fingers."""
 _VOLTAGE_MARGIN = 1.05
-"""Supply that is named as scarce, over the least of the model."""
+"""Supply voltage that gets a warning, relative to the least of the model."""
 
 
 class Found(NamedTuple):
@@ -52,12 +54,12 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What answers on a line, at all baud rates."""
+    """Answers on a line, at all baud rates."""
 
     servos: tuple[Found, ...] = ()
-    """Servos that answer alone to their ID."""
+    """Servos with a unique ID."""
     shared: tuple[Found, ...] = ()
-    """IDs to which several servos answer."""
+    """IDs that several servos share."""
     damaged: tuple[int, ...] = ()
     """Baud rates in bit/s at which damaged bytes came."""
 
@@ -77,7 +79,7 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
         with bench.servo_bus(port, rate) as bus:
             identities, has_damaged = bus.scan_at_once()
             if has_damaged:
-                # Once may be chance.
+                # A single one may be chance.
                 identities, has_damaged = bus.scan_at_once()
             for identity in identities:
                 found = Found(rate, identity)
@@ -103,6 +105,7 @@ class ServosStep(Step):
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find, number, check and set the servos."""
         port, rate = bench.gripper().port, bench.gripper().baud_rate
+        use_servo_models(SERVO_MODELS.usable())
         placed = _numbered(bench, dialog, port, rate, notes)
         fingers, others = _of_fingers(placed, dialog)
         servos = [{"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers]
@@ -150,7 +153,7 @@ class ServosStep(Step):
 
 
 def _model(identity: ServoIdentity) -> ServoModel | None:
-    """Return the model where it can limit its current, else None."""
+    """Return the model if it can limit its current, else None."""
     return next((m for m in MODELS.values() if m.number == identity.model_number), None)
 
 
@@ -162,7 +165,7 @@ def _numbered(
 ) -> list[ServoIdentity]:
     """Return the servos, each with an ID of its own at one baud rate."""
     found = scan_servos(bench, port, dialog)
-    # A step that was left knows how many there are: those that it has numbered answer alone.
+    # An interrupted step has saved their number; numbered servos answer alone.
     n_wanted = int(bench.found.get(ServosStep.key, {}).get(_COUNT, 0))
     while True:
         if found.crowded:
@@ -191,7 +194,7 @@ def _numbered(
 
 
 def _connected(dialog: Dialog, last: ServoIdentity) -> bool:
-    """Return whether the person has connected the next servo; False where there is none."""
+    """Return whether the person has connected the next servo; False if there is no other."""
     answers = {"done": "it is connected", "none": "there is no other: one drives both fingers"}
     answer = dialog.choose(
         "servos.connect_next",
@@ -218,7 +221,7 @@ def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
 
 
 def _count(dialog: Dialog, placed: Sequence[ServoIdentity]) -> int:
-    """Return how many servos the gripper has, asked only where one alone answers."""
+    """Return the number of servos of the gripper; ask only if a single one answers."""
     if len(placed) > 1:
         return len(placed)
     answer = dialog.choose(
@@ -231,7 +234,7 @@ def _count(dialog: Dialog, placed: Sequence[ServoIdentity]) -> int:
 
 
 def _placed(bench: Bench, dialog: Dialog, port: str, rate: int, found: Scan) -> list[ServoIdentity]:
-    """Give each servo an ID of its own and the baud rate; return them all by their IDs."""
+    """Give each servo a unique ID and the baud rate; return all in the order of their IDs."""
     at_home = [one.identity for one in found.servos if one.baud_rate == rate]
     taken = {one.servo_id for one in at_home}
     for servo in (one for one in found.servos if one.baud_rate != rate):
@@ -273,13 +276,13 @@ def _renumber(
 
 
 def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> None:
-    """Switch the torque of a servo off where it is on, once nothing is held any more."""
+    """Switch the torque of a servo off, after the person confirms that nothing is held."""
     if not torque:
         return
     answer = dialog.choose(
         "servos.torque",
         f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be "
-        "written without torque only. Take the part out, or hold it: it falls otherwise.",
+        "written without torque only. Take the part out, or hold it: otherwise it falls.",
         {
             "off": "nothing is held; switch the torque off",
             "leave": "leave it as it is",
@@ -296,7 +299,7 @@ def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> Non
 def _of_fingers(
     placed: Sequence[ServoIdentity], dialog: Dialog
 ) -> tuple[list[ServoIdentity], list[ServoIdentity]]:
-    """Return the servos of the fingers and the others; asked only where there are more than two."""
+    """Return the servos of the fingers and the others; ask only if there are more than two."""
     fingers = list(placed)
     while len(fingers) > _MOST_FINGER_SERVOS:
         answer = dialog.choose(
@@ -317,9 +320,9 @@ def _of_fingers(
 def _set_up(
     bench: Bench, bus: ServoBus, dialog: Dialog, fingers: Sequence[ServoIdentity], notes: Finding
 ) -> None:
-    """Compare the registers of the servos and set what differs.
+    """Compare the registers of the servos and set the different ones.
 
-    Nothing is set while a supply is too low or an error is latched: these are mended first.
+    Nothing is set while a supply is too low or an error is latched.
     """
     tables = {one.servo_id: read_control_table(bus, one.servo_id) for one in fingers}
     models = {one.servo_id: MODELS[model_name(one.model_number)] for one in fingers}
@@ -368,9 +371,9 @@ def _required(model: ServoModel, bench: Bench) -> tuple[Requirement, ...]:
 def wanted_changes(
     model: ServoModel, bench: Bench, table: Mapping[str, int]
 ) -> dict[str, tuple[int, int]]:
-    """Return the registers to set, present and wanted value: the factory's where that is allowed.
+    """Return the registers to set, present and wanted value: the factory's if allowed.
 
-    What cannot be written (model, firmware, latched errors) is left out.
+    Read-only items (model, firmware, latched errors) are omitted.
     """
     changes = {}
     for required in _required(model, bench):
@@ -388,7 +391,7 @@ def wanted_changes(
 def check_supply(
     servo_id: int, model: ServoModel, table: Mapping[str, int], notes: Finding
 ) -> None:
-    """Note what is wrong with the supply of a servo."""
+    """Note a wrong supply voltage of a servo."""
     unit_v = model.voltage_unit_v
     supply_v = table[PRESENT_INPUT_VOLTAGE.name] * unit_v
     least_v, most_v = model.min_voltage_raw * unit_v, model.max_voltage_raw * unit_v
@@ -399,4 +402,4 @@ def check_supply(
     if not least_v <= supply_v <= most_v:
         notes.fail(f"{text}: check the power supply and the wires to the servo")
     elif supply_v < _VOLTAGE_MARGIN * least_v:
-        notes.warn(f"{text}: scarce, with load it drops; use {model.nominal_voltage_v:g} V")
+        notes.warn(f"{text}: too little under load; use {model.nominal_voltage_v:g} V")

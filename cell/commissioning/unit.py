@@ -3,9 +3,10 @@
 import json
 import os
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,19 +18,20 @@ from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.ports import by_id
 from cell.config.file import changed_config
 from cell.config.section import SIMULATED
+from cell.config.sensor import SensorLines
 from cell.config.tactile import (
-    ControlUnitConfig,
     TactileConfig,
     layout_from_config,
     link_settings,
     make_calibration,
 )
 from cell.errors import ConfigError
-from cell.hand.build import board_source, sensor_settings
-from tactile.can.bus import CanBus
+from cell.hand.build import frame_source, sensor_settings
+from cell.plugins import PAD_LAYOUTS
+from tactile.can.bus import CanBus, MissingBus
 from tactile.errors import BusNotOpened, TactileError
 from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
-from tactile.layout import LAYOUTS, TaxelLayout
+from tactile.layout import TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
 from tactile.unit.bus_load import least_sync_period_s, message_bits
@@ -42,18 +44,19 @@ TRIED_BIT_RATES: tuple[int, ...] = tuple(
 )
 """Bit rates that are tried, in bit/s: those of the config, the fastest first."""
 _LISTEN_S = 0.5
-"""Time in s for which each bit rate is listened to: five heartbeats of a unit that was set up."""
+"""Time in s of listening at each bit rate: five heartbeats of a configured unit."""
 _CAN_INTERFACE = "280"
 """Type of a CAN network interface in sysfs (ARPHRD_CAN of linux/if_arp.h)."""
 _NO_CHANNEL = "none"
 """Channel in the config of a gripper that has no control unit."""
 _PATIENCE_S = 0.5
-"""Silence in s that a unit may keep while a person presses its pads."""
+"""Longest silence in s of a unit while a person presses its pads."""
 _RATE_FRAMES = 100
-_LEAST_RATE_HZ = 80.0
-"""Frames from which the rate of boards is taken, and the rate below which it is worth a word."""
+_LEAST_RATE = 0.8
+"""Frames from which the rate of boards is taken, and the share of the usual one below which it is
+worth a word."""
 _FRAMES = 10
-"""Frames that show that the link runs."""
+"""Frames that prove that the link runs."""
 
 
 @contextmanager
@@ -67,77 +70,62 @@ def unit_sensor(
     Parameters
     ----------
     mounted
-        False: pads as the layout has them, whatever ``tactile.mounting`` says.
+        False: pads as in the layout, without ``tactile.mounting``.
     patient
-        Whether a busy machine may be late, and force messages are left out: nothing is held.
+        True: a busy machine may be late, and force messages are not used, because nothing is held.
         False: as for a grip.
     """
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
-    layout = layout_from_config(tactile)
     if patient:
-        tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S})
-    if not isinstance(tactile.sensor, ControlUnitConfig):
-        with _board_sensor(bench, tactile) as sensor:
-            yield sensor
-        return
-    link = link_settings(tactile)
-    if patient:
-        link = replace(link, force_period_s=0.0)
-    with (
-        bench.can_bus() as bus,
-        open_sensor(
-            bus,
-            layout,
-            make_calibration(tactile, layout),
-            node_id=tactile.node_id,
-            link=link,
-            settings=sensor_settings(tactile),
-        ) as sensor,
-    ):
+        forces = {"force_period_ms": 0} if tactile.sensor.canopen else {}
+        tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S} | forces)
+    with _started(bench, tactile) as sensor:
         yield sensor
+
+
+@contextmanager
+def _started(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
+    """Start the sensor of a config, and close it at the end."""
+    with ExitStack() as undo:
+        place = (tactile.interface, tactile.channel, tactile.bitrate)
+        lines = SensorLines(
+            clock=bench.clock,
+            open_serial=bench.board_openers(tactile),
+            can_bus=undo.enter_context(bench.can_bus(*place))
+            if tactile.sensor.on_can
+            else MissingBus(),
+            real_time=bench.clock is time,
+        )
+        source = frame_source(tactile, lines)
+        law, settings = make_calibration(tactile, source.layout), sensor_settings(tactile)
+        yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
 
 
 def unit_values(bench: Bench) -> dict[str, Any]:
     """Return identity, layout and objects of the control unit; nothing is written.
 
-    Raises TactileError where it does not answer.
+    Raises TactileError if it does not answer.
     """
     with bench.can_bus() as bus:
         return asdict(read_unit(bus, bench.tactile().node_id))
 
 
-@contextmanager
-def _board_sensor(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
-    """Start the sensor of boards that are no control unit, and close it at the end."""
-    with ExitStack() as undo:
-        bus = None
-        if not tactile.serial_ports:
-            place = (tactile.interface, tactile.channel, tactile.bitrate)
-            bus = undo.enter_context(bench.can_bus(*place))
-        openers = bench.board_openers(tactile)
-        source = board_source(tactile, bench.clock, open_boards=openers, can_bus=bus)
-        if source is None:
-            raise StepFailed("The config names a control unit, and no boards (tactile.sensor).")
-        law, settings = make_calibration(tactile, source.layout), sensor_settings(tactile)
-        yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
-
-
 class UnitStep(Step):
-    """Finds the control unit, sets it up as each start does, and keeps who it is."""
+    """Finds the control unit, configures it as each start does, and saves its identity."""
 
     key = "unit"
     title = "Control unit and its CAN bus"
     purpose = (
         "Finds the CAN interface, its bit rate, the node-ID of the control unit, its identity and "
         "its taxels. Other devices on the same bus may be disturbed for some seconds. Nothing "
-        "moves; what is set in the unit is shown before, and is gone when it is switched off."
+        "moves; settings of the unit are shown before, and are lost when it is switched off."
     )
     needs = ("ports",)
     undo = "Switch the control unit off and on: nothing is stored in it."
 
     def run(self, bench: Bench, dialog: Dialog, notes: Finding) -> None:
         """Find the unit, judge it, start its link."""
-        if not isinstance(bench.tactile().sensor, ControlUnitConfig):
+        if not bench.tactile().sensor.canopen:
             _find_boards(bench, dialog, notes)
             return
         place = _interface(bench, dialog)
@@ -145,9 +133,9 @@ class UnitStep(Step):
             notes.values["gripper_alone"] = True
             notes.settings |= {"tactile.interface": "socketcan", "tactile.channel": _NO_CHANNEL}
             notes.warn(
-                "A gripper without pads: its force is known by the motors' current alone, which is "
-                "less exact. The config names a bus that is none (tactile.channel: none); a cell "
-                "needs the control unit."
+                "A gripper without pads: its force comes from the motors' current alone, which is "
+                "less exact. The config names no bus (tactile.channel: none); a cell needs the "
+                "control unit."
             )
             return
         interface, channel = place
@@ -157,7 +145,7 @@ class UnitStep(Step):
             "tactile.interface": interface,
             "tactile.channel": channel,
             "tactile.bitrate": bitrate,
-            # Found anew by the steps of the pads.
+            # The steps of the pads find it again.
             "tactile.board_serial_numbers": None,
             "tactile.mounting": [],
         }
@@ -194,11 +182,11 @@ class UnitStep(Step):
 
 
 def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
-    """Find the lines of the sensor's boards, and see that both send whole frames."""
+    """Find the lines of the sensor's boards, and check that both send whole frames."""
     tactile = bench.tactile()
     sensor = tactile.sensor.model_dump(mode="json")
     notes.settings["tactile.mounting"] = []
-    if not tactile.serial_ports:
+    if tactile.sensor.on_can:
         place = _interface(bench, dialog)
         if place is None:
             raise StepFailed("The boards need a CAN interface: plug its adapter in.")
@@ -208,29 +196,32 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Finding) -> None:
         ports = [port for port in bench.lines.serial_ports() if os.path.realpath(port) != servos]
         if len(ports) != len(tactile.serial_ports):
             raise StepFailed(
-                f"The serial ports beside the servos' are {', '.join(ports) or 'none'}; two are "
-                "needed. Plug in the boards alone, or write tactile.sensor.ports into the config."
+                f"The serial ports beside the servos' are {', '.join(ports) or 'none'}; the sensor "
+                f"needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
+                "tactile.sensor.ports into the config."
             )
         sensor["ports"] = [by_id(port) for port in ports]
         notes.settings["tactile.sensor"] = sensor
     found = {key.removeprefix("tactile."): value for key, value in notes.settings.items()}
-    with _board_sensor(bench, bench.tactile(**found)) as boards:
+    tactile = bench.tactile(**found)
+    with _started(bench, tactile) as boards:
         began_s = boards.read().t_s
         for _ in range(_RATE_FRAMES):
             ended_s = boards.read().t_s
         torn = boards.source.statistics.frames.torn
     rate_hz = _RATE_FRAMES / (ended_s - began_s)
     notes.fact(f"Both boards send whole frames, {rate_hz:.0f} a second; {torn} were torn.")
-    if rate_hz < _LEAST_RATE_HZ:
+    least_hz = _LEAST_RATE / tactile.frame_period_s
+    if rate_hz < least_hz:
         notes.warn(
-            f"{rate_hz:.0f} frames a second are few, {_LEAST_RATE_HZ:.0f} are usual: plug each "
+            f"{rate_hz:.0f} frames a second are few, {least_hz:.0f} are usual: plug each "
             "board into a USB port of its own, not into a hub."
         )
     notes.values |= {"rate_hz": rate_hz, "sends_forces": False}
 
 
 def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
-    """Return interface and channel: as given, the only one there is, or as the person says.
+    """Return interface and channel: as given, the only one, or as the person answers.
 
     None for a gripper without a control unit.
     """
@@ -247,9 +238,9 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str] | None:
     if not places:
         answer = dialog.choose(
             "unit.none",
-            "No CAN interface is there. Does this gripper have a control unit?",
+            "No CAN interface was found. Does this gripper have a control unit?",
             {
-                "yes": "yes: its adapter has to be plugged in",
+                "yes": "yes: plug in its adapter",
                 "alone": "no: a gripper without pads, for now",
             },
             "yes",
@@ -286,7 +277,7 @@ def network_interfaces() -> list[str]:
 
 
 def _system_bit_rate(interface: str, channel: str) -> int | None:
-    """Return the bit rate in bit/s that the system has set; None where the adapter takes one."""
+    """Return the bit rate in bit/s that the system has set; None if the adapter can set it."""
     if interface != "socketcan":
         return None
     try:
@@ -306,7 +297,7 @@ def _system_bit_rate(interface: str, channel: str) -> int | None:
 def _bit_rate(
     bench: Bench, dialog: Dialog, interface: str, channel: str
 ) -> tuple[int, BusTraffic, str]:
-    """Return the bit rate at which something is heard: by listening first, and then by asking."""
+    """Return the bit rate with traffic: found by listening first, then by requests."""
     fixed = _system_bit_rate(interface, channel)
     rates = TRIED_BIT_RATES if fixed is None else (fixed,)
     refused: dict[int, BusNotOpened] = {}
@@ -333,18 +324,16 @@ def _bit_rate(
         else "the interface has the bit rate that the system gave it: set it to that of the unit "
         f"with `ip link set {channel} down`, then `ip link set {channel} up type can bitrate RATE`"
     )
-    at_another = (
-        f" {errors} error frames came: somebody is there at another bit rate." if errors else ""
-    )
+    at_another = f" {errors} error frames came: a device uses another bit rate." if errors else ""
     raise StepFailed(
-        f"Nobody is heard and nobody answers on {channel} ({interface}) at {tried} bit/s. Check "
+        f"No CAN traffic and no reply on {channel} ({interface}) at {tried} bit/s. Check "
         "the supply of the control unit, CAN_H and CAN_L, the common ground and both terminating "
         f"resistors (60 Ohm between CAN_H and CAN_L, switched off); {remedy}.{at_another}"
     )
 
 
 def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int:
-    """Return the node-ID of the control unit among those who are there."""
+    """Return the node-ID of the control unit among the nodes on the bus."""
     expected = ExpectedIdentity()
     units, others = [], []
     for node in sorted({*heard.nodes, *scan_nodes(bus).nodes}):
@@ -360,7 +349,7 @@ def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Finding) -> int
                 f"node {node} is another device: vendor {vendor:#x}, product {product:#x}"
             )
     if not units:
-        there = "; ".join(others) or f"{heard.messages} messages were heard and no node answers"
+        there = "; ".join(others) or f"{heard.messages} messages were received and no node answers"
         raise StepFailed(
             f"No control unit is on the bus: {there}. A control unit of this software has vendor "
             f"{expected.vendor_id:#x}, product {expected.product_code:#x} (object 1018h): check "
@@ -395,7 +384,7 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
     if wrong:
         raise StepFailed(
             f"Its EDS is not that of this software: {wrong}. Another major revision behaves "
-            "otherwise on the bus: update the unit's firmware, or this software."
+            "differently on the bus: update the unit's firmware, or this software."
         )
     layout, written = _layout(unit, bench)
     notes.fact(f"Layout {layout.name}: {layout.n_taxels} taxels on {layout.n_pads} pads.")
@@ -407,7 +396,7 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
     if not unit.sends_forces:
         notes.warn(
             "The unit has no force messages (object 2140h): the force comes from whole frames and "
-            "is slower. New firmware of the unit brings them; without, set "
+            "is slower. Update the firmware of the unit, or set "
             "gripper.approach_speed_mm_s to 12."
         )
     return layout
@@ -415,7 +404,7 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Finding) -> TaxelLayout:
 
 def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     """Return the layout with the unit's taxels, and the value of tactile.layout for it."""
-    for name, make in LAYOUTS.items():
+    for name, make in PAD_LAYOUTS.usable().items():
         if unit.matches(layout := make()):
             return layout, name
     given = bench.given.get("tactile.layout") or bench.tactile().model_dump(mode="json")["layout"]
@@ -425,13 +414,13 @@ def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     raise StepFailed(
         f"Its taxels are of no known layout (hash {unit.layout_hash}): {unit.n_taxels} taxels on "
         f"{len(unit.pad_shapes)} pads of {shapes}, full scale {unit.adc_max}. Known are "
-        f"{', '.join(LAYOUTS)}: write the pads of another one with faces and pitches into "
+        f"{', '.join(PAD_LAYOUTS)}: write the pads of another one with faces and pitches into "
         "tactile.layout of a config, or plug in the unit of this gripper."
     )
 
 
 def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding) -> None:
-    """Set a period of SYNC in which a frame fits, where that of the config is too short."""
+    """Set a period of SYNC that fits a frame, if that of the config is too short."""
     tactile, messages = bench.tactile(), FrameFormat.of(layout).n_messages
     burst_ms = 1e3 * messages * message_bits(MESSAGE_BYTES) / bitrate
     needed_ms = 1e3 * least_sync_period_s(layout, link_settings(tactile), bitrate)
@@ -454,7 +443,7 @@ def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Finding)
 
 
 def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[ProposedChange]:
-    """Return what each start of the link writes to the unit."""
+    """Return the writes to the unit at each start of the link."""
     link = link_settings(tactile)
     coming = (
         round(1e6 * link.sync_period_s),

@@ -14,7 +14,7 @@ from cell.commissioning.unit import UnitStep
 
 
 def all_steps() -> tuple[Step, ...]:
-    """Return the steps from the box to the first grasp; each stands behind those that it needs."""
+    """Return the steps from the box to the first grasp; each comes after the steps it needs."""
     return (
         PortsStep(),
         ServosStep(),

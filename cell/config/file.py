@@ -1,4 +1,4 @@
-"""Reading config files: YAML to `CellConfig`, every complaint with file, line, column and key."""
+"""Reading config files: YAML to `CellConfig`; each error names file, line, column and key."""
 
 import difflib
 import io
@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError, WithJsonSchema
+from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
@@ -19,7 +19,7 @@ from ruamel.yaml.nodes import CollectionNode, MappingNode, Node, ScalarNode, Seq
 from ruamel.yaml.reader import ReaderError
 
 from cell.config.model import CellConfig
-from cell.config.section import OneOf
+from cell.config.section import Installed, OneOf, sections_in
 from cell.data.files import read_plain
 from cell.data.formats import CONFIG, GONE_KEYS, present_config
 from cell.errors import ConfigError
@@ -28,12 +28,12 @@ _Section = TypeVar("_Section", bound=BaseModel)
 
 
 def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
-    """Return a config, or a section of one, with some values changed.
+    """Return a config, or a section of it, with some values changed.
 
-    New values stand by dotted path, as ``{"tactile.tare_frames": 25}``. Raises ConfigError if there
-    is no such value, or the result is no valid config.
+    ``changes`` has new values by dotted path: ``{"tactile.tare_frames": 25}``. Raises ConfigError
+    if a value does not exist, or if the result is not a valid config.
     """
-    # What nobody has set is left to its default, which may rest on other keys.
+    # Unset values keep their default, which may depend on other keys.
     left = type(config).model_fields.keys() - config.model_fields_set - changes.keys()
     values = {
         name: value
@@ -55,7 +55,7 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
 
 
 def problem_text(error: ValidationError) -> str:
-    """Return in one line where values are not valid, and why."""
+    """Return one line with the keys of invalid values and the reasons."""
     return "; ".join(
         f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}"
         for item in error.errors(include_url=False)
@@ -63,16 +63,16 @@ def problem_text(error: ValidationError) -> str:
 
 
 SCHEMA_LINE = "# yaml-language-server: $schema=tactile-cell.schema.json\n"
-"""First line of a written config: editors complete and check against the schema beside it."""
+"""First line of a written config: editors use the schema beside it for completion and checks."""
 _COMMENT_WIDTH = 98
-"""Characters of a comment line beside its indent and number sign."""
+"""Characters of a comment line, without indent and number sign."""
 
 
 def config_text(config: CellConfig, *, comments: bool = True) -> str:
     """Return a config as YAML that `parse_config` reads back to an equal value.
 
-    With comments each key stands under what it means and which choices it has, and keys without a
-    value, and those of the kinds that are not chosen, stand there as comments.
+    With comments the meaning and choices of each key are above it. Keys without a value, and keys
+    of other kinds, are comments.
     """
     return SCHEMA_LINE + "".join(f"{line}\n" for line in _lines(config, "", comments=comments))
 
@@ -80,13 +80,13 @@ def config_text(config: CellConfig, *, comments: bool = True) -> str:
 def _lines(
     section: BaseModel, indent: str, *, comments: bool, kinds: Sequence[str] = ()
 ) -> Iterator[str]:
-    """Return the lines of a section; ``kinds`` are those of the union that it is in."""
+    """Return the lines of a section; ``kinds`` are the kinds of its union."""
     for name, key in type(section).model_fields.items():
         value = getattr(section, name)
         if comments:
             yield from _comment(_meaning(key, kinds if name == "kind" else ()), indent)
         if isinstance(value, BaseModel):
-            union = [_kind_of(one) for one in _sections_in(key.annotation)]
+            union = [_kind_of(one) for one in sections_in(key)]
             yield f"{indent}{name}:"
             yield from _lines(value, indent + "  ", comments=comments, kinds=union)
         elif isinstance(value, tuple) and any(isinstance(one, BaseModel) for one in value):
@@ -113,7 +113,7 @@ def _comment(text: str, indent: str) -> Iterator[str]:
 
 
 def _meaning(key: FieldInfo, kinds: Sequence[str] = ()) -> str:
-    """Return what a key means, with its choices where it has any."""
+    """Return the description of a key, with its choices if it has any."""
     text = " ".join((key.description or "").split())
     choices = kinds if len(kinds) > 1 else _choices(key)
     unnamed = [choice for choice in choices if not re.search(rf"\b{re.escape(choice)}\b", text)]
@@ -121,23 +121,21 @@ def _meaning(key: FieldInfo, kinds: Sequence[str] = ()) -> str:
 
 
 def _choices(key: FieldInfo) -> list[str]:
-    """Return the names or numbers that a key may have; none where it has a range."""
+    """Return the allowed names or numbers of a key; an empty list if it has a range."""
     if get_origin(key.annotation) is Literal:
         return [str(choice) for choice in get_args(key.annotation)]
     for note in key.metadata:
-        if isinstance(note, OneOf):
+        if isinstance(note, OneOf | Installed):
             return list(note.names)
-        if isinstance(note, WithJsonSchema) and note.json_schema:
-            return [str(choice) for choice in note.json_schema.get("enum", ())]
     return []
 
 
 def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
-    """Return, as comments, what else a key may hold: other kinds, or entries of a list."""
+    """Return further possible values of a key as comments: other kinds, or entries of a list."""
     if isinstance(value, tuple) and value:
         return
     entries = get_origin(key.annotation) is tuple
-    for kind in _sections_in(key.annotation):
+    for kind in sections_in(key):
         if isinstance(value, kind):
             continue
         yield f"{indent}# {'each entry' if entries else 'or'}:"
@@ -150,16 +148,8 @@ def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
             yield from _alternatives(inner, None, f"{indent}#   ")
 
 
-def _sections_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Return the sections that an annotation names, through unions, lists and notes."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in get_args(annotation):
-        yield from _sections_in(inner)
-
-
 def _scalar(value: Any) -> str:
-    """Return a plain value or a list of such as YAML on one line."""
+    """Return a plain value, or a list of plain values, as YAML on one line."""
     if isinstance(value, tuple | list):
         return f"[{', '.join(_scalar(one) for one in value)}]"
     out = io.StringIO()
@@ -170,33 +160,33 @@ def _scalar(value: Any) -> str:
 
 
 MAX_BYTES = 1 << 16
-"""Largest config that is read: YAML in pure Python takes seconds for more."""
+"""Largest config in bytes: YAML in pure Python takes seconds for more."""
 _MAX_DEPTH = 20
-"""Levels of a config: it has five, more is no config."""
+"""Most levels of a config; a valid one has five."""
 _MAX_BRACKETS = 100
-"""Open brackets at once: the YAML library takes seconds for some thousands."""
+"""Most open brackets at once: the YAML library takes seconds for some thousands."""
 _MAX_VALUES = 4000
-"""Values of a config: it has some hundred, and up to 1000 objects."""
+"""Most values of a config: a valid one has some hundred, and up to 1000 objects."""
 _MAX_TEXT = 1000
-"""Characters of a value: the longest text of a config has 500, a number of more digits is none."""
+"""Most characters of a value; the longest valid text has 500."""
 _MAX_COMPLAINTS = 20
-"""Complaints that one message shows; the others are counted."""
+"""Most errors in one message; further errors are counted."""
 
 
 def load_config(path: Path | None) -> CellConfig:
-    """Read a config file; without one, return the built-in simulated cell.
+    """Read a config file; without a file return the built-in simulated cell.
 
     Raises
     ------
     ConfigError
         If the file cannot be read, is cut off within its last line, is not YAML 1.2, has unknown
-        or repeated keys, aliases, or values out of range. All complaints stand in one message.
+        or repeated keys, aliases, or values out of range. One message lists all errors.
     """
     return CellConfig() if path is None else parse_config(config_file_text(path), source=str(path))
 
 
 def config_file_text(path: Path) -> str:
-    """Return the text of a config file, not yet checked. Raises ConfigError as `load_config`."""
+    """Return the unchecked text of a config file. Raises ConfigError as `load_config`."""
     data = read_plain(path, error=ConfigError, what="config", limit_bytes=MAX_BYTES)
     try:
         text = data.decode("utf-8")
@@ -205,14 +195,14 @@ def config_file_text(path: Path) -> str:
     if text and not text.endswith("\n"):
         line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
         raise ConfigError(
-            f"{path}:{line}:{column}: the last line does not end, the file may be cut off; "
-            "complete it and end it with a line break"
+            f"{path}:{line}:{column}: the last line has no line break, so the file may be cut off; "
+            "complete it and add a line break"
         )
     return text
 
 
 def parse_config(text: str, *, source: str) -> CellConfig:
-    """Check the text of a config; ``source`` names it in complaints.
+    """Return the checked config of a text; ``source`` names it in errors.
 
     Raises ConfigError as `load_config`.
     """
@@ -222,15 +212,15 @@ def parse_config(text: str, *, source: str) -> CellConfig:
     try:
         return CellConfig.model_validate_json(json.dumps(data, default=str))
     except TypeError as error:
-        raise ConfigError(f"{source}: a key that is no plain text: {error}") from error
+        raise ConfigError(f"{source}: a key is not plain text: {error}") from error
     except ValidationError as error:
         raise ConfigError(_complaints(error, root, source)) from error
 
 
 def _parsed(text: str, source: str) -> tuple[Node | None, dict[Any, Any]]:
-    """Return the nodes of a YAML text, None of an empty one, and its values."""
+    """Return the nodes of a YAML text, None if it is empty, and its values."""
     if len(text) > MAX_BYTES:
-        raise ConfigError(f"{source}: {len(text)} characters; a config has at most {MAX_BYTES}")
+        raise ConfigError(f"{source} has {len(text)} characters; a config has at most {MAX_BYTES}")
     _refuse_brackets(text, source)
     try:
         root = YAML(typ="safe", pure=True).compose(text)
@@ -240,14 +230,14 @@ def _parsed(text: str, source: str) -> tuple[Node | None, dict[Any, Any]]:
     except (YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(_not_yaml(error, text, source)) from error
     if not isinstance(data, dict | None):
-        raise ConfigError(f"{source}:1:1: a config is a mapping of sections, as `gripper:`")
+        raise ConfigError(f"{source}:1:1: a config is a mapping with sections such as `gripper:`")
     return root, data or {}
 
 
 def recorded_config(text: str) -> CellConfig | None:
-    """Return the config that a recording keeps as JSON; None for one that is not valid now.
+    """Return the config in a recording, from JSON; None if it is not valid in this version.
 
-    What is gone since is left out.
+    Obsolete keys are left out.
     """
     try:
         return CellConfig.model_validate_json(json.dumps(present_config(json.loads(text))))
@@ -256,10 +246,10 @@ def recorded_config(text: str) -> CellConfig | None:
 
 
 def converted_text(text: str, *, source: str) -> tuple[str, tuple[str, ...]]:
-    """Return the text of an older config as this version reads it, and what was changed, in lines.
+    """Return the text of an older config for this version, and one line for each change.
 
-    What is gone is taken out; all else, comments too, stays as it is. Raises ConfigError if the
-    text is no config.
+    Obsolete keys are removed; all other text, also comments, stays. Raises ConfigError if the text
+    is not a config.
     """
     changes: tuple[str, ...] = ()
     while found := next(_gone(_parsed(text, source)[0]), None):
@@ -272,8 +262,8 @@ def converted_text(text: str, *, source: str) -> tuple[str, tuple[str, ...]]:
 def text_with_values(text: str, values: Mapping[str, Any], *, source: str) -> str:
     """Return the text of a config with other plain values, by dotted key; comments stay.
 
-    A key that the text does not have leaves no other way than to write all keys anew, without its
-    comments. Raises ConfigError if a text is no valid config.
+    If the text lacks a key, all keys are written again and its comments are lost. Raises
+    ConfigError if a text is not a valid config.
     """
     wanted = changed_config(parse_config(text, source=source), values)
     changed = text
@@ -290,18 +280,18 @@ def text_with_values(text: str, values: Mapping[str, Any], *, source: str) -> st
 
 
 class _Gone(NamedTuple):
-    """A key of a text that is gone, or whose value is."""
+    """An obsolete key of a text, or a key with an obsolete value."""
 
     name: str
     """Its dotted path."""
     section: MappingNode
     key: ScalarNode
     value: Node
-    """The nodes of the section that it is in, of itself and of its value."""
+    """The nodes of its section, of the key and of its value."""
 
 
 def _gone(section: Node | None, way: str = "") -> Iterator[_Gone]:
-    """Return what is gone of a section; the only key of a section goes with that."""
+    """Return the obsolete keys of a section; if it is the only key, return the section's key."""
     if not isinstance(section, MappingNode):
         return
     for key, value in section.value:
@@ -315,14 +305,14 @@ def _gone(section: Node | None, way: str = "") -> Iterator[_Gone]:
 
 
 def _without(text: str, found: _Gone) -> tuple[str, str]:
-    """Return a text without a key that is gone, or with another value of it, and what changed."""
+    """Return a text without an obsolete key, or with a new value, and a line about the change."""
     key, value = found.key, found.value
     if gone := GONE_KEYS[found.name]:
         start, end, new = value.start_mark.index, value.end_mark.index, gone[value.value]
-        change = f"{found.name}: {new} in the place of {value.value}"
+        change = f"{found.name}: {value.value} was replaced by {new}"
         return f"{text[:start]}{new}{text[end:]}", change
     while isinstance(value, CollectionNode) and not value.flow_style and value.value:
-        last = value.value[-1]  # the block itself ends where the next key begins, behind comments
+        last = value.value[-1]  # the block itself ends at the next key, after comments
         value = last[1] if isinstance(last, tuple) else last
     before, after = text[: key.start_mark.index], text[value.end_mark.index :]
     if found.section.flow_style:
@@ -331,7 +321,7 @@ def _without(text: str, found: _Gone) -> tuple[str, str]:
         after = after[comma.end() :] if comma else after
     elif line_end := re.match(r"[ \t]*\r?\n", after):
         before, after = before.rstrip(" \t"), after[line_end.end() :]
-    return before + after, f"{found.name}: taken out"
+    return before + after, f"{found.name}: removed"
 
 
 def config_schema() -> dict[str, Any]:
@@ -352,12 +342,12 @@ def _not_yaml(error: Exception, text: str, source: str) -> str:
         mark = error.problem_mark or error.context_mark
         said = ": ".join(str(part) for part in (error.context, error.problem) if part)
         if "'\\t' that cannot start any token" in said:
-            said = "a tab; indent with spaces"
+            said = "the indent has a tab; use spaces"
         return f"{source}:{_place(mark)}: not YAML 1.2: {said}" if mark else f"{source}: {said}"
     if isinstance(error, ReaderError):
         before = text[: error.position]
         line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
-        return f"{source}:{line}:{column}: not YAML 1.2: a character that must not stand in a text"
+        return f"{source}:{line}:{column}: not YAML 1.2: this character is not allowed"
     return f"{source}: not YAML 1.2: {error}"
 
 
@@ -366,14 +356,14 @@ def _place(mark: StreamMark) -> str:
 
 
 def _refuse_brackets(text: str, source: str) -> None:
-    """Refuse brackets nested so deep that the YAML library would take seconds to give up."""
+    """Refuse deeply nested brackets: the YAML library would take seconds for them."""
     depth = 0
     for line, content in enumerate(text.splitlines(), start=1):
         for column, sign in enumerate(content, start=1):
             depth += (sign in "[{") - (sign in "]}")
             if depth > _MAX_BRACKETS:
                 raise ConfigError(
-                    f"{source}:{line}:{column}: more than {_MAX_BRACKETS} open brackets"
+                    f"{source}:{line}:{column}: more than {_MAX_BRACKETS} open brackets; close some"
                 )
 
 
@@ -384,7 +374,7 @@ def _refuse_bombs(root: Node, source: str) -> None:
         node, depth = stack.pop()
         if id(node) in seen:
             raise ConfigError(
-                f"{source}:{_place(node.start_mark)}: aliases are not allowed; write the value out"
+                f"{source}:{_place(node.start_mark)}: aliases are not allowed; write the value"
             )
         seen.add(id(node))
         if depth > _MAX_DEPTH or len(seen) > _MAX_VALUES:
@@ -394,8 +384,8 @@ def _refuse_bombs(root: Node, source: str) -> None:
             )
         if isinstance(node, ScalarNode) and len(node.value) > _MAX_TEXT:
             raise ConfigError(
-                f"{source}:{_place(node.start_mark)}: a value of {len(node.value)} characters; a "
-                f"config has none of more than {_MAX_TEXT}"
+                f"{source}:{_place(node.start_mark)}: the value has {len(node.value)} characters; "
+                f"at most {_MAX_TEXT} are allowed"
             )
         if isinstance(node, MappingNode):
             stack += [(part, depth + 1) for pair in node.value for part in pair]
@@ -406,7 +396,7 @@ def _refuse_bombs(root: Node, source: str) -> None:
 def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
     found = error.errors(include_url=False)
     broken = {item["loc"] for item in found}
-    # A list whose entries are refused counts as empty: its entries say what is wrong.
+    # A list with refused entries counts as empty: the errors of its entries are enough.
     found = [
         item
         for item in found
@@ -420,31 +410,31 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         shown = "" if isinstance(given, dict | list) else f" (found: {given!r})"
         message = item["msg"].removeprefix("Value error, ")
         if _is_gone(item):
-            message = f"is gone: `tactile-cell config convert {quote(source)}` takes it out"
+            message = f"is obsolete: `tactile-cell config convert {quote(source)}` removes it"
         elif item["type"] == "extra_forbidden":
             message = f"unknown key; {_meant(item['loc'])}`tactile-cell config schema` lists all"
         elif item["type"] == "missing":
             shown = ""
         lines.append(f"{source}:{place}: {key or 'config'}: {message}{shown}")
     if len(found) > len(lines):
-        lines.append(f"{source}: {len(found) - len(lines)} more complaints")
+        lines.append(f"{source}: {len(found) - len(lines)} more errors")
     return "\n".join(lines)
 
 
 def _is_gone(complaint: Mapping[str, Any]) -> bool:
-    """Return whether a complaint of pydantic is of a key or value that an older version had."""
+    """Whether an error of pydantic is about a key or value of an older version."""
     gone = GONE_KEYS.get(".".join(map(str, complaint["loc"])), {})
     return gone is None or (isinstance(complaint["input"], str) and complaint["input"] in gone)
 
 
 def _meant(loc: tuple[int | str, ...]) -> str:
-    """Return which key of the same section an unknown one resembles, or which keys it has."""
+    """Return a hint for an unknown key: a similar key of its section, or all keys of it."""
     *way, unknown = loc
     section = _section_at(way)
     names = list(section.model_fields)
     near = difflib.get_close_matches(str(unknown), names, n=1)
     if near:
-        return f"is {near[0]} meant? "
+        return f"did you mean {near[0]}? "
     owners = sorted(
         {
             path
@@ -453,16 +443,16 @@ def _meant(loc: tuple[int | str, ...]) -> str:
         }
     )
     where = f"it is a key of {' and '.join(owners)}; " if owners else ""
-    return f"{where}here are {', '.join(names)}; "
+    return f"{where}keys here are {', '.join(names)}; "
 
 
 def _section_at(way: Sequence[int | str]) -> type[BaseModel]:
-    """Return the section at a pydantic location; a step into a union names the kind."""
+    """Return the section at a pydantic location; a step into a union is the name of the kind."""
     section: type[BaseModel] = CellConfig
     inner = [section]
     for step in way:
         if step in section.model_fields:
-            inner = list(_sections_in(section.model_fields[str(step)].annotation))
+            inner = list(sections_in(section.model_fields[str(step)]))
         else:
             named = [one for one in inner if step in (one.__name__, _kind_of(one))]
             inner = named or inner
@@ -471,7 +461,7 @@ def _section_at(way: Sequence[int | str]) -> type[BaseModel]:
 
 
 def _kind_of(section: type[BaseModel]) -> str:
-    """Return the tag by which a union tells a section from others: the value of its ``kind``."""
+    """Return the tag of a section in a union: the value of its ``kind``."""
     kind = section.model_fields.get("kind")
     return str(get_args(kind.annotation)[0]) if kind and get_args(kind.annotation) else "pads"
 
@@ -479,9 +469,9 @@ def _kind_of(section: type[BaseModel]) -> str:
 def _all_sections(
     section: type[BaseModel], path: str = ""
 ) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Return every section below one, with its dotted path and, in a union, its kind."""
+    """Return all sections below a section, each with its dotted path and, in a union, its kind."""
     for name, key in section.model_fields.items():
-        inner = list(_sections_in(key.annotation))
+        inner = list(sections_in(key))
         for one in inner:
             way = f"{path}.{name}".lstrip(".")
             yield (f"{way} of kind {_kind_of(one)}" if len(inner) > 1 else way), one
@@ -489,7 +479,7 @@ def _all_sections(
 
 
 def _locate(root: Node | None, loc: tuple[int | str, ...]) -> tuple[str, str]:
-    """Follow a pydantic location as far as the file goes; steps that name a union are not in it."""
+    """Return place and key of a pydantic location; steps that are not in the file are skipped."""
     node, key = root, []
     place = "1:1" if root is None else _place(root.start_mark)
     for step in loc:

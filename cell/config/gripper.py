@@ -1,11 +1,27 @@
-"""Config of the gripper: servos, linkage, limits; values in SI are made of it here."""
+"""Config of the gripper: servos, linkage, limits; and its conversion to SI."""
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
-from gripper.dynamixel.models import MODELS, require_current_control
+from cell.config.section import (
+    MILLI,
+    SIMULATED,
+    Installed,
+    OneOf,
+    Section,
+    declared_values,
+    setting_of,
+)
+from cell.errors import ConfigError
+from cell.plugins import SERVO_MODELS
+from gripper.dynamixel.models import (
+    MODELS,
+    WITHOUT_CURRENT_CONTROL,
+    add_model,
+    require_current_control,
+)
 from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import (
@@ -17,20 +33,20 @@ from gripper.settings import (
 )
 
 _EMPTY_M = 0.0003
-"""Least opening in m at which fingers that have touched nothing end: closer, their pads may press
-on each other, and the servos show no thinner sheet."""
+"""Smallest opening in m of fingers that touch nothing. Below it the pads may press on each other,
+and the servos cannot resolve a thinner sheet."""
 
 
 class ContactConfig(Section):
-    """How the fingers approach, and when they touch."""
+    """Approach of the fingers, and detection of contact."""
 
     samples: int = setting_of(GripperSettings, "contact_samples")
     """Tactile samples in a row on both pads that confirm a contact, 1 to 50."""
     approach_force_n: float = setting_of(GripperSettings, "approach_force_n")
-    """Grip force beyond friction that the motors may make while closing in N, up to 10."""
+    """Grip force of the motors above friction while closing in N, up to 10."""
     pad_stiffness_n_mm: float = setting_of(GripperSettings, "pad_stiffness_n_m", 1e3)
     """Stiffness of a pad under the hardest part in N/mm, 1 to 1000; with the mass of motors and
-    fingers it limits the speed of the approach, so that no impact passes force_max_n."""
+    fingers it limits the approach speed, so that no impact exceeds force_max_n."""
 
 
 class SettleConfig(Section):
@@ -39,74 +55,84 @@ class SettleConfig(Section):
     timeout_s: float = setting_of(GripperSettings, "settle_timeout_s")
     """Longest time after the ramp in s, up to 10; then the force counts as not reached."""
     tolerance_n: float = setting_of(GripperSettings, "settle_tolerance_n")
-    """Error that counts as reached in N, up to 5."""
+    """Largest error of a reached force in N, up to 5."""
     tolerance_share: float = setting_of(GripperSettings, "settle_tolerance_share")
     """The same as a share of the force, 0 to 0.5; the larger of the two counts."""
 
 
 class SlipConfig(Section):
-    """When a held part counts as slipping or lost; the goals are frozen, nothing grips again."""
+    """When a held part counts as slipping or lost; then the goals are frozen."""
 
     drop_n: float = setting_of(GripperSettings, "slip_drop_n")
-    """Sudden drop of the held force that is a slip in N, up to 20; above the sensor's noise."""
+    """Sudden drop of the held force that means a slip in N, up to 20; above the sensor's noise."""
     drop_share: float = setting_of(GripperSettings, "slip_drop_share")
     """The same as a share of the held force, 0 to 1; the larger of the two counts."""
     travel_mm: float = setting_of(GripperSettings, "slip_travel_m", MILLI)
-    """Closing at a steady force that is a slip in mm of opening, up to 50."""
+    """Closing at a steady force that means a slip in mm of opening, up to 50."""
     slide_mm: float = setting_of(GripperSettings, "slide_m", MILLI)
-    """Way along the pads that the centre of a held force may move in mm, up to 50; more where its
-    noise is larger, less where it moves suddenly."""
+    """Allowed motion of the centre of a held force along the pads in mm, up to 50; larger with more
+    noise, smaller for a sudden motion."""
     runaway_mm_s: float = setting_of(GripperSettings, "runaway_speed_m_s", MILLI)
-    """Closing speed beyond what the ramp needs at which the part is gone, in mm/s, up to 500."""
+    """Closing speed above that of the ramp at which the part is lost, in mm/s, up to 500."""
     runaway_mm: float = setting_of(GripperSettings, "runaway_travel_m", MILLI)
-    """How far the fingers must have run so in mm, up to 50."""
+    """Closing at that speed after which the part is lost in mm, up to 50."""
 
 
 class ImbalanceConfig(Section):
-    """How different the forces of the two fingers may be; beyond it both are frozen."""
+    """Allowed difference between the forces of the fingers; above it both fingers are frozen."""
 
     difference_n: float = setting_of(GripperSettings, "imbalance_n")
     """Allowed difference in N, up to 50."""
     difference_share: float = setting_of(GripperSettings, "imbalance_share")
     """The same as a share of the grip force, 0 to 2; the larger of the two counts."""
     time_s: float = setting_of(GripperSettings, "imbalance_s")
-    """How long a larger difference may last in s, up to 10."""
+    """Longest time of a larger difference in s, up to 10."""
 
 
 class OverForceConfig(Section):
-    """What is done when the force exceeds gripper.force_max_n; nothing ever pushes on."""
+    """Reaction when the force exceeds gripper.force_max_n; it never adds force."""
 
     reaction: Annotated[str, OneOf(tuple(one.value for one in OverForce))] = OverForce.LOWER.value
-    """lower: less current in one step, the part stays held; open: the fingers open by one small
-    step; limp: the torque goes off, a held part may drop."""
+    """lower: reduce the current in one step, the part stays held; open: open the fingers by one
+    small step; limp: switch the torque off, a held part may drop."""
     noise_n: float = setting_of(GripperSettings, "force_noise_n")
-    """What the mean of a few samples may exceed the cap by in N, up to 5; one sample, thrice."""
+    """Tolerance above the cap for the mean of a few samples in N, up to 5; three times as much for
+    one sample."""
     left_share: float = setting_of(GripperSettings, "over_force_share")
-    """Share of the current that `lower` leaves, 0 to 1."""
+    """Share of the current that remains after `lower`, 0 to 1."""
     open_mm: float = setting_of(GripperSettings, "over_force_open_m", MILLI)
-    """Opening by which `open` opens in mm, up to 5."""
+    """Step of `open` in mm, up to 5."""
 
 
 class ServoCareConfig(Section):
-    """What keeps the servos from overheating, and what a start may rewrite in them."""
+    """Protection of the servos from heat, and registers that a start may rewrite."""
 
     derate_c: float = setting_of(GripperSettings, "temperature_derate_k")
-    """Degrees below temperature_max_c from which less current is allowed, to half, 0 to 40."""
+    """Degrees below temperature_max_c at which the current limit begins to fall, down to half of
+    it, 0 to 40."""
     taper_after_s: float = setting_of(GripperSettings, "taper_after_s")
-    """Time of a hold after which current is given back that friction makes superfluous, in s."""
+    """Time of a hold in s after which surplus current is reduced: friction helps to hold."""
     taper_n_s: float = setting_of(ForceLoopSettings, "taper_n_s")
-    """How fast it is given back in N/s of driving force, 0 to 50; 0 never."""
+    """Rate of that reduction in N/s of driving force, 0 to 50; 0: no reduction."""
     corrected_registers: tuple[
         Literal["return_delay_time", "operating_mode", "status_return_level", "position_p_gain"],
         ...,
     ] = ("return_delay_time", "operating_mode", "status_return_level", "position_p_gain")
-    """Registers that a start rewrites where they differ; all others are compared, and refused."""
+    """Registers that a start rewrites if they differ; other differing registers are refused."""
+
+
+def use_servo_models(names: Iterable[str]) -> None:
+    """Load servo models for `gripper`, in this process. Raises ConfigError or LimitExceeded."""
+    for name in names:
+        add_model(SERVO_MODELS[name])
 
 
 def _with_current_control(model: str) -> str:
     try:
-        require_current_control(model)
-    except LimitExceeded as error:
+        if model in WITHOUT_CURRENT_CONTROL:
+            require_current_control(model)
+        use_servo_models([model])
+    except (ConfigError, LimitExceeded) as error:
         raise ValueError(str(error)) from error
     return model
 
@@ -119,20 +145,20 @@ class ServoConfig(Section):
     model: Annotated[
         str,
         AfterValidator(_with_current_control),
-        WithJsonSchema({"type": "string", "enum": list(MODELS)}),
+        Installed(SERVO_MODELS),
     ] = "XM430-W350"
     """Model; it must be able to control current (an XL430 cannot and is refused)."""
     direction: Literal[1, -1] = 1
-    """1 if growing position opens the finger, -1 if it closes it."""
+    """1 if an increasing position opens the finger, -1 if it closes the finger."""
     zero_pulse: int = Field(default=2048, ge=0, le=4095)
     """Present Position at angle 0 of the linkage, in pulses of 360/4096 degrees, 0 to 4095."""
     kt_nm_a: float | None = Field(default=None, gt=0.0, le=100.0)
-    """Torque at the output for 1 A in Nm, measured with weights; none: measured by the pads in each
-    self-zero, until then the catalogue's with 30 %."""
+    """Torque at the output for 1 A in Nm, measured with weights; none: the pads measure it in each
+    self-zero, before that the value of the catalogue with 30 % is used."""
     friction_a: float | None = Field(default=None, gt=0.0, le=5.0)
     """Current of slow free motion in A; none: measured in each motion."""
     drive_sd: float = setting_of(ServoSettings, "drive_sd")
-    """Uncertainty of these two as a share, 0.01 to 0.5, where they are given."""
+    """Uncertainty of given kt_nm_a and friction_a as a share, 0.01 to 0.5."""
 
 
 class ParallelLinkageConfig(Section):
@@ -161,36 +187,35 @@ class GripperConfig(Section):
     """Servos, linkage and limits of the gripper."""
 
     port: str = Field(default=SIMULATED, min_length=1)
-    """Serial port of the servos, as /dev/ttyUSB0; `simulated` is the built-in simulated gripper."""
+    """Serial port of the servos, for example /dev/ttyUSB0; `simulated`: the simulated gripper."""
     baud_rate: Literal[57600, 115200, 1000000, 2000000, 3000000, 4000000] = 1000000
-    """Baud rate of the servo bus in bit/s; 1000000 serves 200 Hz, 57600 does not."""
+    """Baud rate of the servo bus in bit/s; 1000000 is enough for 200 Hz, 57600 is not."""
     servos: tuple[ServoConfig, ...] = Field(
         default=(ServoConfig(id=1), ServoConfig(id=2)), min_length=1, max_length=2
     )
-    """One servo that drives both fingers, or two that drive a finger each."""
+    """One servo for both fingers, or one servo for each finger."""
     linkage: Annotated[ParallelLinkageConfig | RackPinionConfig, Field(discriminator="kind")] = (
         ParallelLinkageConfig()
     )
-    """How servo angle becomes opening."""
+    """Conversion of servo angle to opening."""
     loop_rate_hz: float = setting_of(GripperSettings, "loop_rate_hz", at_most=500.0)
     """Rate of the force loop in Hz, 20 to 500."""
     aperture_open_mm: float = setting_of(GripperSettings, "aperture_open_m", MILLI)
-    """Opening between the pads before a grasp in mm, 2 to 400; a little more than the widest object
-    that may come. Each mm less makes a grasp about 0.03 s shorter."""
+    """Opening between the pads before a grasp in mm, 2 to 400; a little more than the widest
+    object. Each mm less makes a grasp about 0.03 s shorter."""
     aperture_min_mm: float = setting_of(GripperSettings, "aperture_min_m", MILLI, at_least=-4.0)
-    """Smallest opening that the fingers are closed to in mm, -4 to 400; a ramp ends there, and
-    below it there is no object. Below 0.3 it is for ramps alone, as far as the foam of the pads
-    yields around a small part: fingers that have touched nothing end at 0.3."""
+    """Smallest opening of the fingers in mm, -4 to 400; a ramp ends there, and no object is
+    smaller. Values below 0.3 are for ramps only, because the foam of the pads yields around a small
+    part. Fingers that touch nothing stop at 0.3."""
     pads_meet: bool = True
     """Whether the pads of empty fingers can press flat on each other; a self-zero needs it."""
     approach_speed_mm_s: float = setting_of(GripperSettings, "approach_speed_m_s", MILLI)
-    """Closing speed where a part may begin in mm/s of opening, 4 to 200. The fingers close no
-    faster than their momentum can be stopped below force_max_n; a note names the speed where that
-    is less."""
+    """Closing speed near a possible part in mm/s of opening, 4 to 200. If an impact at this speed
+    could exceed force_max_n, the fingers close more slowly, and a note states that speed."""
     travel_speed_mm_s: float = setting_of(GripperSettings, "travel_speed_m_s", MILLI)
-    """Closing speed in mm/s of opening, 4 to 200, while the fingers are wider open than every part
-    that they have touched since the start; a wider one is met with it, below force_max_n too. One
-    that is no faster than approach_speed_mm_s changes nothing."""
+    """Closing speed in mm/s of opening, 4 to 200, while the fingers are wider open than all parts
+    touched since the start. The impact on a wider part stays below force_max_n too. A value up to
+    approach_speed_mm_s has no effect."""
     open_speed_mm_s: float = setting_of(GripperSettings, "open_speed_m_s", MILLI)
     """Opening speed in mm/s of opening, 2 to 200."""
     contact_force_n: float = setting_of(GripperSettings, "contact_force_n")
@@ -198,23 +223,23 @@ class GripperConfig(Section):
     contact_timeout_s: float = setting_of(GripperSettings, "contact_timeout_s")
     """Longest time to look for contact in s, 1 to 60."""
     force_max_n: float = setting_of(GripperSettings, "force_max_n")
-    """Cap of the grip force in N, 1 to 50; set it per risk assessment. A ramp may ask for so much
-    that its overshoot, 0.2 N or 5 %, stays below it; with a low one the fingers approach slowly, or
-    not at all."""
+    """Cap of the grip force in N, 1 to 50; set it by a risk assessment. A ramp with its overshoot
+    of 0.2 N or 5 % must stay below it. With a low cap the fingers approach slowly, or not at all.
+    """
     current_max_a: float = setting_of(GripperSettings, "current_max_a")
     """Cap of the goal current of each servo in A, 0.05 to the stall current of its model."""
     temperature_max_c: float = setting_of(GripperSettings, "temperature_max_c")
-    """Servo temperature above which no ramp is started and a running one held, C, 30 to 80."""
+    """Servo temperature in C above which no ramp starts and a running ramp is held, 30 to 80."""
     force_stale_ms: float = setting_of(GripperSettings, "force_stale_s", MILLI)
-    """Oldest tactile force that control may use in ms, 20 to 1000; without force messages at least
+    """Largest age of a tactile force for control in ms, 20 to 1000; without force messages at least
     2.5 times tactile.sync_period_ms."""
     bus_loss_ms: float = setting_of(GripperSettings, "bus_loss_s", MILLI)
-    """Time without answers of the servos after which their bus is given up in ms, 20 to 2000."""
+    """Time without answers of the servos after which their bus has a fault in ms, 20 to 2000."""
     feedback_loss_max_share: float = setting_of(GripperSettings, "feedback_loss_max_share")
-    """Share of the loop's periods that may lack the servos' answers, 0.001 to 1; more is a fault.
-    Counted over a time of which bus_loss_ms is this share, about 1.5 s as they are here."""
+    """Share of the loop's periods without answers of the servos, 0.001 to 1; more is a fault.
+    Counted over bus_loss_ms divided by this share, about 1.5 s with the defaults."""
     stall_max_ms: float = setting_of(GripperSettings, "stall_max_s", MILLI)
-    """Lateness of one period after which the loop counts as stalled in ms, 10 to 5000."""
+    """Lateness of one period at which the loop counts as stalled in ms, 10 to 5000."""
     watchdog_ms: float = setting_of(GripperSettings, "watchdog_s", MILLI)
     """Bus watchdog of the servos in ms, 20 to 2540 in steps of 20; armed while torque is on."""
     watchdog_self_test: bool = False
@@ -226,11 +251,11 @@ class GripperConfig(Section):
     slip: SlipConfig = SlipConfig()
     """When a held part slips or is lost."""
     imbalance: ImbalanceConfig = ImbalanceConfig()
-    """How different the fingers' forces may be."""
+    """Allowed difference of the fingers' forces."""
     over_force: OverForceConfig = OverForceConfig()
-    """What is done with too much force."""
+    """Reaction to too much force."""
     servo_care: ServoCareConfig = ServoCareConfig()
-    """Heat of the servos, and what a start may rewrite."""
+    """Heat of the servos, and registers that a start may rewrite."""
 
     @property
     def ramp_force_max_n(self) -> float:
@@ -246,8 +271,8 @@ class GripperConfig(Section):
             most_a = MODELS[servo.model].stall_current_a
             if self.current_max_a > most_a:
                 raise ValueError(
-                    f"current_max_a {self.current_max_a:g} is more than servo {servo.id} "
-                    f"({servo.model}) can make: {most_a:g} A"
+                    f"current_max_a {self.current_max_a:g} is above the stall current of servo "
+                    f"{servo.id} ({servo.model}), {most_a:g} A; lower it"
                 )
         if self.aperture_min_mm >= self.aperture_open_mm:
             raise ValueError(
@@ -257,7 +282,7 @@ class GripperConfig(Section):
         if self.contact_force_n > self.ramp_force_max_n:
             raise ValueError(
                 f"contact_force_n {self.contact_force_n:g} must be at most "
-                f"{self.ramp_force_max_n:.2f}, what a ramp may reach under "
+                f"{self.ramp_force_max_n:.2f}, the largest force of a ramp with "
                 f"force_max_n {self.force_max_n:g}"
             )
         return self
@@ -266,7 +291,7 @@ class GripperConfig(Section):
 def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSettings:
     """Return limits and tuning of a gripper in SI.
 
-    ``overruns_max`` periods in a row whose work took too long end a command. Raises
+    ``overruns_max`` consecutive overlong periods end a command. Raises
     gripper.errors.LimitExceeded if values do not fit each other.
     """
     values = declared_values(config, GripperSettings)

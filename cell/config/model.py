@@ -1,7 +1,7 @@
 """The configuration of a cell: one frozen, checked value.
 
-Lengths are in mm and angles in degrees here, because operators write this file; everything behind
-it is SI. Each field states unit, range and meaning in its description, which the JSON schema shows.
+Lengths are in mm and angles in degrees here, because operators write this file; all other code
+uses SI. The description of each field states unit, range and meaning; the JSON schema shows it.
 An invalid `CellConfig` cannot exist.
 """
 
@@ -13,106 +13,105 @@ from pydantic import Field, model_validator
 
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from cell.config.positioner import PositionerConfig
-from cell.config.section import SIMULATED, OneOf, Section, setting_of
+from cell.config.section import SIMULATED, Installed, OneOf, Section, setting_of
 from cell.config.sequence import SequenceConfig, ramp_from_config
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import (
     TactileConfig,
-    UskinConfig,
     check_sensor,
     layout_from_config,
     make_calibration,
 )
 from cell.data.formats import CONFIG
 from cell.errors import ConfigError
+from cell.plugins import RECOGNISERS
 from gripper.dynamixel.latency import largest_rate_hz
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, largest_ramp_n
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage, end_transmissions
 from gripper.settings import GripperSettings
-from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
+from recognition.recognizers import DEFAULT_TRAINER
 from tactile.layout import TaxelLayout
 
 TAXELS_OF_SMALL_PART = 8
-"""Taxels of a pad that a small part presses: a cylinder of 6 x 20 mm on taxels of 3.4 x 5 mm."""
+"""Taxels of a pad under a small part: a cylinder of 6 x 20 mm on taxels of 3.4 x 5 mm."""
 
 
 _STARTING_S = 0.3
-"""Time in s that fingers take to get to the speed of their approach, and to slow down at its end.
-"""
+"""Time in s for the fingers to reach their approach speed, and to slow down at the end."""
 
 _MUCH_FRICTION_N = 10.0
-"""Friction of a servo at the pads in N from which on one hold in five ends 0.3 N and more too high
+"""Friction of a servo at the pads in N above which one hold in five ends at least 0.3 N too high
 (51 grasps of simulated hands)."""
 
 
 class RecognitionConfig(Section):
-    """How grasps become an answer."""
+    """Recognition of objects from grasps."""
 
-    recognizer: Annotated[str, OneOf(tuple(TRAINERS))] = DEFAULT_TRAINER
-    """Recogniser that is taught."""
+    recognizer: Annotated[str, Installed(RECOGNISERS)] = DEFAULT_TRAINER
+    """Recogniser to teach."""
     use_aperture: bool = True
-    """Whether the opening between the fingers is used beside the taxels."""
+    """Whether to use the opening between the fingers in addition to the taxels."""
     shape: bool = True
-    """Whether shape and size are fitted for each grasp of an identification."""
+    """Whether to fit shape and size for each grasp of an identification."""
     caution: float = Field(default=1.0, ge=0.01, le=100.0)
-    """The likelihood of an object that was never taught is multiplied by it: more names fewer
-    objects wrongly and calls more of the taught ones UNKNOWN; only for force_ramp."""
+    """Factor on the likelihood of an object that was never taught, 0.01 to 100. A larger value
+    gives fewer wrong names, but more taught objects become UNKNOWN; only for force_ramp."""
     follow_drift: bool = True
-    """Whether the drift of the sensors is followed from one identification to the next; only
-    force_ramp can."""
+    """Whether to follow the drift of the sensors from one identification to the next; only for
+    force_ramp."""
 
 
 class RecordingConfig(Section):
-    """Where recordings, data sets and reports go."""
+    """Storage of recordings, data sets and reports."""
 
     directory: str = Field(default="out", min_length=1, max_length=500)
-    """Folder of recordings, data sets and reports; made when missing."""
+    """Folder of recordings, data sets and reports; created if missing."""
     when_lost: Literal["finish", "hold"] = "finish"
-    """When the disk refuses the recording: finish the grasps without it, or hold (a fault)."""
+    """If the recording cannot be written: finish the grasps without it, or hold (a fault)."""
     keep_days: float | None = Field(default=90.0, ge=1.0, le=36500.0)
-    """Days after which a recording is deleted, 1 to 36500; none: never. Those that are marked
-    (`tactile-cell recordings mark`), or of an open fault, stay."""
+    """Days after which a recording is deleted, 1 to 36500; none: never. Marked recordings
+    (`tactile-cell recordings mark`) and recordings of an open fault stay."""
     keep_gb: float | None = Field(default=100.0, ge=0.1, le=1e6)
-    """Size of all recordings in GB beyond which the oldest are deleted, 0.1 to 1000000; none: any.
-    Those that are marked, or of an open fault, stay."""
+    """Size of all recordings in GB above which the oldest are deleted, 0.1 to 1000000; none: no
+    limit. Marked recordings and recordings of an open fault stay."""
 
 
 class LoopConfig(Section):
-    """How the force loop runs where the ports are real; what the system refuses is a note."""
+    """Process of the force loop on real ports; a setting that the system refuses gives a note."""
 
     own_process: bool = True
-    """Whether the loop has a process of its own, which recognition and files cannot hold up."""
+    """Whether the loop has its own process, so that recognition and files cannot delay it."""
     priority: int = Field(default=50, ge=0, le=99)
-    """Real-time priority (SCHED_FIFO) of that process, 1 to 99; 0: scheduled as all others. The
-    simulated cell of `simulate` takes one less."""
+    """Real-time priority (SCHED_FIFO) of that process, 1 to 99; 0: normal scheduling. The
+    simulated cell of `simulate` uses one less."""
     lock_memory: bool = True
-    """Whether the memory of that process is locked, so that paging cannot hold it up."""
+    """Whether to lock the memory of that process, so that paging cannot delay it."""
     cpu: int | None = Field(default=None, ge=0, le=1023)
-    """Processor that the process is bound to; none: any."""
+    """Processor for the process, 0 to 1023; none: any."""
     overruns_max: int = setting_of(GripperSettings, "overruns_max")
-    """Periods in a row whose work took too long after which the grip is frozen, 1 to 1000."""
+    """Number of consecutive overlong periods after which the grip is frozen, 1 to 1000."""
 
 
 class CellConfig(Section):
-    """Everything that a cell needs to know. Without a file: the simulated cell."""
+    """All settings of a cell. Without a file: the simulated cell."""
 
     format: Annotated[str, OneOf((str(CONFIG),))] = str(CONFIG)
-    """Format of this file and its version. A file without it is read as of any version so far."""
+    """Format of this file, and its version. Without this key the file may be of any version."""
     name: str = Field(default="simulated cell", min_length=1, max_length=80)
     """Name of the cell, for reports."""
     seed: int = Field(default=2008, ge=0, le=2**32 - 1)
-    """Seed of everything random: poses, noise of the simulated cell."""
+    """Seed of all random values: poses, noise of the simulated cell."""
     host_timeout_s: float | None = Field(default=None, ge=0.05, le=3600.0)
-    """Longest silence of the host program during a job in s, 0.05 to 3600; none: any."""
+    """Longest silence of the host program during a job in s, 0.05 to 3600; none: no limit."""
     self_zero: Literal["always", "daily", "on_demand", "never"] = "daily"
     """When the empty fingers close on each other to measure zero, gains and foam: at each start, at
-    the first start of a day, when asked for (`tactile-cell zero`), or never. A part between them is
-    a fault with `always` and a note with `daily`. Where gripper.pads_meet is false and this key is
-    not set, it is `never`."""
+    the first start of a day, on request (`tactile-cell zero`), or never. A part between them is a
+    fault with `always` and a note with `daily`. The default is `never` if gripper.pads_meet is
+    false."""
     gripper: GripperConfig = GripperConfig()
     """Servos, linkage and limits."""
     tactile: TactileConfig = TactileConfig()
@@ -122,11 +121,11 @@ class CellConfig(Section):
     sort: SortConfig = SortConfig()
     """Places of named parts."""
     positioner: PositionerConfig = PositionerConfig()
-    """Who moves the object or the gripper."""
+    """Positioner that moves the object or the gripper."""
     recognition: RecognitionConfig = RecognitionConfig()
-    """Recogniser and what it may use."""
+    """Recogniser and its inputs."""
     recording: RecordingConfig = RecordingConfig()
-    """Where results go."""
+    """Storage of results."""
     loop: LoopConfig = LoopConfig()
     """Process of the force loop."""
     serve: ServeConfig = ServeConfig()
@@ -140,28 +139,28 @@ class CellConfig(Section):
         allowed_n = self.gripper.ramp_force_max_n
         if most_n > allowed_n:
             raise ValueError(
-                f"sequence asks for {most_n:g} N, gripper.force_max_n is "
-                f"{self.gripper.force_max_n:g} N, which allows ramps up to {allowed_n:.2f} N; "
-                "lower the one or raise the other after a risk assessment"
+                f"sequence asks for {most_n:g} N, but gripper.force_max_n = "
+                f"{self.gripper.force_max_n:g} N allows ramps up to {allowed_n:.2f} N; lower the "
+                "force, or raise the cap after a risk assessment"
             )
         if least_n < self.gripper.contact_force_n:
             raise ValueError(
-                f"sequence asks for {least_n:g} N, gripper.contact_force_n is "
-                f"{self.gripper.contact_force_n:g} N: less could not hold a part"
+                f"sequence asks for {least_n:g} N; it needs at least gripper.contact_force_n = "
+                f"{self.gripper.contact_force_n:g} N to hold a part"
             )
         contact_n = self.gripper.contact_force_n
         if self.sequence.regrasp == "none" and least_n < 3.0 * contact_n:
             raise ValueError(
                 f"sequence asks for {least_n:g} N; with sequence.regrasp none a further ramp "
-                f"begins at twice gripper.contact_force_n = {contact_n:g} N: ask for three times "
-                "that at least"
+                f"begins at twice gripper.contact_force_n = {contact_n:g} N: ask for at least "
+                f"{3.0 * contact_n:g} N"
             )
         carry_n = self.sequence.carry_force_n
         if not self.gripper.contact_force_n <= carry_n <= allowed_n:
             raise ValueError(
-                f"sequence.carry_force_n is {carry_n:g} N, a part is held with "
-                f"gripper.contact_force_n = {self.gripper.contact_force_n:g} N at least and, under "
-                f"gripper.force_max_n = {self.gripper.force_max_n:g} N, {allowed_n:.2f} N at most"
+                f"sequence.carry_force_n is {carry_n:g} N; it must be at least "
+                f"gripper.contact_force_n = {self.gripper.contact_force_n:g} N and, with "
+                f"gripper.force_max_n = {self.gripper.force_max_n:g} N, at most {allowed_n:.2f} N"
             )
         try:
             layout = layout_from_config(self.tactile)
@@ -178,15 +177,15 @@ class CellConfig(Section):
             )
         if self.simulator.faults and not simulated[0]:
             raise ValueError(
-                "simulator.faults are for the simulated cell, and this one has real ports: "
-                "take them out"
+                "simulator.faults are for the simulated cell, but this cell has real ports: "
+                "remove them"
             )
         if self.gripper.port != SIMULATED and self.gripper.port in self.tactile.serial_ports:
             raise ValueError(
                 f"{self.gripper.port} is gripper.port and in tactile.sensor.ports: servos and "
-                "boards need ports of their own"
+                "boards need separate ports"
             )
-        on_can = not self.tactile.serial_ports
+        on_can = self.tactile.sensor.on_can
         if not simulated[0] and on_can and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
         if (
@@ -201,9 +200,9 @@ class CellConfig(Section):
         if not self.gripper.pads_meet and self.self_zero in ("always", "daily"):
             if "self_zero" in self.model_fields_set:
                 raise ValueError(
-                    f"self_zero is {self.self_zero}, but gripper.pads_meet is false: fingers that "
-                    "cannot meet are gauged with a taught object in a holder (`tactile-cell "
-                    "calibrate --gauge`); write self_zero: never"
+                    f"self_zero is {self.self_zero}, but gripper.pads_meet is false: write "
+                    "self_zero: never, and gauge with a taught object in a holder (`tactile-cell "
+                    "calibrate --gauge`)"
                 )
             object.__setattr__(self, "self_zero", "never")
         self._check_axes(simulated[0])
@@ -211,7 +210,7 @@ class CellConfig(Section):
         return self
 
     def _check_motion(self, most_n: float) -> None:
-        """Refuse a gripper that cannot move, stop below its cap or make the forces asked for."""
+        """Refuse a gripper that cannot move, stop below its cap or reach the requested forces."""
         for name in ("aperture_open_mm", "aperture_min_mm"):
             try:
                 self.linkage.angles_rad(1e-3 * getattr(self.gripper, name))
@@ -229,21 +228,21 @@ class CellConfig(Section):
         most_hz = largest_rate_hz(gripper.baud_rate, len(gripper.servos))
         if gripper.loop_rate_hz > most_hz:
             raise ValueError(
-                f"gripper.loop_rate_hz is {gripper.loop_rate_hz:g}, at gripper.baud_rate = "
-                f"{gripper.baud_rate} the servos can be read and written {most_hz:.0f} times a "
-                f"second at most: raise the baud rate, in the servos too, or lower the loop rate"
+                f"gripper.loop_rate_hz is {gripper.loop_rate_hz:g}, but gripper.baud_rate = "
+                f"{gripper.baud_rate} allows at most {most_hz:.0f} Hz: raise the baud rate, also "
+                f"in the servos, or lower the loop rate"
             )
         self._check_closing()
         period_ms = 1e3 * tactile.frame_period_s
         if not tactile.sends_forces and gripper.force_stale_ms < 2.5 * period_ms:
             raise ValueError(
-                f"gripper.force_stale_ms is {gripper.force_stale_ms:g}: without force messages a "
-                f"force may be 2.5 periods of the frames old, and frames (tactile.sync_period_ms) "
-                f"come every {period_ms:g} ms; raise the one or lower the other"
+                f"gripper.force_stale_ms is {gripper.force_stale_ms:g}: without force messages it "
+                f"must be at least 2.5 periods of the frames (tactile.sync_period_ms), which come "
+                f"every {period_ms:g} ms; raise the limit or lower the period"
             )
 
     def _check_closing(self) -> None:
-        """Refuse a time for the approach in which the fingers cannot close."""
+        """Refuse a contact time-out that is too short for the fingers to close."""
         gripper, settings = self.gripper, self.gripper_settings
         speed_m_s = check_approach(settings, self.linkage)
         way_m = settings.aperture_open_m - settings.aperture_min_m
@@ -253,8 +252,8 @@ class CellConfig(Section):
         speed = f"approach_speed_mm_s = {gripper.approach_speed_mm_s:g}"
         if speed_m_s < settings.approach_speed_m_s:
             speed = (
-                f"{1e3 * speed_m_s:.1f} mm/s, all that force_max_n, contact.approach_force_n and "
-                f"contact.pad_stiffness_n_mm allow"
+                f"{1e3 * speed_m_s:.1f} mm/s, the limit by force_max_n, contact.approach_force_n "
+                f"and contact.pad_stiffness_n_mm"
             )
         raise ValueError(
             f"gripper.contact_timeout_s is {gripper.contact_timeout_s:g}, but from "
@@ -264,58 +263,56 @@ class CellConfig(Section):
         )
 
     def _check_axes(self, simulated: bool) -> None:
-        """Refuse axes that the sequence does not fit, or of which only one side is simulated."""
+        """Refuse axes that do not fit the sequence, and a mix of simulated and real ports."""
         positioner = self.positioner
         positioner.check_sequence(self.sequence)
         shared = (positioner.can.interface, positioner.can.channel) == (
             self.tactile.interface,
             self.tactile.channel,
         )
-        on_can = isinstance(self.tactile.sensor, UskinConfig) and not simulated
-        if on_can and shared and positioner.drives:
+        lone = self.tactile.sensor.lone_on_can
+        if lone and shared and positioner.drives and not simulated:
             raise ValueError(
-                "positioner.can is the bus of tactile: uSkin boards use identifiers of CANopen "
-                "(201h is RPDO1 of node 1, 710h to 71Fh are heartbeats), so that they need a bus "
-                "without CANopen nodes"
+                f"positioner.can is the bus of tactile: {lone}; give them a bus without "
+                "CANopen nodes"
             )
         for port in positioner.ports:
             if simulated != (port == SIMULATED):
                 raise ValueError(
                     f"an axis of the positioner is on {port!r}, gripper.port is "
-                    f"{self.gripper.port!r}: both are `simulated`, or none"
+                    f"{self.gripper.port!r}: both or neither must be `simulated`"
                 )
             if port == self.gripper.port != SIMULATED:
                 raise ValueError(
                     f"an axis of the positioner is on {port!r}, the port of the fingers: its "
-                    "servo needs a port of its own"
+                    "servo needs a separate port"
                 )
 
     def _check_full_scale(self, layout: TaxelLayout, most_n: float) -> None:
-        """Refuse a calibration under which the ramp's end is beyond what a few taxels measure."""
+        """Refuse a calibration if the end of the ramp saturates the taxels under a small part."""
         law = make_calibration(self.tactile, layout)
         full_n = float(law.force_n(np.array([float(layout.adc_max)]))[0])
         if most_n > TAXELS_OF_SMALL_PART * full_n:
             raise ValueError(
-                f"sequence asks for {most_n:g} N, but under tactile.calibration a taxel is "
-                f"saturated at {full_n:.3g} N: a small part presses about "
-                f"{TAXELS_OF_SMALL_PART} taxels of a pad, which measure up to "
-                f"{TAXELS_OF_SMALL_PART * full_n:.3g} N; ask for less force or correct the "
-                "calibration"
+                f"sequence asks for {most_n:g} N, but with tactile.calibration a taxel saturates "
+                f"at {full_n:.3g} N. A small part presses about {TAXELS_OF_SMALL_PART} taxels of "
+                f"a pad, which measure up to {TAXELS_OF_SMALL_PART * full_n:.3g} N; ask for less "
+                "force or correct the calibration"
             )
 
     @property
     def simulated(self) -> bool:
-        """Whether the built-in simulated cell is meant."""
+        """Whether this is the built-in simulated cell."""
         return self.gripper.port == SIMULATED
 
     @property
     def decides_early(self) -> bool:
-        """Whether ramps may end early: while they run, answers are worked out beside the loop."""
+        """Whether ramps may end early: answers are computed in parallel to the force loop."""
         return self.sequence.decide_early and (self.simulated or self.loop.own_process)
 
     @property
     def brings_objects(self) -> bool:
-        """Whether the simulated cell brings the objects by itself, and nobody is asked for them."""
+        """Whether the simulated cell brings the objects by itself, without asking a person."""
         kind = self.positioner.kind
         return kind == "simulated" or (
             kind == "axes" and (self.simulated or bool(self.positioner.socket))
@@ -344,18 +341,15 @@ class CellConfig(Section):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the operator on what this cell does otherwise than it is asked to."""
+        """Notes for the operator where the cell deviates from its settings."""
         found: tuple[str, ...] = ()
         if self.sequence.decide_early and not self.decides_early:
-            found += (
-                "force ramps go on to their end: sequence.decide_early works out answers while the "
-                "force loop runs, which needs loop.own_process",
-            )
+            found += ("force ramps do not end early: sequence.decide_early needs loop.own_process",)
         if self.friction_n > _MUCH_FRICTION_N:
             found += (
-                f"the servos' friction is {self.friction_n:.0f} N at the pads: where it breaks, "
-                "the force may jump by 1 N and more, and stay above the one asked for. Take longer "
-                "links, a larger pinion or servos with less friction where that matters",
+                f"the servos' friction is {self.friction_n:.0f} N at the pads: when it breaks, the "
+                "force may jump by 1 N or more and stay above its set-point. To avoid this use "
+                "longer links, a larger pinion or servos with less friction",
             )
         asked_mm_s = self.gripper.approach_speed_mm_s
         speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
@@ -364,8 +358,8 @@ class CellConfig(Section):
         return (
             *found,
             f"the fingers approach with as little as {speed_mm_s:.1f} mm/s, not with "
-            f"gripper.approach_speed_mm_s = {asked_mm_s:g}: faster, their momentum could press a "
-            f"part with more than gripper.force_max_n = {self.gripper.force_max_n:g} N. Lower "
-            f"gripper.contact.approach_force_n, or gripper.contact.pad_stiffness_n_mm where the "
-            f"pads are softer, to let them close faster",
+            f"gripper.approach_speed_mm_s = {asked_mm_s:g}: at a higher speed the impact could "
+            f"exceed gripper.force_max_n = {self.gripper.force_max_n:g} N. To close faster, lower "
+            f"gripper.contact.approach_force_n, or gripper.contact.pad_stiffness_n_mm if the pads "
+            f"are softer",
         )

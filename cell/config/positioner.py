@@ -1,4 +1,4 @@
-"""Config of the positioner: who moves the object, and the axes that do."""
+"""Config of the positioner that moves the object, and of its axes."""
 
 from typing import Annotated, Literal, Self
 
@@ -16,24 +16,24 @@ class AxesCanConfig(Section):
     """CAN bus of the drives."""
 
     interface: str = Field(default=SIMULATED, min_length=1)
-    """python-can interface (socketcan, slcan, ...); `simulated` is the built-in one."""
+    """python-can interface (socketcan, slcan, ...); `simulated`: the built-in interface."""
     channel: str = Field(default="", max_length=200)
-    """Channel of the interface; the control unit's own is shared on socketcan only."""
+    """Channel of the interface; only socketcan can share the channel of the control unit."""
     bitrate: Literal[125000, 250000, 500000, 1000000] = 1000000
     """Bit rate in bit/s."""
     heartbeat_loss_ms: float = Field(default=125.0, ge=100.0, le=500.0)
-    """Time without a heartbeat (every 50 ms) after which a drive is lost in ms, 100 to 500; a drive
-    that misses its host for twice as long stops by itself."""
+    """Time without a heartbeat (every 50 ms) after which a drive is lost in ms, 100 to 500. A drive
+    stops by itself after twice this time without its host."""
 
 
 def check_axis(moves: str, increments: float, low: float, high: float) -> None:
-    """Refuse an axis without way or without increments. Raises ValueError."""
+    """Check limits and increments of an axis. Raises ValueError."""
     if not low < high:
-        raise ValueError(f"axis {moves} has the limits {low:g} to {high:g}; low is below high")
+        raise ValueError(f"axis {moves} has the limits {low:g} to {high:g}; low must be below high")
     if not 0.01 <= abs(increments) <= 1e6 or abs(increments) * max(abs(low), abs(high)) >= 2**31:
         raise ValueError(
-            f"axis {moves} has {increments:g} increments in one mm or degree; 0.01 to 1e6, and the "
-            "limits must fit into 32 bits"
+            f"axis {moves} has {increments:g} increments per mm or degree; write 0.01 to 1e6, "
+            "with limits that fit into 32 bits"
         )
 
 
@@ -47,9 +47,9 @@ class DriveAxisConfig(Section):
     node_id: int = Field(ge=1, le=127)
     """CANopen node-ID of the drive, 1 to 127."""
     increments: float
-    """Increments of the drive in one mm or degree; negative where it counts the other way."""
+    """Increments of the drive per mm or degree; negative if it counts in the other direction."""
     low: float = Field(ge=-1000.0, le=1000.0)
-    """Lower limit in mm or degrees; no target below it is ever sent."""
+    """Lower limit in mm or degrees; smaller targets are refused."""
     high: float = Field(ge=-1000.0, le=1000.0)
     """Upper limit in mm or degrees."""
     velocity: float = Field(default=20.0, gt=0.0, le=1000.0)
@@ -57,14 +57,14 @@ class DriveAxisConfig(Section):
     acceleration: float = Field(default=100.0, gt=0.0, le=10000.0)
     """Profile acceleration in mm or degrees a second squared; a quick stop brakes twice as hard."""
     homing: Literal["negative_switch", "positive_switch", "here", "none"]
-    """How the drive finds its position: at a limit switch (methods 17, 18), here (37), or none for
-    an absolute encoder."""
+    """Homing method of the drive: at a limit switch (methods 17, 18), here (37), or none for an
+    absolute encoder."""
     home: float = Field(default=0.0, ge=-1000.0, le=1000.0)
-    """Position of the home in mm or degrees."""
+    """Home position in mm or degrees."""
     homing_velocity: float = Field(default=5.0, gt=0.0, le=100.0)
     """Speed towards the switch in mm or degrees a second."""
     window: float = Field(default=0.05, gt=0.0, le=10.0)
-    """How near counts as reached in mm or degrees."""
+    """Largest distance of a reached target in mm or degrees."""
     following_error: float = Field(default=1.0, gt=0.0, le=100.0)
     """Following error in mm or degrees at which the drive stops with a fault."""
 
@@ -75,14 +75,14 @@ class DriveAxisConfig(Section):
 
 
 class ServoAxisConfig(Section):
-    """An axis with a Dynamixel servo on a port of its own, in extended position mode."""
+    """An axis with a Dynamixel servo on its own port, in extended position mode."""
 
     kind: Literal["dynamixel"]
     """Device of the axis."""
     moves: Moves
     """Part of the pose that it moves: x, y, rotation or roll."""
     port: str = Field(default=SIMULATED, min_length=1, max_length=200)
-    """Serial port of this servo alone, as /dev/ttyUSB1; `simulated` is the built-in one."""
+    """Serial port of this servo only, for example /dev/ttyUSB1; `simulated`: the built-in port."""
     baud_rate: Literal[57600, 115200, 1000000, 2000000, 3000000, 4000000] = 1000000
     """Baud rate of the line in bit/s."""
     id: int = Field(default=1, ge=0, le=252)
@@ -90,11 +90,11 @@ class ServoAxisConfig(Section):
     model: Annotated[str, OneOf(tuple(m.name for m in MODELS.values() if m.turns))] = "XM430-W350"
     """Model of the servo."""
     increments: float = XM430_W350.pulses_per_turn / 360.0
-    """Pulses in one degree or mm: 11.3778 without a gear; negative where it turns the other way."""
+    """Pulses per degree or mm: 11.3778 without a gear; negative for the other direction."""
     zero_pulse: int = Field(default=0, ge=0, le=4095)
     """Present Position at 0 of the axis in pulses, 0 to 4095."""
     low: float = Field(ge=-1000.0, le=1000.0)
-    """Lower limit in mm or degrees; limits are at most a turn of the servo apart."""
+    """Lower limit in mm or degrees; low and high are at most one turn of the servo apart."""
     high: float = Field(ge=-1000.0, le=1000.0)
     """Upper limit in mm or degrees."""
     velocity: float = Field(default=90.0, gt=0.0, le=1000.0)
@@ -102,22 +102,22 @@ class ServoAxisConfig(Section):
     acceleration: float = Field(default=360.0, gt=0.0, le=10000.0)
     """Profile acceleration in mm or degrees a second squared."""
     window: float = Field(default=1.0, gt=0.0, le=10.0)
-    """How near counts as reached in mm or degrees; friction leaves a servo 0.7 degrees short."""
+    """Largest distance of a reached target in mm or degrees; friction can leave 0.7 degrees."""
     lag: float = Field(default=8.0, gt=0.0, le=100.0)
-    """How far behind its profile it is stalled, in mm or degrees."""
+    """Distance behind its profile at which the servo counts as stalled, in mm or degrees."""
     current_max_a: float = Field(default=1.0, gt=0.0, le=5.0)
-    """Current at which it is stalled in A, up to 5."""
+    """Current at which the servo counts as stalled in A, up to 5."""
     bus_loss_ms: float = Field(default=100.0, ge=50.0, le=500.0)
-    """Time without an answer after which the servo is lost in ms, 50 to 500; a servo that misses
-    its host for twice as long stops by itself."""
+    """Time without an answer after which the servo is lost in ms, 50 to 500. A servo stops by
+    itself after twice this time without its host."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         check_axis(self.moves, self.increments, self.low, self.high)
         if abs(self.increments) * (self.high - self.low) > MODELS[self.model].pulses_per_turn:
             raise ValueError(
-                f"axis {self.moves} goes from {self.low:g} to {self.high:g}, more than a turn of "
-                "its servo, which counts within one turn after a loss of power: narrow the limits"
+                f"axis {self.moves} goes from {self.low:g} to {self.high:g}, more than one turn of "
+                "its servo: narrow the limits. After a loss of power a servo counts within one turn"
             )
         return self
 
@@ -126,31 +126,33 @@ AxisConfig = Annotated[DriveAxisConfig | ServoAxisConfig, Field(discriminator="k
 
 
 class PositionerConfig(Section):
-    """Who changes position and rotation between two grasps."""
+    """Device or person that changes position and rotation between two grasps."""
 
     kind: Literal["simulated", "operator", "callback", "axes"] = "simulated"
     """simulated: the simulated cell; operator: a person at the terminal; callback: the host; axes:
-    drives of the cell's own."""
+    drives of the cell."""
     socket: str = Field(default="", max_length=200)
     """Socket of a simulated cell in another process (`positioner_socket` of `simulate`)."""
     can: AxesCanConfig = AxesCanConfig()
     """CAN bus of the drives, for axes of kind cia402."""
     axes: tuple[AxisConfig, ...] = Field(default=(), max_length=4)
-    """The axes, for kind axes: one for each part of the pose that is moved."""
+    """The axes, for kind axes: one for each moved part of the pose."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.kind == "axes") != bool(self.axes):
-            raise ValueError("positioner.axes lists axes if and only if positioner.kind is axes")
+            raise ValueError("list positioner.axes if positioner.kind is axes, and only then")
         moved = [axis.moves for axis in self.axes]
         if len(set(moved)) != len(moved):
-            raise ValueError(f"positioner.axes move {', '.join(moved)}: each part of a pose once")
+            raise ValueError(
+                f"positioner.axes move {', '.join(moved)}: list one axis for each part of a pose"
+            )
         nodes = [axis.node_id for axis in self.drives]
         if len(set(nodes)) != len(nodes):
-            raise ValueError(f"positioner.axes have the node-IDs {nodes}: give each drive its own")
+            raise ValueError(f"positioner.axes have node-IDs {nodes}: give each drive its own ID")
         ports = [port for port in self.ports[bool(self.drives) :] if port != SIMULATED]
         if len(set(ports)) != len(ports):
-            raise ValueError(f"positioner.axes use the ports {ports}: give each servo its own")
+            raise ValueError(f"positioner.axes use the ports {ports}: give each servo its own port")
         return self
 
     @property
@@ -160,12 +162,12 @@ class PositionerConfig(Section):
 
     @property
     def ports(self) -> tuple[str, ...]:
-        """Interface and ports that the axes use."""
+        """CAN interface and serial ports of the axes."""
         servos = [axis.port for axis in self.axes if isinstance(axis, ServoAxisConfig)]
         return (*([self.can.interface] if self.drives else []), *servos)
 
     def check_sequence(self, sequence: SequenceConfig) -> None:
-        """Refuse a sequence that the axes cannot follow. Raises ValueError."""
+        """Check that the axes can follow a sequence. Raises ValueError."""
         if self.kind != "axes":
             return
         limits: dict[str, Range] = {axis.moves: (axis.low, axis.high) for axis in self.axes}

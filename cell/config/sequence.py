@@ -19,7 +19,7 @@ def _check_range(name: str, value: Range, low: float, high: float) -> None:
 
 
 class LinearRampConfig(Section):
-    """Force grows evenly to its end, then is held."""
+    """Force grows linearly to its end, then is held."""
 
     kind: Literal["linear"] = "linear"
     """Shape of the force ramp."""
@@ -69,10 +69,10 @@ class ListedPoseConfig(Section):
 
 
 class SequenceConfig(Section):
-    """Which poses and forces a sequence goes through, and when it stops."""
+    """Poses and forces of a sequence, and its stop rule."""
 
     kind: Literal["random", "grid", "list"] = "random"
-    """random: drawn from the ranges; grid: evenly spread over them; list: the listed poses."""
+    """random: poses drawn from the ranges; grid: spread evenly over them; list: listed poses."""
     x_mm: Range = (-2.0, 2.0)
     """Range of the offset along the fingers in mm, within -100 to 100."""
     y_mm: Range = (-2.0, 2.0)
@@ -84,27 +84,25 @@ class SequenceConfig(Section):
     force_n: Range = (2.0, 8.0)
     """Range of the force at the end of the ramp in N, within 0.5 to 50."""
     grid_points: int = Field(default=3, ge=1, le=20)
-    """Values on each open axis of a grid, 1 to 20."""
+    """Values on each axis of a grid whose range is not one value, 1 to 20."""
     poses: tuple[ListedPoseConfig, ...] = Field(default=(), max_length=10000)
     """Poses of a list, in order."""
     ramp: Annotated[
         LinearRampConfig | StaircaseRampConfig | SCurveRampConfig, Field(discriminator="kind")
     ] = LinearRampConfig()
-    """How the force grows."""
+    """Growth of the force."""
     max_grasps: int = Field(default=4, ge=1, le=100)
     """Most grasps of one identification, 1 to 100."""
     error_rate: float = Field(default=0.02, gt=0.0, lt=0.5)
-    """Wanted rate of wrong answers at which a sequence stops early, 0 to 0.5."""
+    """Probability of a wrong answer below which a sequence stops early, 0 to 0.5."""
     decide_early: bool = True
-    """Whether a force ramp ends as soon as what was felt until then is sure enough for a name; else
-    it goes on to its force. It needs the opening (`recognition.use_aperture`) and, on real ports,
-    `loop.own_process`."""
+    """Whether a force ramp ends as soon as the answer is sure enough; else it goes on to its force.
+    Needs the opening (`recognition.use_aperture`) and, on real ports, `loop.own_process`."""
     carry_force_n: float = Field(default=4.0, ge=0.1, le=50.0)
-    """Force in N with which a part that is kept is held for the host, 0.1 to 50."""
+    """Force in N on a part that is kept for the host, 0.1 to 50."""
     regrasp: Literal["fixture", "none"] = "fixture"
-    """fixture: a part that is let go stays where it is, so that further grasps take it at other
-    poses; none: it would be gone, so that one grasp has to do, with further ramps in the same
-    grip."""
+    """fixture: a released part stays in place, so that further grasps take it at other poses; none:
+    a released part is gone, so there is one grasp, with further ramps in the same grip."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -133,7 +131,7 @@ class SequenceConfig(Section):
 
     @property
     def forces_n(self) -> Range:
-        """The smallest and the largest force that the sequence asks for in N."""
+        """Smallest and largest force of the sequence in N."""
         return self.ranges["force_n"]
 
 

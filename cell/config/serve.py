@@ -1,27 +1,28 @@
-"""Config of `tactile-cell serve`: interfaces, who may connect, the lease."""
+"""Config of `tactile-cell serve`: interfaces, allowed clients, the lease."""
 
 import re
 from contextlib import suppress
 from ipaddress import ip_address, ip_network
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import Section
+from cell.config.section import Section, SectionOf
 from cell.config.simulator import checked_label
+from cell.plugins import INTERFACES
 
 
 def _address(text: str) -> str:
-    """Return an IP address or network as it is usually written."""
+    """Return an IP address or network in its usual form."""
     return str(ip_network(text, strict=False) if "/" in text else ip_address(text))
 
 
 def _host(text: str) -> str:
-    """Return a name or address, without port, as it is compared with the header ``Host``."""
+    """Return a name or address, without port, for comparison with the header ``Host``."""
     with suppress(ValueError):
         return str(ip_address(text))
     if not re.fullmatch(r"\w([\w.-]{0,251}\w)?", text, re.ASCII):
-        raise ValueError(f"{text!r} is no host name or address; write it without port, as cell.lan")
+        raise ValueError(f"{text!r} is not a host name or address; write, for example, cell.lan")
     return text.lower()
 
 
@@ -29,45 +30,73 @@ Port = Annotated[int, Field(ge=0, le=65535)]
 """TCP port; 0: any free one."""
 
 
+class InterfaceConfig(Section):
+    """Base of the sections of interfaces; each kind is a plugin."""
+
+    kind: str
+    """Interface."""
+
+    def open(self, service: Any) -> Any:
+        """Return the open interface of a `cell.service.service.Service`.
+
+        It has ``port`` and ``close``.
+        """
+        raise NotImplementedError
+
+
+ForeignInterface = Annotated[InterfaceConfig, SectionOf(INTERFACES, built_in=False)]
+
+
 class ServeConfig(Section):
-    """Interfaces of `tactile-cell serve`; Modbus and XML-RPC authenticate nobody."""
+    """Interfaces of `tactile-cell serve`; Modbus and XML-RPC have no user authentication."""
 
     listen: Annotated[str, AfterValidator(_address)] = "127.0.0.1"
-    """Address that clients reach; another one than 127.0.0.1 needs `allow`."""
+    """Address for clients; any other address than 127.0.0.1 needs `allow`."""
     allow: tuple[Annotated[str, AfterValidator(_address)], ...] = Field(default=(), max_length=100)
-    """Hosts or networks that may connect, as 192.168.1.10 or 192.168.1.0/24; this one always."""
+    """Hosts or networks that may connect, for example 192.168.1.10 or 192.168.1.0/24; this machine
+    always may."""
     hosts: tuple[Annotated[str, AfterValidator(_host)], ...] = Field(default=(), max_length=100)
-    """Names and addresses, without port, by which clients reach this machine over HTTP or XML-RPC,
-    beside localhost, its host name and the address that they reach it at; others are refused."""
+    """Further names and addresses of this machine, without port, in requests over HTTP or XML-RPC.
+    localhost, its host name and its own address are always allowed; others are refused."""
     request_timeout_s: float = Field(default=5.0, ge=0.1, le=60.0)
-    """Longest time in s from the first to the last byte of a request, 0.1 to 60; later the
+    """Longest time in s from the first to the last byte of a request, 0.1 to 60; then the
     connection is closed."""
     modbus_port: Port | None = 5020
-    """Port of Modbus TCP, for PLCs; 0: any free one; none: closed. 502 needs the right to it."""
+    """Port of Modbus TCP, for PLCs; 0: any free port; none: closed. Port 502 needs extra rights."""
     xmlrpc_port: Port | None = 5021
-    """Port of XML-RPC, for robot programs; 0: any free one; none: closed."""
+    """Port of XML-RPC, for robot programs; 0: any free port; none: closed."""
     http_port: Port | None = None
-    """Port of HTTP and WebSocket (extra `serve`); 0: any free one; none: closed."""
+    """Port of HTTP and WebSocket (extra `serve`); 0: any free port; none: closed."""
     opcua_port: Port | None = None
-    """Port of OPC UA (extra `opcua`), 4840 by custom; 0: any free one; none: closed."""
+    """Port of OPC UA (extra `opcua`), usually 4840; 0: any free port; none: closed."""
     opcua_folder: str = Field(default="", max_length=500)
     """Certificates of OPC UA: certificate.der and key.pem of the cell, made at the first start, and
-    in trusted/ those of the clients that may command; empty: read-only."""
+    in trusted/ the certificates of clients that may command; empty: read-only."""
+    interfaces: tuple[Annotated[InterfaceConfig, SectionOf(INTERFACES, built_in=False)], ...] = (
+        Field(default=(), max_length=20)
+    )
+    """Interfaces of other packages, each with its `kind` and the keys of that package."""
     lease_timeout_s: float = Field(default=2.0, ge=0.2, le=60.0)
-    """Longest silence of the client in command in s, 0.2 to 60; then a job that runs is held."""
+    """Longest silence of the client in command in s, 0.2 to 60; then a running job is held."""
     objects: tuple[Annotated[str, AfterValidator(checked_label)], ...] = Field(
         default=(), max_length=1000
     )
     """Labels in the order of their ids from 1, for hosts that use numbers; other labels follow."""
     token_file: str = Field(default="", max_length=500)
-    """File with the token of HTTP clients; empty: a new one at each start, which is printed."""
+    """File with the token of HTTP clients; empty: each start prints a new token."""
     secret_file: str = Field(default="", max_length=500)
-    """File with the secret, 16 to 64 ASCII characters, without which no client of Modbus or XML-RPC
-    commands; empty: none is asked for."""
+    """File with the secret, 16 to 64 ASCII characters; clients of Modbus and XML-RPC need it to
+    command. Empty: no secret is needed."""
     tls_certificate: str = Field(default="", max_length=500)
     """Certificate file (PEM) of HTTP; empty: no TLS."""
     tls_key: str = Field(default="", max_length=500)
     """Key file (PEM) of the certificate."""
+
+    @property
+    def sections(self) -> tuple[InterfaceConfig, ...]:
+        """All interfaces that are to be opened; those that are built in have a key for the port."""
+        ports = [name for name in INTERFACES if getattr(self, f"{name}_port", None) is not None]
+        return (*(INTERFACES[name](kind=name) for name in ports), *self.interfaces)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -77,7 +106,10 @@ class ServeConfig(Section):
                 "connect"
             )
         if bool(self.tls_certificate) != bool(self.tls_key):
-            raise ValueError("serve.tls_certificate and serve.tls_key need each other")
+            raise ValueError("set both serve.tls_certificate and serve.tls_key, or neither")
+        for kind in (one.kind for one in self.interfaces):
+            if INTERFACES.built_in(kind):
+                raise ValueError(f"serve.interfaces: {kind} is built in, set serve.{kind}_port")
         if len(set(self.objects)) != len(self.objects):
-            raise ValueError("serve.objects names a label twice: each has one id")
+            raise ValueError("serve.objects has a label twice; remove one: each label has one id")
         return self

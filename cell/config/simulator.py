@@ -8,23 +8,23 @@ from cell.config.section import Section
 from recognition.recognizer import UNKNOWN
 
 LONGEST_LABEL = 200
-"""Characters of a label that a data set holds."""
+"""Most characters of a label in a data set."""
 
 
 def checked_label(label: str) -> str:
-    """Return a label that data sets, models and answers can carry.
+    """Return a label that is valid in data sets, models and answers.
 
     Raises ValueError if it is blank, too long, not printable, has space around it, or is the word
-    for what is not known.
+    for unknown objects.
     """
     if not label.strip() or label != label.strip():
         raise ValueError(f"label {label!r:.60} is blank or has space around it; write a name")
     if len(label) > LONGEST_LABEL:
-        raise ValueError(f"a label of {len(label)} characters; at most {LONGEST_LABEL} are kept")
+        raise ValueError(f"the label has {len(label)} characters; at most {LONGEST_LABEL} fit")
     if not label.isprintable():
-        raise ValueError(f"label {label!a:.60} holds characters that cannot be printed")
+        raise ValueError(f"label {label!a:.60} has characters that cannot be printed; remove them")
     if label == UNKNOWN:
-        raise ValueError(f"{UNKNOWN} is the answer for what was not taught; choose another label")
+        raise ValueError(f"{UNKNOWN} is the answer for unknown objects; choose another label")
     return label
 
 
@@ -34,39 +34,39 @@ class SimulatedObjectConfig(Section):
     label: Annotated[str, AfterValidator(checked_label)] = Field(min_length=1, max_length=60)
     """Name of the object."""
     shape: str = Field(min_length=1, max_length=500)
-    """Shape as text, as `cylinder:diameter=6mm,length=20mm` or `mesh:file=part.stl`."""
+    """Shape, for example `cylinder:diameter=6mm,length=20mm` or `mesh:file=part.stl`."""
 
 
 Share = Annotated[float, Field(ge=0.1, le=10.0)]
 
 
 class SimulatedPadsConfig(Section):
-    """How the two gripping pads of the simulated cell stand to each other, and how they differ."""
+    """Position of the two gripping pads of the simulated cell, and their differences."""
 
     shift_mm: tuple[
         Annotated[float, Field(ge=-5.0, le=5.0)], Annotated[float, Field(ge=-5.0, le=5.0)]
     ] = (0.0, 0.0)
-    """How far finger 1's pad lies beside finger 0's, along the fingers and across, in mm, -5 to 5.
-    """
+    """Offset of finger 1's pad from finger 0's, along and across the fingers, in mm, -5 to 5."""
     tilt_deg: tuple[
         Annotated[float, Field(ge=-10.0, le=10.0)], Annotated[float, Field(ge=-10.0, le=10.0)]
     ] = (0.0, 0.0)
-    """How far the gap between them closes along the fingers and across, in degrees, -10 to 10."""
+    """Angle between the pads along and across the fingers, positive where the gap closes, in
+    degrees, -10 to 10."""
     gains: tuple[Share, Share] = (1.0, 1.0)
-    """Factors on the force that the taxels of finger 0 and finger 1 feel, 0.1 to 10."""
+    """Factors on the measured force of the taxels of finger 0 and finger 1, 0.1 to 10."""
     stiffness: tuple[Share, Share] = (1.0, 1.0)
     """Factors on the stiffness of the foam of finger 0 and finger 1, 0.1 to 10."""
 
 
 class SimulatedServosConfig(Section):
-    """How the servos of the simulated gripper differ from the figures of their model."""
+    """Differences of the simulated servos from the data of their model."""
 
     gearing: Literal[
         "ideal", "xm430_assumed", "xl330", "xl330_2", "mx64", "mx106", "rh_p12_assumed"
     ] = "ideal"
-    """Friction law and backlash: Coulomb friction alone, what is assumed of an XM430 or an
-    RH-P12-RN(A), or what was identified on real servos (two data sets of an XL330-M288); scaled to
-    the model's torque."""
+    """Friction law and backlash: Coulomb friction only, assumptions for an XM430 or RH-P12-RN(A),
+    or laws identified on real servos (two data sets of an XL330-M288); scaled to the model's
+    torque."""
     friction: tuple[Share, Share] = (1.06, 1.03)
     """Factors on the friction without load of the servo of finger 0 and finger 1, 0.1 to 10."""
     kt: tuple[Share, Share] = (0.97, 0.98)
@@ -74,11 +74,11 @@ class SimulatedServosConfig(Section):
     start_c: float = Field(default=25.0, ge=10.0, le=25.0)
     """Their temperature at the start, 10 to 25; below 25 they have more friction and warm up."""
     wear_per_turn: float = Field(default=0.0, ge=0.0, le=1.0)
-    """Share by which friction without load grows with each turn of the output, 0 to 1."""
+    """Growth of the friction without load in each turn of the output, as a share, 0 to 1."""
 
 
 class SimulatorConfig(Section):
-    """The simulated cell; read only where a port is `simulated`, or by `simulate`."""
+    """The simulated cell; used only with a `simulated` port, or by `simulate`."""
 
     objects: tuple[SimulatedObjectConfig, ...] = Field(
         default=(
@@ -91,19 +91,19 @@ class SimulatorConfig(Section):
         min_length=1,
         max_length=1000,
     )
-    """Objects that can be grasped; the default are the five of the paper."""
+    """Objects for grasps; default: the five objects of the paper."""
     noise: Literal["clipped_normal", "symmetric", "uniform", "none"] = "clipped_normal"
-    """Noise of each taxel and frame; the paper's is a normal value clipped to 1 to 20 of 255."""
+    """Noise of each taxel and frame; in the paper a normal value clipped to 1 to 20 of 255."""
     noise_level: float = Field(default=1.0, ge=0.0, le=2.5)
-    """Factor on the noise, 0 to 2.5; 1 is the paper's."""
+    """Factor on the noise, 0 to 2.5; 1: as in the paper."""
     pads: SimulatedPadsConfig = SimulatedPadsConfig()
-    """How the pads differ and stand; the fault `servo1.horn=20` moves the zero of the opening."""
+    """Position and differences of the pads; the fault `servo1.horn=20` moves the opening's zero."""
     servos: SimulatedServosConfig = SimulatedServosConfig()
-    """How the servos differ from their model: some per cent, as real ones do."""
+    """Differences of the servos from their model: some per cent, as with real servos."""
     faults: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
         default=(), max_length=100
     )
-    """Faults to inject, as `can.loss=0.05@2s`; `tactile-cell simulate --list-faults` lists all."""
+    """Faults, for example `can.loss=0.05@2s`; `tactile-cell simulate --list-faults` lists all."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -1,4 +1,4 @@
-"""Config of sorting: the places that named parts are brought to."""
+"""Config of sorting: the places of named parts."""
 
 from typing import Annotated, Self
 
@@ -9,7 +9,7 @@ from cell.config.simulator import checked_label
 
 
 class PlacePoseConfig(Section):
-    """Where a place is, for a positioner with axes of its own."""
+    """Pose of a place, for a positioner with its own axes."""
 
     x_mm: float = Field(default=0.0, ge=-10000.0, le=10000.0)
     """Position along the fingers in mm, -10000 to 10000."""
@@ -29,18 +29,18 @@ class PlaceConfig(Section):
     place: str = Field(min_length=1, max_length=60)
     """Name of its place; several parts may share one."""
     pose: PlacePoseConfig | None = None
-    """Where that is; none: the host or a person finds it by its name."""
+    """Pose of the place; none: the host or a person finds it by its name."""
 
 
 class SortConfig(Section):
-    """Where a sort brings the parts that it names."""
+    """Places to which a sort brings the named parts."""
 
     places: tuple[PlaceConfig, ...] = Field(default=(), max_length=1000)
-    """Places of the taught parts; without any each part has one of its own name."""
+    """Places of the taught parts; empty: each part has a place with its own name."""
     reject: str = Field(default="reject", min_length=1, max_length=60)
-    """Name of the place for parts that were never taught, or are not what they were any more."""
+    """Name of the place for unknown parts, and for parts that changed on the way."""
     reject_pose: PlacePoseConfig | None = None
-    """Where that is."""
+    """Pose of that place; none: the host or a person finds it by its name."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

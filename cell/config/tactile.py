@@ -1,34 +1,38 @@
-"""Config of the tactile sensor: pads, calibration, what reads them, and its lines."""
+"""Config of the tactile sensor: pads, calibration, control unit or boards, and their lines."""
 
-from dataclasses import asdict
-from math import ceil
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
+from cell.config.section import (
+    MILLI,
+    SIMULATED,
+    Installed,
+    OneOf,
+    Section,
+    SectionOf,
+    declared_values,
+    setting_of,
+)
+from cell.config.sensor import SensorConfig
 from cell.errors import ConfigError
+from cell.plugins import PAD_LAYOUTS, SENSORS
 from recognition.grasp import PadArray
 from tactile.errors import CalibrationError, LayoutError
-from tactile.flexitac.source import check_layout
-from tactile.flexitac.stream import PERIOD_S, PROFILES
-from tactile.frames.codec import FrameFormat
-from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
+from tactile.layout import Face, Pad, PadMount, TaxelLayout, taxel_order
 from tactile.sensor.calibration import (
     Calibration,
     FoamCalibration,
     LinearCalibration,
     TableCalibration,
 )
-from tactile.unit.bus_load import bus_load, least_sync_period_s
-from tactile.unit.settings import WINDOW_SHARE, ExpectedIdentity, LinkSettings
-from tactile.uskin import messages
+from tactile.unit.settings import ExpectedIdentity, LinkSettings
 
 FASTEST_BITRATE = 1_000_000
 """Largest bit rate of a CAN bus in bit/s."""
 LONGEST_SYNC_MS = 50.0
-"""Longest time between two frames in ms that a grip can be controlled with."""
+"""Longest time in ms between two frames for control of a grip."""
 
 
 class PadConfig(Section):
@@ -49,18 +53,18 @@ class PadConfig(Section):
 
 
 class PadsConfig(Section):
-    """A layout of one's own."""
+    """A custom layout."""
 
     name: str = Field(min_length=1, max_length=40)
     """Name of the layout."""
     pads: tuple[PadConfig, ...] = Field(min_length=2, max_length=32)
-    """Pads in the order in which the control unit sends them."""
+    """Pads in the order of the control unit's samples."""
     adc_max: int = Field(ge=1, le=65535)
-    """Full scale of the counts, 1 to 65535; above 255 samples are sent as 16 bit."""
+    """Full scale of the counts, 1 to 65535; above 255 samples have 16 bits."""
 
 
 class PaperCalibrationConfig(Section):
-    """Resistive foam after equation (11): R = 1.579 exp(-0.449 F) MOhm."""
+    """Resistive foam by equation (11) of the paper: R = 1.579 exp(-0.449 F) MOhm."""
 
     kind: Literal["paper"] = "paper"
     """Law from counts to force."""
@@ -78,7 +82,7 @@ class LinearCalibrationConfig(Section):
 
 
 class TableCalibrationConfig(Section):
-    """Force at some counts, straight lines between them; `commission` fills it from weights."""
+    """Force at some counts, linear between them; `commission` measures it with weights."""
 
     kind: Literal["table"]
     """Law from counts to force."""
@@ -90,7 +94,10 @@ class TableCalibrationConfig(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if len(self.counts) != len(self.force_n):
-            raise ValueError(f"{len(self.counts)} counts and {len(self.force_n)} values of force_n")
+            raise ValueError(
+                f"there are {len(self.counts)} counts and {len(self.force_n)} values of force_n; "
+                "write as many of each"
+            )
         try:
             TableCalibration(self.counts, self.force_n, 1)
         except CalibrationError as error:
@@ -99,12 +106,12 @@ class TableCalibrationConfig(Section):
 
 
 class PadMountConfig(Section):
-    """A pad that sits otherwise than the layout has it."""
+    """A pad that is mounted differently from the layout."""
 
     pad: int = Field(ge=0, le=31)
     """Number of the pad in the layout, from 0."""
     sent_as: int = Field(ge=0, le=31)
-    """Number of the pad in whose place the control unit sends its samples."""
+    """Position of its samples in the control unit's order, as a number of a pad."""
     rows_mirrored: bool = False
     """Whether the unit sends the last row first."""
     columns_mirrored: bool = False
@@ -112,115 +119,62 @@ class PadMountConfig(Section):
     turned by 180 degrees."""
 
 
-class ControlUnitConfig(Section):
-    """A CANopen control unit, which the keys beside `sensor` describe."""
-
-    kind: Literal["control_unit"] = "control_unit"
-    """What reads the pads."""
-
-
-class FlexiTacConfig(Section):
-    """Two FlexiTac boards, one on each finger.
-
-    Of the keys beside `sensor` those of CAN, SYNC, heartbeat, force messages and serial numbers are
-    not for them.
-    """
-
-    kind: Literal["flexitac"]
-    """What reads the pads."""
-    ports: tuple[str, str] = (SIMULATED, SIMULATED)
-    """Serial ports of the boards on finger 0 and 1, best below /dev/serial/by-id."""
-    profile: Annotated[str, OneOf(tuple(PROFILES))] = "12x32"
-    """Rows and columns that the boards send."""
-    rows_along: bool = False
-    """Whether a board's rows follow each other along the finger; else across it, so that the long
-    side of 12x32 lies along the finger."""
-
-
-Identifier = Annotated[int, Field(ge=0, le=0x7FF)]
-
-
-class UskinBoardConfig(Section):
-    """CAN identifiers of one uSkin board, which differ between generations."""
-
-    start: Identifier
-    """Identifier of the message 07 00 that starts the board."""
-    taxels: tuple[Identifier, ...] = Field(min_length=1, max_length=64)
-    """Identifier of each taxel, row by row along the finger."""
-
-
-class UskinConfig(Section):
-    """Two uSkin boards on the bus of `interface`, `channel` and `bitrate`, without CANopen nodes.
-
-    Of the three axes z is used. The keys for SYNC, heartbeat, force messages and serial numbers are
-    not for them.
-    """
-
-    kind: Literal["uskin"]
-    """What reads the pads."""
-    boards: tuple[UskinBoardConfig, UskinBoardConfig] = (
-        UskinBoardConfig(**asdict(messages.xr1944(1))),
-        UskinBoardConfig(**asdict(messages.xr1944(2))),
-    )
-    """The boards on finger 0 and finger 1; the default are an XR1944 at address 1 and one at 2."""
-    falling: bool = False
-    """Whether z falls under a force."""
-    zero_frames: int = Field(default=20, ge=8, le=500)
-    """Frames of the zero that is taken before each approach, because z drifts, 8 to 500."""
-
-
 def _name_or_pads(value: object) -> str:
-    """Return which kind of layout a value means: a name, or pads of one's own."""
+    """Return the kind of a layout: ``name``, or ``pads`` for a custom layout."""
     return "name" if isinstance(value, str) else "pads"
 
 
 BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
 
 
+def _control_unit() -> SensorConfig:
+    """Return the default sensor, loaded only where it is used."""
+    unit: SensorConfig = SENSORS["control_unit"]()
+    return unit
+
+
 class TactileConfig(Section):
     """The tactile sensor: the control unit and its CAN bus, or other boards."""
 
-    sensor: Annotated[
-        ControlUnitConfig | FlexiTacConfig | UskinConfig, Field(discriminator="kind")
-    ] = ControlUnitConfig()
-    """What reads the pads: the control unit, or boards on lines of their own."""
+    sensor: Annotated[SensorConfig, SectionOf(SENSORS)] = Field(default_factory=_control_unit)
+    """Sensor that reads the pads: the control unit, or boards with their own lines."""
     interface: str = Field(default=SIMULATED, min_length=1)
-    """python-can interface (socketcan, slcan, pcan, ...); `simulated` is the built-in one."""
+    """python-can interface (socketcan, slcan, pcan, ...); `simulated`: the built-in interface."""
     channel: str = Field(default="", max_length=200)
-    """Channel of the interface, as can0 or /dev/ttyACM0; empty for `simulated`."""
+    """Channel of the interface, for example can0 or /dev/ttyACM0; empty for `simulated`."""
     bitrate: Literal[125000, 250000, 500000, 800000, 1000000] = 1000000
     """Bit rate of the CAN bus in bit/s."""
     node_id: int = Field(default=5, ge=1, le=127)
     """CANopen node id of the control unit, 1 to 127."""
     serial_number: int | None = Field(default=None, ge=0, le=4294967295)
-    """Serial number (object 1018h:4) that the unit must have; none: any."""
+    """Required serial number of the unit (object 1018h:4); none: any."""
     layout: Annotated[
-        Annotated[str, OneOf(tuple(LAYOUTS)), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
+        Annotated[str, Installed(PAD_LAYOUTS), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
         Discriminator(_name_or_pads),
     ] = "paper"
     """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; flexitac_12x32 and so on:
-    two pads of 2 mm pitch, rows along the finger; or pads of one's own."""
+    two pads of 2 mm pitch, rows along the finger; or custom pads."""
     mounting: tuple[PadMountConfig, ...] = Field(default=(), max_length=32)
-    """Pads that sit otherwise than the layout has them: exchanged, turned or mirrored."""
+    """Pads that are mounted differently from the layout: exchanged, turned or mirrored."""
     calibration: Annotated[
         PaperCalibrationConfig | LinearCalibrationConfig | TableCalibrationConfig,
         Field(discriminator="kind"),
     ] = PaperCalibrationConfig()
-    """From counts to force."""
+    """Law from counts to force."""
     pad_gains: tuple[
         Annotated[float, Field(ge=0.2, le=5.0)], Annotated[float, Field(ge=0.2, le=5.0)]
     ] = (1.0, 1.0)
-    """Factors on the force of the pads of finger 0 and 1 under that law, 0.2 to 5."""
+    """Factors on the force of that law for the pads of finger 0 and 1, 0.2 to 5."""
     sync_period_ms: float = setting_of(
         LinkSettings, "sync_period_s", MILLI, at_least=8.0, at_most=LONGEST_SYNC_MS
     )
     """Time between two tactile frames in ms, 8 to 50."""
     force_period_ms: int = setting_of(LinkSettings, "force_period_s", MILLI, number=int)
-    """Time between two force messages in ms, 0 to 50: one period of the force loop, or less for a
-    softer first touch and a bus load that grows; 0: none, the force comes from the frames."""
+    """Time between two force messages in ms, 0 to 50: one period of the force loop; less gives a
+    softer first touch, but more bus load. 0: no messages, the force comes from the frames."""
     silence_ms: float = setting_of(LinkSettings, "silence_s", MILLI, at_most=1000.0)
-    """Silence of force messages or frames in ms after which the grip is held, 20 to 1000; below two
-    periods of SYNC (force messages) or three (frames) it counts as these."""
+    """Silence of force messages or frames in ms after which the grip is held, 20 to 1000; at least
+    two periods of SYNC (force messages) or three (frames) are used."""
     heartbeat_ms: int = setting_of(
         LinkSettings, "heartbeat_s", MILLI, at_least=10, at_most=1000, number=int
     )
@@ -233,64 +187,71 @@ class TactileConfig(Section):
     tare_frames: int = Field(default=100, ge=8, le=500)
     """Frames averaged for the zero of each taxel, 8 to 500; nothing may touch the pads."""
     board_serial_numbers: tuple[BoardSerial, BoardSerial] | None = None
-    """Serial numbers (object 2103h) of the pads' boards on finger 0 and 1; none: any. With them
-    pads that were exchanged are refused at the start."""
+    """Serial numbers (object 2103h) of the pads' boards on finger 0 and 1; none: any. With numbers
+    a start refuses exchanged pads."""
     loss_max_share: float = setting_of(LinkSettings, "max_loss_rate", at_most=0.5)
     """Share of the last 50 frames that may be lost before the grip is held, 0 to 0.5."""
     foreign_max_hz: float = setting_of(LinkSettings, "max_foreign_hz")
-    """Messages of other nodes that may come every second; more are taken for a flood."""
+    """Allowed messages of other nodes per second; more count as a flood."""
     bad_taxels_max_share: float = Field(default=0.05, ge=0.0, le=0.5)
-    """Share of a pad's taxels that may be dead or stuck; they are masked, 0 to 0.5."""
+    """Allowed share of dead or stuck taxels of a pad, 0 to 0.5; these taxels are masked."""
     drift_max_share: float = Field(default=0.01, gt=0.0, le=0.2)
-    """Share of the full scale by which a pad's zero may drift before a new one is needed."""
+    """Allowed drift of a pad's zero as a share of the full scale, up to 0.2; beyond it a new zero
+    is needed."""
 
     @property
     def simulated(self) -> bool:
-        """Whether the pads of the simulated cell are meant."""
-        return SIMULATED in (self.serial_ports or (self.interface,))
+        """Whether the pads are those of the simulated cell."""
+        lines = self.serial_ports or ((self.interface,) if self.sensor.on_can else ())
+        return SIMULATED in lines
 
     @property
     def serial_ports(self) -> tuple[str, ...]:
-        """Serial ports of the sensor's boards; none for one on CAN."""
-        return self.sensor.ports if isinstance(self.sensor, FlexiTacConfig) else ()
+        """Serial ports of the sensor; empty for a sensor on CAN."""
+        return self.sensor.serial_ports
 
     @property
     def place(self) -> str:
         """Ports, or interface and channel, for messages."""
-        return ", ".join(self.serial_ports) or f"{self.interface} {self.channel}".strip()
+        if not self.sensor.on_can:
+            return ", ".join(self.serial_ports) or self.sensor.kind
+        return f"{self.interface} {self.channel}".strip()
 
     @property
     def frame_period_s(self) -> float:
-        """Time between two frames in s: of SYNC, or the usual one of boards that run freely."""
-        if isinstance(self.sensor, ControlUnitConfig):
-            return MILLI * self.sync_period_ms
-        return messages.PERIOD_S if isinstance(self.sensor, UskinConfig) else PERIOD_S
-
-    @property
-    def zero_frames(self) -> int:
-        """Frames of a zero before each approach; 0: the zero of the start is kept."""
-        return self.sensor.zero_frames if isinstance(self.sensor, UskinConfig) else 0
+        """Time between two frames in s."""
+        return self.sensor.frame_period_s(self)
 
     @property
     def sends_forces(self) -> bool:
-        """Whether force messages are asked for; else the force comes from the frames."""
-        return isinstance(self.sensor, ControlUnitConfig) and self.force_period_ms > 0
+        """Whether force messages are used; else the force comes from the frames."""
+        return self.sensor.sends_forces(self)
+
+    @property
+    def source_options(self) -> dict[str, Any]:
+        """Arguments of most frame sources: layout, mounts and limits, in SI."""
+        return {
+            "layout": layout_from_config(self),
+            "mounts": pad_mounts(self),
+            "silence_s": MILLI * self.silence_ms,
+            "max_loss_rate": self.loss_max_share,
+            "startup_timeout_s": self.startup_timeout_s,
+        }
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.serial_ports:
-            first, second = self.serial_ports
-            if (first == second) != (SIMULATED in (first, second)):
-                raise ValueError(
-                    f"sensor.ports are {first!r} and {second!r}: name two different ports, or "
-                    f"{SIMULATED!r} twice"
-                )
+        ports = self.serial_ports
+        if len({*ports}) < len(ports) if SIMULATED not in ports else {*ports} != {SIMULATED}:
+            raise ValueError(
+                f"sensor.ports are {' and '.join(map(repr, ports))}: name different ports, or "
+                f"{SIMULATED!r} for each"
+            )
         least_s = 2.0 * MILLI * self.heartbeat_ms
         if self.startup_timeout_s < least_s:
             raise ValueError(
-                f"startup_timeout_s is {self.startup_timeout_s:g}, with heartbeat_ms "
-                f"{self.heartbeat_ms} the start of the control unit takes {least_s:g} s: raise the "
-                f"one or lower the other"
+                f"startup_timeout_s is {self.startup_timeout_s:g}, but with heartbeat_ms "
+                f"{self.heartbeat_ms} the start of the control unit takes {least_s:g} s: raise "
+                f"startup_timeout_s or lower heartbeat_ms"
             )
         if self.mounting:
             try:
@@ -301,7 +262,7 @@ class TactileConfig(Section):
 
 
 def pad_mounts(config: TactileConfig) -> tuple[PadMount, ...]:
-    """Return the pads that sit otherwise than the layout has them."""
+    """Return the pads that are mounted differently from the layout."""
     return tuple(PadMount(**mount.model_dump()) for mount in config.mounting)
 
 
@@ -315,12 +276,13 @@ def link_settings(config: TactileConfig) -> LinkSettings:
 
 
 def layout_from_config(config: TactileConfig) -> TaxelLayout:
-    """Return the layout that a config names or spells out.
+    """Return the layout of a config, named or custom.
 
-    Raises ConfigError if pads of one's own do not make a layout (one inner pad for each finger).
+    Raises ConfigError if custom pads are no valid layout (one inner pad for each finger).
     """
     if isinstance(config.layout, str):
-        return LAYOUTS[config.layout]()
+        layout: TaxelLayout = PAD_LAYOUTS[config.layout]()
+        return layout
     spelled = config.layout
     try:
         return TaxelLayout(
@@ -345,7 +307,7 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
 
 
 def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
-    """Return the law from counts to force of a config on a layout."""
+    """Return the law from counts to force of a config for a layout."""
     law, gains = config.calibration, np.array(config.pad_gains)
     gain: np.ndarray[Any, Any] | float = 1.0
     if config.pad_gains != (1.0, 1.0):
@@ -357,54 +319,23 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
     return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n * gain)
 
 
-def board_ids(config: UskinConfig) -> list[messages.BoardIds]:
-    """Return the identifiers of both uSkin boards."""
-    return [messages.BoardIds(start=one.start, taxels=one.taxels) for one in config.boards]
-
-
 def check_sensor(tactile: TactileConfig, layout: TaxelLayout) -> None:
-    """Raise ValueError for a layout that the sensor cannot read, or its lines cannot carry."""
-    sensor = tactile.sensor
+    """Raise ValueError if the sensor cannot read a layout, or its lines are too slow for it."""
     try:
-        if isinstance(sensor, FlexiTacConfig):
-            check_layout(layout, PROFILES[sensor.profile], rows_along=sensor.rows_along)
-        elif isinstance(sensor, UskinConfig):
-            messages.check_layout(layout, board_ids(sensor))
+        tactile.sensor.check(tactile, layout)
     except LayoutError as error:
         raise ValueError(f"tactile: {error}") from error
-    if not isinstance(sensor, ControlUnitConfig):
-        return
-    link = link_settings(tactile)
-    least_ms = {
-        rate: 1e3 * least_sync_period_s(layout, link, rate)
-        for rate in (tactile.bitrate, FASTEST_BITRATE)
-    }
-    if least_ms[tactile.bitrate] <= tactile.sync_period_ms:
-        return
-    ways = [
-        f"tactile.bitrate {rate} with tactile.sync_period_ms {ceil(period_ms)} or more"
-        for rate, period_ms in least_ms.items()
-        if period_ms <= LONGEST_SYNC_MS
-    ]
-    raise ValueError(
-        f"tactile: at tactile.bitrate = {tactile.bitrate} the control unit loads the bus by up "
-        f"to {bus_load(layout, link, tactile.bitrate):.0%}: "
-        f"{FrameFormat.of(layout).n_messages} messages a frame, which must be through in "
-        f"{WINDOW_SHARE:.0%} of tactile.sync_period_ms = {tactile.sync_period_ms:g}, beside "
-        f"force messages every tactile.force_period_ms = {tactile.force_period_ms}. Write "
-        f"{', or '.join(ways) or 'a layout of fewer taxels'}"
-    )
 
 
 def layout_from_pads(pads: PadArray) -> TaxelLayout:
-    """Return a layout that carries recorded frames of these pads.
+    """Return a layout for recorded frames of these pads.
 
-    Half of the pads are taken for each finger, in order; the first of each half grips. Raises
-    ConfigError if there are not two equal halves.
+    The first half of the pads is finger 0, the second half finger 1; the first pad of each half
+    grips. Raises ConfigError if there are not two equal halves.
     """
     if pads.n_pads < 2 or pads.n_pads % 2:
         raise ConfigError(
-            f"the recorded grasps have {pads.n_pads} pads; two fingers need an even number"
+            f"the recorded grasps have {pads.n_pads} pads; two fingers need an even number of pads"
         )
     half = pads.n_pads // 2
     faces = get_args(Face)
@@ -432,7 +363,7 @@ def layout_from_pads(pads: PadArray) -> TaxelLayout:
 
 
 def _pitch_m(coordinates_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    """Return the mean distance of neighbours in m; 1 mm where there is but one taxel."""
+    """Return the mean distance of neighbours in m; 1 mm for a single taxel."""
     if len(coordinates_m) < 2:
         return 1e-3
     return max(float(np.abs(np.diff(coordinates_m)).mean()), 1e-4)

@@ -1,6 +1,6 @@
-"""One cell at work: states, grasps, sequences, and what is decided and recorded on the way.
+"""One cell at work: its states, grasps, sequences, decisions and records.
 
-For jobs and interfaces: `controller.CellController` (what may be commanded), `states` (the one
-table of states), `plan` (poses and steps of a sequence), `identification` (grasp until sure),
-`positioner` (what brings the object or the gripper to a pose).
+For jobs and interfaces: `controller.CellController` (the commands), `states` (the one table of
+states), `plan` (poses and steps of a sequence), `identification` (grasp until sure),
+`positioner` (moves the object or the gripper to a pose).
 """

@@ -1,4 +1,4 @@
-"""The positioner with axes of its own: made from the config, moved between two grasps."""
+"""The positioner that drives its own axes: made from the config, moved between two grasps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -35,18 +35,18 @@ _FINGERS_HOLD = (GripperPhase.HOLDING,)
 """Phases in which a part is held and no finger moves."""
 
 Bring = Callable[[str | None, Callable[[], None]], None]
-"""Has somebody bring an object: its label or None, and the supervision of the wait."""
+"""Asks for an object: its label or None, and the function that supervises the wait."""
 
 
 def si_per_unit(moves: str) -> float:
-    """Return how many m or rad one mm or degree of an axis is."""
+    """Return one mm or degree of an axis in m or rad."""
     return 1e-3 if moves in ("x", "y") else radians(1.0)
 
 
 def drive_axes(
     configs: Sequence[DriveAxisConfig], bus: CanBus, watch: Watch, *, loss_s: float
 ) -> list[Axis]:
-    """Return the axes with drives on one CAN bus; one is lost after ``loss_s`` s of silence.
+    """Return the axes with drives on one CAN bus; ``loss_s`` s of silence are a lost drive.
 
     Nothing moves. ``watch`` supervises the cell while an axis moves.
     """
@@ -99,14 +99,14 @@ def _limits(config: DriveAxisConfig | ServoAxisConfig) -> tuple[int, int]:
 
 
 def _count(config: DriveAxisConfig | ServoAxisConfig, value: float) -> int:
-    """Return a way, speed or acceleration in increments, at least 1."""
+    """Return a distance, speed or acceleration in increments, at least 1."""
     return max(1, abs(round(value * config.increments)))
 
 
 def _drive_settings(config: DriveAxisConfig) -> DriveSettings:
     homing = _HOMING[config.homing]
     if config.increments < 0 and homing is not None and homing is not HomingMethod.HERE:
-        # The switch at the lower end of the axis is the positive one of a drive that is turned.
+        # An inverted drive has its positive switch at the lower end of the axis.
         homing = HomingMethod(HomingMethod.NEGATIVE_SWITCH + HomingMethod.POSITIVE_SWITCH - homing)
     low, high = _limits(config)
     return DriveSettings(
@@ -142,13 +142,13 @@ def _servo_settings(config: ServoAxisConfig) -> ServoAxisSettings:
 
 @dataclass(kw_only=True)
 class AxesPositioner:
-    """Moves the object with axes of the cell's own: between open fingers, or kept in the grip."""
+    """Moves the object with the cell's own axes: between open fingers, or kept in the grip."""
 
     axes: Axes
     moved: tuple[str, ...]
-    """What they move, of x, y, rotation and roll."""
+    """The fields of the pose that they move: x, y, rotation, roll."""
     bring: Bring
-    """Has an object put where the axes carry it."""
+    """Asks for an object on the axes."""
     phase: Callable[[], GripperPhase]
     """Returns the present phase of the gripper."""
     blocks: ClassVar[bool] = False
@@ -160,9 +160,9 @@ class AxesPositioner:
     def move_to(self, pose: Pose, supervise: Callable[[], None] = unwatched) -> Pose:
         """Move all axes to the pose; return where they are.
 
-        Raises PositionerError if the pose is outside the limits, part of it is moved by no axis,
-        the fingers do not rest, or the way took too long; a way that was begun was stopped. Raises
-        PositionerFault if a drive is at fault or silent; all axes were stopped.
+        Raises PositionerError if the pose is outside the limits, no axis moves a part of it, the
+        fingers move, or the motion takes too long. The motion is then stopped. Raises
+        PositionerFault if a drive is at fault or silent; all axes are then stopped.
         """
         reached = self._move(pose, _FINGERS_REST, supervise)
         return replace(pose, **{_FIELDS[part]: value for part, value in reached.items()})
@@ -170,8 +170,7 @@ class AxesPositioner:
     def carry_to(self, destination: Destination, supervise: Callable[[], None] = unwatched) -> None:
         """Move all axes to a place with the part that is kept in the grip.
 
-        Raises PositionerError if the place has no pose, or as `move_to`. The part is still kept.
-        Raises PositionerFault as `move_to`. The part is still kept.
+        Raises PositionerError if the place has no pose; else as `move_to`. The part is still kept.
         """
         if destination.pose is None:
             raise PositionerError(
@@ -180,15 +179,15 @@ class AxesPositioner:
             )
         if not self.axes.ready:
             raise PositionerError(
-                f"the axes have to find their homes before they go to {destination.place}, which "
-                "they do with empty fingers only: release the part; it is kept meanwhile"
+                f"the axes must be homed before they go to {destination.place}. Homing needs "
+                "empty fingers: release the part; it is kept until then"
             )
         self._move(destination.pose, _FINGERS_HOLD, supervise)
 
     def _move(
         self, pose: Pose, phases: Sequence[GripperPhase], supervise: Callable[[], None]
     ) -> dict[str, float]:
-        """Move to a pose in one of some phases of the gripper; return where the axes are."""
+        """Move to a pose if the gripper is in an allowed phase; return where the axes are."""
         for part, name in _FIELDS.items():
             value = getattr(pose, name)
             if part not in self.moved and value != 0.0:
@@ -199,8 +198,8 @@ class AxesPositioner:
         phase = self.phase()
         if phase not in phases:
             raise PositionerError(
-                f"the fingers are {phase.value}: axes move only while they rest and hold nothing, "
-                "or carry a part that is kept"
+                f"the fingers are {phase.value}: axes move only while the fingers rest, empty or "
+                "with a kept part"
             )
         targets = {part: getattr(pose, _FIELDS[part]) for part in self.moved}
         try:

@@ -51,22 +51,21 @@ _UNSUPERVISED = (
     CellState.CLEARING,
     CellState.RESETTING,
 )
-"""States in which nothing looks at the hand, so that nothing is measured."""
+"""States in which nothing reads the hand, so there are no measurements."""
 MISSES_IN_A_ROW = 3
-"""Grasps of a known object that find no part after which it is taken for absent."""
+"""Grasps in a row without a part after which a known object counts as absent."""
 
 _CLOSED_M = 0.0005
-"""How much farther open than their smallest opening in m fingers are that did not close so far."""
+"""Margin in m above the smallest opening; beyond it the fingers did not close fully."""
 
 
 class CellController:
     """One cell: gripper, tactile sensor and positioner, driven from one thread.
 
-    `cancel` may be called, and states be read, from any thread; everything else belongs to the
-    thread that runs the sequences. A fault keeps the grip, latches, and needs `clear` and `reset`,
-    two acts of a person or host. The part is let go by `release` and `release_held`, and at the
-    end of each grasp of a sequence, whose purpose that is; never by a fault, by `cancel` or by
-    `shutdown`.
+    Any thread may call `cancel` and read states; all else belongs to the thread that runs the
+    sequences. A fault keeps the grip and latches; then a person or host calls `clear` and `reset`.
+    Only `release`, `release_held` and the end of each grasp of a sequence let the part go. A
+    fault, `cancel` and `shutdown` never do.
     """
 
     def __init__(
@@ -85,7 +84,7 @@ class CellController:
         self._config = config
         self._journal = Journal(recorder)
         self.zero: TareResult | None = None
-        """Zero of the taxels that the last start has taken; None before."""
+        """Zero of the taxels of the last start; None before the first one."""
         self._zero_refused = ""
         self.hand = hand
         """Gripper and sensor, for statistics; commands go through the controller."""
@@ -114,17 +113,17 @@ class CellController:
 
     @property
     def grasp_state(self) -> GraspState:
-        """The state of the grip, beside that of the cell."""
+        """The present state of the grip."""
         return self._life.grasp_state
 
     @property
     def brought(self) -> str | None:
-        """What the positioner has brought last; None where nobody has named it."""
+        """Label of the object that the positioner brought last; None if it has no name."""
         return self._journal.brought
 
     @property
     def fault(self) -> str | None:
-        """The latched fault as text; None where there is none."""
+        """The latched fault as text; None without a fault."""
         return self._life.fault
 
     @property
@@ -175,22 +174,22 @@ class CellController:
 
     @property
     def live(self) -> LiveValues:
-        """What is measured at the moment, from any thread."""
+        """The present measurements, for any thread."""
         return live_values(self.latest, self._clock.monotonic())
 
     @property
     def latest(self) -> LatestValues:
-        """Newest values of the hand; none while nothing looks at it, as after a fault."""
+        """Newest values of the hand; empty while nothing reads it, for example after a fault."""
         return LatestValues() if self._life.state in _UNSUPERVISED else self.hand.latest
 
     @property
     def carry_force_n(self) -> float:
-        """Force in N with which a kept part is held, whatever it was gripped with."""
+        """Force in N with which a kept part is held; it does not depend on the grip force."""
         return self._config.sequence.carry_force_n
 
     @property
     def shows_nothing(self) -> bool:
-        """Whether pads and current both showed at the last look that nothing is held."""
+        """Whether the newest pad forces and current both show that nothing is held."""
         measured, since_s = self.hand.latest, self._clock.monotonic() - FRESH_S
         cycle, force = measured.cycle, measured.force
         if cycle is None or force is None or min(cycle.t_s, force.t_s) < since_s:
@@ -206,8 +205,8 @@ class CellController:
     def start(self) -> None:
         """Verify servos and control unit, open the fingers, take the zero of the taxels.
 
-        Where a self-zero is due it follows, see `measure_zero`. A daily one that finds a part opens
-        the fingers again, and `zero_note` has why there is none.
+        A self-zero follows if it is due, see `measure_zero`. If a daily one finds a part, the
+        fingers open again, and `zero_note` has the reason.
 
         Raises
         ------
@@ -230,8 +229,7 @@ class CellController:
                 found = "; ".join(map(str, self.hand.conditions()))
                 raise PartInGrip(
                     f"servos have torque from an earlier run, a part may be in the grip; nothing "
-                    f"was moved ({found}). Clear the fault and release the part on purpose, then "
-                    f"start again"
+                    f"was moved ({found}). Clear the fault, release the part, then start again"
                 )
             self.hand.open(self._grasper.watch)
             self._take_zero(self._config.tactile.tare_frames)
@@ -248,27 +246,27 @@ class CellController:
 
     @property
     def self_zero(self) -> SelfZero | None:
-        """What the empty fingers showed in the last day; None where it was not measured."""
+        """The self-zero of the last 24 hours; None if it was not measured."""
         return self._zeros.newest
 
     @property
     def zero_note(self) -> str:
-        """Why there is no self-zero, or other programs will not have it; else empty."""
+        """Why there is no self-zero, or why it was not saved for other programs; else empty."""
         return self._zero_refused or self._zeros.unkept or self._zeros.refused
 
     def check_zero(self) -> None:
-        """Raise PlanRefused where the config has no self-zero for these fingers."""
+        """Raise PlanRefused if the config allows no self-zero for these fingers."""
         self._zeros.check()
 
     def measure_zero(self) -> ZeroMeasurement:
         """Close the empty fingers on each other and measure the zero of the opening, gains, foam.
 
-        The grasps that follow carry it: what has changed since teaching is undone.
+        The grasps that follow include it, so that changes since teaching are corrected.
 
         Raises
         ------
         PlanRefused
-            If the config has no self-zero for these fingers; nothing has moved.
+            If the config allows no self-zero for these fingers; nothing has moved.
         gripper.errors.PartBetweenFingers
             If something is between them; the grip is kept.
         ZeroRefused
@@ -285,15 +283,15 @@ class CellController:
         return found
 
     def clear(self, *, reboot: bool = False) -> None:
-        """Acknowledge the fault, or before the start what an earlier run left in the servos.
+        """Acknowledge the fault, or before the start the torque left by an earlier run.
 
-        The grip stays as it is; `reset` leads on.
+        The grip stays as it is. `reset` is the next step.
 
         Parameters
         ----------
         reboot
-            True to restart servos that report a hardware error, the only way on after one of them
-            has switched its torque off. A part that such a servo still held would drop.
+            True to restart servos that report a hardware error. This is needed after a servo has
+            switched its torque off. If the servo still holds a part, the part drops.
 
         Raises
         ------
@@ -310,15 +308,15 @@ class CellController:
     def cancel(self, reason: str = ON_REQUEST) -> None:
         """Stop the running sequence, or else the next one, and keep the grip.
 
-        Safe from any thread. It counts until it was obeyed: one that comes between two parts of a
-        job is not lost. The ``reason`` stands in its message.
+        Safe from any thread. It stays pending until a sequence obeys it, so that a cancel between
+        two parts of a job is not lost. Its message has the ``reason``.
         """
         self._life.stop_reason = reason
         self._life.cancelled = True
         self.hand.request_stop()
 
     def forget_cancel(self) -> None:
-        """Withdraw a `cancel` that nothing has obeyed: what it was meant for is over."""
+        """Withdraw a pending `cancel`: the sequence that it was meant for is over."""
         self._life.cancelled = False
 
     def release(self) -> ReleaseReport:
@@ -331,14 +329,14 @@ class CellController:
         CellStateError
             If the cell is not started, or a fault is latched.
         CellStopped
-            If it was cancelled on the way; the fingers stand still, the message names the opening.
+            If it was cancelled meanwhile; the fingers stand still, the message names the opening.
         """
         self.check(Command.RELEASE)
         self._life.cancelled = False
         return self._release("on request")
 
     def put_down(self) -> ReleaseReport:
-        """Let a kept part go, as a step of a job that a `cancel` ends before it.
+        """Let a kept part go as a step of a job, unless a `cancel` is pending.
 
         Raises
         ------
@@ -352,7 +350,7 @@ class CellController:
         return self._release("at its place")
 
     def release_held(self) -> ReleaseReport:
-        """Let go of a part that an earlier run or a cleared fault has left in the grip.
+        """Let go of a part that an earlier run or a cleared fault left in the grip.
 
         For a cell that is not started; the control unit is not needed for it. Returns what was
         opened: a servo that is silent or at fault is left as it is.
@@ -360,11 +358,11 @@ class CellController:
         Raises
         ------
         CellStateError
-            If the cell is started, then `release` is the command; or a fault is latched.
+            If the cell is started (use `release`), or a fault is latched.
         CellStopped
-            If it was cancelled on the way; the fingers stand still, the message names the opening.
+            If it was cancelled meanwhile; the fingers stand still, the message names the opening.
         gripper.errors.GripperError
-            If no servo answers, or none of those that do can be moved.
+            If no servo answers, or no servo that answers can be moved.
         """
         self._life.go(Event.RELEASE_HELD)
         self._life.cancelled = False
@@ -376,9 +374,9 @@ class CellController:
         return report
 
     def tick(self) -> None:
-        """Keep both links alive and supervised while no sequence runs; call once a period.
+        """Serve and supervise both links while no sequence runs; call once a period.
 
-        While a part is kept its force is controlled, and its slip or loss is a fault.
+        The force of a kept part is controlled; its slip or loss is a fault.
         """
         if self._life.state in (CellState.IDLE, CellState.HELD, CellState.COMPLETE):
             with self._life.latching_faults():
@@ -415,7 +413,7 @@ class CellController:
         Raises
         ------
         CellStopped
-            If it was cancelled while somebody was asked to bring it.
+            If it was cancelled during the wait for the object.
         """
 
         def supervise() -> None:
@@ -436,8 +434,8 @@ class CellController:
         Raises
         ------
         NoPartFound
-            If the fingers closed to their limit and touched nothing, did not get through, or lost
-            the part while they pressed. The fingers are open again, and nothing is classified.
+            If the fingers closed to their limit and touched nothing, were blocked on the way, or
+            lost the part during the ramp. The fingers are open again; nothing is classified.
         CellStopped
             If it was cancelled. The grip is kept.
         PlanRefused, gripper.errors.LimitExceeded
@@ -450,7 +448,7 @@ class CellController:
     def grip(self, force_n: float, pose: Pose | None = None) -> GraspRecord:
         """Close with a force ramp and keep the part: COMPLETE, without a name.
 
-        Without a ``pose`` the positioner does not move: the part is where it shall be gripped.
+        Without a ``pose`` the positioner does not move.
 
         Raises
         ------
@@ -469,16 +467,16 @@ class CellController:
         return record
 
     def verify(self) -> HeldCheck:
-        """Measure whether the part in the grip is still the one that was kept; it stays there.
+        """Measure whether the part in the grip is still the kept one; it stays there.
 
         Raises
         ------
         CellStateError
             If no part is kept.
         CellStopped
-            If it was cancelled: the part is then HELD, with a force that nobody controls.
+            If it was cancelled: the part is then HELD, without force control.
         gripper.errors.PartLost, gripper.errors.PartSlipped
-            If the part is gone or slips; that is a fault as at any other time of a carry.
+            If the part is gone or slips; this is a fault at any time of a carry.
         """
         with self._executing(Event.VERIFY):
             check = self._grasper.verify()
@@ -515,7 +513,7 @@ class CellController:
                 lambda: self._positioner.carry_to(destination, supervise), supervise
             )
         except Exception as error:
-            # Fingers that fail have latched their fault; a refusal and a stop are none.
+            # Failing fingers have latched their fault; a refusal and a stop are no faults.
             refused = isinstance(error, PositionerError | CellStopped)
             if refused or self.state is not CellState.COMPLETE:
                 raise
@@ -534,16 +532,15 @@ class CellController:
     ) -> Iterator[GraspRecord]:
         """Grasp a known object once for each step of the plan, yielding each record.
 
-        ``present`` is the object to place where it is called otherwise than the label (simulated
-        cell). With ``on_missed`` a grasp that finds no part is handed to it, and the next step
-        follows.
+        ``present`` is the object to place if its name differs from the label (simulated cell).
+        ``on_missed`` gets each grasp that finds no part; the next step follows.
 
         Raises
         ------
         PlanRefused, gripper.errors.LimitExceeded
             At once, if the plan is empty or one of its steps cannot be carried out.
         NoPartFound
-            If a grasp finds no part; with ``on_missed`` only if `MISSES_IN_A_ROW` of them do.
+            If a grasp finds no part; with ``on_missed`` after `MISSES_IN_A_ROW` in a row.
         """
         placed = present or label
         steps = self._checked(plan, placed)
@@ -575,14 +572,14 @@ class CellController:
         on_grasp: OnGrasp | None = None,
         keep: Keep = Keep.NEVER,
     ) -> Identification:
-        """Grasp and classify until the stop rule is satisfied or the plan is at its end.
+        """Grasp and classify until the stop rule is satisfied or the plan ends.
 
-        A part that is to be kept is held while its grasp is looked at. It stays in the grip after
-        the last one, and the cell is COMPLETE, until `release`. One that is not to be kept is let
-        go meanwhile.
+        A part that may be kept is held while its grasp is classified. A kept part stays in the
+        grip after the last grasp, and the cell is COMPLETE until `release`. Other parts are
+        released while their grasp is classified.
 
-        With ``early`` a ramp ends as soon as it satisfies the stop rule together with the grasps
-        before it. With ``read_shape`` the answer has shape and size too.
+        With ``early`` a ramp ends as soon as it and the grasps before it satisfy the stop rule.
+        With ``read_shape`` the answer includes shape and size.
 
         Raises
         ------
@@ -622,7 +619,7 @@ class CellController:
     # -- inside --------------------------------------------------------------------------------
 
     def _start_answer(self, answer: Callable[[], _T]) -> Callable[[], _T]:
-        """Begin to compute beside the motions, where that delays no force loop; else do it last."""
+        """Compute during the motions if no force loop is delayed by it; else when it is needed."""
         return in_thread(answer, "answer").result if self.hand.own_process else answer
 
     def _grasp(
@@ -644,7 +641,7 @@ class CellController:
 
     @contextmanager
     def _executing(self, event: Event) -> Iterator[None]:
-        """Run a command of the hand; what goes wrong is latched, and the loop's timing recorded."""
+        """Run a command of the hand; latch its faults and record the timing of the loop."""
         self._life.go(event)
         try:
             with self._life.latching_faults():
@@ -653,7 +650,7 @@ class CellController:
             self._journal.loop(self.hand.statistics)
 
     def _check_found(self, record: GraspRecord) -> None:
-        """Raise NoPartFound where a grasp has found nothing."""
+        """Raise NoPartFound if a grasp found no part."""
         missing = NOTHING_HELD.get(record.outcome.result)
         if missing is not None:
             gripper, opening_m = self._config.gripper_settings, record.outcome.final_aperture_m
@@ -661,14 +658,14 @@ class CellController:
             why = "is the object in place?"
             if record.outcome.result is GraspResult.NO_CONTACT and left_m > _CLOSED_M:
                 limit_s = gripper.contact_timeout_s
-                why = f"in gripper.contact_timeout_s = {limit_s:g} s the fingers came no farther"
+                why = f"the fingers came no farther in gripper.contact_timeout_s = {limit_s:g} s"
             raise NoPartFound(
                 f"{missing} at pose {record.step.pose}, at an opening of {1e3 * opening_m:.1f} mm; "
                 f"{why}"
             )
 
     def _checked(self, plan: Sequence[GraspStep], label: str = "") -> tuple[GraspStep, ...]:
-        """Return the steps of a plan. Raises where one of them, or the plan, is refused."""
+        """Return the steps of a plan. Raises if the plan or one of its steps is refused."""
         steps = tuple(plan)
         if not steps:
             raise PlanRefused("the plan is empty; give at least one step")

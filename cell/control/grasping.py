@@ -1,8 +1,9 @@
-"""One grasp of a sequence: the move to its pose, the grasp, its record; released or kept."""
+"""One grasp of a sequence: move to its pose, grasp, record, then release or keep the part."""
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import TypeVar
 
 import numpy as np
@@ -56,39 +57,41 @@ NOTHING_HELD = {
     GraspResult.NO_CONTACT: "no contact",
     GraspResult.PART_LOST: "the part was lost while the fingers pressed",
 }
-"""Results of a grasp after which nothing is held and nothing can be learnt."""
+"""Results of a grasp that holds nothing and cannot be used for recognition."""
 
 
 BACK_OFF_SHARE = 0.3
-"""Share of its end from which a further ramp in the same grip begins: the least level of load at
+"""Start of a further ramp in the same grip, as a share of its end: the lowest level of load at
 which a recogniser takes footprints (`recognition.ramp.levels`)."""
 
 LEAST_CONTACTS = 2.0
-"""Least force at which it begins, in contact forces: a part that is held with one alone passes for
-lost now and then (simulated cell, twice the noise)."""
+"""Least start of a further ramp, in contact forces. A part held with one contact force is sometimes
+reported as lost (simulated cell, twice the noise)."""
 
 _ZERO_FORCE_N, _ZERO_RATE_N_S = 10.0, 5.0
-"""Force in N with which the empty fingers press on each other, and its growth in N/s: pads of 55 x
-20 mm give 0.36 mm together, and a ramp of two seconds shows that on each taxel."""
+"""Force in N with which the empty fingers press on each other, and its rate in N/s. Two pads of 55
+x 20 mm yield 0.36 mm together, and a ramp of two seconds shows this on each taxel."""
+_BORNE_SHARE = 0.9
+"""Share of the force of the whole current that grasps go to: the rest is for control."""
 _LOOK_FRAMES, _LOOKS_UP_TO_N = 3, 5.0
-"""Each so many frames it is looked whether a part is between them, up to that set-point in N."""
+"""Frames between two checks for a part between the fingers, up to that set-point in N."""
 
 
 @dataclass(kw_only=True)
 class Grasper:
-    """Takes hand and positioner through one grasp after the other, and records them."""
+    """Carries out grasps with hand and positioner, and records them."""
 
     config: CellConfig
     hand: Hand
     positioner: Positioner
     life: CellLifecycle
-    """Holds requested stops and the states to record."""
+    """Has requested stops and the states to record."""
     journal: Journal
     zeros: SelfZeros
-    """The newest self-zero, which grasps carry."""
+    """The newest self-zero, which each grasp includes."""
     clock: Clock
     take_zero: Callable[[int], object]
-    """Takes the zero of the taxels from so many frames."""
+    """Takes the zero of the taxels from a number of frames."""
 
     def __post_init__(self) -> None:
         self.homing: dict[int, int] = {}
@@ -98,27 +101,45 @@ class Grasper:
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._last_start_ms = 0
         self._opening_step_m = _opening_step_m(self.config.linkage, self._gripper)
+        self._catalogue_n, self._noted_n = self.config.largest_ramp_n, inf
         self._patient = PatientCaller(self.clock, self.hand.period_s)
         self.pads: PadArray = pad_array(self.hand.layout)
 
     def check(self, step: GraspStep, label: str = "") -> None:
         """Refuse a step that cannot be carried out, before anything moves.
 
-        Raises PlanRefused if it is no step, or the label none that a recording may have, and
-        gripper.errors.LimitExceeded if its force is no number or beyond a limit.
+        Raises PlanRefused if it is not a step or the label is invalid. Raises
+        gripper.errors.LimitExceeded if its force is not a number or beyond a limit.
         """
         if not (isinstance(step, GraspStep) and isinstance(step.pose, Pose)):
             raise PlanRefused(
-                f"{step!r} is no step of a plan; give GraspStep(pose=..., force_n=...)"
+                f"{step!r} is not a step of a plan; give GraspStep(pose=..., force_n=...)"
             )
         if not isinstance(label, str):
-            raise PlanRefused(f"{label!r} is no label; give a text")
+            raise PlanRefused(f"{label!r} is not a label; give a text")
         if wrong := text_refused("label", label):
             raise PlanRefused(f"the label {wrong}")
-        self.hand.check_ramp(self._ramp(step))
+        self.hand.check_ramp(self._ramp(self._borne(step)))
 
     def _ramp(self, step: GraspStep) -> ForceRamp:
         return ramp_from_config(self._sequence.ramp, step.force_n)
+
+    def _borne(self, step: GraspStep) -> GraspStep:
+        """Return a step with no more force than the servos, as measured, make of their current."""
+        largest_n = self.hand.largest_ramp_n
+        if not largest_n < step.force_n <= self._catalogue_n:
+            return step
+        borne_n = max(_BORNE_SHARE * largest_n, self._gripper.contact_force_n)
+        if borne_n < _BORNE_SHARE * self._noted_n:
+            self._noted_n = borne_n
+            self.journal.note(
+                "note",
+                f"grasps end at {borne_n:.1f} N, {step.force_n:.1f} N were asked for: the servos, "
+                f"as measured, need more than gripper.current_max_a "
+                f"{self._gripper.current_max_a:g} A for more. Raise it where servo and part bear "
+                f"it, or ask for less force",
+            )
+        return replace(step, force_n=borne_n)
 
     def grasp(
         self,
@@ -127,11 +148,10 @@ class Grasper:
         early_checks: EarlyDecider | None = None,
         judge: Judge | None = None,
     ) -> tuple[GraspRecord, bool]:
-        """Go to the pose, grasp, record, let go; ``early_checks`` may end the ramp.
+        """Go to the pose, grasp, record, release; ``early_checks`` may end the ramp.
 
-        With a ``judge`` that holds, the part is held with the force of a carry until it has
-        decided whether the part is let go, squeezed once more, or kept. Returns the record of the
-        grasp, and whether the part was kept.
+        If ``judge.holds``, the part is held with the carry force until ``judge`` decides: release,
+        squeeze once more, or keep. Returns the record of the grasp and whether the part was kept.
         """
         record = self._close(step, self._move_to(step.pose), label, early_checks)
         kept = False
@@ -144,7 +164,7 @@ class Grasper:
         return record, kept
 
     def grip(self, force_n: float, pose: Pose | None) -> GraspRecord:
-        """Close where the part is, or at a pose, and keep it; where there is none, open again."""
+        """Close, at a pose if one is given, and keep the part; open again if no part is found."""
         step = GraspStep(pose=pose or Pose(), force_n=force_n)
         reached = step.pose if pose is None else self._move_to(pose)
         record = self._close(step, reached, "", None)
@@ -158,15 +178,15 @@ class Grasper:
     def verify(self) -> HeldCheck:
         """Measure the held part once more and compare it with what was kept."""
         if self._held is None:
-            raise CellStateError("no part was kept, so that there is nothing to compare with")
+            raise CellStateError("no part was kept, so there is nothing to compare with")
         zero, then = self._held
         return compared(self._look_at_held(zero), then)
 
     def measure_zero(self) -> ZeroMeasurement:
-        """Close the empty fingers on each other, look at what they show, open them again.
+        """Close the empty fingers on each other, measure the self-zero, open them again.
 
         Raises gripper.errors.PartBetweenFingers if something is between them; the grip is kept.
-        Raises ZeroRefused if they show no sound pads; the fingers are open.
+        Raises ZeroRefused if a finger or pad is out of bounds; the fingers are open.
         """
         outcome, found, refused = self._meet()
         sound = found is not None and not (part_between(outcome, found) or unsound(found))
@@ -174,7 +194,7 @@ class Grasper:
             self.hand.measure_load(self.watch)
         if between := part_between(outcome, found):
             raise PartBetweenFingers(
-                f"{between}. The grip is kept. Look; clear the fault and release"
+                f"{between}. The grip is kept. Look at the fingers; clear the fault and release"
             )
         self.hand.release(self.watch)
         if found is None or (refused := unsound(found)):
@@ -183,25 +203,25 @@ class Grasper:
         return self._kept_zero(found)
 
     def _measure_friction(self) -> None:
-        """Measure the servos' friction; pads that have met have shown that nothing is between."""
+        """Measure the servos' friction; only after the pads have met with nothing between them."""
         self.hand.measure_friction(self.watch)
         self._note_each_drive()
 
     def note_drives(self) -> DriveReport:
-        """Note what is unusual of the servos; return what is known of them."""
+        """Note unusual drive characteristics; return all of them."""
         report = self.hand.read_drives()
         for text in report.notes:
             self.journal.note("note", text)
         return report
 
     def keep_drives(self) -> DriveReport:
-        """Keep what was measured of the servos; return it."""
+        """Save the measured drive characteristics; return them."""
         report = self.note_drives()
         self.zeros.keep_drives(report.drives, self.homing)
         return report
 
     def _note_each_drive(self) -> None:
-        """Keep and note what a start or a self-zero has shown of each servo."""
+        """Save and note the drive characteristic of each servo after a start or a self-zero."""
         report = self.keep_drives()
         for servo in self._gripper.servos:
             drive = report.drives.get(servo.id)
@@ -210,10 +230,10 @@ class Grasper:
                 self.journal.note("servo drive", text)
 
     def zero_unasked(self) -> str:
-        """As `measure_zero`, where nobody has looked whether the fingers are empty.
+        """Measure as `measure_zero`, when nobody has checked that the fingers are empty.
 
-        What is between them is let go, as where an approach was too much; without a self-zero the
-        cell answers as on any day. Returns why there is none; empty where there is one.
+        A part between them is released, and the cell works without a self-zero. Returns why there
+        is no self-zero; empty if there is one.
         """
         outcome, found, refused = self._meet()
         why = part_between(outcome, found) or refused
@@ -236,9 +256,9 @@ class Grasper:
         return why
 
     def _meet(self) -> tuple[GraspOutcome, ZeroMeasurement | None, str]:
-        """Press the empty fingers on each other, no longer than their pads show no part.
+        """Press the empty fingers on each other; stop if the pads show a part.
 
-        Returns while they press: how it ended, what it has shown, and why that is nothing.
+        Returns while they press: the outcome, the measurement or None, and why it is None.
         """
         self._held = None
         self._open_and_zero()
@@ -255,7 +275,7 @@ class Grasper:
                 ):
                     self.hand.end_ramp()
 
-        most_n = min(_ZERO_FORCE_N, self.config.largest_ramp_n)
+        most_n = min(_ZERO_FORCE_N, _BORNE_SHARE * self.hand.largest_ramp_n)
         outcome = self.hand.press_pads_together(
             ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch
         )
@@ -273,9 +293,9 @@ class Grasper:
         return outcome, found, ""
 
     def _open_and_zero(self) -> None:
-        """Open the fingers; a sensor that drifts gets its zero before each approach."""
+        """Open the fingers; take the zero of a drifting sensor before each approach."""
         self.hand.open(self.watch)
-        if n_frames := self.config.tactile.zero_frames:
+        if n_frames := self.config.tactile.sensor.fresh_zero_frames:
             self.take_zero(n_frames)
 
     def _kept_zero(self, found: ZeroMeasurement) -> ZeroMeasurement:
@@ -290,9 +310,10 @@ class Grasper:
     def _close(
         self, step: GraspStep, reached: Pose, label: str, early_checks: EarlyDecider | None
     ) -> GraspRecord:
-        """Open, close and follow the ramp; record that, and return while holding."""
+        """Open, close and follow the ramp; record it, and return while the part is held."""
         self._held = None
         self._open_and_zero()
+        step = self._borne(step)
         collector, collect = self._collecting(self.zeros.newest)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
@@ -328,13 +349,13 @@ class Grasper:
         return record
 
     def _judged(self, record: GraspRecord, judge: Judge) -> bool:
-        """Hold the part, and measure it, until it is judged; return whether it was kept."""
+        """Hold the part until it is judged; return whether it was kept."""
         first, zero = record, open_counts(record.grasp)
         while True:
             if judge.keeps:
                 held = (zero, self._look_at_held(zero))
             else:
-                self.hand.hold_at(self._sequence.carry_force_n, 0.0, self.watch)
+                self.hand.hold_at(self._carry_n, 0.0, self.watch)
             verdict = judge.decide()
             self.life.check_cancelled()
             if verdict.further is None:
@@ -347,10 +368,11 @@ class Grasper:
 
     def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
         """Back off and follow a further ramp in the same grip; return its record."""
-        from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
+        from_n = min(BACK_OFF_SHARE * step.force_n, self._carry_n)
         from_n = max(from_n, LEAST_CONTACTS * self._gripper.contact_force_n)
         self.hand.hold_at(from_n, 0.0, self.watch)
         collector, watch = self._collecting(self.zeros.newest)
+        step = self._borne(step)
         outcome = self.hand.squeeze(self._ramp(step), watch)
         self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
         if outcome.short:
@@ -364,27 +386,31 @@ class Grasper:
             same_grip=True,
         )
 
+    @property
+    def _carry_n(self) -> float:
+        """Force in N of a carry."""
+        return min(self._sequence.carry_force_n, _BORNE_SHARE * self.hand.largest_ramp_n)
+
     def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
-        """Hold the part with the force of a carry, and measure it for a comparison."""
-        carry_n = self._sequence.carry_force_n
-        self.hand.hold_at(carry_n, 0.0, self.watch)
+        """Hold the part with the carry force, and measure it for a comparison."""
+        self.hand.hold_at(self._carry_n, 0.0, self.watch)
         collector, watch = self._collecting(None)
-        self.hand.hold_at(carry_n, HELD_LOOK_S, watch)
+        self.hand.hold_at(self._carry_n, HELD_LOOK_S, watch)
         return measure_held_part(collector, zero)
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
-        """Record one period of a motion, in which no frame matters; obey a stop."""
+        """Record one period of a motion without its frames; obey a stop."""
         self._look(cycle, ())
 
     def patiently(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
-        """Wait for the positioner while both links stay alive and supervised."""
+        """Wait for the positioner and supervise both links meanwhile."""
         if not self.positioner.blocks:
             return call()
         return self._patient.call(call, supervise)
 
     def _collecting(self, zero: SelfZero | None) -> tuple[GraspCollector, OnPeriod]:
-        """Return a collector for a motion that begins now, and the watch that fills it."""
-        # Somebody may set the machine's clock back: the grasps of a run stay in order all the same.
+        """Return a collector for a motion that begins now, and the callback that fills it."""
+        # The grasps of a run stay in order even if the machine's clock is set back.
         self._last_start_ms = max(time.time_ns() // 1_000_000, self._last_start_ms + 1)
         collector = GraspCollector(
             self.pads, source=self._source, start_ms=self._last_start_ms, zero=zero

@@ -1,4 +1,4 @@
-"""The grasp-then-classify sequence: grasp, classify, stop or go on."""
+"""The grasp-then-classify sequence: grasp, classify, then stop or grasp again."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,13 +16,13 @@ from recognition.shape.fusion import fuse_shapes
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
 
 SAME_GRIP_DEPENDENCE = 0.5
-"""Correlation of the log answers of a further ramp in the same grip with the ramps before: pose
-and part are the same, what differs is the noise of the frames. Fused by the mean with that of the
-first ramp (0.2), three ramps count as with 0.4, under which 40 simulated parts are likeliest (touch
-alone, twice the noise; 0.2 at the usual one)."""
+"""Correlation of the log answers of a further ramp in the same grip with the ramps before. Pose and
+part are the same; only the noise of the frames differs. Averaged with that of the first ramp (0.2),
+three ramps count as with 0.4, which is likeliest for 40 simulated parts (touch alone, twice the
+noise; 0.2 at the usual noise)."""
 
 ReadShape = Callable[[Grasp], ShapeAnswer | None]
-"""Function from a grasp to its shape and size; None where its pads do not show them."""
+"""Function from a grasp to its shape and size; None if the pads do not show them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +32,8 @@ class Identification:
     label: str
     """A taught label, or ``UNKNOWN``."""
     probability: float
-    """Probability of the label after all grasps, given that the object was taught; of ``UNKNOWN``
-    the probability that it was not. The stop rule goes by it; see also `probabilities`."""
+    """Probability of the label after all grasps, given that the object was taught. For ``UNKNOWN``
+    the probability that it was not taught. The stop rule uses it; see also `probabilities`."""
     decision: Decision
     """Why the sequence ended."""
     posteriors: tuple[Posterior, ...]
@@ -43,16 +43,16 @@ class Identification:
     records: tuple[GraspRecord, ...]
     """The grasps."""
     drift: DriftGrid | None = None
-    """The drift with which the answer was given; None for a recogniser that does not follow it."""
+    """The sensor drift assumed for the answer; None if the recogniser does not follow drift."""
     complaints: tuple[str, ...] = ()
-    """Errors of the callback, of early checks and of fits of shape; they end no sequence."""
+    """Errors of the callback, early checks and shape fits; they do not end the sequence."""
     shapes: tuple[ShapeAnswer | None, ...] = ()
-    """Shape and size by each grasp, in order; None where its pads do not show them. Empty where
-    none was asked for."""
+    """Shape and size by each grasp, in order; None if its pads do not show them. Empty if not
+    requested."""
     shape: ShapeAnswer | None = None
-    """Shape and size by all grasps together; None where none of them shows it."""
+    """Shape and size by all grasps together; None if no grasp shows them."""
     remark: str = ""
-    """Message for the operator, as that the sensors have drifted; empty where there is none."""
+    """Message for the operator, for example about sensor drift; or empty."""
     kept: bool = False
     """Whether the part is still in the grip, for the host."""
 
@@ -69,16 +69,15 @@ class Identification:
 OnGrasp = Callable[[int, GraspRecord, Posterior, ShapeAnswer | None], None]
 """Callback after each grasp: its number from 1, its record, its own answer, and its shape.
 
-What it raises does not end the sequence, whose answer does not depend on it; it is kept among the
-`Identification.complaints`.
+An error that it raises does not end the sequence; it is kept in `Identification.complaints`.
 """
 
 
 _Answer = tuple[Posterior, ShapeAnswer | None, Exception | None]
-"""Answer to one grasp: what it is, its shape, and why that could not be read."""
+"""Answer to one grasp: its label, its shape, and the error of the shape fit."""
 
 AnswerExecutor = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
-"""Begins to compute, or not yet, and returns the function that waits for the answer."""
+"""Starts to compute, now or later, and returns the function that waits for the answer."""
 
 
 @dataclass(kw_only=True)
@@ -110,7 +109,7 @@ class SequenceAnswers:
 
     @property
     def over(self) -> bool:
-        """Whether no further grasp is wanted."""
+        """Whether the sequence needs no further grasp."""
         return self.decision.kind is not DecisionKind.CONTINUE
 
     def start_answer(self, record: GraspRecord) -> None:
@@ -118,7 +117,7 @@ class SequenceAnswers:
         self._coming = record, self.compute(lambda: self._answer(record))
 
     def _answer(self, record: GraspRecord) -> _Answer:
-        """Return the answer to a grasp, perhaps on a thread of its own."""
+        """Return the answer to a grasp; may run on its own thread."""
         posterior = record.early or self.recognizer.posterior(record.grasp)
         try:
             shape = None if self.read_shape is None else self.read_shape(record.grasp)
@@ -127,7 +126,7 @@ class SequenceAnswers:
         return posterior, shape, None
 
     def add(self) -> None:
-        """Wait for the answer that was begun, and take it into account."""
+        """Wait for the started answer and add it."""
         if self._coming is None:
             raise ValueError("nothing was grasped yet")
         record, answer = self._coming
@@ -168,11 +167,11 @@ class SequenceAnswers:
         )
 
     def complain(self, when: str, error: Exception) -> None:
-        """Keep what went wrong without ending the sequence."""
+        """Keep an error without ending the sequence."""
         self._complaints.append(f"{when}: {error_text(error)}")
 
     def _fused_shape(self) -> ShapeAnswer | None:
-        """Return shape and size by all grasps; an error is a complaint, never the label's."""
+        """Return shape and size by all grasps; an error becomes a complaint, the label stays."""
         read = [shape for shape in self._shapes if shape is not None]
         try:
             return fuse_shapes(read) if read else None
@@ -194,29 +193,29 @@ def grasp_and_classify(
     on_grasp: OnGrasp | None = None,
     execute: AnswerExecutor = lambda answer: answer,
 ) -> Identification:
-    """Grasp until the stop rule is satisfied or the plan is at its end.
+    """Grasp until the stop rule is satisfied or the plan ends.
 
     Parameters
     ----------
     grasp
-        Carries one step out, ends its ramp where the early checks decide, and does with the part
-        what the judge decides; returns the record, and whether the part was kept.
+        Carries out one step. The early checks may end its ramp; the judge decides what to do with
+        the part. Returns the record and whether the part was kept.
     plan
         Steps in order, at least one.
     error_rate
         Wanted rate of wrong answers at which the sequence stops early.
     keep
-        When the part stays in the grip: a grasp is then looked at while its part is held.
+        When the part stays in the grip. A part that may be kept is held while it is classified.
     regrasps
-        False where a part must not be let go before the answer: the steps after the first one are
+        False if a part must not be released before the answer: the steps after the first one are
         further ramps in the same grip.
     read_shape
         Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`.
     early
-        Looks at each ramp while it runs: together with the earlier grasps it may decide before the
-        ramp is at its end, whose answer is then the one of that moment. None: whole ramps only.
+        Checks each ramp while it runs. With the earlier grasps it may decide before the ramp ends;
+        the answer of that moment then counts. None: whole ramps only.
     execute
-        How answers are computed; by default when they are waited for.
+        How answers are computed; by default when the sequence waits for them.
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
     answers = SequenceAnswers(

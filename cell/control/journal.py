@@ -1,4 +1,4 @@
-"""The journal of a cell: what goes into its recording, where one is made."""
+"""The journal of a cell: it writes events and values into the recording, if there is one."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -21,7 +21,7 @@ DISTRIBUTIONS = ("lateness", "transaction", "sensor_age")
 
 
 def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str, float]:
-    """Return counts, and p50, p99, p99.9 and maximum of each duration in s, under flat names."""
+    """Return counts, and p50, p99, p99.9 and maximum of each duration in s, as a flat mapping."""
     values: dict[str, float] = {
         name: getattr(statistics, name)
         for name in ("cycles", "overruns", "late", "missed_reads", "worst_lateness_s")
@@ -59,25 +59,25 @@ def loop_line(statistics: LoopStatistics, period_s: float) -> str:
 
 
 class Journal:
-    """Writes events, states, periods, grasps and answers to a recorder, where there is one."""
+    """Writes events, states, periods, grasps and answers to a recorder, if there is one."""
 
     def __init__(self, recorder: Recorder | None) -> None:
         self._recorder = recorder
         self._states: tuple[CellState, GraspState] | None = None
         self.brought: str | None = None
-        """Label of what the positioner has brought; None where nobody has named it."""
+        """Label of the object that the positioner brought; None if it has no name."""
 
     def _now(self, topic: str, values: Mapping[str, Any]) -> None:
         if self._recorder is not None:
             self._recorder.now(topic, values)
 
     def note(self, kind: str, text: str, fault_number: int = 0) -> None:
-        """Record that something happened; a fault with its number."""
+        """Record an event; a fault with its number."""
         number = {"fault_number": fault_number} if fault_number else {}
         self._now(schema.EVENT, {"kind": kind, "text": text} | number)
 
     def states(self, state: CellState, grasp: GraspState) -> None:
-        """Record both states, with both clocks, where one of them has changed."""
+        """Record both states, with both clocks, if one of them has changed."""
         now = (state, grasp)
         if self._recorder is not None and now != self._states:
             values = {
@@ -93,8 +93,7 @@ class Journal:
     def cycle(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
         """Record one period of the loop and the frames that came in it.
 
-        Raises RecordingError if the recording has stopped and the config wants the cell to hold
-        then.
+        Raises RecordingError if the recording has stopped and the config makes this a fault.
         """
         if self._recorder is not None:
             self._recorder.cycle(cycle)
@@ -108,12 +107,12 @@ class Journal:
         self._now(schema.POSE, plain_fields(pose))
 
     def grasp(self, grasp: Grasp) -> None:
-        """Record that the newest frames make up this grasp."""
+        """Record that the newest frames belong to this grasp."""
         if self._recorder is not None:
             self._recorder.grasp(grasp)
 
     def loop(self, statistics: HandStatistics) -> None:
-        """Record how punctual the force loop was so far, and the counts of both links."""
+        """Record the timing of the force loop so far, and the counts of both links."""
         loop = loop_values(statistics.loop, undelivered=statistics.undelivered)
         self._now(schema.LOOP, loop | link_values(statistics))
 

@@ -1,4 +1,4 @@
-"""A part that is kept in the grip: when it is kept, and whether it is still the same one."""
+"""A part kept in the grip: when it is kept, and whether it is still the same part."""
 
 import math
 from collections.abc import Callable
@@ -16,16 +16,16 @@ from recognition.recognizer import UNKNOWN
 HELD_LOOK_S = 0.1
 """Time in s over which a held part is measured: 5 frames at 50 Hz."""
 _HELD_SHARE = 0.5
-"""Share of the holding force below which nothing is held: half of it is no noise any more."""
+"""Share of the holding force below which nothing is held; noise is far below half of it."""
 _OPENING_M = 0.5e-3
-"""Change of the opening in m at the same force beyond which a part is another one, or has turned:
-foam that settles and the resolution of the servos change it by 0.1 mm (simulated cell)."""
+"""Change of the opening in m at the same force that shows another or a turned part. Settling foam
+and the resolution of the servos change it by 0.1 mm (simulated cell)."""
 _LIKENESS = 0.95
-"""Least likeness of two footprints: cosine of the angle between the taxels' counts, freed of their
-noise. In the simulated cell the same part has 0.99 and more (45 looks at 15 parts; 0.97 with twice
-the noise), one of five parts in another pose 0.94 and less (210 pairs)."""
+"""Least similarity of two footprints: cosine of the angle between the taxels' counts, corrected for
+noise. In the simulated cell the same part has at least 0.99 (45 measurements of 15 parts; 0.97 with
+twice the noise). Five parts in another pose have at most 0.94 (210 pairs)."""
 _OPEN_FRAMES = 5
-"""First frames of a grasp, in which nothing is touched yet, whose mean is the zero."""
+"""Number of first frames of a grasp, before the first touch; their mean is the zero."""
 
 
 class Keep(StrEnum):
@@ -42,51 +42,51 @@ class Keep(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartDecision:
-    """What becomes of a part that is held while its grasp is looked at."""
+    """Decision about a part that is held while its grasp is classified."""
 
     keep: bool = False
     """Whether it stays in the grip for the host."""
     further: GraspStep | None = None
-    """Step whose force is the end of a further ramp in the same grip; None for no more of them."""
+    """Step whose force is the end of a further ramp in the same grip; None for no further ramp."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judge:
-    """Computes the answer to a grasp, and decides what becomes of its part."""
+    """Computes the answer to a grasp, and decides what to do with its part."""
 
     start_answer: Callable[[GraspRecord], None]
-    """Called at the end of a ramp: the answer is computed during the motion that follows, where the
-    force loop has a process of its own."""
+    """Called at the end of a ramp. If the force loop has its own process, the answer is computed
+    during the motion that follows."""
     decide: Callable[[], PartDecision]
-    """Waits for the answer and decides; called while the part is held, where it is."""
+    """Waits for the answer and decides; called while the part is held."""
     holds: bool
-    """Whether the part is held until the decision; else it is let go during the computing."""
+    """Whether the part is held until the decision; else it is released while it is classified."""
     keeps: bool
-    """Whether it may be kept, so that it is measured for a later comparison."""
+    """Whether it may be kept; it is then measured for a later comparison."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldPart:
-    """Measurement of a part that is held with the force of a carry."""
+    """Measurement of a part that is held with the carry force."""
 
     force_n: float
     """Grip force in N, mean over the measurement."""
     opening_m: float
     """Opening between the pads in m."""
     footprint: NDArray[np.float64]
-    """(n_taxels,) float64: mean of the counts above those of the open fingers."""
+    """(n_taxels,) float64: mean counts above those of the open fingers."""
     noise: float = 0.0
-    """Sum over the taxels of the variance of that mean, in counts squared."""
+    """Sum over the taxels of the variance of the mean, in counts squared."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldCheck:
-    """Comparison of the part in the grip with the one that was kept."""
+    """Comparison of the part in the grip with the kept part."""
 
     held: bool
     """Whether the pads are loaded."""
     same: bool | None
-    """Whether opening and footprint are as they were; None where nothing is held."""
+    """Whether opening and footprint are unchanged; None if nothing is held."""
     force_n: float
     """Grip force in N."""
     opening_m: float
@@ -96,9 +96,9 @@ class HeldCheck:
 
 
 def measure_held_part(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
-    """Return the measurement of a held part from the periods of a look.
+    """Return the measurement of a held part from the collected periods.
 
-    ``zero`` has the counts of the open fingers, (n_taxels,) float64.
+    ``zero``: counts of the open fingers, (n_taxels,) float64.
     """
     forces_n = [cycle.force.grip_n for cycle in collector.cycles if cycle.force is not None]
     openings_m = [cycle.state.aperture_m for cycle in collector.cycles]
@@ -117,25 +117,25 @@ def open_counts(grasp: Grasp) -> NDArray[np.float64]:
 
 
 def compared(now: HeldPart, then: HeldPart) -> HeldCheck:
-    """Return whether a held part, measured now, is still the one that was kept then."""
+    """Return whether a held part, measured now, is still the kept one."""
     least_n = _HELD_SHARE * then.force_n
     held = now.force_n >= least_n
     reasons: list[str] = []
     if not held:
         reasons.append(
-            f"the grip force is {now.force_n:.2f} N, at least {least_n:.2f} N hold a part"
+            f"the grip force is {now.force_n:.2f} N; a held part needs at least {least_n:.2f} N"
         )
     moved_m = abs(now.opening_m - then.opening_m)
     if held and moved_m > _OPENING_M:
         reasons.append(
-            f"the opening is {1e3 * now.opening_m:.2f} mm and was {1e3 * then.opening_m:.2f} mm, "
-            f"{1e3 * _OPENING_M:g} mm of difference are allowed"
+            f"the opening is {1e3 * now.opening_m:.2f} mm and was {1e3 * then.opening_m:.2f} mm; "
+            f"a difference of {1e3 * _OPENING_M:g} mm is allowed"
         )
     likeness = _likeness(now, then)
     if held and likeness < _LIKENESS:
         reasons.append(
-            f"the footprint on the pads is like the kept one by {likeness:.2f}, at least "
-            f"{_LIKENESS:g} is wanted"
+            f"the similarity to the kept footprint is {likeness:.2f}; it must be at least "
+            f"{_LIKENESS:g}"
         )
     return HeldCheck(
         held=held,
@@ -156,9 +156,9 @@ def _likeness(first: HeldPart, second: HeldPart) -> float:
 def spliced(approach: Grasp, further: Grasp, from_n: float) -> Grasp:
     """Return a grasp made of the first approach and a further ramp in the same grip.
 
-    A recogniser compares each taxel with its rest before the touch. A further ramp begins with a
-    loaded part, so that the frames of the first one below the force at which it begins stand before
-    it. The further ramp begins at a set-point of ``from_n`` N.
+    A recogniser compares each taxel with its rest before the touch, but a further ramp begins with
+    a loaded part. The frames of the first ramp below ``from_n``, the set-point in N at which the
+    further ramp begins, are therefore put before it.
     """
     n = int(np.argmax(np.asarray(approach.force_n) >= from_n))
     gap_s = float(np.median(np.diff(further.t_s))) if further.n_frames > 1 else 0.0

@@ -1,4 +1,4 @@
-"""State, latched fault and requested stop of a cell, and what each does to the grip."""
+"""State, latched fault and requested stop of a cell, and their effect on the grip."""
 
 import time
 from collections import Counter
@@ -44,37 +44,37 @@ _HOLDING = (
 """Phases of the gripper in which a part may be in the grip."""
 
 NO_GRIP = ("no part was gripped", "nothing is held")
-"""What is left where no grip is kept: without and with a witness, pads and current."""
+"""Message when no grip is kept: unconfirmed, and confirmed by pads and current."""
 
 ON_REQUEST = "on request"
-"""Reason of a stop that a person or host asked for."""
+"""Reason of a stop that a person or host requested."""
 
 
 @dataclass(kw_only=True)
 class CellLifecycle:
-    """The walk through the states of `cell.control.states`; keeps the grip whatever goes wrong."""
+    """Walks through the states of `cell.control.states`; keeps the grip on every error."""
 
     hand: Hand
     journal: Journal
     """Gets stops, faults and each change of state."""
     shows_nothing: Callable[[], bool]
-    """Whether pads and current showed last that nothing is held."""
+    """Whether the newest pad forces and current show that nothing is held."""
     clock: Clock
     state: CellState = CellState.STOPPED
-    """The present state, which `go` alone changes."""
+    """The present state; only `go` changes it."""
     result: GraspResult | None = None
     """How the last grasp ended; None before the first one and after a release."""
     fault: str | None = None
     fault_number: int = 0
-    """What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`."""
+    """The latched fault as text, and its number in `cell.fault_catalogue`."""
     state_since_s: float = field(default_factory=time.time)
     """Unix time in s of the last change of the state."""
     fault_since_s: float | None = None
-    """Unix time in s at which the latched fault was; None without one."""
+    """Unix time in s of the latched fault; None without a fault."""
     faults: Counter[int] = field(default_factory=Counter)
     """Faults so far, by their numbers."""
     cancelled: bool = False
-    """Whether a stop was requested and nothing has obeyed it yet."""
+    """Whether a requested stop is pending."""
     stop_reason: str = ON_REQUEST
     """Who or what requested the last stop."""
     _kept: tuple[float, str] | None = None
@@ -87,7 +87,7 @@ class CellLifecycle:
 
     @property
     def grasp_state(self) -> GraspState:
-        """State of the grip, beside that of the cell."""
+        """State of the grip."""
         return grasp_state(
             self.hand.phase,
             result=self.result,
@@ -119,13 +119,13 @@ class CellLifecycle:
         return CellStateError(text + (f"; fault: {self.fault}" if self.fault else ""))
 
     def complete(self) -> None:
-        """Leave the acting state with the event with which it ends when all goes well."""
+        """Leave the acting state with the event of its success."""
         self.go(COMPLETIONS[self.state])
 
     def keep(self, *, since: str) -> None:
-        """Leave EXECUTE with the part held for the host, ``since`` e.g. the answer.
+        """Leave EXECUTE with the part held for the host.
 
-        A fault from then on names the time since then; a part that is kept already stays so.
+        A later fault names the time since ``since``, e.g. the answer. A kept part stays kept.
         """
         self._kept = self._kept or (self.clock.monotonic(), since)
         self.go(Event.KEPT)
@@ -141,7 +141,7 @@ class CellLifecycle:
         try:
             self.hand.clear_fault(reboot=reboot)
         except BaseException as error:
-            # An error that a servo has latched needs other steps than the fault that it followed.
+            # A latched servo error needs other steps than the fault before it.
             if self.fault is None or isinstance(error, ServoFault):
                 before = "" if self.fault is None else f" (first: {self.fault})"
                 self.fault, self.fault_number = error_text(error) + before, fault_number(error)
@@ -155,7 +155,7 @@ class CellLifecycle:
 
     @contextmanager
     def latching_faults(self) -> Iterator[None]:
-        """Keep the grip on whatever goes wrong; a stop on request holds, all else is a fault."""
+        """Keep the grip on every error: a requested stop holds, all else latches a fault."""
         try:
             try:
                 yield
@@ -166,7 +166,7 @@ class CellLifecycle:
             self.cancelled = False
             raise CellStopped(f"stopped {self.stop_reason}; {self._left(stop)}") from stop
         except PositionerError as error:
-            # A pose that is not reached is no fault of the cell: its fingers are open and empty.
+            # An unreached pose is no fault of the cell: its fingers are open and empty.
             if self.state is not CellState.EXECUTE or self.holding:
                 self._latch(error)
             else:
@@ -178,12 +178,12 @@ class CellLifecycle:
             raise
 
     def _latch(self, error: BaseException) -> None:
-        """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
+        """Keep the grip and latch the fault; a second error does not hide the first."""
         self.fault = error_text(error) + self._carried_for()
         self.fault_number = fault_number(error)
         self.fault_since_s = time.time()
         self.faults[self.fault_number] += 1
-        # A kept part that slips is no longer where the host has it.
+        # A kept part that slips is no longer where the host expects it.
         lost = (PartLost, PartSlipped) if self._kept else PartLost
         self._part_lost = isinstance(error, lost)
         self.go(Event.FAULT)
@@ -197,14 +197,14 @@ class CellLifecycle:
             self.complete()
 
     def _carried_for(self) -> str:
-        """Return as text how long a kept part was held until now; empty where none is kept."""
+        """Return as text how long a kept part was held until now; empty without one."""
         if self._kept is None:
             return ""
         since_s, since = self._kept
         return f"; {self.clock.monotonic() - since_s:.1f} s after the {since}"
 
     def _left(self, stop: GraspStopped) -> str:
-        """Return what a stop has left as text: fingers on their way, a grip, or nothing held."""
+        """Return the state after a stop as text: fingers between positions, a grip, or nothing."""
         moved = fingers_left(stop)
         if not self.holding:
             return moved or NO_GRIP[self.shows_nothing()]
@@ -213,7 +213,7 @@ class CellLifecycle:
         return "the grip is kept until it is released on purpose"
 
     def _hold(self) -> None:
-        """Go where a stop on request leads from the present state, and keep the grip."""
+        """Go to the state that follows a requested stop, and keep the grip."""
         if self.state is CellState.STARTING:
             self.go(Event.STOP)
             self.hand.stop_sensor()

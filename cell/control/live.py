@@ -1,4 +1,4 @@
-"""Live values of a cell: what is measured at the moment, for hosts that show or supervise it."""
+"""Live values of a cell: its present measurements, for hosts that show or supervise it."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -12,27 +12,26 @@ from gripper.values.state import Cycle
 from tactile.source import TactileFrame
 
 FRESH_S = 0.5
-"""Age in s beyond which a value counts as not measured: frames come each 0.02 s, periods of the
-loop each 0.005 s, and a busy machine may hold the program up for some tenths of a second."""
+"""Age in s beyond which a value counts as not measured. Frames come every 0.02 s, periods of the
+loop every 0.005 s, and a busy machine may delay the program by some tenths of a second."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveValues:
-    """What is measured at the moment: in a motion, in a carry, and between two jobs.
+    """The present measurements: in a motion, in a carry, and between two jobs.
 
-    A value that is not measured now is None: before the first motion, after a fault and a shutdown,
-    and where it is older than `FRESH_S`. An age is that at the time of asking, by the cell's own
-    clock. In virtual time that clock stands still between two commands, and so do the fingers:
-    values and ages stay as they are until the next one. `tactile-cell serve` has it follow real
-    time.
+    A value is None before the first motion, after a fault or a shutdown, and when it is older than
+    `FRESH_S`. Ages are those at the call, by the cell's own clock. In virtual time this clock and
+    the fingers stand still between two commands, so values and ages do not change. With
+    `tactile-cell serve` the clock follows real time.
     """
 
     force_n: float | None = None
     """Grip force in N: the mean of both fingers, as the force loop controls it."""
     force_age_s: float | None = None
-    """Age of the newest valid force in s, also where it is too old to be shown."""
+    """Age of the newest valid force in s, even if the force is too old to be shown."""
     setpoint_n: float | None = None
-    """Force that is asked for in N; 0 while no force is controlled."""
+    """Force set-point in N; 0 while no force is controlled."""
     opening_mm: float | None = None
     """Opening between the fingers in mm."""
     temperature_c: float | None = None
@@ -40,7 +39,7 @@ class LiveValues:
     counts: NDArray[np.uint16] | None = None
     """(n_taxels,) uint16: raw counts of the newest frame, read-only."""
     frame_age_s: float | None = None
-    """Age of the newest frame in s, also where it is too old to be shown."""
+    """Age of the newest frame in s, even if the frame is too old to be shown."""
 
 
 _Value = TypeVar("_Value", Cycle, ForceSample, TactileFrame)

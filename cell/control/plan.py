@@ -1,4 +1,4 @@
-"""Plans of grasp-then-classify sequences: poses and forces in their order. Pure functions."""
+"""Plans of grasp-then-classify sequences: an ordered list of poses and forces. Pure functions."""
 
 import itertools
 import math
@@ -31,7 +31,7 @@ class Pose:
         for name in ("x_m", "y_m", "rotation_rad", "roll_rad"):
             value = getattr(self, name)
             if not math.isfinite(value):
-                raise ValueError(f"pose has {name} = {value}, which is not finite")
+                raise ValueError(f"pose has {name} = {value}; give a finite number")
 
     def as_dict(self) -> dict[str, float]:
         """Return the pose as plain numbers, keys with units."""
@@ -39,7 +39,7 @@ class Pose:
 
     @classmethod
     def of_mm(cls, x_mm: float, y_mm: float, rotation_deg: float, roll_deg: float) -> Self:
-        """Return the pose of lengths in mm and angles in degrees, as the config has them."""
+        """Return a pose from lengths in mm and angles in degrees, the units of the config."""
         return cls(
             x_m=x_mm * 1e-3,
             y_m=y_mm * 1e-3,
@@ -60,18 +60,18 @@ class GraspStep:
     """One grasp of a plan."""
 
     pose: Pose
-    """Where the object shall be."""
+    """Pose of the object."""
     force_n: float
     """Force at the end of the ramp in N."""
 
     @property
     def command(self) -> GraspCommand:
-        """Pose and force as a grasp keeps them."""
+        """Pose and force in the form that a grasp stores."""
         return GraspCommand(**self.pose.as_dict(), force_n=self.force_n)
 
 
 def _levels(low: float, high: float, count: int) -> list[float]:
-    """Spread ``count`` values evenly over a range; one value stands in its middle."""
+    """Spread ``count`` values evenly over a range; a single value is its middle."""
     if count == 1:
         return [0.5 * (low + high)]
     return [low + (high - low) * i / (count - 1) for i in range(count)]
@@ -80,9 +80,9 @@ def _levels(low: float, high: float, count: int) -> list[float]:
 def plan_grid(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
     """Walk a grid over position, rotation, roll and force.
 
-    The grid has ``grid_points`` values on each axis whose range is open; it is walked in strides
-    that are coprime to its size, so that the first grasps of a long grid already differ in all
-    axes, and begins anew where ``n_grasps`` exceeds it.
+    The grid has ``grid_points`` values on each axis with a range. Its strides are coprime to its
+    size, so that already the first grasps differ in all axes. It starts again when ``n_grasps``
+    exceeds its size.
     """
     ranges = config.ranges.values()
     axes = [_levels(low, high, config.grid_points if high > low else 1) for low, high in ranges]
@@ -101,7 +101,7 @@ def plan_random(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[Gr
 
 
 def plan_list(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
-    """Take the listed poses in order, again from the first where ``n_grasps`` exceeds the list."""
+    """Take the listed poses in order; start again when ``n_grasps`` exceeds the list."""
     listed = [_step(**pose.model_dump()) for pose in config.poses]
     return tuple(listed[i % len(listed)] for i in range(n_grasps))
 

@@ -17,11 +17,11 @@ from gripper.clock import Clock
 _T = TypeVar("_T")
 
 _LONGEST_REPLY = 65536
-"""Bytes of a reply of the simulated cell after which it is taken for garbage; a pose takes 200."""
+"""Longest accepted reply of the simulated cell in bytes; a pose takes 200."""
 
 
 Supervise = Callable[[], None]
-"""Looks at the cell while something moves; what it raises ends the motion."""
+"""Supervises the cell during a motion; an error that it raises ends the motion."""
 
 
 def unwatched() -> None:
@@ -30,45 +30,44 @@ def unwatched() -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Destination:
-    """Place that a named part is brought to."""
+    """Place to which a named part is brought."""
 
     label: str
     """Name of the part, or ``UNKNOWN``."""
     place: str
     """Name of the place."""
     pose: Pose | None = None
-    """Where that is, for a positioner with axes of its own; None where only the host can find it.
-    """
+    """Pose of the place for a positioner with its own axes; None if only the host has it."""
 
 
 class Positioner(Protocol):
     """Moves the object, or the gripper around it, to the next pose of a sequence.
 
-    A positioner whose calls block is called on a thread of its own, and the cell supervised
-    meanwhile. One that does not block and yet takes its time calls ``supervise`` once a period.
+    A positioner whose calls block runs on its own thread, and the cell is supervised meanwhile. A
+    positioner that takes time without blocking calls ``supervise`` once a period.
     """
 
     @property
     def blocks(self) -> bool:
-        """Whether a call may take long, so that the cell must be supervised meanwhile."""
+        """Whether a call may take long; the cell must then be supervised meanwhile."""
         ...
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
-        """Have the object with this label in reach; None: the one to be identified.
+        """Bring the object with this label; None: the object to be identified.
 
         Raises PositionerError if there is no such object.
         """
         ...
 
     def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
-        """Go to the pose and return the one that was reached; the fingers are open meanwhile.
+        """Go to the pose and return the reached pose; the fingers are open meanwhile.
 
         Raises PositionerError if it cannot be reached.
         """
         ...
 
     def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
-        """Bring the part in the grip to a place and return when it is there.
+        """Bring the part in the grip to a place; return at arrival.
 
         Raises PositionerError if it cannot be reached.
         """
@@ -76,7 +75,7 @@ class Positioner(Protocol):
 
 
 def in_thread(call: Callable[[], _T], name: str) -> Future[_T]:
-    """Begin a call on a thread of its own with that name; return its result to come."""
+    """Start a call on a new thread with this name; return its future."""
     future: Future[_T] = Future()
 
     def run() -> None:
@@ -90,10 +89,7 @@ def in_thread(call: Callable[[], _T], name: str) -> Future[_T]:
 
 
 class PatientCaller:
-    """Runs calls that block on a thread of their own, while the cell stays supervised.
-
-    Between two looks at the cell ``period_s`` s of the clock pass.
-    """
+    """Runs blocking calls on another thread, and supervises the cell every ``period_s`` s."""
 
     def __init__(self, clock: Clock, period_s: float) -> None:
         self._clock = clock
@@ -103,13 +99,12 @@ class PatientCaller:
     def call(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
         """Make a call and return what it returns; ``supervise`` is called meanwhile.
 
-        What the supervision raises is raised at once: nobody has to answer a question first whose
-        answer no longer matters. The call then goes on by itself. Raises PositionerError if an
-        earlier call still goes on: two must never move at once.
+        An error of the supervision is raised at once, while the call continues by itself. Raises
+        PositionerError if an earlier call still runs: two calls must never move at once.
         """
         if self._last is not None and not self._last.done():
             raise PositionerError(
-                "the last move was given up and has not ended yet; end it, then go on"
+                "the last move was abandoned and still runs; end it, then try again"
             )
         self._last = future = in_thread(call, "positioner")
         while not future.done():
@@ -136,7 +131,7 @@ class SimulatedPositioner:
         self._label: str | None = None
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
-        """Choose the object that the following poses are for; None keeps the present one."""
+        """Choose the object of the following poses; None keeps the present one."""
         if label is not None:
             self._label = label
 
@@ -145,12 +140,12 @@ class SimulatedPositioner:
         if self._label is None:
             raise PositionerError(
                 "the simulated cell has no object to place; "
-                "name one with --object, or call present(label) first"
+                "name an object with --object, or call present(label) first"
             )
         return self._placer.place(self._label, pose)
 
     def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
-        """Do nothing: the simulated gripper is at every place at once."""
+        """Do nothing: the simulated gripper needs no motion to a place."""
 
 
 class SocketPlacer:
@@ -191,16 +186,18 @@ class SocketPlacer:
     def ask(self, request: dict[str, Any]) -> dict[str, Any]:
         """Send one request of `simulator.realtime.requests`, return its reply.
 
-        Raises PositionerError where it is refused or the cell is gone.
+        Raises PositionerError if it is refused or the connection is lost.
         """
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
             line = self._line()
             reply = json.loads(line) if line else None
         except (OSError, ValueError, RecursionError) as error:
-            # An answer that comes later must not pass for that of the next request.
+            # A late answer must not be taken for that of the next request.
             self._socket.close()
-            raise PositionerError(f"the simulated cell at {self._path} is gone: {error}") from error
+            raise PositionerError(
+                f"the connection to the simulated cell at {self._path} is lost: {error}"
+            ) from error
         if not isinstance(reply, dict):
             raise PositionerError(f"the simulated cell at {self._path} closed the connection")
         if "error" in reply:
@@ -208,7 +205,7 @@ class SocketPlacer:
         return reply
 
     def _line(self) -> bytes:
-        """Return the next line, empty at the end; TimeoutError where it does not come whole."""
+        """Return the next line, empty at the end. Raises TimeoutError if it is incomplete."""
         end_s = time.monotonic() + self._timeout_s
         while b"\n" not in self._received and len(self._received) < _LONGEST_REPLY:
             left_s = end_s - time.monotonic()
@@ -225,7 +222,7 @@ class SocketPlacer:
 
 
 class OperatorPositioner:
-    """Asks a person at the terminal to move the object, and waits until it is done."""
+    """Asks a person at the terminal to move the object, and waits for the confirmation."""
 
     blocks = True
 
@@ -261,21 +258,21 @@ class OperatorPositioner:
 
 @dataclass
 class CallbackPositioner:
-    """Has the host program move: a callback that gets the pose and returns what was reached."""
+    """Asks the host program to move: a callback gets the pose and returns the reached one."""
 
     move: Callable[[Pose], Pose | bool | None]
-    """Callback that returns None or True when the pose is reached, False to veto it, or the `Pose`
-    that it reached instead."""
+    """Returns None or True when the pose is reached, False to refuse it, or the `Pose` reached
+    instead."""
     simulated: SimulatedPositioner | None = None
-    """Then places the object there: for a host without a robot yet."""
+    """Places the object after the callback: for a host without a robot."""
 
     @property
     def blocks(self) -> bool:
-        """Whether the host takes its time; the simulated cell does not."""
+        """True for a host; False for the simulated cell."""
         return self.simulated is None
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
-        """Choose the object of the simulated cell; to a real one the host brings it."""
+        """Choose the object of the simulated cell; in a real cell the host brings it."""
         if self.simulated is not None:
             self.simulated.present(label)
 
@@ -295,20 +292,19 @@ class CallbackPositioner:
         return reached if self.simulated is None else self.simulated.move_to(reached)
 
     def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
-        """Refuse: the host has given no callback for places; see `HostPlaces`."""
+        """Refuse: the host gave no callback for places; see `HostPlaces`."""
         raise PositionerError(
-            f"{destination.label} is to be brought to {destination.place}, but the host gave no "
-            "callback `places` that does so; the part is kept"
+            f"the host gave no callback `places`, which brings {destination.label} to "
+            f"{destination.place}; the part is kept"
         )
 
 
 CarryCallback = Callable[[Destination], bool | None]
-"""Brings the part in the grip to a place: returns None or True when it is there, False to refuse.
-"""
+"""Brings the part in the grip to a place. Returns None or True at arrival, False to refuse."""
 
 
 class HostPlaces:
-    """Positioner whose parts the host brings to their places; all else another one does."""
+    """Positioner whose host brings parts to their places; another positioner does the rest."""
 
     def __init__(self, positioner: Positioner, places: CarryCallback) -> None:
         self.blocks = positioner.blocks
@@ -321,5 +317,6 @@ class HostPlaces:
         if there is not None and there is not True:
             raise PositionerError(
                 f"the host answered {there!r} to the place {destination.place} of "
-                f"{destination.label}: None or True means that it is there; the part is kept"
+                f"{destination.label}: return None or True at arrival, False to refuse; the part "
+                "is kept"
             )

@@ -1,4 +1,4 @@
-"""Grasp records: the cycles of the force loop and the frames of the sensor in one grasp."""
+"""Grasp records: the control periods and the tactile frames of one grasp."""
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -31,10 +31,10 @@ class GraspRecord:
     cycles: tuple[Cycle, ...]
     """Every period of the force loop, in order."""
     early: Posterior | None = None
-    """Answer that ended the ramp before its usual end; None where that was reached. The grasp goes
-    on until the force had settled, so it holds more than what decided."""
+    """Answer that ended the ramp early; None for a whole ramp. The grasp continues until the force
+    has settled, so it has more frames than the answer used."""
     same_grip: bool = False
-    """Whether this is a further ramp in the grip of the record before; its periods begin there."""
+    """Whether this is a further ramp in the grip of the record before."""
 
     @property
     def duration_s(self) -> float:
@@ -43,7 +43,7 @@ class GraspRecord:
 
     @property
     def ended(self) -> str:
-        """Where the ramp was ended early, or why below its force, in words; empty where not."""
+        """Where the ramp ended early, or why below its force, as text; else empty."""
         if self.early is None:
             return self.outcome.short
         return f"ended early at {self.cycles[-1].setpoint_n:.1f} N"
@@ -62,7 +62,7 @@ class GraspRecord:
 
 
 def pad_array(layout: TaxelLayout) -> PadArray:
-    """Return the geometry of a layout as recognisers take it."""
+    """Return the geometry of a layout in the form that recognisers take."""
     return PadArray(
         pad_shape=np.asarray(layout.pad_shape),
         taxel_pad=np.asarray(layout.taxel_pad),
@@ -73,7 +73,7 @@ def pad_array(layout: TaxelLayout) -> PadArray:
 
 @dataclass
 class GraspCollector:
-    """Collects the frames of one grasp, each with opening and set-point of its control period."""
+    """Collects the frames of one grasp, with opening and set-point of their control periods."""
 
     pads: PadArray
     _: KW_ONLY
@@ -87,7 +87,7 @@ class GraspCollector:
     _since_frame_a: list[float] = field(default_factory=list)
 
     def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-        """Take one period of the force loop and the frames that arrived in it."""
+        """Add one period of the force loop and the frames that arrived in it."""
         self.cycles.append(cycle)
         self._since_frame_a.append(cycle.state.current_a)
         if frames:

@@ -1,4 +1,4 @@
-"""Self-zeros of a cell: when one is due, what is refused, and where the newest is kept."""
+"""Self-zeros of a cell: when one is due, when one is refused, and the file of the newest."""
 
 import math
 import time
@@ -25,15 +25,15 @@ from tactile.source import SourceIdentity
 SelfZeroWhen = Literal["always", "daily", "on_demand", "never"]
 
 _MOST_TILT_RAD = math.radians(4.0)
-"""Largest tilt in rad of pads that lie on each other: beyond it a finger is bent, a pad loose."""
+"""Largest tilt in rad between pads in contact; beyond it a finger is bent or a pad is loose."""
 _MOST_RATIO = 1.6
-"""Largest ratio of the gains of both pads: beyond it a grasp ends with fingers that press
-differently (`gripper.limits.imbalance_share`)."""
+"""Largest ratio of the gains of both pads. Beyond it a grasp ends because the forces of both
+fingers differ (`gripper.limits.imbalance_share`)."""
 _LONGEST_S = 86_400.0
 """Age in s up to which a self-zero counts: a day."""
 _FAR_M = 2e-3
-"""Largest way in m from the self-zero before that a daily one may find, or from the config's zero:
-a flat part on all of both pads feels like the pads, and nobody has looked whether one is there."""
+"""Largest distance in m of a daily self-zero from the one before and from the config's zero. A flat
+part that covers both pads looks like the pads, and nobody has checked for one."""
 _HAND_KEYS = {
     "gripper": ("port", "servos", "linkage"),
     "tactile": (
@@ -43,14 +43,14 @@ _HAND_KEYS = {
     "simulator": ("pads",),
 }
 _SERVO_KEYS = ("id", "model", "direction", "zero_pulse")
-"""Keys of a servo that say which hand it is; the others are figures of its drive."""
+"""Keys of a servo that identify the hand; the others describe its drive."""
 _ANOTHER_DAY_SD = 0.2
-"""Uncertainty of a friction that an earlier start has measured: temperature, rest. [assumed]"""
-"""Keys of the config, by section, that say which hand it is."""
+"""Uncertainty of a friction measured at an earlier start: temperature, rest. [assumed]"""
+"""Keys of the config, by section, that identify the hand."""
 
 
 def zero_file(directory: Path, cell_name: str) -> Path:
-    """Return the file that keeps the self-zero of a cell beside the folders of its jobs."""
+    """Return the file of a cell's self-zero, beside the folders of its jobs."""
     name = "".join(sign if sign.isalnum() else "-" for sign in cell_name)
     return directory / f"self-zero-{name}.json"
 
@@ -58,10 +58,9 @@ def zero_file(directory: Path, cell_name: str) -> Path:
 def kept_zeros(
     config: CellConfig, directory: Path | None, *, new_hand: bool | None = None
 ) -> "SelfZeros":
-    """Return the self-zeros of a cell, kept in a folder; None: in this program alone.
+    """Return the self-zeros of a cell, saved in a folder; None: in this program alone.
 
-    ``new_hand`` says whether what an earlier program measured is of another hand, as it is of a
-    simulated one.
+    ``new_hand``: values of earlier programs are of another hand, for example a simulated one.
     """
     port = config.gripper.port
     return SelfZeros(
@@ -75,7 +74,7 @@ def kept_zeros(
 
 
 def _hand_of(config: CellConfig) -> dict[str, Any]:
-    """Return what a self-zero rests on, by dotted keys: ports, servos, linkage, pads, simulator."""
+    """Return the config values that identify the hand of a self-zero, by dotted keys."""
     values = config.model_dump(mode="json")
     hand = {
         f"{section}.{key}": values[section][key]
@@ -83,7 +82,7 @@ def _hand_of(config: CellConfig) -> dict[str, Any]:
         for key in keys
     }
     for key in ("sensor", "pad_gains"):
-        # Files of earlier versions have neither: a default one does not count as another.
+        # Files of earlier versions have neither: a default value does not mean another hand.
         if getattr(config.tactile, key) != getattr(TactileConfig(), key):
             hand[f"tactile.{key}"] = values["tactile"][key]
     hand["gripper.servos"] = [
@@ -96,38 +95,38 @@ def _hand_of(config: CellConfig) -> dict[str, Any]:
 class SelfZeros:
     """The newest self-zero of a cell, and when the next one is due.
 
-    One that is older than a day counts no more: the hand may have changed since.
+    A self-zero older than a day is not used: the hand may have changed.
     """
 
     when: SelfZeroWhen = "on_demand"
-    """At which starts it is due, as the config's ``self_zero`` has it. At a daily one nobody has
-    looked whether the fingers are empty."""
+    """At which starts it is due: ``self_zero`` of the config. Before a daily one nobody has checked
+    that the fingers are empty."""
     _: KW_ONLY
     pads_meet: bool = True
     """Whether the pads of these fingers can press flat on each other."""
     path: Path | None = None
-    """File that keeps it from program to program; None: this program alone has it. One that cannot
-    be read, or is of another hand, counts as none: `refused` has why."""
+    """File that saves it for other programs; None: this program alone has it. An unreadable file,
+    or one of another hand, is not used: `refused` has the reason."""
     hand: Mapping[str, Any] = field(default_factory=dict)
-    """What says which hand it is of, plain values by name."""
+    """Values that identify the hand, by name."""
     servos: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
-    """Port and model of each servo, by its ID; with the homing offset they say which it is."""
+    """Port and model of each servo, by its ID; with the homing offset they identify the servo."""
     new_hand: bool = False
-    """Whether each program has a new hand, a simulated one: its first start is the first of a day,
-    and what a program does is the same at each time of the day."""
+    """Whether each program has a new simulated hand. Its first start is then the first of a day, so
+    that a program does the same at any time."""
     now_s: Callable[[], float] = time.time
     """Returns the unix time in s."""
     measured_s: float = field(default=0.0, init=False)
-    """Unix time in s of the last one, however old; 0 where there is none."""
+    """Unix time in s of the last one of any age; 0 without one."""
     unkept: str = field(default="", init=False)
-    """Why the newest one is of this program alone, its file cannot be written; else empty."""
+    """Why the newest one was not saved to its file; else empty."""
     refused: str = field(default="", init=False)
-    """Why the one in the file does not count, until another one is measured; else empty."""
+    """Why the self-zero in the file is not used, until another one is measured; else empty."""
     drives: dict[int, dict[str, Any]] = field(default_factory=dict, init=False)
-    """Drive characteristic of each servo as plain data, and which servo it is of, by its ID."""
+    """Drive characteristic of each servo and the identity of the servo, plain data by its ID."""
     _last: SelfZero | None = field(default=None, init=False)
     _kept_hand: Mapping[str, Any] = field(default_factory=dict, init=False)
-    """The hand that the one in the file is of."""
+    """The hand of the self-zero in the file."""
 
     def __post_init__(self) -> None:
         if self.path is not None:
@@ -135,7 +134,7 @@ class SelfZeros:
 
     @property
     def newest(self) -> SelfZero | None:
-        """The newest self-zero; None where there is none of the last day."""
+        """The newest self-zero of the last 24 hours, or None."""
         young = abs(self.now_s() - self.measured_s) <= _LONGEST_S
         return self._last if young and self.when != "never" else None
 
@@ -149,32 +148,32 @@ class SelfZeros:
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody wants it at each start, so that what stands in its way is a fault."""
+        """Whether the config demands it at each start; a failure is then a fault."""
         return self.when == "always"
 
     def of_unit(self, unit: SourceIdentity) -> None:
-        """Take the serial numbers of the control unit that answers, as a part of the hand."""
+        """Add the serial numbers of the connected control unit to the identity of the hand."""
         self.hand = {**self.hand, "unit.serial": unit.serial, "unit.boards": list(unit.boards)}
         self._refuse_other_hand()
 
     def far_off(self, zero: SelfZero) -> str:
         """Return as text that a self-zero is far from the config's or from the last one, else "".
 
-        The config's bounds what the daily ones may move together.
+        The distance from the config's zero limits the sum of all daily changes.
         """
-        places_m = {"the config has it": 0.0}
+        places_m = {"the zero of the config is": 0.0}
         if self._last is not None:
             places_m["they met last"] = self._last.opening_m
         for where, place_m in places_m.items():
             if abs(zero.opening_m - place_m) > _FAR_M:
                 return (
-                    f"the fingers meet at {_mm(zero.opening_m)} mm, {_mm(place_m)} mm is where "
-                    f"{where}: something flat may be between them, or the zero has moved"
+                    f"the fingers meet at {_mm(zero.opening_m)} mm; {where} at {_mm(place_m)} mm: "
+                    f"a flat part may be between them, or the zero has moved"
                 )
         return ""
 
     def check(self) -> None:
-        """Raise PlanRefused where these fingers have no self-zero."""
+        """Raise PlanRefused if the config allows no self-zero for these fingers."""
         if not self.pads_meet:
             raise PlanRefused(
                 "gripper.pads_meet is false: these fingers cannot meet. Gauge them with a taught "
@@ -184,7 +183,7 @@ class SelfZeros:
             raise PlanRefused("self_zero is never: write on_demand, daily or always in the config")
 
     def keep(self, zero: SelfZero) -> None:
-        """Keep a self-zero that was measured now; `unkept` has why a file cannot."""
+        """Save a new self-zero; `unkept` has the reason if its file cannot be written."""
         self._last, self.measured_s = zero, self.now_s()
         self._kept_hand, self.new_hand = self.hand, False
         self.unkept = self.refused = ""
@@ -193,7 +192,7 @@ class SelfZeros:
     def keep_drives(
         self, drives: Mapping[int, DriveCharacteristic], homing: Mapping[int, int]
     ) -> None:
-        """Keep what was measured of servos with these homing offsets, by their IDs."""
+        """Save the drive characteristics of servos with these homing offsets, by their IDs."""
         measured = {
             servo_id: {
                 "servo": self._servo(servo_id, homing),
@@ -203,12 +202,12 @@ class SelfZeros:
             if drive.measured
         }
         self.drives |= measured
-        # A file that does not count is some other hand's, or a person's to look at.
+        # An unused file belongs to another hand, or a person must inspect it.
         if measured and not self.refused:
             self._write()
 
     def kept_drives(self, homing: Mapping[int, int]) -> dict[int, DriveCharacteristic]:
-        """Return the drive characteristics of the servos that are there, as of another day."""
+        """Return the saved drive characteristics of the present servos, as of another day."""
         found = {}
         for servo_id, kept in self.drives.items():
             if kept["servo"] == self._servo(servo_id, homing):
@@ -230,18 +229,18 @@ class SelfZeros:
             "drives": {str(servo_id): kept for servo_id, kept in self.drives.items()},
         }
         try:
-            with suppress(OSError):  # What it means is told by the writing.
+            with suppress(OSError):  # The write reports the error.
                 self.path.parent.mkdir(parents=True, exist_ok=True)
             write_json(self.path, SELF_ZERO, kept, error=CellError)
         except CellError as error:
-            self.unkept = f"today's self-zero counts in this program alone: {error}"
+            self.unkept = f"today's self-zero could not be saved for other programs: {error}"
 
     def _read(self, path: Path) -> None:
         try:
             values = read_json(path, SELF_ZERO, error=CellError)
             if values is None:
                 return
-            # Version 1 has the zero alone, beside the other keys.
+            # Version 1 has only the zero, beside the other keys.
             zero = values.get("zero", values)
             last = zero and SelfZero.from_values([zero[name] for name in ZERO_COLUMNS])
             drives = {int(name): dict(kept) for name, kept in values.get("drives", {}).items()}
@@ -252,7 +251,7 @@ class SelfZeros:
         except CellError as error:
             self._refuse(str(error))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, OSError):
-            self._refuse(f"{path} holds none; {SELF_ZERO.remedy}")
+            self._refuse(f"{path} has no self-zero; {SELF_ZERO.remedy}")
         else:
             self._last, self.measured_s = last, measured_s
             # Each program has a new simulated hand.
@@ -260,7 +259,7 @@ class SelfZeros:
             self._refuse_other_hand()
 
     def _refuse_other_hand(self) -> None:
-        """Let the last one count no more where it is of another hand."""
+        """Do not use the last one if it is of another hand."""
         kept = self._kept_hand
         others = [key for key, value in self.hand.items() if kept.get(key) != value]
         if self._last is not None and others:
@@ -271,47 +270,47 @@ class SelfZeros:
 
     def _refuse(self, why: str) -> None:
         self._last, self.measured_s = None, 0.0
-        self.refused = f"the kept self-zero does not count: {why}"
+        self.refused = f"the saved self-zero is not used: {why}"
 
 
 def part_between(outcome: GraspOutcome, found: ZeroMeasurement | None = None) -> str:
-    """Return as text that something else than their pads has stopped the empty fingers, else "".
+    """Return as text that something other than the pads has stopped the fingers, else "".
 
-    The outcome of `Hand.press_pads_together` ends early where the opening or the first footprints
-    show a part; ``found`` is what the pads have shown at the end.
+    `Hand.press_pads_together` ends early if the opening or the first footprints show a part;
+    ``found`` is the measurement at its end.
     """
     lost = outcome.result is GraspResult.PART_LOST
     if not (outcome.ended_early or lost or (found is not None and not found.pads_met)):
         return ""
     return (
-        f"the empty fingers were to meet, and were stopped at {_mm(outcome.final_aperture_m)} mm: "
-        f"something is between them. Where nothing is, a pad is damaged, or the zero is off as by "
-        f"a tooth of a horn"
+        f"the empty fingers did not meet: they stopped at {_mm(outcome.final_aperture_m)} mm, "
+        f"something is between them. If nothing is, a pad is damaged or the zero is wrong, for "
+        f"example by a tooth of a horn"
     )
 
 
 def unsound(found: ZeroMeasurement) -> str:
-    """Return as text that a finger is bent, or one pad feels far less than the other, else ""."""
+    """Return as text that a finger is bent, or one pad measures far less than the other, or ""."""
     tilt_deg = [math.degrees(tilt) for tilt in found.tilt_rad]
     if max(map(abs, found.tilt_rad)) > _MOST_TILT_RAD:
         return (
             f"the pads meet at {tilt_deg[0]:+.1f} degrees along the fingers and "
             f"{tilt_deg[1]:+.1f} across, {math.degrees(_MOST_TILT_RAD):.0f} are allowed: a finger "
-            f"is bent or a pad is loose; straighten or mend it, then measure again"
+            f"is bent or a pad is loose; repair it, then measure again"
         )
     ratio = math.exp(found.zero.log_gain_ratio)
     if 1.0 / _MOST_RATIO <= ratio <= _MOST_RATIO:
         return ""
     weak = 0 if ratio < 1.0 else 1
     return (
-        f"under one force the pad of finger 0 shows {ratio:.2f} times what that of finger 1 "
-        f"shows, {_MOST_RATIO:g} or its inverse are allowed: the pad of finger {weak} is worn, "
-        f"or its cable damaged; change it, then measure again"
+        f"at the same force the pad of finger 0 measures {ratio:.2f} times the force of finger 1, "
+        f"{_MOST_RATIO:g} or its inverse are allowed: the pad of finger {weak} is worn, "
+        f"or its cable damaged; replace it, then measure again"
     )
 
 
 def dead_taxels_text(found: ZeroMeasurement, layout: TaxelLayout) -> str:
-    """Return which taxels feel nothing, as a note; empty where all do."""
+    """Return the dead taxels as a note; empty without any."""
     if not found.dead:
         return ""
     places = ", ".join(
@@ -319,7 +318,7 @@ def dead_taxels_text(found: ZeroMeasurement, layout: TaxelLayout) -> str:
         for taxel in found.dead[:8]
         for pad in (int(layout.taxel_pad[taxel]),)
     )
-    return f"{len(found.dead)} taxels feel nothing where their neighbours do: {places}"
+    return f"{len(found.dead)} taxels measure nothing although their neighbours do: {places}"
 
 
 def zero_values(zero: SelfZero) -> dict[str, float]:
@@ -332,12 +331,12 @@ def _mm(opening_m: float) -> str:
 
 
 def homing_offsets(report: VerificationReport) -> dict[int, int]:
-    """Return the homing offset of each servo, by its ID, as a start has found it."""
+    """Return the homing offset of each servo, by its ID, from the report of a start."""
     return {row.servo_id: int(row.found) for row in report.rows if row.item == "homing_offset"}
 
 
 def drive_text(servo_id: int, drive: DriveCharacteristic, model: ServoModel) -> str:
-    """Return a drive characteristic beside the catalogue's, as text for people."""
+    """Return a drive characteristic beside that of the catalogue, as text for people."""
     usual = DriveCharacteristic.catalogue(model)
     torque = f"{1.0 / drive.rising_a_nm:.2f} Nm/A (±{100 * drive.load_sd:.0f} %)"
     return (
@@ -354,6 +353,6 @@ def zero_text(found: ZeroMeasurement) -> str:
     along_deg, across_deg = (math.degrees(tilt) for tilt in found.tilt_rad)
     return (
         f"pads meet at {_mm(zero.opening_m)} mm (±{zero.opening_sd_m * 1e3:.2f}), finger 0 "
-        f"feels {math.exp(zero.log_gain_ratio):.2f} times finger 1 "
+        f"measures {math.exp(zero.log_gain_ratio):.2f} times finger 1 "
         f"(±{zero.log_gain_ratio_sd:.2f}), tilt {along_deg:+.1f} and {across_deg:+.1f} degrees"
     )

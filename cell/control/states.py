@@ -1,7 +1,7 @@
 """States of the cell and its grip, the table of transitions, and the commands of a host.
 
-Names are those of PackML, numbers those of PackTags (OPC 30050), which PLC programmers know. The
-lifecycle walks this table; the page ``docs/reference/states.md`` and the tests are made from it.
+Names are those of PackML, numbers those of PackTags (OPC 30050). The lifecycle uses this table. The
+page ``docs/reference/states.md`` and the tests are made from it.
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from gripper.values.state import GripperPhase
 
 
 class GraspState(StrEnum):
-    """State of the grip: what the fingers do, and how the last grasp ended while they rest.
+    """State of the grip: the action of the fingers; at rest the result of the last grasp.
 
-    Names and numbers are those of the grasping state of Weiss WSG grippers, which hosts expect.
+    Names and numbers are those of the grasping state of Weiss WSG grippers.
     """
 
     IDLE = "IDLE"
@@ -44,13 +44,13 @@ OF_PHASE = {
     GripperPhase.RELEASING: GraspState.RELEASING,
     GripperPhase.HELD_AFTER_FAULT: GraspState.HOLDING,
 }
-"""Grasp state of each phase of the gripper, where no fault and no failed grasp decides it."""
+"""Grasp state of each phase of the gripper without a fault or a failed grasp."""
 
 OF_RESULT = {
     GraspResult.NO_CONTACT: GraspState.NO_PART_FOUND,
     GraspResult.PART_LOST: GraspState.PART_LOST,
 }
-"""What is shown after a grasp that ended so, until the next command moves the fingers."""
+"""Grasp state after a grasp with this result, until the next command moves the fingers."""
 
 
 def grasp_state(
@@ -58,8 +58,8 @@ def grasp_state(
 ) -> GraspState:
     """Return the state of the grip.
 
-    ``result`` is how the last grasp ended, None before the first one and after a release;
-    ``part_lost`` is whether a latched fault is the loss of the part.
+    ``result``: of the last grasp, None before the first one and after a release. ``part_lost``:
+    whether the latched fault is the loss of the part.
     """
     if fault:
         return GraspState.PART_LOST if part_lost else GraspState.ERROR
@@ -92,12 +92,12 @@ class CellState(StrEnum):
 
     @property
     def acting(self) -> bool:
-        """Whether the state is left by itself, because a command runs or a fault is handled."""
+        """Whether the cell leaves the state by itself: a command runs or a fault is handled."""
         return self in COMPLETIONS
 
     @property
     def needs_reset(self) -> bool:
-        """Whether an acknowledged fault waits for a reset, which has the number of STOPPED."""
+        """Whether an acknowledged fault waits for a reset; the number is that of STOPPED."""
         return self is CellState.RESETTING
 
 
@@ -163,8 +163,8 @@ COMPLETIONS: dict[CellState, Event] = {
     CellState.ABORTING: Event.ABORTED,
     CellState.CLEARING: Event.CLEARED,
 }
-"""The event with which each acting state ends when all goes well. EXECUTE ends with KEPT instead
-where the part is held for the host."""
+"""The event that ends each acting state on success. EXECUTE ends with KEPT instead if the part is
+held for the host."""
 
 TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
     (CellState.STOPPED, Event.START): CellState.STARTING,
@@ -196,7 +196,7 @@ TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
         if state not in (CellState.ABORTED, CellState.ABORTING)
     },
 }
-"""Every transition there is; a pair that is not listed is refused."""
+"""All transitions; a pair that is not listed is refused."""
 
 _OTHER_EVENTS = {"grasp": Event.EXECUTE, "grip": Event.EXECUTE, "shutdown": Event.STOP}
 _EVENT_OF = {
@@ -204,13 +204,13 @@ _EVENT_OF = {
     for command in Command
     if command is not Command.CANCEL
 }
-"""Event of each command, mostly that of its name; a cancel leads to different ones."""
+"""Event of each command, mostly the event of the same name; a cancel has several."""
 
 _KEEPING = (Command.GRIP, Command.VERIFY)
 """Commands that end with the part held for the host."""
 
 _CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
-"""What a cancel of the running command leads to; other acting states end as they would."""
+"""Event of a cancel while a command runs; other acting states end as usual."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +220,7 @@ class CommandEffect:
     accepted: bool
     """False: the command raises CellStateError and changes nothing."""
     path: tuple[CellState, ...] = ()
-    """States that the cell goes through to the one it stays in; empty where it stays as it is."""
+    """States that the cell passes, up to its final one; empty if the state does not change."""
 
 
 def next_state(state: CellState, event: Event) -> CellState:
@@ -236,7 +236,7 @@ def next_state(state: CellState, event: Event) -> CellState:
 
 
 def refusal(state: CellState, asked: Command | Event) -> str:
-    """Return the message that a command is not allowed in a state, with those that are."""
+    """Return the message that a command is not allowed in a state, and the allowed commands."""
     allowed = [
         command.value
         for command in Command
@@ -251,7 +251,7 @@ def refusal(state: CellState, asked: Command | Event) -> str:
 def command_effect(state: CellState, command: Command) -> CommandEffect:
     """Return the effect of a command in a state: one cell of the table of commands."""
     if command is Command.CANCEL:
-        # One that nothing obeys now counts for the next command: it is not lost.
+        # A cancel without a running command stays pending for the next one.
         return CommandEffect(True, _path(state, _CANCELLED[state]) if state in _CANCELLED else ())
     if command is Command.SHUTDOWN:
         if state.acting:

@@ -13,15 +13,15 @@ aperture_mm    float32 (n_frames,)         opening between the fingers in mm; Na
 force_n        float32 (n_frames,)         commanded grip force in N; NaN where unknown; optional
 t_s            float32 (n_frames,)         time since the grasp's first frame in s
 grasp_offsets  int64 (n_grasps + 1,)       grasp i has the frames offsets[i] to offsets[i + 1]
-label          str (n_grasps,)             what was grasped; empty where unknown
+label          str (n_grasps,)             grasped object; empty where unknown
 shape          str (n_grasps,)             class of shape; optional
 start_ms       int64 (n_grasps,)           time of the grasp's first frame
-source         str (n_grasps,)             where it came from; optional
+source         str (n_grasps,)             its origin; optional
 thickness_mm   float32 (n_grasps,)         of the object along the closing axis by its drawing;
                                            NaN where unknown; optional
 pose           float64 (n_grasps, 5)       commanded: ``recognition.grasp.COMMAND_COLUMNS``;
                                            a row of NaN where unknown; optional
-self_zero      float64 (n_grasps, 8)       what the empty fingers showed before:
+self_zero      float64 (n_grasps, 8)       self-zero of the empty fingers before:
                                            ``recognition.grasp.ZERO_COLUMNS``; a row of NaN where
                                            it was not measured; optional
 ============== =========================== ======================================================
@@ -57,7 +57,7 @@ from recognition.grasp import (
 )
 
 DATASET_LIMIT_BYTES = 1 << 30
-"""Unpacked size of a data set that is read without being asked for more."""
+"""Default limit of the unpacked size of a data set in bytes."""
 
 _REQUIRED = (
     "format",
@@ -74,11 +74,11 @@ _REQUIRED = (
 )
 _OPTIONAL = ("force_n", "shape", "source", "thickness_mm", "pose", "self_zero")
 _MAX_TAXELS = 1 << 16
-"""Taxels of a grasp, far more than any sensor here has."""
+"""Most taxels of a grasp, far more than any sensor here has."""
 
 
 def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) -> tuple[Grasp, ...]:
-    """Read all grasps of a data set that unpacks to no more than so many bytes.
+    """Read all grasps of a data set that unpacks to at most ``limit_bytes`` bytes.
 
     They share one `PadArray` object.
 
@@ -93,9 +93,9 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
 
 
 def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
-    """Read the grasps of a data set, or of a recording where the file is an ``.mcap``.
+    """Read the grasps of a data set, or of a recording if the file is an ``.mcap``.
 
-    Raises DatasetError or cell.errors.RecordingError if the file cannot be read, or holds no whole
+    Raises DatasetError or cell.errors.RecordingError if the file cannot be read, or has no whole
     grasp.
     """
     path = Path(path)
@@ -105,15 +105,15 @@ def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
 
     grasps = recording_grasps(path)
     if not grasps:
-        raise DatasetError(f"{path} holds no whole grasp")
+        raise DatasetError(f"{path} has no whole grasp")
     return tuple(grasps)
 
 
 def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:
     """Write grasps as one data set, whole or not at all; an older file stays until then.
 
-    Raises DatasetError where there is no grasp, the pads differ, a text cannot be stored, or the
-    disk refuses.
+    Raises DatasetError if there is no grasp, the pads differ, a text cannot be stored, or the write
+    fails.
     """
     path = Path(path)
     if not grasps:
@@ -172,7 +172,7 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
 
 
 class _Checker:
-    """Checks each array of one file before anything is made of it."""
+    """Checks each array of one file before it is used."""
 
     def __init__(self, path: Path, arrays: dict[str, NDArray[Any]]) -> None:
         self._path = path
@@ -183,7 +183,7 @@ class _Checker:
         if missing and "model" in arrays:
             raise DatasetError(f"{path} is a model: name the data sets that taught it")
         if missing:
-            raise DatasetError(f"{path} is no grasp data set: {', '.join(missing)} missing")
+            raise DatasetError(f"{path} is not a grasp data set: {', '.join(missing)} missing")
         unknown = [name for name in arrays if name not in _REQUIRED + _OPTIONAL]
         if unknown:
             raise DatasetError(f"{path}: unknown arrays {', '.join(map(repr, unknown))}")
@@ -206,7 +206,7 @@ class _Checker:
         return array.astype(np.int64)
 
     def _floats(self, name: str, shape: tuple[int, ...], *, nan: bool) -> NDArray[np.float64]:
-        with np.errstate(invalid="ignore"):  # signalling NaN; what is no number is looked for below
+        with np.errstate(invalid="ignore"):  # signalling NaN; checked below
             array = self._take(name, "f", shape).astype(np.float64)
         bad = np.isinf(array) if nan else ~np.isfinite(array)
         if np.any(bad):
@@ -220,7 +220,7 @@ class _Checker:
         return array
 
     def _known(self, name: str, n: int) -> NDArray[np.float64]:
-        """Return an optional array of n numbers; NaN where there is none."""
+        """Return an optional array of n numbers; NaN without the array."""
         return self._in_range(name, (n,), nan=True) if name in self._arrays else np.full(n, np.nan)
 
     def _allow(self, name: str, wrong: str | None) -> None:
@@ -240,7 +240,7 @@ class _Checker:
         return texts
 
     def _rows(self, name: str, columns: Sequence[str], n_grasps: int) -> list[list[float] | None]:
-        """Return an optional array of a row for each grasp; None where a row is not known."""
+        """Return an optional array with a row for each grasp; None for an unknown row."""
         if name not in self._arrays:
             return [None] * n_grasps
         rows = self._floats(name, (n_grasps, len(columns)), nan=True)
@@ -248,7 +248,7 @@ class _Checker:
             self._allow(name, beyond_range(name, rows[:, :2]))
         unknown = np.isnan(rows)
         if np.any(unknown.any(axis=1) != unknown.all(axis=1)):
-            raise self._refuse(name, "has a row that is known in part; write it or NaN alone")
+            raise self._refuse(name, "has a row with some NaN; write all its values, or only NaN")
         return [None if np.isnan(row[0]) else row.tolist() for row in rows]
 
     def _zeros(self, n_grasps: int) -> list[SelfZero | None]:

@@ -21,15 +21,15 @@ from pydantic_core import to_json
 from cell.errors import CellError, reason_text
 
 MAX_MEMBERS = 512
-"""Arrays that one archive may hold."""
+"""Most arrays of one archive."""
 
 MAX_HEADER_BYTES = 4096
-"""Length that the header of one array may have."""
+"""Longest header of one array in bytes."""
 
 _END_BYTES = 22
-"""End of central directory of a zip archive without its comment; members are counted at 10."""
+"""End of central directory of a zip archive without its comment; member count at offset 10."""
 _PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Packings whose unpacked size is checked while unpacking."""
+"""Packings whose unpacked size is checked during unpacking."""
 _MAGIC = b"\x93NUMPY"
 """First bytes of an array (numpy.lib.format)."""
 _RECORDING = b"\x89MCAP"
@@ -52,13 +52,13 @@ DAMAGE = (
     IndexError,
     KeyError,
 )
-"""Errors of Python and its libraries where the bytes of an archive are not as they were written."""
+"""Errors of Python and its libraries for damaged bytes of an archive."""
 
 
 def open_plain(path: Path, *, error: type[CellError], what: str) -> BinaryIO:
     """Open a plain file for reading. Anything else is refused: a pipe or device could block.
 
-    Raises ``error``, naming ``what`` was to be read.
+    Raises ``error``; its message names ``what``.
     """
     try:
         if stat.S_ISREG(path.stat().st_mode):
@@ -73,7 +73,7 @@ def open_plain(path: Path, *, error: type[CellError], what: str) -> BinaryIO:
 def read_plain(path: Path, *, error: type[CellError], what: str, limit_bytes: int) -> bytes:
     """Return the bytes of a plain file. Raises ``error`` as `open_plain`, or for a longer one."""
     with open_plain(path, error=error, what=what) as file:
-        # No more is asked for than there is: a read makes room for all that it is asked for.
+        # Read no more than the file's size: a read allocates all that it asks for.
         data = file.read(min(os.fstat(file.fileno()).st_size, limit_bytes) + 1)
     if len(data) > limit_bytes:
         raise error(f"{path}: too long; a {what} has at most {limit_bytes} bytes")
@@ -81,7 +81,7 @@ def read_plain(path: Path, *, error: type[CellError], what: str, limit_bytes: in
 
 
 def free_name(path: Path) -> Path:
-    """Return a name beside a file that no file has: ``cell.1.yaml`` for ``cell.yaml``."""
+    """Return an unused name beside a file: ``cell.1.yaml`` for ``cell.yaml``."""
     names = (path.with_suffix(f".{number}{path.suffix}") for number in itertools.count(1))
     return next(name for name in names if not os.path.lexists(name))
 
@@ -94,12 +94,12 @@ def write_atomically(
     Parameters
     ----------
     path
-        Where the file shall be; a file that is there stays until the new one is whole.
+        Path of the file; an existing file stays until the new one is whole.
     write
         Writes the content to the open binary file.
     error, what
-        Raised, naming ``what`` was to be written, where the disk is full, the folder missing or
-        not writable, or something other than a plain file stands at ``path``.
+        Raised, with ``what`` in its message, if the disk is full, the folder is missing or not
+        writable, or ``path`` is not a plain file.
     """
     place = Path(os.path.realpath(path))
     if place.exists() and not place.is_file():
@@ -121,7 +121,7 @@ def write_atomically(
             part.unlink(missing_ok=True)
             raise
     except OSError as cause:
-        kept = "; the file that was there is unchanged" if place.exists() else ""
+        kept = "; the old file is unchanged" if place.exists() else ""
         raise error(f"cannot write {what} to {path}: {_advice(cause, place)}{kept}") from cause
 
 
@@ -131,7 +131,7 @@ def write_text(path: Path, text: str, *, error: type[CellError], what: str) -> N
 
 
 def json_bytes(value: Any) -> bytes:
-    """Return data as JSON: dataclasses, paths and arrays too, null for what is no number."""
+    """Return data as JSON, also dataclasses, paths and arrays; null for NaN and infinity."""
 
     def plain(other: Any) -> Any:
         return dict(other) if isinstance(other, Mapping) else other.tolist()
@@ -141,18 +141,18 @@ def json_bytes(value: Any) -> bytes:
 
 def _advice(cause: OSError, place: Path) -> str:
     if cause.errno in (errno.ENOSPC, errno.EDQUOT):
-        return f"no space left in {place.parent}; free some or choose another place"
+        return f"no space left in {place.parent}; free some or choose another folder"
     if cause.errno == errno.ENOENT:
         return f"the folder {place.parent} does not exist; make it first"
     if cause.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"{place.parent} is not writable ({cause.strerror}); choose another place"
+        return f"{place.parent} is not writable ({cause.strerror}); choose another folder"
     return f"{cause.strerror or cause}"
 
 
 def savez(file: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write plain arrays as a compressed npz; ValueError for arrays of Python objects.
+    """Write plain arrays as a compressed npz. Raises ValueError for arrays of Python objects.
 
-    The bytes depend on the arrays alone, not on the time of writing.
+    The bytes depend only on the arrays, not on the time of writing.
     """
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, array in arrays.items():
@@ -167,7 +167,7 @@ def read_npz(
 ) -> dict[str, NDArray[Any]]:
     """Read all arrays of an npz archive that may be damaged or hostile.
 
-    Only numbers, booleans and strings are taken; nothing in the file is ever executed. Sizes are
+    Only numbers, booleans and strings are read; nothing in the file is ever executed. Sizes are
     compared with ``limit_bytes`` (all arrays together, unpacked) before anything is unpacked.
 
     Raises
@@ -180,14 +180,12 @@ def read_npz(
             head = file.read(len(_RECORDING))
             if head == _RECORDING:
                 raise error(
-                    f"{path} is a recording, no {what}; train, evaluate and replay take its grasps "
-                    "by its name, which ends in .mcap"
+                    f"{path} is a recording, not a {what}; rename it to end in .mcap, then train, "
+                    "evaluate and replay read its grasps"
                 )
             if not head.startswith(_ARCHIVE):
-                found = "no npz archive" if head else "empty"
-                raise error(
-                    f"{path} is no {what}: it is {found}; name a {what}, which ends in .npz"
-                )
+                found = "not an npz archive" if head else "empty"
+                raise error(f"{path} is not a {what}: it is {found}; name a {what} (.npz)")
             archive = zipfile.ZipFile(file)
             members = archive.infolist()
             _check_directory(file, len(archive.comment), len(members))
@@ -200,12 +198,12 @@ def read_npz(
         raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
     except DAMAGE as cause:
         raise error(
-            f"{path} is no whole {what} ({reason_text(cause)}); take another copy of it"
+            f"{path} is a damaged {what} ({reason_text(cause)}); take another copy of it"
         ) from cause
 
 
 def _check_directory(file: BinaryIO, n_comment: int, n_members: int) -> None:
-    """Refuse a damaged list of members: zipfile passes over entries that it cannot tell apart."""
+    """Refuse a damaged list of members: zipfile skips duplicate entries."""
     file.seek(-_END_BYTES - n_comment, os.SEEK_END)
     stated = int.from_bytes(file.read(_END_BYTES)[10:12], "little")
     if stated != n_members:
@@ -216,14 +214,14 @@ def _check_sizes(
     members: list[zipfile.ZipInfo], path: Path, error: type[CellError], limit_bytes: int
 ) -> None:
     if len(members) > MAX_MEMBERS:
-        raise error(f"{path} holds {len(members)} arrays, at most {MAX_MEMBERS} are read")
+        raise error(f"{path} has {len(members)} arrays, the limit is {MAX_MEMBERS}")
     names = [member.filename for member in members]
     if len(set(names)) != len(names):
-        raise error(f"{path} holds an array twice: {sorted(names)}")
+        raise error(f"{path} has an array twice: {sorted(names)}")
     for member in members:
         name = member.filename
         if not name.endswith(".npy"):
-            raise error(f"{path} holds {name!r}, which is no array (.npy)")
+            raise error(f"{path} has {name!r}, which is not an array (.npy)")
         if member.compress_type not in _PACKINGS:
             # zipfile unpacks these without a bound, whatever size the archive states.
             raise error(f"{path}, array {name}: packed by method {member.compress_type}, not zlib")
@@ -267,11 +265,11 @@ def _read_member(
             f"{path}, array {name}: {len(data) - body} bytes do not fill shape {shape} of {dtype}"
         )
     if dtype.itemsize == 0:
-        # No byte of the file stands for these texts: any number of them would fit.
+        # These texts take no byte of the file: any number of them would fit.
         raise error(f"{path}, array {name}: type {descr!r} has no size")
     flat = np.frombuffer(data, dtype=dtype, offset=body, count=count)
     if dtype.kind == "U" and count:
         codes = flat.view(np.dtype(np.uint32).newbyteorder(dtype.byteorder))
         if int(codes.max()) > sys.maxunicode:
-            raise error(f"{path}, array {name}: holds {codes.max():#x}, which is no text")
+            raise error(f"{path}, array {name}: has {codes.max():#x}, which is not a character")
     return flat.reshape(shape, order="F" if fortran is True else "C")

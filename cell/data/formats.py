@@ -1,6 +1,6 @@
-"""Formats of the files that a cell keeps: the version that is written, and how older ones are read.
+"""Formats of a cell's files: the written version, and how older versions are read.
 
-A file names its format and version. A later version is refused. A file that names none was written
+A file names its format and version. A later version is refused. A file without a format was written
 by tactile-cell 28346af4 or before.
 """
 
@@ -16,9 +16,9 @@ from cell.data.files import json_bytes, read_plain, write_text
 from cell.errors import CellError
 
 _CHECKSUM = "sha256"
-"""Key of a JSON file that has the checksum of the others."""
+"""Key of a JSON file with the checksum of its other keys."""
 KEPT_BYTES = 4 << 20
-"""Largest JSON file that is read: the largest, findings of 400 taxels, have a tenth of it."""
+"""Largest JSON file that is read: ten times the largest file, findings of 400 taxels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,21 +26,21 @@ class Format:
     """Format of one kind of file, and its version."""
 
     what: str
-    """What such a file is, for messages."""
+    """Kind of the file, for messages."""
     text: str
-    """What such a file names: the format and its version."""
+    """Format and version in the file."""
     remedy: str
-    """What a person does with such a file that cannot be read."""
+    """Remedy for a file that cannot be read."""
     earlier: frozenset[str] = frozenset()
-    """Formats of earlier versions that are read, too."""
+    """Formats of earlier versions that are also read."""
     unnamed: frozenset[str] | None = None
-    """Keys of a JSON file that names no format, and is read; None: it is refused."""
+    """Keys of a JSON file without a format that is read; None: such a file is refused."""
 
     def __str__(self) -> str:
         return self.text
 
     def check(self, found: object, source: object, error: type[CellError]) -> None:
-        """Raise ``error`` where the format that a file names is not this one."""
+        """Raise ``error`` if a file names another format."""
         if isinstance(found, str) and found in (self.text, *self.earlier):
             return
         name, version = self.text.split("/")
@@ -51,7 +51,7 @@ class Format:
                 "tactile-cell"
             )
         named = "it names no format" if found is None else f"its format is {str(found)!a:.60}"
-        raise error(f"{source} is no {self.what}: {named}, expected {self}; {self.remedy}")
+        raise error(f"{source} is not a {self.what}: {named}, expected {self}; {self.remedy}")
 
 
 GONE_KEYS: Mapping[str, Mapping[Any, Any] | None] = {
@@ -59,11 +59,11 @@ GONE_KEYS: Mapping[str, Mapping[Any, Any] | None] = {
     "sequence.candidates": None,
     "serve.foxglove_port": None,
 }
-"""Keys of a config that are gone, None, or values of a key that are, with those in their place."""
+"""Removed keys of a config (None), and removed values of a key with their replacements."""
 
 
 def present_config(values: dict[str, Any], way: str = "") -> dict[str, Any]:
-    """Return the values of a config, or of the section at a dotted path, without what is gone."""
+    """Return the values of a config, or of the section at a dotted path, without removed ones."""
     found = {}
     for name, value in values.items():
         gone = GONE_KEYS.get(f"{way}{name}", {})
@@ -111,6 +111,11 @@ CELL_BACKUP = Format(
     text="tactile-cell-backup/1",
     remedy="take another copy of it",
 )
+ARCHIVE = Format(
+    what="archive",
+    text="tactile-cell-archive/1",
+    remedy="archive the recordings again, to a new place",
+)
 RETENTION = Format(
     what="list of the recordings' ages",
     text="tactile-cell-recordings/1",
@@ -130,9 +135,9 @@ def json_text(kind: Format, content: Any) -> str:
 
 
 def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, Any] | None:
-    """Return the content of a file that `write_json` wrote; None where there is no such file.
+    """Return the content of a file that `write_json` wrote; None without the file.
 
-    Raises ``error`` where it is damaged, too large, no plain file, or of another format.
+    Raises ``error`` if it is damaged, too large, not a plain file, or of another format.
     """
     try:
         data = read_plain(path, error=error, what=kind.what, limit_bytes=KEPT_BYTES)
@@ -146,19 +151,19 @@ def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, 
 def parse_json(
     data: bytes, kind: Format, source: object, *, error: type[CellError]
 ) -> dict[str, Any]:
-    """Return the content of what `json_text` returned. Raises ``error`` as `read_json`."""
+    """Return the content of a text of `json_text`. Raises ``error`` as `read_json`."""
     try:
         values = json.loads(data)
     except (ValueError, RecursionError) as cause:
-        raise error(f"{source} is damaged, it is no JSON; {kind.remedy}") from cause
+        raise error(f"{source} is damaged, it is not JSON; {kind.remedy}") from cause
     if not isinstance(values, dict):
-        raise error(f"{source} is no {kind.what}: it holds no object; {kind.remedy}")
+        raise error(f"{source} is not a {kind.what}: it has no object; {kind.remedy}")
     if values.keys() == kind.unnamed:
         return values
     kind.check(values.get("format"), source, error)
     stated = values.pop(_CHECKSUM, None)
     if stated != _digest(values):
-        raise error(f"{source} is damaged, it does not have its checksum; {kind.remedy}")
+        raise error(f"{source} is damaged, its checksum is wrong; {kind.remedy}")
     del values["format"]
     return values
 

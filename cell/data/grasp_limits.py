@@ -1,4 +1,4 @@
-"""Limits of grasps: numbers and texts that no file of grasps may have, whatever its format."""
+"""Limits of the numbers and texts of grasps, for files of every format."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from recognition.grasp import PadArray
 from recognition.recognizer import UNKNOWN
 
 MAX_TEXT = 200
-"""Characters of a text of a grasp."""
+"""Most characters of a text of a grasp."""
 RANGES = {
     "aperture_mm": (-100.0, 1000.0, "openings stand in mm"),
     "force_n": (-100.0, 10_000.0, "grip forces stand in N"),
@@ -18,19 +18,19 @@ RANGES = {
     "pose": (-0.5, 0.5, "offsets stand in m"),
     "start_ms": (-1e15, 1e15, "times stand in ms since 1970"),
 }
-"""Smallest and largest number of an array, and its unit: far from any gripper's numbers, and near
-enough to show a wrong unit, a factor of 1000."""
+"""Smallest and largest number of an array, and its unit: far beyond any gripper, but close
+enough to detect a wrong unit, a factor of 1000."""
 
 LEAST_OPENING_MM = 0.2
-"""No fingers stay below it in all grasps of a data set, rest before the contact included."""
+"""Least opening in mm that is reached somewhere in each data set, at the latest before contacts."""
 LEAST_PAD_MM = 0.1
-"""No pad of several taxels is smaller."""
+"""Least extent in mm of a pad with several taxels."""
 FRAME_PERIOD_S = (1e-5, 2.0)
 """Shortest and longest mean period of a grasp's frames."""
 
 
 def beyond_range(name: str, values: NDArray[Any]) -> str | None:
-    """Return which number of an array is beyond its range, None if none is; NaN is within."""
+    """Return which number of an array is beyond its range, or None; NaN is allowed."""
     low, high, unit = RANGES[name]
     flat = values.ravel()
     beyond = np.flatnonzero((flat < low) | (flat > high))
@@ -41,7 +41,7 @@ def beyond_range(name: str, values: NDArray[Any]) -> str | None:
 
 
 def openings_too_small(aperture_mm: NDArray[np.float64]) -> str | None:
-    """Say that fingers never open as far as any do; unknown openings are none."""
+    """Return that the openings are too small for any fingers, or None; NaN is ignored."""
     known = aperture_mm[~np.isnan(aperture_mm)]
     if not known.size or known.max() >= LEAST_OPENING_MM:
         return None
@@ -52,7 +52,7 @@ def openings_too_small(aperture_mm: NDArray[np.float64]) -> str | None:
 
 
 def pads_too_small(pads: PadArray) -> str | None:
-    """Say which pad has all its taxels in one place."""
+    """Return which pad is too small for its taxels, or None."""
     for pad in range(len(pads.pad_shape)):
         places_mm = pads.taxel_xy_m[pads.taxel_pad == pad] * 1e3
         extent_mm = float(np.ptp(places_mm, axis=0).max())
@@ -65,21 +65,21 @@ def pads_too_small(pads: PadArray) -> str | None:
 
 
 def text_refused(name: str, text: str) -> str | None:
-    """Return why a text of a grasp, as its label, is refused; None where it is not."""
+    """Return why a text of a grasp, e.g. its label, is refused, or None."""
     if not text.isprintable() or len(text) > MAX_TEXT:
         return f"is {text!a:.60}: not printable, or longer than {MAX_TEXT} characters"
     if name == "label" and text == UNKNOWN:
-        return f"is {UNKNOWN}, the answer for what was not taught: write a name, or leave it empty"
+        return f"is {UNKNOWN}, the answer for untaught objects: write a name, or leave it empty"
     return None
 
 
 def times_refused(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> str | None:
-    """Return why the times of frames are refused; None where they are not.
+    """Return why the times of frames are refused, or None.
 
-    Times (n_frames,) in s count from the first frame of each grasp; offsets (n_grasps + 1,) are its
-    number, and the end.
+    Times (n_frames,) in s count from the first frame of each grasp; offsets (n_grasps + 1,) are the
+    number of that frame, and the end.
     """
-    falls = np.flatnonzero(~(np.diff(t_s) >= 0)) + 1  # a time that is no number falls, too
+    falls = np.flatnonzero(~(np.diff(t_s) >= 0)) + 1  # NaN counts as a fall
     if np.any(t_s[offsets[:-1]] != 0) or not np.all(np.isin(falls, offsets)):
         return "must start at 0 in each grasp and never fall within one"
     steps = np.diff(offsets) - 1

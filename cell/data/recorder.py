@@ -1,4 +1,4 @@
-"""The recorder: writes everything that a sequence sees and does into MCAP files."""
+"""The recorder: writes all data and actions of a sequence into MCAP files."""
 
 import itertools
 import math
@@ -32,31 +32,31 @@ if TYPE_CHECKING:
     from tactile.source import TactileFrame
 
 CONTINUES = "continues"
-"""Entry of the metadata: the file of the recording before this one."""
+"""Entry of the metadata: the previous file of the recording."""
 PART_BYTES = 256 << 20
-"""Bytes of a file from which on the recording goes on in a new one: two hours of grasping."""
+"""Size of a file in bytes after which the recording continues in a new file: 2 h of grasping."""
 PART_S = 86_400.0
-"""Age of a file in s from which on the recording goes on in a new one."""
+"""Age of a file in s after which the recording continues in a new file."""
 
 _NEWEST_FRAMES = 65536
-"""Frames that a grasp can name; 20 minutes at 50 frames a second."""
+"""Most frames of a grasp; 20 minutes at 50 frames a second."""
 _TIME_TOLERANCE_S = 1e-6
 """Difference in s between a frame's time in the recording and in its grasp: rounding only."""
 _LOOK_S = 1.0
-"""Time in s from one look at a full disk to the next, in real time."""
+"""Time in s between two checks of a full disk, in real time."""
 _LONGEST_RETRY_S = 600.0
-"""Longest time in s from one new file to the next where each stops at once: it doubles."""
+"""Longest time in s between two new files that stop at once; the time doubles up to it."""
 _CLOSE_TIMEOUT_S = 10.0
-"""Time in s that the end waits for a disk that does not answer."""
+"""Longest wait in s for a blocked disk at the end."""
 
 
 class Recorder:
     """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
 
-    A disk that is full, gone or too slow never raises into the force loop: the recording stops,
-    `fault` gives the reason and how many frames can be read. It goes on in a new file beside the
-    first, ``-2`` behind its name, as soon as the disk has `ROOM_BYTES` free. Between two jobs or
-    answers it goes on in a new file, without a gap, after `PART_BYTES` or `PART_S`. Raises
+    A full, missing or slow disk never raises into the force loop: the recording stops, and `fault`
+    has the reason and the number of readable frames. It continues in a new file beside the first,
+    with ``-2`` after its name, as soon as the disk has `ROOM_BYTES` free. After `PART_BYTES` or
+    `PART_S` it continues in a new file without a gap, between two jobs or answers. Raises
     RecordingError if the first file cannot be made.
 
     Parameters
@@ -64,22 +64,21 @@ class Recorder:
     path
         The new file; an existing one is never overwritten.
     clock
-        Stamps the messages of `now`; frames and cycles carry their own monotonic stamps.
+        Stamps the messages of `now`; frames and cycles have their own monotonic stamps.
     pads
         The pads whose counts are recorded.
     metadata
         Further facts to keep with the recording, for instance hashes of config and model.
     background
-        Write, and look after a full disk, from threads of their own, for real time; in virtual time
-        leave it off.
+        Write, and check a full disk, in separate threads, for real time; in virtual time leave it
+        off.
     vital
-        Whether a grasp must not go on without its recording; `cell.control.journal` looks after
-        that.
+        Whether a grasp must stop when its recording stops; see `cell.control.journal`.
     note
-        Gets a message for the operator where the recording stops, and where it goes on.
+        Gets a message for the operator when the recording stops, and when it continues.
     wall_clock_ns
-        Wall clock in ns since 1970, read at the start and with each change of state; it is kept
-        for people and orders nothing.
+        Wall clock in ns since 1970, read at the start and with each change of state; only for
+        people, not for the order of messages.
     """
 
     def __init__(
@@ -107,13 +106,13 @@ class Recorder:
         self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
         self._state: tuple[int, bytes] | None = None
         self.gap = ""
-        """Where the recording has gone on after it stopped; empty where it is in one piece."""
+        """The gap of a recording that stopped and continued; empty without a gap."""
         self._next: RecordingFile | None = None
         self._retry_s, self._retry_at_s = 0.0, 0.0
         self._waiter: threading.Thread | None = None
         self.stop_reason = ""
-        """Why the file that is written is to end, as for a disk that is nearly full; set by any
-        thread, and empty once it has ended."""
+        """Why the present file must end, e.g. a nearly full disk; set by any thread, empty after
+        the end of the file."""
         self._earlier_bytes = 0
         self._part: RecordingFile | None = None
         self._part_at_s = clock.monotonic() + PART_S
@@ -123,7 +122,7 @@ class Recorder:
 
     @property
     def path(self) -> Path:
-        """The file that is written, or was last."""
+        """The present or last file."""
         return (self._next or self._file).path
 
     @property
@@ -166,10 +165,10 @@ class Recorder:
             self._go_on_in_part()
 
     def grasp(self, grasp: Grasp) -> None:
-        """Record that the newest frames make up this grasp.
+        """Record that the newest frames belong to this grasp.
 
-        The frames themselves are those given to `frame` before; ValueError if they are others. A
-        grasp that began before the recording went on is in no file.
+        They must be the frames given to `frame` before; else raises ValueError. A grasp across a
+        gap of the recording is in no file.
         """
         self._go_on()
         if self.fault is not None or (self.gap and self._n_frames < grasp.n_frames):
@@ -189,7 +188,7 @@ class Recorder:
         self._put(schema.GRASP, float(stamps_s[0]), values)
 
     def look(self) -> None:
-        """Look after the file while nothing is recorded; to be called now and then."""
+        """Check the file while nothing is recorded; call it now and then."""
         if self._file.fault is None:
             self._file.check()
             self._notice(self._file)
@@ -197,7 +196,7 @@ class Recorder:
         self._go_on_in_part()
 
     def close(self) -> None:
-        """Finish the file. Raises RecordingError where the recording has stopped, or has a gap."""
+        """Finish the file. Raises RecordingError if the recording has stopped, or has a gap."""
         if self._over.is_set():
             return
         self._over.set()
@@ -206,7 +205,7 @@ class Recorder:
                 thread.join(_CLOSE_TIMEOUT_S)
         if self._part is not None:
             self._discard(self._part)
-        self._retry_at_s = math.inf  # what comes too late to be written to needs no file
+        self._retry_at_s = math.inf  # a new file would come too late
         self._go_on()
         self._file.close()
         if self._file.fault is not None:
@@ -254,7 +253,7 @@ class Recorder:
         return RecordingFile(path, described, background=self._background)
 
     def _notice(self, file: RecordingFile) -> None:
-        """Where a file has just stopped: wait for room on its disk."""
+        """Wait for room on the disk of a file that has just stopped."""
         if file.fault is None and self.stop_reason:
             file.stop(self.stop_reason)
         self.stop_reason = ""
@@ -273,7 +272,7 @@ class Recorder:
 
     def _give_up(self, file: RecordingFile) -> None:
         needed = f"as soon as {ROOM_BYTES >> 20} MB are free there"
-        self._note(f"{file.fault}; it goes on in a new file {needed}")
+        self._note(f"{file.fault}; it continues in a new file {needed}")
         file.close()
 
     def _wait_for_room(self, file: RecordingFile) -> None:
@@ -282,7 +281,7 @@ class Recorder:
             self._retry(file)
 
     def _following(self, before: RecordingFile) -> RecordingFile | None:
-        """Return the file after another one; None where its disk has no room or is gone."""
+        """Return the file after another one; None if its disk has no room or is gone."""
         first = self._first_path
         names = (first.with_stem(f"{first.stem}-{number}") for number in itertools.count(2))
         try:
@@ -299,19 +298,19 @@ class Recorder:
             file.path.unlink()
 
     def _retry(self, stopped: RecordingFile) -> None:
-        """Make the next file where the disk has room again."""
+        """Make the next file if the disk has room again."""
         if (file := self._following(stopped)) is None:
             return
         self._retry_s = min(max(_LOOK_S, 2.0 * self._retry_s), _LONGEST_RETRY_S)
         self._retry_at_s = self._clock.monotonic() + self._retry_s
         if file.fault is None:
-            self._note(f"the recording goes on in {file.path}")
+            self._note(f"the recording continues in {file.path}")
             self._next = file
         else:
             self._discard(file)
 
     def _go_on(self) -> None:
-        """Write to the next file, where the one before has stopped and there is a next one."""
+        """Write to the next file, if the present one has stopped and there is a next one."""
         stopped = self._file
         if stopped.fault is None:
             return
@@ -331,7 +330,7 @@ class Recorder:
         self._notice(file)
 
     def _begin(self, file: RecordingFile) -> None:
-        """Have the frames and grasps from now on be those of a new file."""
+        """Start to write frames and grasps to a new file."""
         self._earlier_bytes += self._file.n_bytes
         self._part_at_s = self._clock.monotonic() + PART_S
         self._n_frames = 0
@@ -342,10 +341,10 @@ class Recorder:
     # -- the next file of a long recording ------------------------------------------------------
 
     def _go_on_in_part(self) -> None:
-        """Go on in a new file where the present one is long; between two grasps.
+        """Continue in a new file if the present one is long; between two grasps.
 
-        A thread of its own makes the new file and closes the old one: a disk that does not answer
-        holds up nobody.
+        A separate thread makes the new file and closes the old one, so that a blocked disk delays
+        nothing.
         """
         file, now_s = self._file, self._clock.monotonic()
         if file.fault is not None or self._over.is_set() or self._parting.is_alive():

@@ -1,4 +1,4 @@
-"""Where the bytes of a recording go: a file that ends at a record's end even on a full disk."""
+"""The file of a recording: it ends with a whole record even on a full disk."""
 
 import errno
 import fcntl
@@ -11,25 +11,25 @@ from pathlib import Path
 from cell.fault_catalogue import error_text
 
 MAX_WAITING_BYTES = 16 << 20
-"""Bytes that may wait for a slow disk before the recording is given up."""
+"""Bytes that may wait for a slow disk before the recording stops."""
 
 ROOM_BYTES = 16 << 20
-"""Free bytes of a disk from which on a recording goes on: seven minutes of grasping."""
+"""Free bytes of a disk at which a recording continues: seven minutes of grasping."""
 
 
 def free_bytes(folder: Path) -> int:
-    """Return the free bytes of the disk of a folder; OSError where it is gone."""
+    """Return the free bytes of the disk of a folder. Raises OSError if it is gone."""
     found = os.statvfs(folder)
     return found.f_bavail * found.f_frsize
 
 
 def has_room(folder: Path) -> bool:
-    """Return whether the disk of a folder has `ROOM_BYTES` free; OSError where it is gone."""
+    """Return whether the disk of a folder has `ROOM_BYTES` free. Raises OSError if it is gone."""
     return free_bytes(folder) >= ROOM_BYTES
 
 
 def in_use(path: Path) -> bool:
-    """Return whether a program still writes to a recording; OSError where it is gone."""
+    """Return whether a program still writes to a recording. Raises OSError if it is gone."""
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:
         fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -43,11 +43,11 @@ def in_use(path: Path) -> bool:
 
 
 class DirectFile:
-    """What the MCAP writer writes whole records to, in the caller's thread.
+    """File of the MCAP writer: writes whole records in the caller's thread.
 
     A failed write leaves no half record behind.
 
-    Raises FileExistsError where the file is already there: no recording is ever overwritten.
+    Raises FileExistsError if the file exists: no recording is ever overwritten.
     """
 
     def __init__(self, path: Path) -> None:
@@ -79,15 +79,15 @@ class DirectFile:
         return self._length
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: nothing is buffered."""
 
     def check(self) -> None:
         """Raise the OSError of a write that failed since the last call."""
 
     def close(self) -> None:
-        """Bring the file to the disk and close it; once closed, nothing happens.
+        """Write the file to the disk and close it; a second call does nothing.
 
-        Raises OSError where that fails, and where the file is not at its place any more.
+        Raises OSError if the write fails, or if the file was moved or removed.
         """
         if not self._open:
             return
@@ -101,10 +101,10 @@ class DirectFile:
 
 
 class BackgroundFile(DirectFile):
-    """Hands the bytes to one writing thread, so that a slow disk never holds up the force loop.
+    """Passes the bytes to one writing thread, so that a slow disk never delays the force loop.
 
-    More than ``max_waiting_bytes`` waiting is an OSError, the disk is too slow, and so is a `close`
-    that waits for the disk for more than ``close_timeout_s`` s.
+    Raises OSError if more than ``max_waiting_bytes`` wait, because the disk is too slow, or if
+    `close` waits for more than ``close_timeout_s`` s.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class BackgroundFile(DirectFile):
         self._thread.start()
 
     def write(self, data: bytes, /) -> int:
-        """Queue the bytes. Raises OSError if the disk has failed since, or is too slow."""
+        """Queue the bytes. Raises OSError if the disk has failed, or is too slow."""
         with self._changed:
             self.check()
             if self._waiting_bytes + len(data) > self._max_waiting_bytes:

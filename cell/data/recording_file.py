@@ -1,4 +1,4 @@
-"""One MCAP file of a recording while it is written; a disk that fails stops it, and no caller."""
+"""One MCAP file of a recording during writing; a disk failure stops the file, not the caller."""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -13,7 +13,7 @@ from cell.errors import RecordingError
 
 
 class RecordingFile:
-    """A new file with its description; what fails later is kept in ``fault`` and never raised.
+    """A new file with its description; later failures are kept in ``fault`` and never raised.
 
     Raises RecordingError if the file cannot be made; an existing one is never overwritten.
 
@@ -24,13 +24,13 @@ class RecordingFile:
     entries
         Metadata that describe the recording.
     background
-        Write from a thread of its own.
+        Write in a separate thread.
     """
 
     def __init__(self, path: Path, entries: Mapping[str, str], *, background: bool) -> None:
         self.path = path
         self.fault: RecordingError | None = None
-        """Why the file ends before its end; None while all is well."""
+        """Why the file ended early; None while it is written."""
         self.n_frames = 0
         """Frames so far."""
         self._sequence: dict[str, int] = {}
@@ -39,7 +39,7 @@ class RecordingFile:
             self._sink = (BackgroundFile if background else DirectFile)(path)
         except FileExistsError as cause:
             raise RecordingError(
-                f"{path} is there already; recordings are never overwritten, choose another name"
+                f"{path} exists; recordings are never overwritten, choose another name"
             ) from cause
         except OSError as cause:
             raise RecordingError(
@@ -63,11 +63,11 @@ class RecordingFile:
 
     @property
     def n_readable(self) -> int:
-        """Frames that can be read of a file that has stopped."""
+        """Number of readable frames of a file that has stopped."""
         return max((n for length, n in self._marks if length <= self.n_bytes), default=0)
 
     def add(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Add a message: its topic, monotonic time in ns, and JSON; after a fault nothing."""
+        """Add a message: its topic, monotonic time in ns, and JSON; does nothing after a fault."""
         self.n_frames += topic == schema.FRAME
         number = self._sequence.get(topic, 0)
         self._sequence[topic] = number + 1
@@ -78,11 +78,11 @@ class RecordingFile:
         )
 
     def check(self) -> None:
-        """Look whether the disk has failed since the last message."""
+        """Check whether the disk has failed since the last message."""
         self._guarded(self._sink.check)
 
     def stop(self, reason: str) -> None:
-        """Finish the file before its end, with a fault that names why; what it has can be read."""
+        """Finish the file early, with a fault that names the reason; its content can be read."""
         self._guarded(self._writer.finish)
         if self.fault is None:
             self.fault = RecordingError(
@@ -112,25 +112,25 @@ class RecordingFile:
             self.fault.__cause__ = cause
 
     def _mark(self) -> None:
-        """Keep how long the file is with all frames so far, where a chunk has just been written.
+        """Keep the length of the file with all frames so far, after a chunk was written.
 
-        The first mark is the description of the recording, without which nothing can be read.
+        The first mark is after the description, without which nothing can be read.
         """
         length = self._sink.tell()
         if self._marks and self.fault is None and length > self._marks[-1][0]:
             self._marks.append((length, self.n_frames))
 
     def _what_is_left(self) -> str:
-        """Return what can be read of a file that has stopped."""
+        """Return as text how much of a stopped file can be read."""
         if not self._marks or self._marks[0][0] > self.n_bytes:
             return "Nothing of it can be read"
         return f"{self.n_readable or 'No'} frames of it can be read"
 
 
 class _Marked:
-    """The file as its writer sees it; calls ``mark`` after each write.
+    """The file for the MCAP writer; calls ``mark`` after each write.
 
-    The index that follows a chunk is a write of its own: a chunk without it can be read.
+    The index after a chunk is a separate write: a chunk without its index can be read.
     """
 
     def __init__(self, sink: DirectFile, mark: Callable[[], None]) -> None:

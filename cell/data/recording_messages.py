@@ -1,8 +1,8 @@
-"""The messages of a recording, one after the other: what is whole in an MCAP file, within limits.
+"""The messages of a recording, one after the other: the whole ones in an MCAP file, within limits.
 
-No length, checksum or value in the file is trusted: what does not fit is left out and named. The
-limits bound time and memory by the size of the file, which packs far more than a recorder does
-where it was made to harm.
+No length, checksum or value in the file is trusted: invalid messages are omitted and reported. The
+limits bound time and memory by the size of the file: a hostile file can unpack to far more data
+than a recorder's.
 """
 
 import os
@@ -32,37 +32,37 @@ from cell.errors import RecordingError, reason_text
 from recognition.grasp import PadArray
 
 MAX_FILE_BYTES = 1 << 30
-"""Size of a recording that is read: 8 hours of grasping."""
+"""Largest recording that is read, in bytes: 8 hours of grasping."""
 MAX_CHUNK_BYTES = 8 << 20
-"""Unpacked size of one chunk that is read; the recorder makes chunks of 64 KiB."""
+"""Largest unpacked chunk that is read, in bytes; the recorder makes chunks of 64 KiB."""
 FREE_BYTES = 4 << 20
-"""Bytes that a file of any size may unpack to, and its content take."""
+"""Unpacked bytes, and memory of the content, that a file of any size may have."""
 MAX_PACKING = 64
-"""Bytes that a file may unpack to, and its content take, for each byte of it. Recordings of a cell
-have 5; of a simulated one without noise, on which nothing happens, 26."""
+"""Unpacked bytes, and memory of the content, for each byte of a file. Recordings of a cell have 5;
+recordings of an idle simulated cell without noise 26."""
 MAX_KEPT_BYTES = 2 << 30
-"""Bytes that the content of any file may take; 8 hours of grasping take 1.7 GB."""
+"""Most memory in bytes for the content of any file; 8 hours of grasping take 1.7 GB."""
 FREE_MESSAGES, MESSAGE_BYTES = 1000, 16
-"""Messages of a file of any size, and bytes of a file for each further one: its entry in the
+"""Messages of a file of any size, and bytes of a file for each further message: its entry in the
 index."""
 MAX_MESSAGES = 10_000_000
-"""Messages of any file: 10 hours of grasping."""
+"""Most messages of any file: 10 hours of grasping."""
 MAX_BRACKETS = 10_000
-"""Lists and objects in a message: they cost most; those of a cell have 100 at most."""
+"""Most lists and objects in a message, which cost most; messages of a cell have at most 100."""
 MAX_TIME_S = 1e9
 """Latest monotonic time in s: a machine that has run for 30 years."""
 
 _ROW_BYTES = 100
-"""Memory of a period of the loop, and of a frame beside its counts: numbers in arrays."""
+"""Memory in bytes of a period of the loop, and of a frame without its counts: numbers in arrays."""
 _MESSAGE_SHARE = 20
-"""Memory of a message that is kept as it is, for each byte of its JSON, at most."""
+"""Most memory in bytes of a message kept unchanged, for each byte of its JSON."""
 _RECORD = struct.Struct("<BQ")
 """Code and length before each record of MCAP."""
 _HEAD_BYTES = 22
 """Channel, number and times before the content of a message."""
 _LARGEST = {"integer": (1 << 63) - 1, "number": 1e15}
-"""Largest magnitude of a number of a message: integers become arrays of 64 bits, and a factor of
-1000 overflows no float."""
+"""Largest magnitude of a number of a message: integers fit arrays of 64 bits, and a factor of 1000
+overflows no float."""
 _KINDS: Mapping[str, tuple[type, ...]] = {
     "number": (float, int),
     "integer": (int,),
@@ -71,7 +71,7 @@ _KINDS: Mapping[str, tuple[type, ...]] = {
     "array": (list,),
     "object": (dict,),
 }
-"""Python's types of the types of a JSON schema."""
+"""Python types of the types of a JSON schema."""
 _DAMAGE = (
     McapError,
     zstandard.ZstdError,
@@ -98,7 +98,7 @@ class RecordedMessage(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Description:
-    """What stands at the begin of a recording."""
+    """Description at the start of a recording."""
 
     metadata: dict[str, str]
     pads: PadArray
@@ -109,10 +109,10 @@ class Description:
 
 
 class RecordedMessages:
-    """Yields the messages of a recording in the order of the file; to be iterated once.
+    """Yields the messages of a recording in the order of the file; iterate once.
 
-    Raises RecordingError if the file cannot be read, is too large, or is no recording of ours:
-    its description comes first.
+    Raises RecordingError if the file cannot be read, is too large, or is not a recording of this
+    package: its description comes first.
     """
 
     def __init__(self, path: Path) -> None:
@@ -126,11 +126,11 @@ class RecordedMessages:
 
     @property
     def lost_reason(self) -> str:
-        """Why something is missing, and how much more is; empty where all is whole."""
+        """Why data are missing, and how many more losses there are; empty if complete."""
         return self._first_loss + (f" ({self._n_lost} losses)" if self._n_lost > 1 else "")
 
     def lose(self, reason: str) -> None:
-        """Note that something is left out."""
+        """Note a loss."""
         self._first_loss = self._first_loss or reason
         self._n_lost += 1
 
@@ -142,7 +142,7 @@ class RecordedMessages:
         if n_bytes > MAX_FILE_BYTES:
             raise RecordingError(f"{self.path}: too long; at most {MAX_FILE_BYTES} bytes are read")
         if file.read(8) != b"\x89MCAP0\r\n":
-            raise RecordingError(f"{self.path} is no recording: it does not start as an MCAP file")
+            raise RecordingError(f"{self.path} is not a recording: it is not an MCAP file")
         file.seek(0)
         left_bytes, ended = FREE_BYTES + MAX_PACKING * n_bytes, False
         self._left_bytes = min(MAX_KEPT_BYTES, left_bytes)
@@ -153,8 +153,8 @@ class RecordedMessages:
             elif isinstance(record, DataEnd):
                 ended = True
             elif isinstance(record, Chunk) and ended:
-                # The checksum of the data does not reach so far.
-                self.lose("a piece of it stands behind its end")
+                # The checksum of the data does not include this part.
+                self.lose("data follow its end")
             elif isinstance(record, Chunk):
                 pads = self.description.pads  # before anything is unpacked
                 try:
@@ -170,7 +170,7 @@ class RecordedMessages:
             self.lose("its end is missing")
 
     def _records(self, file: BinaryIO) -> Iterator[Any]:
-        # A length in the file never asks for more than a chunk may have.
+        # A length in the file never causes a read of more than a chunk.
         longest = MAX_CHUNK_BYTES + FREE_BYTES
         try:
             yield from StreamReader(
@@ -184,7 +184,7 @@ class RecordedMessages:
 
     @cached_property
     def description(self) -> Description:
-        """The description. Raises RecordingError where it is missing, or none of ours."""
+        """The description. Raises RecordingError if it is missing, or of another program."""
         found = self._metadata
         if not found:
             why = f" ({self.lost_reason})" if self._n_lost else ""
@@ -201,16 +201,16 @@ class RecordedMessages:
             )
         except _DAMAGE as cause:
             raise RecordingError(
-                f"{self.path}: its description does not fit {RECORDING} ({_brief(cause)}); it "
-                "was written by something else"
+                f"{self.path}: its description does not fit {RECORDING} ({_brief(cause)}); "
+                "another program wrote it"
             ) from cause
 
     def _unpacked(self, chunk: Chunk, pads: PadArray) -> Iterator[RecordedMessage]:
-        """Yield the messages of a chunk, those that are whole and fit."""
+        """Yield the valid messages of a chunk."""
         identity = (chunk.message_start_time, chunk.uncompressed_size, chunk.uncompressed_crc)
         if identity in self._chunks:
             # Its frames and grasps would count twice.
-            raise ValueError("the same chunk stands before it")
+            raise ValueError("it repeats an earlier chunk")
         plain = _decompress(chunk)
         if chunk.uncompressed_crc and zlib.crc32(plain) != chunk.uncompressed_crc:
             raise ValueError("wrong checksum")
@@ -226,9 +226,9 @@ class RecordedMessages:
                     yield found
 
     def _message(self, record: bytes, pads: PadArray) -> RecordedMessage | None:
-        """Return a message where it fits its schema; None for one of a topic that is none of ours.
+        """Return a message if it fits its schema; None for an unknown topic.
 
-        One that does not fit is None, too, and named.
+        An invalid message is reported and gives None.
         """
         topic = self._channels.get(int.from_bytes(record[:2], "little"))
         if topic is None:
@@ -256,7 +256,7 @@ class RecordedMessages:
 
 
 class _Full(Exception):
-    """A limit of what is read of one file is reached."""
+    """A limit of one file is reached."""
 
 
 def _decompress(chunk: Chunk) -> bytes:
@@ -266,7 +266,7 @@ def _decompress(chunk: Chunk) -> bytes:
         return chunk.data
     if chunk.compression != "zstd":
         raise ValueError(f"compression {chunk.compression!r}, only zstd is read")
-    # The size in the zstd frame decides how much is allocated, not the size in the chunk.
+    # The size in the zstd frame sets the allocation, not the size in the chunk.
     if zstandard.frame_content_size(chunk.data) not in (chunk.uncompressed_size, -1):
         raise ValueError("two sizes contradict each other")
     return zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).decompress(
@@ -287,9 +287,9 @@ def _records_in(plain: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _checked(topic: str, content: Any, pads: PadArray) -> dict[str, Any]:
-    """Return the content of a message. Raises ValueError where it does not fit its schema."""
+    """Return the content of a message. Raises ValueError if it does not fit its schema."""
     if not isinstance(content, dict):
-        raise ValueError("it is no object")
+        raise ValueError("it is not an object")
     properties = schema.SCHEMAS[topic]["properties"]
     for name in schema.SCHEMAS[topic]["required"]:
         if name not in content:
@@ -306,11 +306,11 @@ def _checked(topic: str, content: Any, pads: PadArray) -> dict[str, Any]:
 
 
 def _counts(counts: Any, pads: PadArray) -> "array[int]":
-    """Return the counts of a frame. Raises ValueError where the pads cannot have them."""
+    """Return the counts of a frame. Raises ValueError if they do not fit the pads."""
     try:
         found = array("H", counts)
     except (TypeError, OverflowError):
-        raise ValueError("its counts are no list of numbers from 0 to 65535") from None
+        raise ValueError("its counts are not a list of numbers from 0 to 65535") from None
     if len(found) != pads.n_taxels or max(found) > pads.adc_max:
         raise ValueError(
             f"it has {len(found)} counts up to {max(found, default=0)}, expected {pads.n_taxels} "
@@ -320,7 +320,7 @@ def _counts(counts: Any, pads: PadArray) -> "array[int]":
 
 
 def _check(name: str, value: Any, described: Mapping[str, Any]) -> None:
-    """Raise ValueError where a value is not of the type that the schema has for it."""
+    """Raise ValueError if a value has another type than in the schema."""
     kind = described["type"]
     fits = isinstance(value, _KINDS[kind]) and (kind == "boolean" or not isinstance(value, bool))
     if not fits:

@@ -1,4 +1,4 @@
-"""Reading recordings: all that is whole in an MCAP file, as arrays and grasps."""
+"""Reading recordings: all valid data of an MCAP file, as arrays and grasps."""
 
 from array import array
 from collections import defaultdict
@@ -29,7 +29,7 @@ class RecordedFrames:
     """(n,) int64: number of the frame in the recording; a gap is a lost chunk."""
     counter: NDArray[np.int64]
     status: NDArray[np.int64]
-    """(n,) int64: as the control unit sent them."""
+    """(n,) int64: values of the control unit."""
     counts: NDArray[np.uint16]
     """(n, n_taxels) uint16: raw counts."""
 
@@ -66,12 +66,12 @@ class RecordedCycles:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """What a recording holds."""
+    """Content of a recording."""
 
     path: Path
     metadata: dict[str, str]
     pads: PadArray
-    """Where it lies, its metadata, the pads of its frames."""
+    """Its path, its metadata, the pads of its frames."""
     wall_clock_start_ns: int
     monotonic_start_ns: int
     """Both clocks at the start in ns."""
@@ -85,24 +85,24 @@ class Recording:
     statistics: tuple[dict[str, Any], ...] = ()
     """Messages as plain objects, fields as in `recording_schema`."""
     grasps: tuple[Grasp, ...] = ()
-    """The grasps of which every frame is there."""
+    """The grasps with all their frames."""
     grasp_numbers: tuple[int, ...] = ()
     """Their numbers among all grasps in the file, from 0."""
     grasp_t_s: tuple[float, ...] = ()
-    """Monotonic time in s of the first frame of each of them."""
+    """Monotonic time in s of the first frame of each grasp."""
     n_broken_grasps: int = 0
-    """Grasps that are damaged, or frames of them are missing; they are not in ``grasps``."""
+    """Number of grasps that are damaged or lack frames; they are not in ``grasps``."""
     complete: bool = True
     """Whether the file was closed and nothing in it is damaged."""
     lost_reason: str = ""
-    """Why not; empty where complete."""
+    """Why it is not complete, or empty."""
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Read a recording; of one that was cut off or damaged, all that is whole.
+    """Read a recording; from a damaged or truncated file all valid data.
 
-    Raises RecordingError if it is no recording of ours, or so short that its description is
-    missing.
+    Raises RecordingError if it is not a recording of this package, or so short that its description
+    is missing.
     """
     messages = RecordedMessages(Path(path))
     builder = _Builder()
@@ -114,21 +114,21 @@ def read_recording(path: Path | str) -> Recording:
 def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
     """Return the grasps of a recording.
 
-    Raises RecordingError if it cannot be read, is not complete, or holds no whole grasp.
+    Raises RecordingError if it cannot be read, is not complete, or has no whole grasp.
     """
     recording = read_recording(path)
     if not recording.complete:
         raise RecordingError(
             f"{path} is not complete: {recording.lost_reason}. "
-            f"{len(recording.grasps)} whole grasps can be salvaged: `tactile-cell recover` does it"
+            f"`tactile-cell recover` saves its {len(recording.grasps)} whole grasps"
         )
     if not recording.grasps:
-        raise RecordingError(f"{path} holds no whole grasp ({len(recording.frames)} frames)")
+        raise RecordingError(f"{path} has no whole grasp ({len(recording.frames)} frames)")
     return recording.grasps
 
 
 class _Builder:
-    """Keeps messages as they come: frames and periods of the loop as arrays, the others whole."""
+    """Collects messages: frames and periods of the loop as arrays, the others unchanged."""
 
     def __init__(self) -> None:
         self._columns: defaultdict[str, array[float]] = defaultdict(lambda: array("d"))
@@ -139,7 +139,7 @@ class _Builder:
         self._rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
 
     def take(self, topic: str, content: dict[str, Any]) -> None:
-        """Take a message that fits its schema."""
+        """Add a message that fits its schema."""
         if topic == schema.FRAME:
             self._columns["frame"].append(content["t_s"])
             for name in ("number", "counter", "status"):
@@ -194,7 +194,7 @@ class _Builder:
     def _grasps(
         self, messages: RecordedMessages, frames: RecordedFrames
     ) -> list[tuple[int, Grasp, float]]:
-        """Return number, grasp and time in s of the first frame, of each that is whole."""
+        """Return number, grasp and time in s of the first frame, for each whole grasp."""
         grasps: list[tuple[int, Grasp, float]] = []
         order = np.argsort(frames.number, kind="stable")
         numbers = frames.number[order]
@@ -207,9 +207,9 @@ class _Builder:
             if len(places) < n_frames or np.any(frames.number[places] != asked):
                 continue  # frames of it are missing
             try:
-                # Each frame is of one grasp: a few bytes of JSON must not copy it again.
+                # Each frame belongs to one grasp: a few bytes of JSON must not copy it again.
                 if (n_left := n_left - n_frames) < 0:
-                    raise ValueError("its frames belong to others")
+                    raise ValueError("its frames belong to other grasps")
                 grasp = _grasp(row, messages.description.pads, frames, places)
             except (ValueError, OverflowError) as cause:
                 messages.lose(f"grasp {number + 1} is left out: {cause}")
@@ -221,13 +221,13 @@ class _Builder:
 _CYCLE_COLUMNS = (
     "t_s", "setpoint_n", "goal_current_a", "aperture_m", "current_a", "temperature_c",
 )  # fmt: skip
-"""Columns of `RecordedCycles` that are one number a period."""
+"""Columns of `RecordedCycles` with one number per period."""
 
 
 def _grasp(
     row: dict[str, Any], pads: PadArray, frames: RecordedFrames, places: NDArray[np.int64]
 ) -> Grasp:
-    """Return a grasp of the frames at these places. Raises ValueError where it is refused."""
+    """Return a grasp of the frames at these indices. Raises ValueError if it is refused."""
     n_frames = len(places)
     if not n_frames == len(row["frame_t_s"]):
         raise ValueError(f"it has {len(row['frame_t_s'])} times for {n_frames} frames")
@@ -246,10 +246,10 @@ def _grasp(
         zero=SelfZero.from_values(row["self_zero"]) if "self_zero" in row else None,
     )
     if schema.counts_crc32(grasp.counts) != row["counts_crc32"]:
-        raise ValueError("its counts do not have its checksum")
+        raise ValueError("the checksum of its counts is wrong")
     since_first_s = frames.t_s[places] - frames.t_s[places[0]]
     if np.any(np.abs(since_first_s - grasp.t_s) > _TIME_TOLERANCE_S):
-        raise ValueError("its times are not those of its frames")
+        raise ValueError("its times differ from those of its frames")
     refusals = {
         "times": times_refused(grasp.t_s, np.array([0, n_frames])),
         "opening": beyond_range("aperture_mm", 1e3 * grasp.aperture_m),

@@ -1,4 +1,4 @@
-"""From a recording that was cut off or damaged to a whole one, of what can be read of it."""
+"""Recovery: from a truncated or damaged recording to a whole one with all valid data."""
 
 import itertools
 from collections.abc import Callable, Mapping
@@ -16,30 +16,30 @@ from cell.data.recording_values import CHUNK_BYTES, begin, to_ns
 from cell.errors import RecordingError
 
 RECOVERED = "recovered"
-"""Entry of the metadata: why the recording is not all that was written."""
+"""Entry of the metadata: why the recording is incomplete."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovered:
-    """What was recovered."""
+    """Result of a recovery."""
 
     recording: Path
-    """The new one."""
+    """The new recording."""
     n_frames: int
     n_cycles: int
     n_grasps: int
-    """Whole frames, periods of the loop, and grasps in it."""
+    """Number of whole frames, periods of the loop, and grasps in it."""
     n_broken_grasps: int
-    """Grasps that were left out because frames of them are missing or damaged."""
+    """Number of omitted grasps with missing or damaged frames."""
     lost_reason: str
-    """Why the old recording is not complete; empty if it was."""
+    """Why the old recording is not complete, or empty."""
 
 
 def recover_recording(path: Path | str, target: Path | str) -> Recovered:
-    """Write what is whole in a recording to a new one; the old one stays as it is.
+    """Write all valid data of a recording to a new one; the old one does not change.
 
-    Raises RecordingError if the old one is no recording or nothing in it can be read, or the new
-    one exists or cannot be written.
+    Raises RecordingError if the old file is not a recording or has no valid data, or if the new
+    file exists or cannot be written.
     """
     path, target = Path(path), Path(target)
     if target.exists():
@@ -77,7 +77,7 @@ def write_messages(
     entries: Mapping[str, str],
     stays: Callable[[str, Mapping[str, Any]], bool],
 ) -> None:
-    """Write those messages of a recording that stay to a new file with these metadata."""
+    """Write the messages of a recording for which ``stays`` is true to a new file."""
     writer = Writer(
         file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
     )

@@ -1,9 +1,9 @@
-"""What a recording holds: topics of the MCAP file and the JSON schema of each message.
+"""Schema of recordings: topics of the MCAP file and the JSON schema of each message.
 
 Messages are JSON with a schema of plain types (no unions), which Foxglove and other viewers plot
-without a plug-in. A value that is not known is left out, never written as NaN or null. Counts are
-plain lists of integers, so that a viewer can follow a single taxel (``/tactile/frame.counts[17]``);
-equal neighbours cost next to nothing after compression.
+without a plug-in. An unknown value is omitted, never written as NaN or null. Counts are plain lists
+of integers, so that a viewer can plot a single taxel (``/tactile/frame.counts[17]``); equal
+neighbours cost almost nothing after compression.
 
 ``log_time`` of each message is monotonic time in ns; the metadata record `METADATA` relates it to
 the wall clock and describes the pads.
@@ -38,7 +38,7 @@ def counts_crc32(counts: NDArray[np.uint16]) -> int:
 
 
 def metadata_crc32(entries: Mapping[str, str]) -> str:
-    """Return the CRC-32 over the metadata other than ``crc32``: MCAP itself protects none."""
+    """Return the CRC-32 over the metadata other than ``crc32``: MCAP does not protect them."""
     lines = [f"{key}={value}\n" for key, value in sorted(entries.items()) if key != "crc32"]
     return f"{zlib.crc32(''.join(lines).encode()):08x}"
 
@@ -60,7 +60,7 @@ def _numbers(text: str, item: str = "number") -> dict[str, Any]:
 
 
 def _durations(name: str, text: str) -> dict[str, dict[str, Any]]:
-    """Return the four figures of a distribution of durations."""
+    """Return the schema of the four figures of a distribution of durations."""
     shares = {"p50_s": "50 % at most", "p99_s": "99 % at most", "p999_s": "99.9 % at most"}
     return {
         f"{name}_{key}": _number(f"{text}, s: {share}")

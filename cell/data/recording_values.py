@@ -1,4 +1,4 @@
-"""The messages of a recording: values of the cell as plain ones for JSON, short and without NaN."""
+"""The messages of a recording: values of the cell as plain JSON values, without NaN."""
 
 import enum
 import json
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from recognition.shape.answer import ShapeAnswer
 
 CHUNK_BYTES = 64 << 10
-"""Size of a chunk before compression: what a killed program loses at most."""
+"""Size of a chunk in bytes before compression: the largest loss of a killed program."""
 _AS_IT_IS = (int, str)
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
@@ -32,14 +32,14 @@ def to_json(value: Any) -> str:
 
 
 def to_ns(t_s: float) -> int:
-    """Return a monotonic time in ns. Raises ValueError where it is negative or not finite."""
+    """Return a monotonic time in ns. Raises ValueError if it is negative or not finite."""
     if not (math.isfinite(t_s) and t_s >= 0):
-        raise ValueError(f"{t_s} s is no monotonic time; it must be finite and not negative")
+        raise ValueError(f"{t_s} s is not a monotonic time; it must be finite and not negative")
     return round(t_s * 1e9)
 
 
 def known(**values: float | None) -> dict[str, float]:
-    """Return the values that are known, to 1e-7 of their unit; None and NaN are left out."""
+    """Return the known values, to 1e-7 of their unit; None and NaN are omitted."""
     return {
         name: round(float(value), 7)
         for name, value in values.items()
@@ -73,7 +73,7 @@ def cycle_values(cycle: "Cycle") -> dict[str, Any]:
 
 
 def grasp_values(grasp: "Grasp", *, first_frame: int) -> dict[str, Any]:
-    """Return what is kept of a grasp beside its frames, the first of which has that number."""
+    """Return the recorded values of a grasp without its frames; ``first_frame`` is their start."""
     values: dict[str, Any] = {
         "label": grasp.label,
         "shape": grasp.shape,
@@ -96,7 +96,7 @@ def grasp_values(grasp: "Grasp", *, first_frame: int) -> dict[str, Any]:
 
 
 def shape_values(shape: "ShapeAnswer | None") -> dict[str, Any]:
-    """Return what is kept of shape and size; empty where there is none."""
+    """Return the recorded values of shape and size; empty without a shape."""
     if shape is None:
         return {}
     return {
@@ -110,7 +110,7 @@ def shape_values(shape: "ShapeAnswer | None") -> dict[str, Any]:
 
 
 def estimate_values(drift: "DriftGrid") -> dict[str, float]:
-    """Return the drift of the sensors that an answer rests on."""
+    """Return the sensor drift that an answer assumes."""
     return {
         "drift_gain": drift.drift.gain,
         "drift_aperture_m": drift.drift.aperture_offset_m,
@@ -136,7 +136,7 @@ def metadata_values(pads: "PadArray", wall_ns: int, monotonic_ns: int) -> dict[s
 
 
 def begin(writer: "Writer", entries: Mapping[str, str]) -> dict[str, int]:
-    """Write what stands at the begin of a recording; return the channel of each topic."""
+    """Write the start of a recording; return the channel of each topic."""
     writer.start(profile="", library="tactile-cell")
     writer.add_metadata(METADATA, {**entries, "crc32": metadata_crc32(entries)})
     channels = {}
@@ -147,7 +147,7 @@ def begin(writer: "Writer", entries: Mapping[str, str]) -> dict[str, int]:
 
 
 def plain_fields(value: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass as plain values, leaving out what is not known."""
+    """Return the fields of a dataclass as plain values, without unknown ones."""
     plain = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     return {name: item for name, item in plain.items() if item is not None}
 

@@ -1,7 +1,7 @@
-"""Retention of recordings: by age and size, oldest first, and by the space that is left.
+"""Retention of recordings: by age and size, oldest first, and by the remaining space.
 
-A recording grows old while a program looks after its folder, by the monotonic clock; over a stop of
-all programs by a day at most. So no leap of the wall clock makes many recordings old at once.
+A recording ages by the monotonic clock while a program manages its folder; over a stop of all
+programs by at most a day. So a jump of the wall clock does not make many recordings old at once.
 """
 
 import os
@@ -31,39 +31,39 @@ from recognition.recognizer import UNKNOWN
 LEDGER = "recordings.json"
 """File with the ages of the recordings, in the folder of all jobs."""
 MARK = ".keep"
-"""What the name of the file ends in that marks a recording, beside it."""
+"""Suffix of the file beside a recording that marks it."""
 THINNED = "thinned"
-"""Entry of the metadata: which frames were taken out."""
+"""Entry of the metadata: which frames were removed."""
 NOTE_S, THIN_S = 3600.0, 1800.0
-"""Time in s for which there is space when this is noted, and when recordings are thinned out."""
+"""Remaining time in s at which the operator gets a note, and at which recordings are thinned."""
 STOP_BYTES = ROOM_BYTES // 2
-"""Free bytes below which no recording goes on: other files need a disk that takes them."""
+"""Free bytes below which recordings stop: other files need space."""
 
 _JOB = re.compile(r"[a-z-]+-\d{8}-\d{6}(-\d+)?")
-"""Name of a folder that a job has made; recordings elsewhere are left alone."""
+"""Name of a job's folder; recordings in other folders are not managed."""
 _DAY_S = 86_400.0
 _LOOK_S = 10.0
-"""Time in s from one look at the disk to the next."""
+"""Time in s between two checks of the disk."""
 _AGE_S = 3600.0
-"""Time in s from one look at the ages to the next."""
+"""Time in s between two checks of the ages."""
 _RATE_S = 60.0
 """Time in s over which the rate of writing is measured."""
 _FIRST_RATE = ROOM_BYTES / 420.0
-"""Bytes a second until it is measured: those of grasping."""
+"""Bytes per second before the first measurement: those of grasping."""
 _RELIEF = 1.25
-"""How many times the space of a note there has to be before it is taken back."""
+"""Factor on the space of a note at which the note is withdrawn."""
 _CLOSE_TIMEOUT_S = 1.0
-"""Time in s that the end waits for a disk that does not answer."""
+"""Longest wait in s for a blocked disk at the end."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """What is known of a recording beside its file."""
+    """Data of a recording outside its file."""
 
     age_s: float = 0.0
-    """Its age in s, as this module counts it."""
+    """Its age in s, counted by this module."""
     thinned: bool = False
-    """Whether frames were taken out of it, or none could be."""
+    """Whether frames were removed from it, or could not be removed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,32 +82,32 @@ _LEDGER = TypeAdapter(dict[str, Kept])
 def mark(path: Path) -> None:
     """Mark a recording, so that it is never deleted or thinned out. Raises RecordingError."""
     if path.suffix != ".mcap" or not path.is_file():
-        raise RecordingError(f"{path} is no recording; name a file that ends in .mcap")
+        raise RecordingError(f"{path} is not a recording; name a file that ends in .mcap")
     write_text(_mark_of(path), "", error=RecordingError, what="mark")
 
 
 def unmark(path: Path) -> None:
-    """Take the mark of a recording away, if it has one. Raises RecordingError where it cannot."""
+    """Remove the mark of a recording, if it has one. Raises RecordingError on failure."""
     try:
         _mark_of(path).unlink(missing_ok=True)
     except OSError as error:
-        raise RecordingError(f"cannot take the mark of {path} away: {error.strerror}") from error
+        raise RecordingError(f"cannot remove the mark of {path}: {error.strerror}") from error
 
 
 def recordings(folder: Path) -> list[Entry]:
     """Return the recordings of all jobs in a folder, oldest first.
 
-    Raises OSError where the folder is gone, CellError where its ages cannot be read.
+    Raises OSError if the folder is gone, CellError if its ages cannot be read.
     """
     return _entries(folder, _read_ledger(folder)[0])
 
 
 def thin(path: Path) -> bool:
-    """Take the frames of named parts, and those of no grasp, out of a recording.
+    """Remove the frames of named parts, and those outside grasps, from a recording.
 
     All else stays: commands, states, periods of the loop, answers, and the grasps without a name
-    with their frames. Returns False where no frame is taken out. Raises RecordingError if it cannot
-    be read or written.
+    with their frames. Returns False if no frame was removed. Raises RecordingError if it cannot be
+    read or written.
     """
     spans, named, messages = list[tuple[int, int]](), set[int](), RecordedMessages(path)
     for topic, content, _ in messages:
@@ -143,7 +143,7 @@ def thin(path: Path) -> bool:
 
 
 def thin_beside(path: Path) -> bool:
-    """Do as `thin` in a process of its own that gives way to all others: it takes minutes."""
+    """Run `thin` in a process of low priority: it takes minutes."""
     code = (
         "import os, pathlib, sys, cell.data.retention as r; os.nice(19); "
         "print(int(r.thin(pathlib.Path(sys.argv[1]))))"
@@ -158,18 +158,18 @@ def thin_beside(path: Path) -> bool:
 
 
 class Retention:
-    """Looks after the disk of a recording; a disk that is gone or does not answer stops nobody.
+    """Manages the disk of a recording; a missing or blocked disk stops nothing else.
 
     Parameters
     ----------
     recorder
-        Writes the recording; it is stopped before the disk is full.
+        Writes the recording; it stops before the disk is full.
     folder
         Folder of all jobs.
     keep_s, keep_bytes
-        Age in s and size in bytes beyond which the oldest recordings are deleted; None: any.
+        Age in s and size in bytes beyond which the oldest recordings are deleted; None: no limit.
     at_fault
-        Whether a fault is open: its recording stays.
+        Whether a fault is latched: its recording stays.
     note
         Gets messages for the operator.
     thin
@@ -197,7 +197,7 @@ class Retention:
         self._at_fault, self._note, self._thin = at_fault, note, thin
         self._monotonic_s, self._wall_s = monotonic_s, wall_s
         self.short = ""
-        """What the operator should know of the space that is left; empty where there is enough."""
+        """Remaining space as text for the operator; empty while there is enough."""
         self._of_fault: set[Path] = set()
         self._aged_s: float | None = None
         self._ledger: dict[str, Kept] = {}
@@ -209,12 +209,12 @@ class Retention:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Look now and then, in a thread of its own, until `close`."""
+        """Check periodically, in a separate thread, until `close`."""
         self._thread = threading.Thread(target=self._run, name="retention", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Look no more. A look that hangs is left behind."""
+        """End the checks; do not wait for a blocked one."""
         self._over.set()
         if self._thread is not None:
             self._thread.join(_CLOSE_TIMEOUT_S)
@@ -225,7 +225,7 @@ class Retention:
             self.look()
 
     def look(self) -> None:
-        """Delete what is too old or too much, and note, thin out or stop as space gets short."""
+        """Delete recordings that are too old or too large; note, thin out or stop at low space."""
         self._keep_of_fault()
         refused = ""
         for act in (self._look_at_space, self._delete):
@@ -234,7 +234,7 @@ class Retention:
             except (OSError, CellError) as error:
                 refused = refused or str(error)
         if refused and refused != self._refused:
-            self._note(f"not all recordings in {self._folder} are looked after: {refused}")
+            self._note(f"not all recordings in {self._folder} are managed: {refused}")
         self._refused = refused
 
     def _keep_of_fault(self) -> None:
@@ -261,12 +261,12 @@ class Retention:
             total, gone = total - one.n_bytes, gone + 1
         if gone:
             self._note(
-                f"{gone} of the oldest recordings are deleted, as recording.keep_days and keep_gb "
-                "have it; `tactile-cell recordings mark FILE` keeps one"
+                f"{gone} of the oldest recordings are deleted, because of recording.keep_days or "
+                "keep_gb; `tactile-cell recordings mark FILE` keeps a recording"
             )
 
     def _age(self) -> None:
-        """Let the recordings grow older by the time since the last look, of whichever program."""
+        """Age the recordings by the time since the last check of any program."""
         now_s = self._monotonic_s()
         if self._aged_s is not None and now_s - self._aged_s < _AGE_S:
             return
@@ -293,7 +293,7 @@ class Retention:
             "looked_s": self._wall_s(),
             "recordings": {name: asdict(one) for name, one in self._ledger.items()},
         }
-        with suppress(CellError):  # a full disk: this program goes on with what it has
+        with suppress(CellError):  # a full disk: this program continues with its own values
             write_json(self._folder / LEDGER, RETENTION, content, error=CellError)
 
     def _stays(self, one: Entry) -> bool:
@@ -328,7 +328,7 @@ class Retention:
         return self._rate or _FIRST_RATE
 
     def _thin_one(self, free: int) -> None:
-        """Thin out the oldest recording that has room beside it for what is left."""
+        """Thin out the oldest recording that has room beside it for the result."""
         for one in _entries(self._folder, self._ledger):
             if one.kept.thinned or one.n_bytes > free or self._stays(one):
                 continue
@@ -336,7 +336,7 @@ class Retention:
             self._ledger[name] = Kept(one.kept.age_s, thinned=True)
             try:
                 if self._thin(one.path):
-                    self._note(f"{one.path} is thinned out: frames of named parts are taken out")
+                    self._note(f"{one.path} is thinned out: frames of named parts are removed")
             except RecordingError as error:
                 self._note(f"{one.path} is not thinned out: {error}")
             self._write_ledger()
@@ -352,7 +352,7 @@ def _name(folder: Path, path: Path) -> str:
 
 
 def _paths(folder: Path) -> Iterator[Path]:
-    """Yield the recordings of all jobs. Raises OSError where the folder is gone."""
+    """Yield the recordings of all jobs. Raises OSError if the folder is gone."""
     for job in os.scandir(folder):
         if _JOB.fullmatch(job.name) and job.is_dir(follow_symlinks=False):
             yield from Path(job.path).glob("recording*.mcap")
@@ -371,9 +371,9 @@ def _entries(folder: Path, ledger: dict[str, Kept]) -> list[Entry]:
 
 
 def _read_ledger(folder: Path) -> tuple[dict[str, Kept], float]:
-    """Return the ages, and the unix time in s of the last look at them; none where there is none.
+    """Return the ages, and the unix time in s of the last check; empty without a file.
 
-    Raises CellError where they cannot be read.
+    Raises CellError if they cannot be read.
     """
     path = folder / LEDGER
     values: dict[str, Any] | None = read_json(path, RETENTION, error=CellError)

@@ -2,57 +2,39 @@
 
 import functools
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
+from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
-from cell.config.tactile import (
-    FlexiTacConfig,
-    TactileConfig,
-    UskinConfig,
-    board_ids,
-    layout_from_config,
-    link_settings,
-    make_calibration,
-    pad_mounts,
-)
+from cell.config.sensor import SensorLines
+from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
 from cell.hand.connections import HandConnections
 from cell.hand.local import LocalHand
+from cell.plugins import SENSORS
+from cell.sensors.guard import GuardedSource
 from gripper.clock import Clock
 from gripper.dynamixel.serial_port import SerialStream
-from gripper.errors import PortLost
 from gripper.gripper import open_gripper
 from gripper.values.force_sensor import ForceSample
-from tactile.can.bus import CanBus, MissingBus, open_bus
-from tactile.flexitac.source import BoardLine, FlexiTacSource
-from tactile.flexitac.stream import BAUD_RATE, PROFILES
+from tactile.can.bus import MissingBus, open_bus
 from tactile.sensor.grip_force import GripForce
-from tactile.sensor.opening import open_sensor
 from tactile.sensor.quality import QualityLimits
 from tactile.sensor.sensor import SensorSettings, TactileSensor
 from tactile.sensor.tare import TareLimits
 from tactile.source import FrameSource
-from tactile.uskin.source import UskinSource
 
 SHARED_PROCESS = (
-    "the force loop shares its process with all other work, which may hold it up: set "
+    "the force loop shares its process with all other work, which may delay it: set "
     "loop.own_process to true"
 )
 """Note of a real cell whose loop has no process of its own."""
 
 _HELD_SHARE = 0.35
-"""Share of the friction by which the wanted force may change while friction holds the one there
-is: as that breaks, by a quarter where empty fingers meet, and half as much again."""
+"""Share of the friction by which the set-point may change before the force follows, because
+friction holds the force: a quarter where empty fingers meet, and half as much again."""
 
-_MATRIX_REST_SHARE, _MATRIX_BUMP_SHARE = 0.22, 0.05
-"""Of the full scale: taxels of a resistive matrix rest at 10 to 40 of 255 counts, each at its own.
-The mean of nine may be this far from that of the pad by chance. [derived]"""
-_MAGNET_REST_SHARE, _MAGNET_NOISE_SHARE = 0.75, 4e-4
-"""Of the full scale: z of a uSkin taxel rests at 9312h, and 26 counts are a hundredth of a newton.
-[derived]"""
-_MATRIX_STUCK_FRAMES = 100
-"""Frames in which a taxel of 8 bit may repeat itself: a second. [chosen]"""
+_HANG_PERIODS = 8.0
+"""Periods of the frames within which code of another package has to return. [chosen]"""
 
 
 def open_hand(
@@ -62,19 +44,22 @@ def open_hand(
 
     With ``partial`` one of both lines may be missing; a note of the hand names it. Raises
     gripper.errors.PortLost or tactile.errors.LinkFault if a port or bus cannot be opened; with
-    ``partial`` if none can.
+    ``partial`` only if both cannot be opened.
     """
     gripper, tactile = config.gripper, config.tactile
+    # A config that another process has checked comes without what its check has loaded.
+    use_servo_models(servo.model for servo in gripper.servos)
     lines = HandConnections(
         lambda: SerialStream(gripper.port, gripper.baud_rate),
         lambda: (
             MissingBus()
-            if tactile.serial_ports
+            if not tactile.sensor.on_can
             else open_bus(tactile.interface, tactile.channel, bitrate=tactile.bitrate)
         ),
         partial=partial,
         open_boards=[
-            functools.partial(SerialStream, port, BAUD_RATE) for port in tactile.serial_ports
+            functools.partial(SerialStream, port, tactile.sensor.baud_rate)
+            for port in tactile.serial_ports
         ],
     )
     try:
@@ -93,37 +78,28 @@ def make_hand(
     source: FrameSource | None = None,
     clock: Clock = time,
 ) -> LocalHand:
-    """Put gripper and sensor together on open lines, which the hand closes at its end.
+    """Return a hand of gripper and sensor on open lines, which the hand closes at its end.
 
     Parameters
     ----------
     by_current
-        Whether the force follows from the motors' current; the sensor must not be used then.
+        Whether the force is computed from the motors' current; do not use the sensor then.
     source, clock
-        Frame source in the place of the configured control unit, and its time.
+        Frame source instead of the configured control unit, and its clock.
     """
     settings = sensor_settings(config.tactile, config.friction_n)
-    source = source or board_source(
+    source = source or frame_source(
         config.tactile,
-        clock,
-        open_boards=lines.open_boards,
-        can_bus=lines.can_bus,
-        reopen=lines.reopen_can,
+        SensorLines(
+            clock=clock,
+            open_serial=lines.open_boards,
+            can_bus=lines.can_bus,
+            reopen_can=lines.reopen_can,
+            real_time=clock is time,
+        ),
     )
-    if source is not None:
-        calibration = make_calibration(config.tactile, source.layout)
-        sensor = TactileSensor(source, calibration, clock=clock, settings=settings)
-    else:
-        layout = layout_from_config(config.tactile)
-        sensor = open_sensor(
-            lines.can_bus,
-            layout,
-            make_calibration(config.tactile, layout),
-            node_id=config.tactile.node_id,
-            link=link_settings(config.tactile),
-            settings=settings,
-            reopen=lines.reopen_can,
-        )
+    calibration = make_calibration(config.tactile, source.layout)
+    sensor = TactileSensor(source, calibration, clock=clock, settings=settings)
     force = GripForce(sensor, ForceSample)
     gripper = open_gripper(
         lines.stream,
@@ -137,58 +113,38 @@ def make_hand(
     )
 
 
-def board_source(
-    config: TactileConfig,
-    clock: Clock,
-    *,
-    open_boards: Sequence[Callable[[], BoardLine]] = (),
-    can_bus: CanBus | None = None,
-    reopen: Callable[[], CanBus] | None = None,
-) -> FrameSource | None:
-    """Return the frame source of sensor boards on these lines; None for the control unit."""
-    common: dict[str, Any] = {
-        "layout": layout_from_config(config),
-        "clock": clock,
-        "mounts": pad_mounts(config),
-        "silence_s": 1e-3 * config.silence_ms,
-        "max_loss_rate": config.loss_max_share,
-        "startup_timeout_s": config.startup_timeout_s,
-    }
-    if isinstance(config.sensor, FlexiTacConfig):
-        return FlexiTacSource(
-            open_boards,
-            profile=PROFILES[config.sensor.profile],
-            rows_along=config.sensor.rows_along,
-            line_errors=(OSError, PortLost),
-            **common,
-        )
-    if isinstance(config.sensor, UskinConfig) and can_bus is not None:
-        return UskinSource(
-            can_bus,
-            board_ids(config.sensor),
-            falling=config.sensor.falling,
-            threaded=clock is time,
-            reopen=reopen,
-            **common,
-        )
-    return None
+def frame_source(config: TactileConfig, lines: SensorLines) -> FrameSource:
+    """Return the frame source of a config, not started; that of another package is guarded."""
+    kind = config.sensor.kind
+    if SENSORS.built_in(kind):
+        return config.sensor.open_source(config, lines)
+    return GuardedSource(
+        lambda: config.sensor.open_source(config, lines),
+        name=f"sensor {kind} of {SENSORS.package(kind)}",
+        layout=layout_from_config(config),
+        clock=lines.clock,
+        threaded=lines.real_time,
+        silence_s=max(1e-3 * config.silence_ms, _HANG_PERIODS * config.frame_period_s),
+        startup_timeout_s=config.startup_timeout_s,
+    )
 
 
 def sensor_settings(config: TactileConfig, friction_n: float = 0.0) -> SensorSettings:
-    """Return the settings of the way from frames to forces, of fingers with a friction in N."""
+    """Return the settings that convert frames to forces, for fingers with a friction in N."""
+    rest, usual = config.sensor.rest, SensorSettings()
     limits = QualityLimits(drift_share=config.drift_max_share)
     tare = TareLimits(bad_share=config.bad_taxels_max_share)
-    if isinstance(config.sensor, FlexiTacConfig):
-        limits = replace(limits, stuck_frames=_MATRIX_STUCK_FRAMES)
-        tare = replace(tare, offset_share=_MATRIX_REST_SHARE, bump_share=_MATRIX_BUMP_SHARE)
-    noise_floor_share = SensorSettings().noise_floor_share
-    if isinstance(config.sensor, UskinConfig):
-        noise_floor_share = _MAGNET_NOISE_SHARE
-        tare = replace(tare, offset_share=_MAGNET_REST_SHARE, bump_share=_MATRIX_BUMP_SHARE)
-    step_n = max(limits.force_step_n, _HELD_SHARE * friction_n)
     return SensorSettings(
-        noise_floor_share=noise_floor_share,
+        noise_floor_share=usual.noise_floor_share if rest.noise_share is None else rest.noise_share,
         bad_share=config.bad_taxels_max_share,
-        quality=replace(limits, force_step_n=step_n),
-        tare_limits=tare,
+        quality=replace(
+            limits,
+            force_step_n=max(limits.force_step_n, _HELD_SHARE * friction_n),
+            stuck_frames=rest.stuck_frames or limits.stuck_frames,
+        ),
+        tare_limits=replace(
+            tare,
+            offset_share=rest.rest_share or tare.offset_share,
+            bump_share=rest.bump_share or tare.bump_share,
+        ),
     )

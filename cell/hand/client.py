@@ -1,4 +1,4 @@
-"""The client of the hand in a process of its own; `cell.hand.server` is the other end."""
+"""The client of a hand in its own process; `cell.hand.server` is the other end."""
 
 import os
 import signal
@@ -32,7 +32,7 @@ from cell.hand.messages import (
 )
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.errors import GripperError, copy_fingers
-from gripper.force.ramp import ForceRamp, check_ramp
+from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.values.state import GripperPhase
 from tactile.errors import TactileError
 
@@ -48,15 +48,15 @@ _END_S = 5.0
 class LoopProcess:
     """One process of the force loop, from its start to its end.
 
-    It is started afresh (exec, no fork): it shares no lock, thread or interpreter with the program,
-    and the program's main module is not imported in it. Raises gripper.errors.PortLost or
+    It is a new process (exec, no fork): it shares no lock, thread or interpreter with the program,
+    and does not import the program's main module. Raises gripper.errors.PortLost or
     tactile.errors.LinkFault if a port or bus cannot be opened, and HandLost if the process does not
-    come up. The ports of the config are real; ``partial`` is as in `cell.hand.build.open_hand`.
+    start. The ports of the config are real; ``partial`` is as in `cell.hand.build.open_hand`.
     """
 
     def __init__(self, config: CellConfig, *, partial: bool = False) -> None:
         self.lost: HandLost | None = None
-        """Why the process is of no use any more; None while it is."""
+        """Why the process can no longer be used; None while it can."""
         self._watchdog_ms = config.gripper.watchdog_ms
         ours, theirs = socket.socketpair()
         stop_fd, self._stop_fd = os.pipe()
@@ -66,7 +66,7 @@ class LoopProcess:
             f"import sys; sys.path[:] = {sys.path!r}; from cell.hand.server import main; "
             f"main({theirs.fileno()}, {stop_fd}, {os.getpid()})"
         )
-        # Ctrl-C is for the program: the mask is inherited, before the process can set anything.
+        # Ctrl-C is for the program only: the process inherits this signal mask.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
         try:
             self._process = subprocess.Popen(
@@ -86,7 +86,7 @@ class LoopProcess:
             if isinstance(event, HandFault):
                 raise event.error
             if not isinstance(event, Ready):
-                self.lose(f"sent {type(event).__name__} instead of being ready")
+                self.lose(f"sent {type(event).__name__} instead of Ready")
         except BaseException:
             self.close()
             raise
@@ -99,8 +99,8 @@ class LoopProcess:
         return self._process.pid
 
     def stop(self) -> None:
-        """Let the running command end; safe from any thread and in signal handlers."""
-        # A pipe that is full holds requests enough; one that is broken has nobody to stop.
+        """Stop the running command; safe from any thread and in signal handlers."""
+        # A full pipe already has stop requests; a broken pipe has no process to stop.
         with suppress(OSError):
             os.write(self._stop_fd, b"s")
 
@@ -113,7 +113,7 @@ class LoopProcess:
             self._lose_gone()
 
     def next(self, patience_s: float) -> HandMessage:
-        """Wait for the next event; a process that sends nothing for so long is lost."""
+        """Wait for the next event; silence for ``patience_s`` s means that the process is lost."""
         self.check()
         if not self._connection.poll(patience_s):
             self.lose(f"has sent nothing for {patience_s:g} s")
@@ -122,7 +122,7 @@ class LoopProcess:
         except (EOFError, OSError):
             self._lose_gone()
         except BaseException:
-            # Half a message may have been read: what follows could not be understood.
+            # Half a message may have been read: the rest cannot be decoded.
             self.abandon(HandLost("the connection to the force loop was cut by an interruption"))
             raise
         return event
@@ -133,17 +133,17 @@ class LoopProcess:
         return self._connection.poll(0.0)
 
     def check(self) -> None:
-        """Raise HandLost if the process is of no use any more."""
+        """Raise HandLost if the process can no longer be used."""
         if self.lost is not None:
             raise self.lost
 
     def abandon(self, lost: HandLost) -> None:
-        """Take the process for lost and end it; a held part stays held."""
+        """Mark the process as lost and end it; a held part stays held."""
         self.lost = lost
         self.close()
 
     def close(self) -> None:
-        """End the process and wait for its end; one that does not end is killed."""
+        """End the process and wait for its end; kill it if it does not end."""
         if not self._connection.closed:
             self._connection.close()
             os.close(self._stop_fd)
@@ -155,11 +155,11 @@ class LoopProcess:
             self._process.wait()
 
     def lose(self, what: str) -> NoReturn:
-        """Latch that the process is lost, and raise what that means for a held part."""
+        """Latch the loss of the process, and raise it with its effect on a held part."""
         lost = HandLost(
-            f"the process of the force loop (pid {self.pid}) {what}; a part may still be gripped, "
-            f"and the servos' bus watchdog acts after {self._watchdog_ms:g} ms, unless the part "
-            f"was carried. Look at the part, then clear the fault: a new process starts and moves "
+            f"the process of the force loop (pid {self.pid}) {what}; a part may still be gripped. "
+            f"The servos' bus watchdog acts after {self._watchdog_ms:g} ms, unless the part was "
+            f"carried. Look at the part, then clear the fault: a new process starts and moves "
             f"nothing"
         )
         self.abandon(lost)
@@ -170,14 +170,14 @@ class LoopProcess:
             self._process.wait(_END_S)
         code = self._process.returncode
         if code is None:
-            self.lose("closed its connection and does not end")
+            self.lose("closed its connection but has not ended")
         if code < 0:
             self.lose(f"was ended by {signal.Signals(-code).name}")
         self.lose(f"has ended with exit code {code}")
 
 
 def _remote(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], T]:
-    """Return a method that has the process carry out that of `Hand`."""
+    """Return a method that calls the same method of `Hand` in the process."""
     named = signature(method)
 
     @wraps(method)
@@ -191,15 +191,14 @@ def _remote(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[An
 
 
 _AT_REST = (GripperPhase.OFF, GripperPhase.IDLE)
-"""Phases in which no part is held, so that none is after the loss of the process."""
+"""Phases without a held part; no part is held then after a loss of the process."""
 
 
 class HandProcess:
     """Implements `cell.hand.interface.Hand` with a process that owns both ports and runs the loop.
 
-    A process that ends, or that sends nothing for too long, is a `HandLost` from then on, until
-    `clear_fault` starts another one. The end of this program, or `close`, ends the process; in
-    each case it keeps a held part held.
+    If the process ends or is silent for too long, calls raise `HandLost` until `clear_fault` starts
+    a new one. The end of this program, or `close`, ends the process; a held part stays held.
 
     Parameters
     ----------
@@ -208,7 +207,7 @@ class HandProcess:
     partial
         As `cell.hand.build.open_hand`.
     silence_s
-        Longest time in s without a message of the process while the loop runs; what does not run
+        Longest time in s without a message of the process while the loop runs. Commands without
         the loop may take longer, up to the config's time-outs.
 
     Raises
@@ -234,21 +233,21 @@ class HandProcess:
         self.statistics = self._loop.ready.statistics
         """Counters as of the last command."""
         self.latest = LatestValues()
-        """As in `Hand`: what the process has sent, and `tick` or a command taken in."""
+        """As in `Hand`: values of the process that `tick` or a command has received."""
         self._heard_s = time.monotonic()
 
     # -- what is known here --------------------------------------------------------------------
 
     @property
     def phase(self) -> GripperPhase:
-        """What the gripper did last; of a process that is gone, whether a part may be held."""
+        """Last phase of the gripper; after a loss of the process, whether a part may be held."""
         if self._loop.lost is not None and self._phase not in _AT_REST:
             return GripperPhase.HELD_AFTER_FAULT
         return self._phase
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the system has not granted to the process."""
+        """Real-time settings that the system refused to the process."""
         return self._loop.ready.notes
 
     @property
@@ -275,38 +274,43 @@ class HandProcess:
     keep_grip = _remote(Hand.keep_grip)
 
     def read_drives(self) -> DriveReport:
-        """Return what is known of the servos' drives; see `Hand`."""
+        """Return the characteristics of the servos' drives; see `Hand`."""
         report = self._call(Hand.read_drives)
         self._know(report.drives)
         return report
 
     def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
-        """Begin with drive characteristics that were kept; see `Hand`."""
+        """Use saved drive characteristics; see `Hand`."""
         self._call(Hand.use_drives, drives=drives)
         self._know(drives)
 
     def _know(self, drives: Mapping[int, DriveCharacteristic]) -> None:
-        """Check ramps with the same figures as the process."""
+        """Check ramps with the same values as the process."""
         for servo_id, drive in drives.items():
             self._settings.drives.put(servo_id, drive)
 
     def stop_sensor(self) -> None:
-        """End the tactile link; it has ended where the process is gone."""
+        """End the tactile link; without the process it has ended already."""
         if self._loop.lost is None:
             self._call(Hand.stop_sensor)
+
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force in N of a ramp; see `Hand`."""
+        return largest_ramp_n(self._settings, self._linkage)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""
         check_ramp(ramp, self._settings, self._linkage)
 
     def end_ramp(self) -> None:
-        """Let the running ramp end where it is; see `Hand`."""
+        """End the running ramp at its present force; see `Hand`."""
         self._loop.send(EndRamp(number=self._number))
 
     def tick(self) -> None:
-        """Raise what went wrong since the last command; the process ticks by itself.
+        """Raise faults since the last command; the process ticks by itself.
 
-        Raises HandLost also where it has sent nothing since an earlier look, too long ago.
+        Also raises HandLost if the process is silent for too long.
         """
         now_s = time.monotonic()
         while self._loop.waiting():
@@ -316,7 +320,7 @@ class HandProcess:
             self._loop.lose(f"has sent nothing for {now_s - self._heard_s:.1f} s")
 
     def clear_fault(self, *, reboot: bool) -> None:
-        """Acknowledge a fault; where the process is gone, start another, which moves nothing."""
+        """Acknowledge a fault; replace a lost process by a new one, which moves nothing."""
         if self._loop.lost is not None:
             # What is missing of the lines is no hindrance to let go.
             self._loop = LoopProcess(self._config, partial=True)
@@ -326,7 +330,7 @@ class HandProcess:
         self._call(Hand.clear_fault, reboot=reboot)
 
     def request_stop(self) -> None:
-        """Let the running command end with GraspStopped."""
+        """Stop the running command with GraspStopped."""
         self._loop.stop()
 
     def shutdown(self) -> str:
@@ -349,9 +353,9 @@ class HandProcess:
     # -- inside --------------------------------------------------------------------------------
 
     def _call(self, method: Callable[..., T], watch: OnPeriod | None = None, **arguments: Any) -> T:
-        """Have a command carried out; what goes wrong here stops it and is raised at its end.
+        """Run a command in the process; an error in this program stops it and is raised at its end.
 
-        A shutdown is carried out although a fault waits to be raised.
+        A shutdown runs even if a fault waits to be raised.
         """
         if method is not Hand.shutdown:
             self.tick()
@@ -379,7 +383,7 @@ class HandProcess:
         self._phase, self.statistics = event.phase, event.statistics
         if failure is not None:
             if event.error is not None:
-                # Only the process that moves the fingers has measured where they stand.
+                # Only the process that moves the fingers has measured their positions.
                 copy_fingers(event.error, failure)
             raise failure
         if event.error is not None:
@@ -388,7 +392,7 @@ class HandProcess:
         return value
 
     def _next(self, patience_s: float) -> HandMessage:
-        """Wait for the next event and take in what it shows of the hand; a fault is raised."""
+        """Wait for the next event and store its values of the hand; raise a fault."""
         event = self._loop.next(patience_s)
         if isinstance(event, HandPeriod):
             for frame in event.frames:
@@ -404,7 +408,7 @@ class HandProcess:
         return event
 
     def _raise(self, fault: HandFault) -> NoReturn:
-        """Raise a fault that came by itself; a HandLost among them is the loss of the process."""
+        """Raise a fault that is not of a command; a HandLost means the loss of the process."""
         self._phase = fault.phase
         if isinstance(fault.error, HandLost):
             self._loop.abandon(fault.error)

@@ -1,4 +1,4 @@
-"""Both lines of a hand: opened, opened anew where one was lost, given back at the end."""
+"""Both lines of a hand: opened, reopened after a loss, closed at the end."""
 
 from collections.abc import Callable, Sequence
 from typing import NoReturn
@@ -9,7 +9,7 @@ from tactile.can.bus import CanBus, MissingBus, close_bus
 from tactile.errors import BusNotOpened
 
 MISSING = "this line is missing: "
-"""Begin of the note on a line that could not be opened."""
+"""Start of the note about a line that could not be opened."""
 
 
 class HandConnections:
@@ -21,11 +21,11 @@ class HandConnections:
     Parameters
     ----------
     open_servos, open_can
-        Open a line, with PortLost and BusNotOpened where it cannot be opened.
+        Open a line; raise PortLost or BusNotOpened if it cannot be opened.
     partial
-        Whether one of both may be missing: it then raises why, whatever is asked of it.
+        Whether one of both may be missing: each call of it then raises the reason.
     stream, can_bus
-        Ends that are open already and belong to somebody else.
+        Open lines that belong to the caller.
     open_boards
         Open the serial lines of the sensor's boards, by finger; the frame source does so.
     """
@@ -56,30 +56,30 @@ class HandConnections:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What cannot be reached, and why."""
+        """The missing lines, and why they are missing."""
         return tuple(MISSING + str(error) for error in self._missing.values())
 
     @property
     def servos_are_missing(self) -> bool:
-        """Whether there was no servo line when it was opened last."""
+        """Whether the last opening of the servo line failed."""
         return "servos" in self._missing
 
     def reopen_servos(self) -> ByteStream:
-        """Open the servo line anew and return it; PortLost where it cannot be opened."""
+        """Reopen the servo line and return it. Raises PortLost if it cannot be opened."""
         if self._owned:
             self.stream.close()
         self.stream = self._servos_or(())
         return self.stream
 
     def reopen_can(self) -> CanBus:
-        """Open the CAN bus anew and return it; BusNotOpened where it cannot be opened."""
+        """Reopen the CAN bus and return it. Raises BusNotOpened if it cannot be opened."""
         if self._owned:
             close_bus(self.can_bus)
         self.can_bus = self._can_or(())
         return self.can_bus
 
     def close(self) -> None:
-        """Give the lines back that were opened here."""
+        """Close the lines that were opened here."""
         if self._owned:
             self.stream.close()
             close_bus(self.can_bus)
@@ -104,7 +104,7 @@ class HandConnections:
 
 
 class MissingStream:
-    """Implements `ByteStream` for a port that could not be opened: it raises why."""
+    """Implements `ByteStream` for a port that could not be opened: it raises the reason."""
 
     def __init__(self, error: Exception) -> None:
         self._text = str(error)
@@ -122,4 +122,4 @@ class MissingStream:
         raise PortLost(self._text)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""

@@ -1,7 +1,7 @@
-"""The hand: gripper and tactile sensor as one, wherever their force loop runs.
+"""The hand: gripper and tactile sensor as one interface, for a force loop in any process.
 
 `cell.hand.local.LocalHand` runs the loop in this process, in the caller's thread: virtual time and
-tests. `cell.hand.client.HandProcess` runs it in a process of its own: real time.
+tests. `cell.hand.client.HandProcess` runs it in its own process: real time.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,23 +22,24 @@ from tactile.sensor.tare import TareResult
 from tactile.source import SourceIdentity, SourceStatistics, TactileFrame
 
 OnPeriod = Callable[[Cycle, Sequence[TactileFrame]], None]
-"""Callback for each period of a command, in order, with the tactile frames that came in it.
+"""Callback for each period of a command, in order, with its tactile frames.
 
-What it raises stops the command with the grip kept, and passes on.
+An error that it raises stops the command with the grip kept, and is passed on.
 """
 
 
 FORCE_FROM_FRAMES = (
-    "the force comes from whole frames and is slower: the control unit has no force messages "
-    "(object 2140h), tactile.force_period_ms is 0, or the two inner pads are not mounted alike "
-    "(tactile.mounting). A gripper.approach_speed_mm_s of 12 keeps the impact of the contact small"
+    "the force comes from whole frames and is slower: the sensor sends no force messages. With a "
+    "control unit it has no object 2140h, tactile.force_period_ms is 0, or the two inner pads are "
+    "not mounted alike (tactile.mounting). A gripper.approach_speed_mm_s of 12 keeps the impact of "
+    "the contact small"
 )
-"""Note on a control unit that sends no force messages."""
+"""Note about a sensor that sends no force messages."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandStatistics:
-    """What loop and links counted."""
+    """Counters of loop and links."""
 
     loop: LoopStatistics
     """Timing of the force loop since it was made."""
@@ -49,12 +50,12 @@ class HandStatistics:
     sensor: SensorStatistics = field(default_factory=SensorStatistics)
     """Since the last start of the tactile sensor."""
     undelivered: int = 0
-    """Periods that did not reach this process because it took nothing for too long."""
+    """Periods that this process lost because it read too slowly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatestValues:
-    """Newest values of a hand, of motions and of the supervision between them; None before any."""
+    """Newest values of a hand, from motions and supervision; None before the first."""
 
     cycle: Cycle | None = None
     """Newest period in which the servos answered."""
@@ -66,7 +67,7 @@ class LatestValues:
     def then(
         self, cycle: Cycle | None, force: ForceSample | None, frames: Sequence[TactileFrame]
     ) -> "LatestValues":
-        """Return the newest values after one more period, whose force may be none or not valid."""
+        """Return the newest values after one more period; its force may be None or invalid."""
         return LatestValues(
             cycle=cycle or self.cycle,
             force=force if force is not None and force.valid else self.force,
@@ -77,8 +78,8 @@ class LatestValues:
 class Hand(Protocol):
     """Gripper and tactile sensor; one thread commands them.
 
-    Commands raise what `gripper.gripper.Gripper` and `tactile.sensor.sensor.TactileSensor` raise,
-    and `cell.errors.HandLost` where the process of the loop is gone.
+    Commands raise the errors of `gripper.gripper.Gripper` and
+    `tactile.sensor.sensor.TactileSensor`, and `cell.errors.HandLost` if the process is lost.
     """
 
     @property
@@ -91,29 +92,29 @@ class Hand(Protocol):
 
     @property
     def own_process(self) -> bool:
-        """Whether the loop runs in a process of its own, so that no computing here delays it."""
+        """Whether the loop has its own process, so that work in this process does not delay it."""
 
     @property
     def phase(self) -> GripperPhase:
-        """What the gripper is doing, as of the last message."""
+        """Phase of the gripper, as of the last message."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Messages for the operator on how the loop runs; empty where all is as wanted."""
+        """Messages for the operator about the loop; empty if all is normal."""
 
     @property
     def statistics(self) -> HandStatistics:
-        """Counters of loop and links; of a hand that is gone the last ones that came."""
+        """Counters of loop and links; the last ones if the hand is lost."""
 
     @property
     def latest(self) -> LatestValues:
-        """What motions and `tick` measured last, from any thread."""
+        """Newest values of motions and `tick`, from any thread."""
 
     def start(self) -> VerificationReport:
         """Verify the servos; nothing moves. See `Gripper.start`."""
 
     def start_sensor(self) -> SourceIdentity:
-        """Start the tactile sensor. From now on the loop gets forces."""
+        """Start the tactile sensor, which sends forces to the loop."""
 
     def stop_sensor(self) -> None:
         """Stop the tactile sensor."""
@@ -122,10 +123,15 @@ class Hand(Protocol):
         """Open the empty fingers."""
 
     def tare(self, n_frames: int) -> TareResult:
-        """Take the zero of the taxels from so many frames, and return it."""
+        """Take the zero of the taxels from ``n_frames`` frames, and return it."""
+
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force in N of a ramp, by what is known of the servos; no device is asked."""
+        ...
 
     def check_ramp(self, ramp: ForceRamp) -> None:
-        """Raise LimitExceeded for a ramp that `grasp` would refuse; no device is asked."""
+        """Raise LimitExceeded for a ramp that `grasp` would refuse; uses no device."""
 
     def grasp(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close until both pads touch, follow the ramp; return while holding."""
@@ -135,20 +141,20 @@ class Hand(Protocol):
         ...
 
     def measure_load(self, watch: OnPeriod) -> None:
-        """Measure the servos' currents for their load, while the empty pads press on each other."""
+        """Measure the servos' currents under load while the empty pads press on each other."""
 
     def measure_friction(self, watch: OnPeriod) -> None:
         """Measure the servos' friction at several speeds; nothing may be between the fingers."""
 
     def read_drives(self) -> DriveReport:
-        """Return what is known of the servos' drives, and what was unusual since then."""
+        """Return the characteristics of the servos' drives, and notes about unusual values."""
         ...
 
     def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
-        """Begin with drive characteristics that were kept, by the servos' IDs."""
+        """Use saved drive characteristics, by the servos' IDs."""
 
     def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
-        """Hold the part with another force for a time, and control it on between commands."""
+        """Hold the part with another force for a time, and between later commands."""
 
     def squeeze(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Follow a further ramp in the same grip, up from the held force; return while holding."""
@@ -161,10 +167,10 @@ class Hand(Protocol):
         """
 
     def release(self, watch: OnPeriod | None = None) -> ReleaseReport:
-        """Let go, without a start too: the only command that lets a part go."""
+        """Let go, also without a start: the only command that lets a part go."""
 
     def conditions(self) -> tuple[ServoCondition, ...]:
-        """Read torque and errors of each servo, of those too that another one hides."""
+        """Read torque and errors of each servo, also after the failure of another servo."""
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""
@@ -173,28 +179,26 @@ class Hand(Protocol):
         """Wait for a new reading of the taxels."""
 
     def tick(self) -> None:
-        """Between commands, once a period: both links stay alive; what is wrong with them raises.
+        """Serve both links once a period between commands; raise their faults.
 
-        While a part is carried this is a period of the force loop.
-
-        A loop in a process of its own ticks by itself; this then raises what it found.
+        While a part is carried this is a period of the force loop. A loop in its own process ticks
+        by itself; this then raises its faults.
         """
 
     def keep_grip(self) -> None:
         """Freeze in any state; see `Gripper.keep_grip`."""
 
     def clear_fault(self, *, reboot: bool) -> None:
-        """Acknowledge a fault of the servos; a process that is gone is started anew."""
+        """Acknowledge a fault of the servos; start a new process after a loss."""
 
     def request_stop(self) -> None:
-        """Let the running command end with GraspStopped; safe from any thread and in signals."""
+        """Stop the running command with GraspStopped; safe from any thread and in signals."""
 
     def shutdown(self) -> str:
         """Leave servos and sensor in a defined state, as `Gripper.close` does.
 
-        Returns what was found wrong since the last command, for the record: no command needs a
-        sound hand any more. Empty where nothing was.
+        Returns the faults since the last command as text, for the record; empty without any.
         """
 
     def close(self) -> None:
-        """Give ports, and the process of the loop, back; a held part stays held."""
+        """Close the ports and the process of the loop; a held part stays held."""

@@ -1,4 +1,4 @@
-"""The hand in this process: its loop runs in the thread that commands it."""
+"""The hand in this process: its loop runs in the caller's thread."""
 
 from collections.abc import Callable
 
@@ -19,8 +19,8 @@ from tactile.source import SourceIdentity
 class LocalHand:
     """Implements `cell.hand.interface.Hand` in the caller's thread.
 
-    The gripper asks ``force`` for that of the sensor; the lines under both are closed at the end.
-    Gripper and sensor, and the servos' ``bus``, are public for tests and benchmarks: commands go
+    The gripper reads the sensor's force from ``force``. The lines of both are closed at the end.
+    Gripper, sensor and the servos' ``bus`` are public for tests and benchmarks; send commands
     through the hand.
     """
 
@@ -56,7 +56,7 @@ class LocalHand:
 
     @property
     def phase(self) -> GripperPhase:
-        """What the gripper is doing."""
+        """Phase of the gripper."""
         return self.gripper.phase
 
     @property
@@ -69,6 +69,11 @@ class LocalHand:
             sensor=self.sensor.statistics,
         )
 
+    @property
+    def largest_ramp_n(self) -> float:
+        """Largest force in N of a ramp; see `Hand`."""
+        return self.gripper.largest_ramp_n
+
     def open(self, watch: OnPeriod) -> None:
         """Open the empty fingers; see `Hand`."""
         self.gripper.open(observer=self._observer(watch))
@@ -76,7 +81,7 @@ class LocalHand:
     def tare(self, n_frames: int) -> TareResult:
         """Take the zero of the taxels; see `Hand`."""
         zero = self.sensor.tare(n_frames)
-        # No force is measured before the mean holds frames alone that count from this zero.
+        # No force is measured before all frames of the mean count from this zero.
         self.sensor.refresh()
         return zero
 
@@ -117,7 +122,7 @@ class LocalHand:
         try:
             self._check_zero()
         except ZeroDrifted:
-            # The mean may still hold frames from before the fingers had left the part.
+            # The mean may still include frames from before the fingers left the part.
             self.sensor.refresh()
             self._check_zero()
         return report
@@ -127,7 +132,7 @@ class LocalHand:
         return self.sensor.read(timeout_s=timeout_s)
 
     def tick(self) -> None:
-        """Keep both links alive and supervised; see `Hand`."""
+        """Serve and supervise both links; see `Hand`."""
         cycle = self.gripper.tick()
         if cycle is not None and cycle.force is not None:
             self._aim(cycle)
@@ -135,7 +140,7 @@ class LocalHand:
         self.latest = self.latest.then(cycle, force, self._force.take())
 
     def clear_fault(self, *, reboot: bool) -> None:
-        """Acknowledge a fault of the servos, on a port that is opened anew where it was lost."""
+        """Acknowledge a fault of the servos; reopen a lost port first."""
         if self._lines.servos_are_missing or self.bus.lost:
             self.bus.use(self._lines.reopen_servos())
         self.gripper.clear_fault(reboot=reboot)
@@ -147,7 +152,7 @@ class LocalHand:
         return ""
 
     def close(self) -> None:
-        """Give the ports back."""
+        """Close the ports."""
         self._lines.close()
 
     def _observer(self, watch: OnPeriod) -> Callable[[Cycle], None]:
@@ -163,6 +168,6 @@ class LocalHand:
         self.sensor.aim(cycle.setpoint_n, cycle.state.aperture_m)
 
     def _check_zero(self) -> None:
-        """Refuse to measure with a zero that has moved; the fingers are open now."""
+        """Refuse to measure with a zero that has moved, while the fingers are open."""
         if self.sensor.running:
             self.sensor.check_zero()

@@ -1,7 +1,7 @@
-"""Messages between a program and the process of its force loop: frozen values, nothing else.
+"""Messages between a program and the process of its force loop: frozen values.
 
-Both ends are this program, on a socket pair that no other can reach; values are pickled. Errors
-cross as what they are: class, arguments and attributes.
+Both ends are this program, on a socket pair that no other program can reach; values are pickled.
+Errors are sent as class, arguments and attributes.
 """
 
 import io
@@ -22,20 +22,20 @@ from tactile.source import TactileFrame
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Boot:
-    """First message: what to open."""
+    """First message: the lines to open."""
 
     config: CellConfig
     partial: bool = False
 
 
 _ELSEWHERE = frozenset({"check_ramp", "end_ramp", "tick", "request_stop", "close"})
-"""Methods of `Hand` that no request names: done in the program, or by messages of their own."""
+"""Methods of `Hand` without a request: the program runs them, or they have their own messages."""
 HAND_COMMANDS = {
     name: "watch" in signature(method).parameters
     for name, method in getmembers(Hand, isfunction)
     if not name.startswith("_") and name not in _ELSEWHERE
 }
-"""The other methods, and whether each runs the force loop and is watched."""
+"""The other methods, and whether each runs the force loop with a watch."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,15 +52,15 @@ class HandRequest:
 
     def __post_init__(self) -> None:
         if self.method not in HAND_COMMANDS:
-            raise ValueError(f"{self.method!r} is no command of the hand")
+            raise ValueError(f"{self.method!r} is not a command of the hand")
 
     @property
     def watched(self) -> bool:
-        """Whether it runs the force loop; each period of it is sent as `HandPeriod`."""
+        """Whether it runs the force loop and sends each period as `HandPeriod`."""
         return HAND_COMMANDS[self.method]
 
     def run(self, hand: Hand, watch: OnPeriod) -> Any:
-        """Carry it out and return what the method returns."""
+        """Carry it out and return the result of the method."""
         watched = {"watch": watch} if self.watched else {}
         return getattr(hand, self.method)(**self.arguments, **watched)
 
@@ -70,7 +70,7 @@ class EndRamp:
     """`Hand.end_ramp`, sent while a grasp runs; no answer follows."""
 
     number: int
-    """Of the request to grasp that it is meant for: while another one runs it counts no more."""
+    """Number of the grasp request; the message has no effect while another request runs."""
 
 
 # -- from the process ----------------------------------------------------------------------------
@@ -86,7 +86,7 @@ class Ready:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandPeriod:
-    """One period of a running command and the frames that came in it."""
+    """One period of a running command and its frames."""
 
     cycle: Cycle
     frames: tuple[TactileFrame, ...]
@@ -94,14 +94,14 @@ class HandPeriod:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandReply:
-    """How a command ended, and how the hand stands then."""
+    """The end of a command, and the state of the hand after it."""
 
     number: int
     """Of the request."""
     value: Any
-    """What the command returned."""
+    """Result of the command."""
     error: BaseException | None
-    """What it raised, None where it returned."""
+    """Error of the command, or None."""
     phase: GripperPhase
     statistics: HandStatistics
     """Of the hand."""
@@ -117,7 +117,7 @@ class HandFault:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveUpdate:
-    """Sent between commands: the process is alive, and `Hand.latest` is this."""
+    """Sent between commands: a sign of life with the newest values for `Hand.latest`."""
 
     latest: LatestValues
 
@@ -128,12 +128,12 @@ HandMessage = Ready | HandPeriod | HandReply | HandFault | LiveUpdate
 # -- how an event is sent --------------------------------------------------------------------------
 
 _KNOWN = ("gripper.errors", "tactile.errors", "cell.errors", "builtins")
-"""Modules whose errors the other end knows."""
+"""Modules whose errors the other end can import."""
 
 
 class _Pickler(pickle.Pickler):
     def reducer_override(self, value: Any) -> Any:
-        """Send an error as what makes it up; one of a foreign class is named in a RuntimeError."""
+        """Send an error by its parts; an error of another class becomes a RuntimeError."""
         if not isinstance(value, BaseException):
             return NotImplemented
         kind = type(value)
@@ -143,14 +143,14 @@ class _Pickler(pickle.Pickler):
             value.add_note(trace)
         args = value.args
         if isinstance(value, OSError) and value.filename is not None:
-            # The file is no argument any more, but its place is known.
+            # The file name is not among the arguments, but its position is fixed.
             args = (*args[:2], value.filename)
-        # The class's own __init__ makes a text of other arguments than those that the error holds.
+        # The class's own __init__ has other arguments than the error stores.
         return type(value).__new__, (type(value), *args), vars(value)
 
 
 def packed(event: HandMessage) -> bytes:
-    """Return an event as it crosses."""
+    """Return an event as bytes."""
     data = io.BytesIO()
     _Pickler(data, pickle.HIGHEST_PROTOCOL).dump(event)
     return data.getvalue()

@@ -11,9 +11,9 @@ from cell.config.model import LoopConfig
 
 _MCL_CURRENT = 1
 _MCL_FUTURE = 2
-"""Flags of mlockall(2): pages that are mapped, and those that will be."""
+"""Flags of mlockall(2): present pages and future pages."""
 _STACK_BYTES = 512 << 10
-"""Stack of each thread: all of it is locked, and the default of 8 MB would exceed most limits."""
+"""Stack of each thread in bytes: all of it is locked; the default 8 MB exceeds most limits."""
 
 
 def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
@@ -37,7 +37,7 @@ def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
         asked.append(
             (
                 lock_memory,
-                "the memory of the force loop is not locked, paging may hold it up",
+                "the memory of the force loop is not locked, paging may delay it",
                 "raise `ulimit -l` (limits.conf: memlock)",
             )
         )
@@ -45,7 +45,7 @@ def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
         asked.append(
             (
                 lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority)),
-                "the force loop runs without real-time priority, other programs may hold it up",
+                "the force loop runs without real-time priority, other programs may delay it",
                 "raise `ulimit -r` (limits.conf: rtprio)",
             )
         )
@@ -59,7 +59,7 @@ def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
 
 
 def lock_memory() -> None:
-    """Keep all pages of this process in memory, now and later. Raises OSError if refused."""
+    """Lock all present and future pages of this process. Raises OSError if refused."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         number = ctypes.get_errno()
@@ -68,10 +68,10 @@ def lock_memory() -> None:
 
 @contextmanager
 def raised_priority(priority: int) -> Iterator[None]:
-    """Run the block with a real-time priority where the system grants it; 0 asks for none.
+    """Run the block with a real-time priority if the system grants it; 0: no priority.
 
-    For a simulated device, which takes the place of one that waits for no processor. A
-    refusal raises nothing: the device then answers late now and then.
+    For a simulated device: a real one does not wait for a processor. A refusal raises nothing; the
+    device then sometimes answers late.
     """
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     granted = False
@@ -87,7 +87,7 @@ def raised_priority(priority: int) -> Iterator[None]:
 
 
 def stop_collecting() -> None:
-    """Let no garbage collection interrupt from now on: it is called where nothing waits."""
+    """Switch automatic garbage collection off; the server collects when nothing waits."""
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -1,9 +1,9 @@
 """The server of the hand: the process that owns both ports and runs the force loop.
 
-Between commands it ticks by itself, so that watchdog and heartbeat are served whatever the
-program does. SIGINT is the program's business. The end of the program freezes the grip, and the
-process ends as `gripper.gripper.Gripper.close` does: a held part stays held. So does SIGTERM, a
-second later: systemd sends it to both, and the program ends the cell in order meanwhile.
+Between commands it ticks by itself, so that watchdog and heartbeat are always served. It ignores
+SIGINT. The end of the program freezes the grip, and the process ends as
+`gripper.gripper.Gripper.close` does: a held part stays held. SIGTERM does the same a second later:
+systemd sends it to both, and the program ends the cell in order meanwhile.
 """
 
 import gc
@@ -44,11 +44,11 @@ from tactile.source import TactileFrame
 
 
 class Outbox:
-    """Sends events in order, and keeps those that the other end has no room for yet.
+    """Sends events in order, and queues them while the other end has no room.
 
-    Its connection is a stream socket. Linux calls it writable while three quarters of its buffer of
-    at least 200 kB are free: a message of less is then taken whole, and nothing blocks. From
-    ``limit`` waiting periods on they are dropped and counted, with all else kept.
+    Its connection is a stream socket. Linux reports it as writable while three quarters of its
+    buffer of at least 200 kB are free: a smaller message is then taken whole, and nothing blocks.
+    Beyond ``limit`` waiting periods further periods are dropped and counted; other events are kept.
     """
 
     def __init__(self, connection: Connection, *, limit: int) -> None:
@@ -73,7 +73,7 @@ class Outbox:
         return not self._waiting
 
     def post(self, event: HandMessage) -> None:
-        """Send now or later; a period that finds no room is dropped."""
+        """Send now or later; drop a period beyond the limit."""
         if isinstance(event, HandPeriod) and self.full:
             self.dropped += 1
             return
@@ -81,7 +81,7 @@ class Outbox:
         self.flush()
 
     def flush(self) -> None:
-        """Send what the other end has room for; does not wait."""
+        """Send as much as the other end has room for; does not wait."""
         try:
             while self._waiting and self._writable():
                 self._connection.send_bytes(self._waiting[0])
@@ -91,7 +91,7 @@ class Outbox:
             self.broken = True
 
     def drain(self, timeout_s: float) -> None:
-        """Send what is left, waiting at most so long: the last words of a process that ends."""
+        """Send the rest at the end of the process; wait at most ``timeout_s`` s."""
         while self._waiting and not self.broken and self._writable(timeout_s):
             self.flush()
 
@@ -100,21 +100,21 @@ class Outbox:
 
 
 WAITING_PERIODS = 1000
-"""Periods that wait for a program that takes nothing, before the grip is frozen."""
+"""Periods that may wait for the program before the grip is frozen."""
 _LAST_WORDS_S = 0.5
-"""Time in s for the other end to take the last messages."""
+"""Time in s for the other end to read the last messages."""
 _PROGRAM_ENDS_S = 1.0
 """Time in s from SIGTERM to the freeze, in which the program can end the cell in order."""
 _ALIVE_EVERY_S = 0.5
-"""Period in s of `LiveUpdate` between commands: a tenth of what the client waits."""
+"""Period in s of `LiveUpdate` between commands: a tenth of the client's time-out."""
 _SHOW_EVERY_S = 0.02
-"""The same while the hand is supervised, so that hosts see it: the period of the tactile frames."""
+"""The same while the hand is supervised: the period of the tactile frames."""
 
 
 def main(connection_fd: int, stop_fd: int, parent: int) -> None:
     """Run until the program, process ``parent``, closes the connection, ends, or SIGTERM comes.
 
-    The descriptors are those of the socket for requests and events, and of the pipe for stops.
+    The descriptors are of the socket for requests and events, and of the pipe for stops.
     """
     connection = Connection(connection_fd)
     outbox = Outbox(connection, limit=WAITING_PERIODS)
@@ -140,9 +140,9 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
 
 
 class HandServer:
-    """Carries out requests on a hand, and looks after it in between.
+    """Carries out requests on a hand, and supervises it between them.
 
-    Requests come from the connection, events go to the outbox; the end of the parent ends it.
+    Requests come from the connection, events go to the outbox. It ends with its parent.
     """
 
     def __init__(
@@ -162,7 +162,7 @@ class HandServer:
         self._alive_due_s = 0.0
 
     def terminate(self, _number: int, _frame: FrameType | None) -> None:
-        """Freeze and end where the program has not ended this process in a second: SIGTERM."""
+        """Handle SIGTERM: freeze and end if the program has not ended this process in a second."""
         self._asked_s = min(self._asked_s, time.monotonic())
 
     def listen(self, stop_fd: int) -> None:
@@ -172,7 +172,7 @@ class HandServer:
         self._end_because("its program is gone")
 
     def serve(self) -> None:
-        """Obey and supervise until there is a reason to end."""
+        """Carry out requests and supervise until there is a reason to end."""
         due_s = time.monotonic()
         while not self._ending:
             try:
@@ -188,7 +188,7 @@ class HandServer:
                 due_s = max(due_s + self._hand.period_s, now_s)
 
     def end(self) -> None:
-        """Leave a held part held, give the ports back, send the reason."""
+        """Leave a held part held, close the ports, send the reason."""
         self._hand.shutdown()
         self._hand.close()
         if self._ending:
@@ -203,7 +203,7 @@ class HandServer:
         self._hand.request_stop()
 
     def _receive(self, wait_s: float) -> None:
-        """Take the next message, if one comes in time: each is small and there as a whole.
+        """Receive the next message, if it comes in time; each message is small and arrives whole.
 
         Raises EOFError or OSError if the program is gone.
         """
@@ -226,7 +226,7 @@ class HandServer:
             failure = stop
             if self._outbox.dropped > dropped:
                 failure = HostSilent(
-                    f"the program took nothing from its force loop for {WAITING_PERIODS} periods: "
+                    f"the program read nothing from its force loop for {WAITING_PERIODS} periods: "
                     f"the goals are frozen; {self._outbox.dropped - dropped} periods are lost"
                 )
                 copy_fingers(stop, failure)
@@ -250,7 +250,7 @@ class HandServer:
     def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         dropped = self._outbox.dropped
         self._outbox.post(HandPeriod(cycle=cycle, frames=tuple(frames)))
-        # That the program is gone is seen below, and by the pipe for stops.
+        # The end of the program is detected below, and by the pipe for stops.
         with suppress(EOFError, OSError):
             self._receive(0.0)
         self._look_for_parent()
@@ -280,7 +280,7 @@ class HandServer:
     def _stand_by(self) -> None:
         """Keep the grip without supervision, as a fault leaves it, until the next start."""
         self._supervised = False
-        # What went wrong is on its way; a bus that fails again adds nothing.
+        # The fault is sent already; another failure of the bus adds nothing.
         with suppress(GripperError):
             self._hand.keep_grip()
 

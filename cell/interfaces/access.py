@@ -18,19 +18,19 @@ from cell.data.files import read_plain
 from cell.errors import ConfigError
 
 BUSY_MAX = 64
-"""Connections at once on one interface; a further one takes the place of another: see
+"""Most connections at once on one interface; a further connection replaces another one: see
 `ConnectionPlaces`."""
 _PEER_IDLE_S, _PEER_ASKED_S, _PEER_ASKED_MAX = 10, 5, 4
-"""Silence in s after which the system asks whether a peer is still there (TCP keep-alive), time
-between two questions, and questions without an answer: one without power is gone after 30 s."""
+"""TCP keep-alive: silence in s before the first probe, time in s between two probes, number of
+probes. A peer without power is detected after 30 s."""
 _SECRET_MIN = 16
 """Fewest characters of a token or secret."""
 _SECRET_BYTES = 4096
-"""Largest file of one."""
+"""Largest size in bytes of a file with a token or secret."""
 
 
 def may_connect(host: str, config: ServeConfig) -> bool:
-    """Whether a host may connect: this machine, or one of the allow-list."""
+    """Whether a host may connect: this machine, or a host of the allow-list."""
     found = _address(host)
     return found is not None and (
         found.is_loopback or any(found in ip_network(one) for one in config.allow)
@@ -38,19 +38,19 @@ def may_connect(host: str, config: ServeConfig) -> bool:
 
 
 def is_for_this_machine(hosts: Sequence[str], reached: str, config: ServeConfig) -> bool:
-    """Whether a request over HTTP names this machine, as a page of another site cannot make it.
+    """Whether the header ``Host`` of a request names this machine.
 
-    A browser writes the name in the address of the page into the header ``Host``. With a name of
-    its own that leads to this machine (DNS rebinding) a page of any site would else be let in.
+    A browser writes the name in the address of the page into that header. The check refuses pages
+    of other sites whose name was pointed to this machine (DNS rebinding).
 
     Parameters
     ----------
     hosts
         All values of ``Host`` in the request; anything but one value is refused.
     reached
-        Address of this machine that the connection has reached.
+        Address of this machine on which the connection arrived.
     config
-        Has further names in ``hosts``.
+        Contains further names in ``hosts``.
     """
     found = re.fullmatch(r"(\[[^]]*\]|[^][:]+)(:\d*)?", hosts[0]) if len(hosts) == 1 else None
     if found is None:
@@ -63,7 +63,7 @@ def is_for_this_machine(hosts: Sequence[str], reached: str, config: ServeConfig)
 
 
 def _address(text: str) -> IPv4Address | IPv6Address | None:
-    """Return an IP address, one of IPv4 within IPv6 as that of IPv4; None for what is none."""
+    """Return an IP address, an IPv4 address within IPv6 as IPv4; None for other texts."""
     try:
         address = ip_address(text.partition("%")[0])
     except ValueError:
@@ -72,57 +72,57 @@ def _address(text: str) -> IPv4Address | IPv6Address | None:
 
 
 def read_secret(path: str) -> str:
-    """Return the token or secret in a file. Raises ConfigError for a bad one, or no file."""
+    """Return the token or secret in a file. Raises ConfigError if it is bad or missing."""
     what = "token or secret"
     data = read_plain(Path(path), error=ConfigError, what=what, limit_bytes=_SECRET_BYTES)
     try:
         found = data.decode("ascii").strip()
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: a token or secret is of ASCII characters ({error})") from error
+        raise ConfigError(f"{path}: a token or secret needs ASCII characters ({error})") from error
     if len(found) < _SECRET_MIN:
         raise ConfigError(
-            f"{path}: a token or secret has at least {_SECRET_MIN} characters, not {len(found)}"
+            f"{path}: a token or secret needs at least {_SECRET_MIN} characters, not {len(found)}"
         )
     return found
 
 
 def view_token(token: str) -> str:
-    """Return the token that may read and not command, made of the one that may: no way leads back.
+    """Return the view-only token, a one-way hash of the token that commands.
 
-    It stays as long as the other one does.
+    It is valid as long as that token.
     """
     return hmac.new(token.encode(), b"view only", "sha256").hexdigest()[:32]
 
 
 def same_secret(given: str, secret: str) -> bool:
-    """Whether both are the same, in a time that does not depend on where they differ."""
+    """Whether both are the same; the time does not depend on where they differ."""
     return hmac.compare_digest(given.encode(), secret.encode())
 
 
 def notice_dead_peers(link: Any) -> None:
-    """Have the system end a connection whose peer answers nothing any more, as without power.
+    """Let the system end a connection whose peer no longer answers, for example without power.
 
-    It is the socket, or what has its ``setsockopt``.
+    ``link`` is the socket, or an object with its ``setsockopt``.
     """
-    with suppress(OSError):  # it is closed already
+    with suppress(OSError):  # already closed
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option, value in (
             ("TCP_KEEPIDLE", _PEER_IDLE_S),
             ("TCP_KEEPINTVL", _PEER_ASKED_S),
             ("TCP_KEEPCNT", _PEER_ASKED_MAX),
-            # The same where it has not taken what was sent: it is not asked then.
+            # The same limit for unacknowledged data: keep-alive sends no probe then.
             ("TCP_USER_TIMEOUT", 1000 * (_PEER_IDLE_S + _PEER_ASKED_S * _PEER_ASKED_MAX)),
         ):
-            if hasattr(socket, option):  # not every system has all of them
+            if hasattr(socket, option):  # not every system has all options
                 link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
 
 
 class ConnectionPlaces:
-    """The connections of an interface: where all places are taken, a new one takes that of another.
+    """The connections of an interface: if all places are taken, a new connection replaces another.
 
-    It is one of the address that has most of them, so that no address keeps another one out, and
-    of these the one whose last whole request is longest ago, first of all one that never made any:
-    connections that say nothing keep no client from a hold.
+    It replaces a connection of the address with most connections, so that no address blocks others.
+    Of these it takes the one with the oldest complete request, first one without any request. So
+    silent connections never block a client that sends a hold.
     """
 
     def __init__(self) -> None:
@@ -149,7 +149,7 @@ class ConnectionPlaces:
         del self._heard_s[one], self._hosts[one]
 
     def heard(self, one: WriteTransport) -> None:
-        """Take note of a whole request."""
+        """Note the time of a complete request."""
         with self._lock:
             if one in self._heard_s:
                 self._heard_s[one] = time.monotonic()

@@ -1,7 +1,7 @@
-"""What hosts call, in one table: methods of XML-RPC and OPC UA, commands of Modbus are made of it.
+"""The calls of hosts in one table: source of methods (XML-RPC, OPC UA) and commands (Modbus).
 
-No method raises. One that fails returns a negative number, whose magnitude stands in the fault
-catalogue, or an empty text; `Calls.refusal` has the reason.
+No method raises. A method that fails returns the negative fault number, or an empty text;
+`Calls.refusal` has the reason.
 """
 
 import functools
@@ -19,54 +19,54 @@ from cell.interfaces.host_values import PLATE, VALUES, Value, ur_pose
 from cell.service.service import Service
 
 CLIENT: ContextVar[str] = ContextVar("client", default="")
-"""Address of the client whose call is answered; empty where that is not known."""
+"""Address of the client of the present call; empty if not known."""
 _REFUSALS_MAX = 100
-"""Clients whose last refusal is kept; that of the one that was refused first goes first."""
+"""Most clients whose last refusal is kept; the oldest refusal is dropped first."""
 
 
 class HostCommand(NamedTuple):
-    """A task or command that starts a job, as hosts with plain numbers ask for it."""
+    """A task or command that starts a job, with plain values for hosts."""
 
     name: str
     """Task of a goal, or command of the service."""
     fields: Mapping[str, type]
-    """What it takes, in this order; 0: as the config has it."""
+    """Its arguments, in this order; 0: the value of the config."""
     numbers: tuple[int, ...]
-    """Commands of Modbus that start it; below 20 those are CntrlCmd of PackTags."""
+    """Modbus commands that start it; numbers below 20 are CntrlCmd of PackTags."""
     text: str
-    """What it does."""
+    """Description."""
 
 
 # fmt: off
 COMMANDS = (
     HostCommand("teach", {"label": str, "grasps": int}, (20,), "Start to teach an object"),
     HostCommand("identify", {"max_grasps": int, "force_n": float, "keep": bool}, (2, 21),
-                "Start an identification; 0 grasps and 0 N: as the config has it"),
+                "Start an identification; 0 grasps and 0 N: the values of the config"),
     HostCommand("grip", {"force_n": float}, (22,),
                 "Start to grip a part and keep it, without a name"),
-    HostCommand("verify", {}, (23,), "Start to look whether the held part is still the same"),
+    HostCommand("verify", {}, (23,), "Start to check whether the held part is still the same"),
     HostCommand("zero", {}, (25,),
-                "Start to measure the zero with empty fingers on each other"),
+                "Start to measure the zero with the empty fingers closed on each other"),
     HostCommand("sort", {"parts": int, "max_grasps": int, "force_n": float}, (24,),
-                "Start to name parts and let each go at its place of `sort.places`"),
+                "Start to identify parts and release each at its place of `sort.places`"),
     HostCommand("release", {"key": int}, (30,),
-                "Start to let the part go, with key 20304 (0x4F50)"),
+                "Start to release the part, with key 20304 (0x4F50)"),
     HostCommand("clear", {"reboot": bool}, (9,),
-                "Start to acknowledge the fault; `reboot` restarts servos at fault"),
+                "Start to acknowledge the fault; `reboot` restarts servos with a fault"),
     HostCommand("reset", {}, (1,),
-                "Start to verify the devices anew, also after a shutdown"),
+                "Start to verify the devices again, also after a shutdown"),
     HostCommand("shutdown", {}, (3,),
-                "Start to end the work with the devices; a held part stays held"),
+                "Start to disconnect the devices; a held part stays held"),
 )
 # fmt: on
-"""All of them."""
+"""All commands."""
 
 
 class Calls:
-    """The methods; types are int, float, bool, str and pose only.
+    """The methods for hosts; types are int, float, bool, str and pose only.
 
-    Those of `VALUES` and `COMMANDS` are added below. `acquire` asks for the secret, where it is not
-    empty; the interface's name stands in those of its clients.
+    Methods of `VALUES` and `COMMANDS` are added below. `acquire` checks the secret if it is not
+    empty. The names of clients begin with that of the interface.
     """
 
     def __init__(self, service: Service, secret: str = "", *, interface: str = "XML-RPC") -> None:
@@ -77,15 +77,15 @@ class Calls:
 
     @property
     def refusal(self) -> Refusal:
-        """Why the last refused call of this address was."""
+        """Reason of the last refused call of this address."""
         return self._refusals.get(CLIENT.get(), Refusal())
 
     def _refuse(self, error: Exception) -> int:
-        """Take note why a call of this client is refused; return the number."""
-        if isinstance(error, TypeError):  # wrong arguments are the request's fault
+        """Store why a call of this client is refused; return the number."""
+        if isinstance(error, TypeError):  # the request has wrong arguments
             error = ConfigError(str(error))
         refusal, client = Refusal.of(error), CLIENT.get()
-        if not isinstance(error, NotMeasured):  # nothing was asked for that could be refused
+        if not isinstance(error, NotMeasured):  # a missing value is not a refusal
             self._refusals.pop(client, None)
             self._refusals[client] = refusal
             if len(self._refusals) > _REFUSALS_MAX:
@@ -93,14 +93,14 @@ class Calls:
         return refusal.number
 
     def acquire(self, secret: str, name: str = "") -> int:
-        """Return the lease to command with; keep it with `alive`.
+        """Return the number of the lease for commands; keep it with `alive`.
 
         Without `serve.secret_file` the only argument is the name.
         """
         if not self._secret:
             return self._service.lease.acquire(name or secret)
         if not same_secret(str(secret), self._secret):
-            raise RequestRefused("acquire: the first argument is not that of serve.secret_file")
+            raise RequestRefused("acquire: the first argument must be that of serve.secret_file")
         return self._service.lease.acquire(name or "a client with the secret")
 
     def alive(self, lease: int) -> int:
@@ -109,53 +109,53 @@ class Calls:
         return 0
 
     def give_up(self, lease: int) -> int:
-        """Give the lease up; return 0. A job that runs is held."""
+        """Give the lease up; return 0. A running job is put on hold."""
         self._service.lease.give_up(lease)
         return 0
 
     def hold(self, latch: int = -1, name: str = "") -> int:
-        """Stop what runs and keep the grip; anyone may. Return 0.
+        """Stop the running job and keep the grip; needs no lease. Return 0.
 
-        With `latch` 1 nothing that moves starts until the same client, by address and name, calls
-        with 0; -1: once. A pressed button repeats 1 at least each `serve.lease_timeout_s`.
+        After `latch` 1 no motion starts until the same client, by address and name, calls with 0;
+        -1: stop once. A pressed button repeats 1 within each `serve.lease_timeout_s`.
         """
         who = " ".join(filter(None, (self._interface, CLIENT.get(), str(name)[:60])))
         self._service.hold_as(who, None if latch < 0 else bool(latch))
         return 0
 
     def next_job(self) -> int:
-        """Return the number of the next job: given to a command, it makes repeating it harmless."""
+        """Return the number of the next job: a command with it can be repeated safely."""
         return self._service.job().number + 1
 
     def job_text(self, job: int) -> str:
-        """Return why a job failed, the remedy first; empty else."""
+        """Return why a job failed, the remedy first; else an empty text."""
         found = self._service.job(job)
         return for_display(found.fault_number, found.error)
 
     def same(self, job: int) -> int:
-        """Return what a verification found: 1 the same part, 0 another or none; -1 not over."""
+        """Return the result of a verification: 1 same part, 0 another or no part, -1 running."""
         found = self._service.job(job)
         return -1 if found.held is None else int(bool(found.held and found.same))
 
     def next_pose(self) -> dict[str, float]:
-        """Return the pose that the object shall have in the grip frame."""
+        """Return the requested pose of the object in the grip frame."""
         return ur_pose(self._service.snapshot().pose)
 
     def pose_reached(self, lease: int, seq: int, ok: bool) -> int:
-        """Answer the pose with that number: reached, or refused; return 0."""
+        """Answer the pose with that number: reached or refused; return 0."""
         self._service.pose_reached(lease, seq, ok=ok)
         return 0
 
     def last_refusal(self) -> str:
-        """Return why the last refused call of this address was: number, text, remedy; empty: none.
+        """Return number, text and remedy of the last refused call of this address; empty: none.
 
-        A value that is not measured is no refusal.
+        A value that is not measured is not a refusal.
         """
         return str(self.refusal)
 
 
 def _reader(value: Value) -> Callable[..., Any]:
-    """Return the method of a value: of the cell, or of a job or part by its number."""
+    """Return the method that reads a value of the cell, or of a job or part by its number."""
 
     def checked(shown: Any) -> Any:
         found = value.of(shown)
@@ -176,14 +176,14 @@ def _reader(value: Value) -> Callable[..., Any]:
     of_one = {"job": of_job, "part": of_part}
     numbered = not value.source.endswith(".number")
     method: Callable[..., Any] = of_one.get(value.source.split(".")[0] * numbered, of_cell)
-    unmeasured = "; -516 where it is not measured" if ".live." in value.source else ""
+    unmeasured = "; -516 if it is not measured" if ".live." in value.source else ""
     method.__doc__ = f"{value.text}{unmeasured}."
     method.__annotations__["return"] = value.kind
     return method
 
 
 def _starter(command: HostCommand) -> Callable[..., Any]:
-    """Return the method of a command: its lease, its fields and the number of its job."""
+    """Return the method of a command; it takes the lease, the fields and the job number."""
 
     def parameter(name: str, kind: type, default: Any = Parameter.empty) -> Parameter:
         return Parameter(name, Parameter.POSITIONAL_ONLY, default=default, annotation=kind)
@@ -212,7 +212,7 @@ for _command in COMMANDS:
     setattr(Calls, _command.name, _starter(_command))
 
 _EMPTY: Mapping[type, Any] = {str: "", dict[str, float]: ur_pose(None)}
-"""What methods that return no number return where they fail."""
+"""Results of failed methods that return no number."""
 METHODS = {
     name: method
     for name, method in vars(Calls).items()
@@ -222,7 +222,7 @@ METHODS = {
 
 
 def methods(calls: Calls) -> dict[str, Callable[..., Any]]:
-    """Return all methods by name; none of them raises."""
+    """Return all methods by name; they never raise."""
     return {
         name: _harmless(getattr(calls, name), calls._refuse)  # noqa: SLF001  as a method
         for name in METHODS

@@ -1,6 +1,6 @@
-"""The values that hosts read, in one table: nodes, methods and registers are made of it.
+"""The values that hosts read, in one table: source of nodes, methods and registers.
 
-An interface adds only how its protocol carries them. HTTP shows the snapshot itself, as JSON.
+Each interface adds only the encoding of its protocol. HTTP sends the snapshot itself as JSON.
 """
 
 from math import atan2, cos, hypot, sin
@@ -13,26 +13,26 @@ N_TEXT = 16
 
 
 class Value(NamedTuple):
-    """One value of a `Snapshot`, or of what else an interface shows."""
+    """One value of a `Snapshot`, of the service, or of a refusal."""
 
     node: str
     """Node of OPC UA, its path below ``Cell``."""
     kind: type
     """``int``, ``float``, ``bool`` or ``str``."""
     text: str
-    """What it is, with its unit."""
+    """Meaning, with unit."""
     source: str
-    """Path of attributes that leads to it."""
+    """Path of its attributes."""
     method: str = ""
-    """Method of XML-RPC that returns it; those of a job or a part take its number."""
+    """Method of XML-RPC that returns it; methods of a job or a part take its number."""
     register: int = 0
-    """Input register of Modbus, for a text the first of `N_TEXT`; 0: none, or one of its own
-    making."""
+    """Input register of Modbus, for a text the first of `N_TEXT`; 0: no register, or the Modbus
+    interface writes it separately."""
     unit: float = 1.0
-    """Unit of that register."""
+    """Unit of the register."""
 
     def of(self, shown: Any) -> Any:
-        """Return it; None where it is not there or not measured at the moment."""
+        """Return the value; None if it does not exist or is not measured at the moment."""
         for name in self.source.split("."):
             if shown is None:
                 return None
@@ -58,60 +58,61 @@ VALUES = (
     Value("Grip.Force", float, "Grip force in N", "status.live.force_n", "force", 13, 0.01),
     Value("Grip.ForceAge", float, "Age in s of the newest valid force",
           "status.live.force_age_s", "force_age", 23, 1e-3),
-    Value("Grip.Setpoint", float, "Force asked for in N", "status.live.setpoint_n"),
+    Value("Grip.Setpoint", float, "Set-point of the force in N", "status.live.setpoint_n"),
     Value("Grip.Opening", float, "Opening between the fingers in mm",
           "status.live.opening_mm", "opening", 14, 0.01),
     Value("Grip.Temperature", float, "Temperature of the warmest servo in degrees Celsius",
           "status.live.temperature_c", "", 22),
     Value("Job.Number", int, "Number of the newest job; 0: none", "job.number", "", 8),
-    Value("Job.Task", str, "What was asked for", "job.task"),
+    Value("Job.Task", str, "Task of the job", "job.task"),
     Value("Job.State", int, "State: 1 accepted, 2 running, 4 done, 5 held on request, 6 aborted",
           "job.outcome_number", "job_state", 9),
-    Value("Job.FaultNumber", int, "Fault number of a job that failed; 0 else",
+    Value("Job.FaultNumber", int, "Fault number of a failed job; else 0",
           "job.fault_number", "job_fault"),
-    Value("Job.FaultText", str, "Why it failed; empty else", "job.error"),
-    Value("Job.Label", str, "Label found; before the end the likeliest so far",
+    Value("Job.FaultText", str, "Reason of its failure; else empty", "job.error"),
+    Value("Job.Label", str, "Label found; before the end the likeliest label so far",
           "job.label", "label"),
-    Value("Job.LabelId", int, "Id of the label, from 1; 0 while not known, and for UNKNOWN",
+    Value("Job.LabelId", int, "Id of the label, from 1; 0: not known yet, or UNKNOWN",
           "job.label_id", "label_id"),
     Value("Job.Probability", float, "Probability of the label, 0 to 1; 0 before the end",
           "job.probability", "probability"),
-    Value("Job.Shape", str, "Shape; empty: not felt", "job.shape"),
-    Value("Job.Size", float, "Size in mm; 0: not felt", "job.size_mm"),
+    Value("Job.Shape", str, "Shape; empty: not measured", "job.shape"),
+    Value("Job.Size", float, "Size in mm; 0: not measured", "job.size_mm"),
     Value("Job.Grasps", int, "Grasps so far", "job.n_grasps", "", 12),
     Value("Job.Kept", bool, "Whether the part is kept", "job.kept"),
     Value("LastAnswer.Job", int,
           "Job of the last identification, until the next one begins; 0: no answer",
           "last_answer.number", "last_answer", 24),
-    Value("LastAnswer.Label", str, "What it found", "last_answer.label"),
+    Value("LastAnswer.Label", str, "Label found", "last_answer.label"),
     Value("LastAnswer.LabelId", int, "Id of the label, from 1; 0: UNKNOWN",
           "last_answer.label_id", "", 10),
     Value("LastAnswer.Probability", float, "Probability of the label, 0 to 1",
           "last_answer.probability", "", 11, 1e-4),
-    Value("LastAnswer.Size", float, "Size in mm; 0: not felt", "last_answer.size_mm", "", 15, 0.01),
+    Value("LastAnswer.Size", float, "Size in mm; 0: not measured",
+          "last_answer.size_mm", "", 15, 0.01),
     Value("LastAnswer.Kept", bool, "Whether the part was kept", "last_answer.kept"),
     Value("Part.Number", int,
           "Number of the newest part of an identification or sort; 0: none since the start",
           "part.number", "part", 96),
-    Value("Part.Label", str, "What it was named", "part.answer.label", "part_label", 104),
+    Value("Part.Label", str, "Label of the part", "part.answer.label", "part_label", 104),
     Value("Part.LabelId", int, "Id of the label, from 1; 0: UNKNOWN",
           "part.label_id", "part_label_id", 97),
     Value("Part.Probability", float, "Probability of the label, 0 to 1",
           "part.answer.probability", "part_probability", 98, 1e-4),
-    Value("Part.Size", float, "Size in mm; 0: not felt",
+    Value("Part.Size", float, "Size in mm; 0: not measured",
           "part.answer.size_mm", "part_size", 99, 0.01),
-    Value("Part.Place", str, "Where a sort has let it go; empty: not sorted",
+    Value("Part.Place", str, "Place where a sort released it; empty: not sorted",
           "part.place", "part_place", 120),
-    Value("Part.PlaceId", int, "Number of that place, from 1, the last for rejects; 0: not sorted",
+    Value("Part.PlaceId", int, "Number of that place, from 1, rejects last; 0: not sorted",
           "part.place_id", "part_place_id", 100),
     Value("Part.Grasps", int, "Grasps of its identification",
           "part.answer.n_grasps", "", 101),
-    Value("Pose.Number", int, "Number of the pose that is waited for; 0: none",
+    Value("Pose.Number", int, "Number of the pose that the cell waits for; 0: none",
           "pose_seq", "pose_seq", 16),
     Value("FrameAge", float, "Age in s of the newest frame of the taxels",
           "status.live.frame_age_s", "frame_age", 21, 1e-3),
     Value("RecordingFault", str,
-          "Why the recording has stopped; empty: it is written, or none is made",
+          "Reason why the recording has stopped; empty: no problem, or no recording",
           "status.recording_fault", "recording_fault"),
     Value("FaultNumber", int, "Number of the latched fault; 0: none",
           "status.fault_number", "fault_number"),
@@ -136,16 +137,16 @@ PLATE = (
 """Values of the service itself."""
 REFUSAL = (
     Value("LastRefusal.Number", int, "Fault number of the last refused call; 0: none", "number"),
-    Value("LastRefusal.Text", str, "Why it was refused", "text"),
-    Value("LastRefusal.Remedy", str, "What to do", "remedy"),
+    Value("LastRefusal.Text", str, "Reason of the refusal", "text"),
+    Value("LastRefusal.Remedy", str, "Remedy", "remedy"),
 )
 """Values of the last refusal of an interface."""
 
 
 def ur_pose(pose: Pose | None) -> dict[str, float]:
-    """Return a pose as URScript takes it, in the grip frame: m, and a rotation vector in rad.
+    """Return a pose for URScript, in the grip frame: m, and a rotation vector in rad.
 
-    The object is first rolled about its long axis (x), then turned about the approach axis (z).
+    The object first rolls about its long axis (x), then turns about the approach axis (z).
     """
     if pose is None:
         pose = Pose()

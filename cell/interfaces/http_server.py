@@ -1,6 +1,6 @@
-"""The HTTP server of interfaces: access, places, limits of time and size, TLS, refusals as JSON.
+"""The HTTP server of the interfaces: access, limits of connections, time and size, TLS, refusals.
 
-`cell.interfaces.web_server` and `cell.interfaces.xml_rpc` give it their ASGI applications.
+It serves the ASGI applications of `cell.interfaces.web_server` and `cell.interfaces.xml_rpc`.
 """
 
 import asyncio
@@ -28,26 +28,26 @@ from cell.interfaces.access import (
 REQUEST_BYTES = 65536
 """Largest request in bytes, without a photo."""
 _ACCEPTED_AT_ONCE = BUSY_MAX // 4
-"""Connections that may wait, and that are accepted before the others are read again. More could
+"""Connections that may wait; all of them are accepted before the others are read again. More could
 take all places at once."""
 _SEND_BUFFER_BYTES = 65536
-"""Send buffer of the system for one connection in bytes: a client of the live WebSocket that
-stalled gets so much old state before the newest."""
+"""Send buffer of the system for one connection in bytes. After a stall, a client of the live
+WebSocket first receives this amount of old state."""
 REMEDIES = {
     401: "Send the token that `serve` has printed, as `Authorization: Bearer TOKEN`.",
     403: "Use an address, name and origin that `serve.allow` and `serve.hosts` have.",
     404: "Read the paths in /openapi.json, and the numbers in GET /api/jobs.",
     405: "Read the methods of each path in /openapi.json.",
-    413: "Send less.",
+    413: "Send a smaller request.",
 }
-"""What to do about refusals that do not come from the cell."""
+"""Remedies for refusals of the HTTP server itself."""
 
 Scope = MutableMapping[str, Any]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
 def refusal_values(status: int, text: str, remedy: str = "") -> dict[str, Any]:
-    """Return the refusal of a request that has not reached the cell, in the shape of all."""
+    """Return the refusal of a request that has not reached the cell, in the common form."""
     number = 514 if status == 401 else 513
     remedy = remedy or REMEDIES.get(status) or BY_NUMBER[number].remedy
     return {"fault_number": number, "error": text, "remedy": remedy}
@@ -72,13 +72,13 @@ class Gate:
 
     app: Any
     config: ServeConfig
-    """Has the allow-list."""
+    """Contains the allow-list."""
     longest: Callable[[Scope], int]
     """Returns the largest body in bytes of a request."""
     pages: bool
-    """Whether pages of this very origin may ask; requests of other pages are always refused."""
+    """Whether pages of this origin may send requests; other pages are always refused."""
     whole: Callable[[Any], None]
-    """Called with the client of a request once all of it has arrived."""
+    """Called with the client when its request has arrived completely."""
 
     async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
         """Pass a request on, or answer 403 or 413."""
@@ -99,6 +99,9 @@ class Gate:
             await receive()
             await send({"type": "websocket.close", "code": 1008})
         else:
+            # A connection that closes with input unread resets the answer.
+            while length and length <= REQUEST_BYTES and (await receive()).get("more_body", False):
+                pass
             await refuse(send, status, reason)
         self.whole(scope["client"])
 
@@ -114,15 +117,15 @@ class Gate:
         origin = headers.get(b"origin")
         own = self.pages and (origin or "").partition("://")[2] == headers.get(b"host")
         if origin is not None and not own:
-            return 403, f"a page of another origin, {origin!r:.80}"
+            return 403, f"the request comes from a page of another origin, {origin!r:.80}"
         longest = self.longest(scope)
         if length is None or length > longest:
-            return 413, f"a request has a Content-Length of at most {longest}"
+            return 413, f"a request needs a Content-Length of at most {longest}"
         return 0, ""
 
 
 def _body_bytes(scope: Scope) -> int | None:
-    """Return the announced length of a request's body in bytes; None where there is none."""
+    """Return the announced length of a request's body in bytes; None without a valid length."""
     headers = {name.lower(): value for name, value in scope["headers"]}
     length = headers.get(b"content-length", b"0")
     if b"transfer-encoding" in headers or not length.isdigit():
@@ -131,9 +134,9 @@ def _body_bytes(scope: Scope) -> int | None:
 
 
 class HttpConnection(H11Protocol):
-    """A connection that has a place, and whose requests have a limit of time.
+    """A connection with a place among `Connections` and a time limit for each request.
 
-    It overrides the callbacks of `asyncio.Protocol` alone.
+    It overrides only the callbacks of `asyncio.Protocol`.
     """
 
     def __init__(self, connections: "Connections", **server: Any) -> None:
@@ -142,13 +145,13 @@ class HttpConnection(H11Protocol):
         self._limit: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a place. A new connection has a limit of time for its first request."""
+        """Take a place and start the time limit of the first request."""
         super().connection_made(transport)
         self._connections.add(self)
         self._begin()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; the first ones of a request start its limit of time."""
+        """Take bytes; the first bytes of a request start its time limit."""
         self._begin()
         super().data_received(data)
 
@@ -163,7 +166,7 @@ class HttpConnection(H11Protocol):
             self._limit = self.loop.call_later(self._connections.limit_s, self.transport.abort)
 
     def end_limit(self) -> None:
-        """End the limit of time: the request is whole."""
+        """End the time limit: the request is complete."""
         if self._limit is not None:
             self._limit.cancel()
             self._limit = None
@@ -175,8 +178,8 @@ class Connections:
     Parameters
     ----------
     limit_s
-        Longest time in s from the first to the last byte of a request; a new connection has as much
-        for its first one. The time that the cell takes for the answer does not count.
+        Longest time in s from the first to the last byte of a request, and until the first request
+        of a new connection. The time of the cell for the answer does not count.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -185,7 +188,7 @@ class Connections:
         self._open: dict[tuple[str, int], HttpConnection] = {}
 
     def add(self, connection: HttpConnection) -> None:
-        """Add a new connection; where all places are taken, another one is cut."""
+        """Add a new connection; if all places are taken, another connection is closed."""
         # A connection that became a WebSocket does not report its end.
         for client in [at for at, other in self._open.items() if other.transport.is_closing()]:
             del self._open[client]
@@ -198,22 +201,22 @@ class Connections:
         self._open.pop(_client_of(connection), None)
 
     def request_is_whole(self, client: Any) -> None:
-        """End the limit of time of a client's request; the connection keeps its place longest."""
+        """End the time limit of a client's request; its connection now keeps its place longest."""
         if client is not None and (connection := self._open.get(tuple(client))) is not None:
             self._places.heard(connection.transport)
             connection.end_limit()
 
 
 def _client_of(connection: HttpConnection) -> tuple[str, int]:
-    """Return address and port of a client, as ASGI has them."""
+    """Return address and port of a client in the form of ASGI."""
     host, port, *_ = connection.transport.get_extra_info("peername") or ("", 0)
     return host, port
 
 
 class HttpServer:
-    """An application behind the gate, at an address and port, in a thread of its own.
+    """Serves an application behind the gate, at an address and port, in its own thread.
 
-    Raises OSError if it cannot listen there, or a file cannot be read.
+    Raises OSError if it cannot listen there, or if a file cannot be read.
 
     Parameters
     ----------
@@ -228,7 +231,7 @@ class HttpServer:
     idle_s
         Silence in s between two requests after which a connection is closed.
     settings
-        Further ones of uvicorn.
+        Further settings of uvicorn.
     """
 
     def __init__(
@@ -265,7 +268,7 @@ class HttpServer:
         server.load()  # certificates are read here, not in the thread
         family = socket.AF_INET6 if ":" in config.listen else socket.AF_INET
         self._socket = socket.create_server((config.listen, port), family=family)
-        # Each connection inherits these options. Without TCP_NODELAY an answer waits 40 ms for the
+        # Each connection inherits these options. TCP_NODELAY avoids a wait of 40 ms for the
         # client's delayed acknowledgement.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)

@@ -1,4 +1,4 @@
-"""The WebSocket of the web interface: a slow client gets the newest message next."""
+"""The WebSocket of the web interface: a slow client skips messages and gets the newest."""
 
 import asyncio
 import json
@@ -9,26 +9,26 @@ from typing import Any
 from fastapi import WebSocket
 
 RATE_HZ = 30.0
-"""Messages a second to one WebSocket, whatever the source."""
+"""Messages per second to one WebSocket."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveMessage:
-    """What is shown of the cell at one moment, for all clients."""
+    """State of the cell at one moment, for all clients."""
 
     text: str
     """The state as JSON."""
     frame: Callable[[str], bytes | None] = lambda _kind: None
-    """Returns the newest frame as a client has asked for it; None where there is none."""
+    """Returns the newest frame of the requested kind; None without a frame."""
     parts: tuple[dict[str, Any], ...] = ()
     """The newest parts by their ``number``, oldest first."""
 
 
 class LiveFeed:
-    """Looks at the cell `RATE_HZ` times a second while a client listens, once for all of them.
+    """Reads the cell `RATE_HZ` times per second while clients listen, once for all of them.
 
-    It looks in another thread than that of the connections. A client that takes no message for
-    ``limit_s`` s is dropped with TimeoutError.
+    It reads in another thread than the connections. A client that takes no message for ``limit_s``
+    s is dropped with TimeoutError.
     """
 
     def __init__(self, look: Callable[[], LiveMessage], limit_s: float) -> None:
@@ -39,10 +39,10 @@ class LiveFeed:
         self._next: asyncio.Future[LiveMessage]
 
     async def send_to(self, link: WebSocket, frames: str, after: int | None = None) -> None:
-        """Send the newest moment and its frame, again and again until the client is gone.
+        """Send the newest state and its frame repeatedly until the client is gone.
 
         With ``after`` each part with a higher number is sent once, before the state that shows it.
-        What goes wrong with the look at the cell is raised.
+        Errors while reading the cell are raised.
         """
         self._listeners += 1
         if self._looking is None or self._looking.done():

@@ -25,13 +25,13 @@ _COUNTERS = (
     ("frames", "Tactile frames handed out", "tactile", "complete"),
     ("frames_lost", "Tactile frames that were lost", "tactile", "lost"),
     ("frames_damaged", "Tactile frames or messages with a wrong checksum", "tactile", "corrupt"),
-    ("frames_torn", "Tactile frames given up because messages were missing", "tactile", "torn"),
+    ("frames_torn", "Tactile frames dropped because messages were missing", "tactile", "torn"),
     ("force_messages", "Force messages received", "tactile", "force_received"),
     ("force_messages_lost", "Force messages that were lost", "tactile", "force_lost"),
     ("can_errors", "Errors that the CAN controller reported", "tactile", "error_frames"),
     ("packets", "Transactions on the servo bus", "servo_bus", "transactions"),
-    ("packets_lost", "Answers of servos that did not come in time", "servo_bus", "timeouts"),
-    ("packets_damaged", "Answers of servos that came damaged", "servo_bus", "corrupt"),
+    ("packets_lost", "Answers of servos that did not arrive in time", "servo_bus", "timeouts"),
+    ("packets_damaged", "Answers of servos that arrived damaged", "servo_bus", "corrupt"),
     ("packets_repeated", "Requests to servos sent a second time", "servo_bus", "retries"),
     ("loop_periods", "Periods of the force loop", "loop", "cycles"),
     ("loop_late", "Periods that began more than half a period late", "loop", "late"),
@@ -143,14 +143,14 @@ def _health(health: Mapping[str, Any]) -> Iterator[Metric]:
         yield _labelled(GaugeMetricFamily, name, meaning, ["servo"], numbered)
     if drift is not None:
         yield _gauge("drift_gain_ratio", "Gain of the pads, as a share of teaching", drift["gain"])
-        meaning = "How much more the opening reads than at teaching: drift of its zero"
+        meaning = "Drift of the zero of the opening since teaching, positive: reads too large"
         yield _gauge("drift_zero_metres", meaning, 1e-3 * drift["opening_mm"])
     lost = health["recording"]["level"] != "ok"
-    yield _gauge("recording_lost", "1 where something is lost of the recording", lost)
+    yield _gauge("recording_lost", "1 while data of the recording is lost", lost)
 
 
 def _free_bytes(service: Service) -> float | None:
-    """Return the space in bytes where the recording is, or would be; None where that is gone."""
+    """Return the free bytes in the folder of the recording; None if the folder is gone."""
     place = service.recording_path or Path(service.config.recording.directory)
     try:
         there = next(one for one in (place, *place.absolute().parents) if one.exists())

@@ -1,42 +1,32 @@
-"""Opening all configured interfaces of a service, closed in order."""
+"""Opens all configured interfaces of a service, and closes them in order."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from errno import EACCES, EADDRINUSE
-from importlib import import_module
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 from cell.errors import CellError, ConfigError
-from cell.installation import extra
+from cell.plugins import INTERFACES
 from cell.service.service import Service
-
-_INTERFACES = (
-    ("modbus_port", "--modbus", "serve", "cell.interfaces.modbus.registers", "ModbusInterface"),
-    ("xmlrpc_port", "--xml-rpc", "serve", "cell.interfaces.xml_rpc", "XmlRpcInterface"),
-    ("http_port", "--http", "serve", "cell.interfaces.web", "WebInterface"),
-    ("opcua_port", "--opcua", "opcua", "cell.interfaces.opc_ua.interface", "OpcUaInterface"),
-)
-"""Port in the config, option, extra, module and class of each interface, which has ``port`` and
-``close``; what it needs is loaded only where it is opened."""
 
 
 def warnings(service: Service) -> tuple[str, ...]:
-    """Return what the operator should have in mind about the configured interfaces."""
+    """Return security warnings about the configured interfaces."""
     config = service.config.serve
     notes = []
     if not ip_address(config.listen).is_loopback:
         if config.modbus_port is not None or config.xmlrpc_port is not None:
             weakness = (
-                "send their secret in the clear" if config.secret_file else "authenticate nobody"
+                "send their secret unencrypted" if config.secret_file else "authenticate nobody"
             )
             notes.append(
-                f"Modbus and XML-RPC {weakness}: who reaches {config.listen} from "
-                f"{', '.join(config.allow)} can move the gripper; use a network of the cell alone"
+                f"Modbus and XML-RPC {weakness}: any program on {', '.join(config.allow)} that "
+                f"reaches {config.listen} can move the gripper; use a separate network"
             )
         if config.http_port is not None and not config.tls_certificate:
-            notes.append("HTTP without TLS sends its token in the clear; set serve.tls_certificate")
+            notes.append("HTTP without TLS sends its token unencrypted; set serve.tls_certificate")
     return tuple(notes)
 
 
@@ -44,8 +34,8 @@ def warnings(service: Service) -> tuple[str, ...]:
 def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
     """Open all configured interfaces; yield their ports, and the token of HTTP.
 
-    Raises CellError if an interface cannot be opened; ConfigError, if none is configured or an
-    extra is missing.
+    Raises CellError if an interface cannot be opened, and ConfigError if no interface is configured
+    or an extra is missing.
     """
     config = service.config.serve
     found: dict[str, Any] = {"listen": config.listen}
@@ -53,24 +43,29 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
         if name and Path(name).exists() and not Path(name).is_file():
             raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
-        for name, option, brings, module, kind in _INTERFACES:
-            port = getattr(config, name)
-            if port is None:
-                continue
-            with extra(brings, needed_by=f"serve.{name}"):
-                interface_type = getattr(import_module(module), kind)
+        for section in config.sections:
+            key = f"{section.kind}_port"
             try:
-                interface = interface_type(service)
+                interface = section.open(service)
             except OSError as error:
                 taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
-                remedy = f"; {option} PORT takes another one, 0 any free one" if taken else ""
+                remedy = (
+                    f"; set serve.{key} to another port, or to 0: any free port" if taken else ""
+                )
                 raise CellError(
-                    f"an interface at {config.listen}:{port} (serve.{name}) cannot be opened: "
-                    f"{error}{remedy}"
+                    f"an interface at {config.listen}:{getattr(config, key, '')} (serve.{key}) "
+                    f"cannot be opened: {error}{remedy}"
+                ) from error
+            except Exception as error:
+                if isinstance(error, CellError) or INTERFACES.built_in(section.kind):
+                    raise
+                raise CellError(
+                    f"interface {section.kind} of {INTERFACES.package(section.kind)} cannot be "
+                    f"opened: {type(error).__name__}: {error}"
                 ) from error
             undo.callback(interface.close)
-            found[name] = interface.port
-            if name == "http_port":
+            found[key] = interface.port
+            if section.kind == "http":
                 found |= {"token": interface.token, "view_token": interface.view_token}
         if len(found) == 1:
             raise ConfigError("no interface is open: set a port in `serve`, or give --modbus 0")

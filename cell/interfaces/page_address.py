@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 def own_address(config: ServeConfig) -> str:
-    """Return the name or address at which other machines reach this one; empty where none does.
+    """Return the name or address of this machine for other machines; empty if none can connect.
 
-    Where the cell listens at all addresses it is the first of ``hosts``, or the address from which
-    this machine sends to a network of the allow-list. Nothing is sent.
+    If the cell listens at all addresses, it is the first of ``hosts``, else the address from which
+    this machine would send to a network of the allow-list. Nothing is sent.
     """
     listen = ip_address(config.listen)
     if not listen.is_unspecified:
@@ -42,7 +42,7 @@ def page_address(found: Mapping[str, Any], config: ServeConfig, token: str = "to
     found
         The interfaces, as `cell.interfaces.opening.open_interfaces` yields them.
     token
-        ``view_token`` for the one that reads and does not command.
+        Key of the token in ``found``; ``view_token``: view only.
     """
     if "http_port" not in found:
         return None
@@ -54,7 +54,7 @@ def page_address(found: Mapping[str, Any], config: ServeConfig, token: str = "to
 
 
 def view_note(config: ServeConfig) -> str:
-    """Return what to set so that other machines reach the page; empty where they do."""
+    """Return the settings that other machines need to reach the page; empty if they reach it."""
     if ip_address(config.listen).is_loopback:
         return (
             f"only this machine reaches {config.listen}: set serve.listen to 0.0.0.0, and "
@@ -63,8 +63,8 @@ def view_note(config: ServeConfig) -> str:
     if own_address(config):
         return ""
     return (
-        f"this machine has no way to {', '.join(config.allow)} (serve.allow): set serve.hosts to "
-        "the name or address by which others reach it"
+        f"this machine has no route to {', '.join(config.allow)} (serve.allow): set serve.hosts to "
+        "its name or address for other machines"
     )
 
 

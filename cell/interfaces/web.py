@@ -1,7 +1,7 @@
-"""HTTP and WebSocket: the interface for everything else, with an OpenAPI description.
+"""HTTP and WebSocket: the interface for all other programs, with an OpenAPI description.
 
-Needs the extra ``serve``. Reading and commanding need the token; `hold` needs none. A page from
-elsewhere is refused by its Origin. JSON in and out; what is refused has a fault number.
+Needs the extra ``serve``. Reading and commanding need the token; `hold` does not. Pages of another
+Origin are refused. Requests and answers are JSON; a refusal has a fault number.
 """
 
 import asyncio
@@ -42,18 +42,18 @@ JOB_EXAMPLES: dict[str, Any] = {
     for task, summary, fields in (
         ("teach", "Grasp a known object ten times.", {"label": "bolt", "grasps": 10}),
         ("gauge", "Measure the drift since teaching on a taught object.", {"label": "bolt"}),
-        ("zero", "Close the empty fingers on each other and measure what has changed.", {}),
+        ("zero", "Close the empty fingers on each other and measure zero, gains and foam.", {}),
         ("identify", "Name a part and keep it in the grip.", {"keep": "always"}),
         ("grip", "Grip a part with 3 N and keep it, without a name.", {"force_n": 3.0}),
-        ("verify", "Measure whether the kept part is still the one.", {}),
-        ("sort", "Name 20 parts and let each go at its place.", {"parts": 20}),
+        ("verify", "Measure whether the kept part is still the same.", {}),
+        ("sort", "Identify 20 parts and release each at its place.", {"parts": 20}),
     )
 }
 """Examples of `POST /api/jobs` in the description."""
 
 
 class LeaseBody(RequestBody):
-    """The lease, and the number that the job shall have (0: not checked)."""
+    """The lease, and the expected number of the job (0: not checked)."""
 
     lease: int
     job: int = 0
@@ -66,7 +66,7 @@ class StartBody(LeaseBody):
 
 
 class CommandBody(LeaseBody):
-    """A command; ``release`` needs its key, 20304; ``reboot`` restarts servos at fault."""
+    """A command; ``release`` needs its key, 20304; ``reboot`` restarts servos with a fault."""
 
     command: Literal[
         Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN, "forget_drift"
@@ -76,7 +76,7 @@ class CommandBody(LeaseBody):
 
 
 class FaultBody(RequestBody):
-    """A fault of the simulated cell, as `serve --fault` takes it."""
+    """A fault of the simulated cell, as for `serve --fault`."""
 
     fault: str
 
@@ -95,7 +95,7 @@ class PoseFields(RequestBody):
 
 
 class PoseBody(RequestBody):
-    """Whether the pose of that number was reached, or the one (m, rad) reached instead."""
+    """Whether the pose with that number was reached, or the pose (m, rad) reached instead."""
 
     lease: int
     seq: int
@@ -104,14 +104,14 @@ class PoseBody(RequestBody):
 
 
 class PartBody(RequestBody):
-    """What lies between the fingers of the simulated cell in all jobs from now on."""
+    """Part between the fingers of the simulated cell, for all jobs from now on."""
 
     lease: int
     part: str | None = Field(default=None, min_length=1, max_length=LONGEST_LABEL)
-    """Name of an object, a shape as ``cylinder:diameter=8mm,length=20mm``, or ``nothing``; null:
-    each job brings the next object."""
+    """Name of an object, a shape, for example ``cylinder:diameter=8mm,length=20mm``, or
+    ``nothing``; null: each job brings the next object."""
     pose: PoseFields = PoseFields()
-    """How far it lies beside the pose that a job asks for."""
+    """Offset of the part from the pose of the job."""
 
 
 class ResetBody(RequestBody):
@@ -121,7 +121,7 @@ class ResetBody(RequestBody):
 
 
 def taught_values(one: dict[str, Any]) -> dict[str, Any]:
-    """Return a taught object with the address of its photo, null for none."""
+    """Return a taught object with the address of its photo, null without a photo."""
     address = f"/api/taught/{quote(one['label'], safe='')}/photo"
     found: dict[str, Any] = plain_data(one | {"photo": address if one["photo"] else None})
     return found
@@ -182,7 +182,7 @@ class WebInterface(WebServer):
         super().__init__(service.lease, config, lambda: state_moment(service), paths, public=public)
 
     def longest(self, scope: Scope) -> int:
-        """Return the most bytes of a body: more for a photo or an STL file."""
+        """Return the largest body in bytes: larger for a photo or an STL file."""
         if scope.get("method") != "PUT":
             return REQUEST_BYTES
         if scope["path"].startswith("/api/simulation/objects/"):
@@ -190,9 +190,9 @@ class WebInterface(WebServer):
         return LONGEST_PHOTO if scope["path"].endswith("/photo") else REQUEST_BYTES
 
     def healthz(self) -> JSONResponse:
-        """Whether the cell works, without token: 503 where its thread is stuck.
+        """Whether the cell works; needs no token. 503: its thread is stuck.
 
-        A fault is no reason to restart it: 200, with the number of the fault.
+        With a fault the answer is 200 with the number of the fault: a restart does not help.
         """
         status, working = self._service.status(), self._service.working
         shown = {
@@ -219,16 +219,16 @@ class WebInterface(WebServer):
         return self._service.info() | {"objects": self.taught()}
 
     def state(self) -> dict[str, Any]:
-        """States, newest job, last answer, live values (null: not measured), pose waited for.
+        """States, newest job, last answer, live values (null: not measured), awaited pose.
 
-        ``allowed`` has null for each task and command that is allowed to the client in command.
+        ``allowed`` has null for each task and command that the client in command may start.
         """
         return state_values(self._service)
 
     def history(self, day: date | None = None) -> dict[str, Any]:
-        """Return the sums of today, yesterday and this week, and which objects are confused.
+        """Return the sums of today, yesterday and this week, and the confused objects.
 
-        With a ``day``, as 2027-01-15, its ``rows``: each start, part, miss and fault.
+        With a ``day``, for example 2027-01-15, its ``rows``: each start, part, miss and fault.
         """
         kept = self._service.history
         found: dict[str, Any] = plain_data(
@@ -237,7 +237,7 @@ class WebInterface(WebServer):
         return found
 
     def faults(self) -> list[dict[str, Any]]:
-        """List the fault catalogue: number, text, cause, remedy, what the grip does, steps."""
+        """List the fault catalogue: number, text, cause, remedy, state of the grip, steps."""
         return [asdict(fault) for fault in sorted(CATALOGUE.values(), key=lambda one: one.number)]
 
     def grasp(self, number: int) -> dict[str, Any]:
@@ -247,7 +247,7 @@ class WebInterface(WebServer):
         """
         part = self._service.shift.part(number)
         if part is None or part.curves is None:
-            raise HTTPException(404, f"grasp {number} is not kept; GET /api/state has the numbers")
+            raise HTTPException(404, f"grasp {number} is not stored; see the numbers in /api/state")
         return part.curves
 
     def jobs(self) -> list[dict[str, Any]]:
@@ -263,15 +263,15 @@ class WebInterface(WebServer):
         return found
 
     def taught(self) -> list[dict[str, Any]]:
-        """List the taught objects: grasps at hand, shape and size in mm, address of the photo."""
+        """List the taught objects: stored grasps, shape and size in mm, address of the photo."""
         return [taught_values(one) for one in self._service.taught()]
 
     def forget(self, label: str, lease: int) -> dict[str, int]:
-        """Start to forget a taught object; it is forgotten when the job has succeeded."""
+        """Start to delete a taught object; it is deleted when the job has succeeded."""
         return {"job": self._service.forget(lease, label)}
 
     def take_back(self, label: str, lease: int) -> dict[str, int]:
-        """Start to take the newest grasp of a taught object back."""
+        """Start to remove the newest grasp of a taught object."""
         return {"job": self._service.forget(lease, label, last=True)}
 
     def photo(self, label: str) -> Response:
@@ -284,7 +284,7 @@ class WebInterface(WebServer):
         return Response(photo, media_type=kind, headers=headers)
 
     async def put_photo(self, label: str, lease: int, request: Request) -> dict[str, Any]:
-        """Keep a photo of a taught object, JPEG or PNG of at most 512 kB, as the body."""
+        """Store a photo of a taught object; the body is a JPEG or PNG of at most 512 kB."""
         photo = await request.body()
         await asyncio.to_thread(self._service.put_photo, lease, label, photo)
         return {}
@@ -298,7 +298,7 @@ class WebInterface(WebServer):
     def command(self, body: CommandBody) -> dict[str, int]:
         """Start to release the part (it may fall), to clear, to reset or to shut down.
 
-        ``forget_drift`` follows the drift of the sensors anew, as after work on them.
+        ``forget_drift`` discards the estimated drift, for example after work on the sensors.
         """
         if body.command == "forget_drift":
             return {"job": self._service.forget_drift(body.lease, number=body.job)}
@@ -308,47 +308,47 @@ class WebInterface(WebServer):
         return {"job": number}
 
     def pose(self, body: PoseBody) -> dict[str, int]:
-        """Answer the pose that is waited for."""
+        """Answer the awaited pose."""
         reached = None if body.pose is None else Pose(**body.pose.model_dump())
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
 
     def simulated_faults(self) -> dict[str, Any]:
-        """List the kinds of faults that fit this simulated cell, and the faults that run.
+        """List the possible faults of this simulated cell, and the active faults.
 
-        A fault is a text ``NAME[=VALUE][@START[..END]]``; one that waits has not begun.
+        A fault is a text ``NAME[=VALUE][@START[..END]]``; a waiting fault has not begun.
         """
         return self._service.simulated_faults()
 
     def begin_fault(self, body: FaultBody) -> dict[str, Any]:
-        """Begin a fault of the simulated cell; it needs no lease. Returns what GET does."""
+        """Begin a fault of the simulated cell; it needs no lease. Returns the same as GET."""
         self._service.simulate_fault(body.fault)
         return self._service.simulated_faults()
 
     def end_fault(self, fault: str) -> dict[str, Any]:
-        """End the faults with this text or name, those of `serve --fault` too."""
+        """End the faults with this text or name, also those of `serve --fault`."""
         self._service.simulate_fault(fault, end=True)
         return self._service.simulated_faults()
 
     def simulated_part(self) -> dict[str, Any]:
-        """Return the chosen part and its pose, what lies between the fingers, and all objects."""
+        """Return the chosen part and its pose, the part between the fingers, and all objects."""
         return self._service.simulated_part()
 
     def choose_part(self, body: PartBody) -> dict[str, Any]:
-        """Put a part between the open fingers, for all jobs from now on. Returns what GET does.
+        """Put a part between the open fingers, for all jobs from now on. Returns the same as GET.
 
-        A part in the grip is not exchanged: release it first.
+        Release a part in the grip first: it cannot be replaced.
         """
         self._service.choose_part(body.lease, body.part, Pose(**body.pose.model_dump()))
         return self._service.simulated_part()
 
     async def define_object(self, label: str, lease: int, request: Request) -> dict[str, Any]:
-        """Add an object to the simulated cell, an STL file in mm of at most 10 MB as the body."""
+        """Add an object to the simulated cell; the body is an STL file in mm of at most 10 MB."""
         stl = await request.body()
         return {"objects": await asyncio.to_thread(self._service.define_object, lease, label, stl)}
 
     def reset_simulation(self, body: ResetBody) -> dict[str, int]:
-        """Start to make the simulated cell ready: faults end, the part is let go and taken away."""
+        """Start to reset the simulated cell: faults end, the part is released and removed."""
         return {"job": self._service.reset_simulation(body.lease)}
 
     def hold(
@@ -357,10 +357,10 @@ class WebInterface(WebServer):
         latch: bool | None = None,
         name: Annotated[str, Query(max_length=60)] = "",
     ) -> dict[str, Any]:
-        """Stop what runs and keep the grip; anyone may, without token and lease.
+        """Stop the running job and keep the grip; needs no token and no lease.
 
-        With ``latch=true`` nothing that moves starts until the same client, by address and name,
-        asks with ``latch=false``. A pressed button repeats it at least each serve.lease_timeout_s.
+        After ``latch=true`` no motion starts until the same client, by address and name, sends
+        ``latch=false``. A pressed button repeats it within each serve.lease_timeout_s.
         """
         host = "" if request.client is None else request.client.host
         self._service.hold_as(f"HTTP {host} {name}".rstrip(), latch)

@@ -1,7 +1,7 @@
-"""Server of web pages and their API: the token, the lease, the live socket.
+"""Server of web pages and their API: token, lease, live socket.
 
-Its interfaces (`cell.interfaces.web`, `cell.interfaces.wizard`) add their paths; a refusal has one
-shape, with a fault number.
+Its interfaces (`cell.interfaces.web`, `cell.interfaces.wizard`) add their paths. All refusals have
+the same form, with a fault number.
 """
 
 import asyncio
@@ -47,62 +47,62 @@ _STATUS = {
     RequestRefused: 422,
     ConfigError: 422,
 }
-"""HTTP status of refusals; 500 for all others."""
+"""HTTP status of refusals; 500 for all other errors."""
 _ERRORS = (CellError, GripperError, TactileError, OSError)
-"""Errors that leave the cell on purpose."""
+"""Expected errors of the cell."""
 Paths = tuple[tuple[str, str, Callable[..., Any]], ...]
 """Path below ``/api``, method and call of each."""
 
 
 class RequestBody(BaseModel):
-    """Body of a request; a field that it does not have is refused."""
+    """Body of a request; an unknown field is refused."""
 
     model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 
 class AcquireBody(RequestBody):
-    """Who wants to command; ``take`` takes it from another client, at this machine only."""
+    """Name of the new client in command; ``take``, on this machine only, takes the lease."""
 
     name: str
     take: bool = False
 
 
 class RefusalBody(RequestBody):
-    """What is refused, in one shape for all paths."""
+    """A refusal, in the same form for all paths."""
 
     fault_number: int
     """Number in the fault catalogue, `GET /api/faults`."""
     error: str
     """Cause, with value and limit."""
     remedy: str
-    """What to do next."""
+    """Remedy."""
 
 
 class WebServer(HttpServer):
-    """A page and its API below ``/api``: the token, the lease, the live state, paths of its own.
+    """Serves a page and its API below ``/api``: token, lease, live state, further paths.
 
-    The first lines of the methods are the OpenAPI description. `hold` needs no token. It has TLS
-    where a certificate is configured. Raises OSError or ConfigError if it cannot listen at the
-    configured address and port, or a file cannot be read, or that of the token holds none.
+    The docstrings of the methods are the OpenAPI description. `hold` needs no token. TLS is on if a
+    certificate is configured. Raises OSError or ConfigError if it cannot listen at the configured
+    address and port, cannot read a file, or the file of the token is bad.
 
     Parameters
     ----------
     lease
-        What clients command under.
+        Lease of the client in command.
     config
         Address, port, allow-list, limits, certificate, and the file of the token.
     look
-        Returns what a WebSocket shows now; called in another thread than that of the connections.
+        Returns the state for a WebSocket; called in another thread than the connections.
     paths
         Further paths, which need the token.
     page
         File of the page.
     public
-        Paths beside ``/api`` that need no token, or check it themselves.
+        Paths outside ``/api`` that need no token, or check it themselves.
     """
 
     hold: Callable[..., Any]
-    """Stops what runs: the path ``/hold``."""
+    """Stops the running job: the path ``/hold``."""
 
     def __init__(
         self,
@@ -116,9 +116,9 @@ class WebServer(HttpServer):
     ) -> None:
         file = config.token_file
         self.token = read_secret(file) if file else secrets.token_urlsafe(24)
-        """What clients authenticate with."""
+        """Token of clients."""
         self.view_token = view_token(self.token)
-        """What clients authenticate with that read and do not command."""
+        """Token of clients that only read."""
         self._config = config
         self._lease = lease
         self._request_timeout_s = config.request_timeout_s
@@ -159,7 +159,7 @@ class WebServer(HttpServer):
         )
 
     def longest(self, scope: Scope) -> int:
-        """Return the most bytes of the body of a request."""
+        """Return the largest body in bytes of a request."""
         return REQUEST_BYTES
 
     def authorize(
@@ -167,24 +167,24 @@ class WebServer(HttpServer):
         found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
         request: Request,
     ) -> None:
-        """Raise HTTPException or NotInCommand where the token of a request does not suffice."""
+        """Raise HTTPException or NotInCommand if the token does not permit the request."""
         if not self._may_read(found.credentials):
             raise HTTPException(401, "wrong token")
         request.state.commands = same_secret(found.credentials, self.token)
         if request.method != "GET" and not request.state.commands:
             raise NotInCommand(
-                "this token reads and does not command: open the page with the address that "
-                "`serve` prints after `page`"
+                "this token is view only: open the page with the address that `serve` prints "
+                "after `page`"
             )
 
     def _may_read(self, token: str) -> bool:
         return any(same_secret(token, one) for one in (self.token, self.view_token))
 
     def access(self, request: Request) -> dict[str, Any]:
-        """Return whether this token commands, and the link for a second person, who only reads.
+        """Return whether this token commands, and the view-only link for a second person.
 
-        ``qr`` has the rows of its QR code, 1 for dark; ``note`` is what to set where no other
-        machine reaches it.
+        ``qr`` has the rows of its QR code, 1 for dark. ``note`` has the settings to change if no
+        other machine reaches the link.
         """
         address = page_address({"http_port": self.port, "token": self.view_token}, self._config)
         return {
@@ -195,9 +195,9 @@ class WebServer(HttpServer):
         }
 
     def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
-        """Acquire the lease to command with."""
+        """Acquire the lease for commands."""
         if body.take and not _is_here(request):
-            raise NotInCommand("the lease can be taken from another client at this machine only")
+            raise NotInCommand("only a client on this machine can take the lease from another")
         return {"lease": self._lease.acquire(body.name, take=body.take)}
 
     def alive(self, lease: int) -> dict[str, int]:
@@ -206,7 +206,7 @@ class WebServer(HttpServer):
         return {"lease": lease}
 
     def give_up(self, lease: int) -> dict[str, int]:
-        """Give the lease up; a job that runs is held."""
+        """Give the lease up; a running job is put on hold."""
         self._lease.give_up(lease)
         return {"lease": 0}
 
@@ -217,8 +217,7 @@ class WebServer(HttpServer):
         ``?parts_after=N``: each part with a higher number, once, as ``{"event": "part", ...}``.
 
         The token is a subprotocol ``token.TOKEN`` beside ``tactile-cell``, or ``?token=``, or the
-        first message ``{"token": TOKEN}``. Each message is the newest there is when the client can
-        take it: a slow one misses some.
+        first message ``{"token": TOKEN}``. A slow client skips messages and gets the newest.
         """
         offered = link.scope.get("subprotocols", [])
         chosen = _SUBPROTOCOL if _SUBPROTOCOL in offered else None
@@ -237,7 +236,7 @@ class WebServer(HttpServer):
                     return
             after = link.query_params.get("parts_after", "")
             if after and not after.isdecimal():
-                await link.close(1008, "parts_after is no part number")
+                await link.close(1008, "parts_after is not a part number")
                 return
             frames = link.query_params.get("frames", "")
             await self._feed.send_to(link, frames, int(after) if after else None)
@@ -251,7 +250,7 @@ def _is_here(request: Request) -> bool:
 
 
 def _token_of(message: str) -> str:
-    """Return the token in the first message of a WebSocket; empty where there is none."""
+    """Return the token in the first message of a WebSocket; empty without a token."""
     try:
         found = json.loads(message)["token"]
     except (ValueError, KeyError, TypeError):
@@ -260,7 +259,7 @@ def _token_of(message: str) -> str:
 
 
 def _refused(_request: Request, error: Exception) -> JSONResponse:
-    """Return a refusal in the one shape of all refusals: number, text, remedy."""
+    """Return a refusal in the common form: number, text, remedy."""
     match error:
         case StarletteHTTPException():
             return JSONResponse(

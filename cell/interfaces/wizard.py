@@ -1,8 +1,8 @@
-"""The commissioning wizard in a browser: its engine in a thread, a person behind the web interface.
+"""The commissioning wizard in a browser: its engine in a thread, the operator at the web interface.
 
-Needs the extras ``serve`` and ``report``. The page asks and shows; whoever has the lease answers,
-anybody may stop. A person who leaves, or falls silent while a step works, ends the step as a
-refusal does; an open question waits.
+Needs the extras ``serve`` and ``report``. The client with the lease answers; any client may stop.
+A client that leaves, or is silent while a step works, ends the step like a refusal; an open
+question waits.
 """
 
 import json
@@ -29,15 +29,15 @@ from cell.interfaces.web_server import Paths, RequestBody, WebServer
 from cell.plugin.lease import Lease
 
 _WATCH_S = 0.1
-"""Time in s between two looks at what a person moves by hand."""
+"""Time in s between two readings of values that a person moves by hand."""
 _WAIT_S = 0.25
-"""Longest time in s after which a wait looks whether it is to end."""
+"""Longest time in s between two checks whether a wait should end."""
 _SAID_MAX = 30
-"""Texts of a step that the page keeps."""
+"""Most texts of a step that the page keeps."""
 
 
 class Phase(StrEnum):
-    """What the wizard does."""
+    """Phase of the wizard."""
 
     READY = "ready"
     """Not begun."""
@@ -45,17 +45,17 @@ class Phase(StrEnum):
     ASKING = "asking"
     APPROVING = "approving"
     LEFT = "left"
-    """Left by a person; it can be taken up again."""
+    """Left by the operator; it can continue."""
     FAILED = "failed"
-    """Ended by an error; it can be taken up again."""
+    """Ended by an error; it can continue."""
     FINISHED = "finished"
 
 
 class Wizard(Dialog):
-    """The wizard as the page sees it; implements `cell.commissioning.engine.Dialog`.
+    """The wizard for the page; implements `cell.commissioning.engine.Dialog`.
 
-    The engine's thread calls the methods of a dialog, the threads of the server all others. The
-    config has the time-out of the lease.
+    The thread of the engine calls the methods of a dialog; threads of the server call the others.
+    The config contains the time-out of the lease.
     """
 
     def __init__(self, engine: Engine, config: ServeConfig) -> None:
@@ -84,10 +84,10 @@ class Wizard(Dialog):
     # -- what clients do -----------------------------------------------------------------------
 
     def run(self, lease: int) -> None:
-        """Begin, or go on with the first step that is not done.
+        """Start, or continue with the first open step.
 
-        Raises NotInCommand as `cell.plugin.lease.Lease.alive`, and so the other
-        commands, and RequestRefused while a step runs.
+        Raises NotInCommand as `cell.plugin.lease.Lease.alive`, like the other commands, and
+        RequestRefused while a step runs.
         """
         with self._changed:
             self.lease.alive(lease)
@@ -97,36 +97,36 @@ class Wizard(Dialog):
             self._thread.start()
 
     def answer(self, lease: int, asked_id: int, value: str | float | bool) -> None:
-        """Answer the open question, or the writes that wait: true approves them.
+        """Answer the open question, or approve the waiting writes with true.
 
-        Raises RequestRefused if something else is asked by now, or the answer is none of those that
-        are offered.
+        Raises RequestRefused if this question is no longer open, or if the answer is not one of its
+        choices.
         """
         with self._changed:
             self.lease.alive(lease)
             if asked_id != self._asked_id or self._phase not in (Phase.ASKING, Phase.APPROVING):
-                raise RequestRefused(f"question {asked_id} is not asked any more")
+                raise RequestRefused(f"question {asked_id} is no longer open")
             if self._answer is not None:
-                raise RequestRefused(f"question {asked_id} is answered already")
+                raise RequestRefused(f"question {asked_id} already has an answer")
             self._answer = value if self._question is None else _checked(self._question, value)
             self._phase = Phase.WORKING
             self._changed.notify_all()
 
     def leave(self, lease: int) -> None:
-        """End the step that runs; what was found before is kept."""
+        """End the running step; earlier results are kept."""
         with self._changed:
             self.lease.alive(lease)
             self.stop("left by the person at the page")
 
     def stop(self, reason: str) -> None:
-        """End the step that runs, at its next look; anybody may."""
+        """End the running step at its next check; needs no lease."""
         with self._changed:
             if self.running:
                 self._leaving = reason
                 self._changed.notify_all()
 
     def redo(self, lease: int, key: str) -> tuple[str, ...]:
-        """Forget a step and all that need it; return their keys."""
+        """Delete the results of a step and of all steps that need it; return their keys."""
         with self._changed:
             self.lease.alive(lease)
             self._refuse_while_running()
@@ -139,13 +139,13 @@ class Wizard(Dialog):
         return self._thread is not None and self._thread.is_alive()
 
     def close(self) -> None:
-        """End the step that runs, and wait until it has ended."""
+        """End the running step and wait for its end."""
         self.stop("the program ends")
         if self._thread is not None:
             self._thread.join()
 
     def state(self) -> dict[str, Any]:
-        """Return everything that the page shows, as plain data."""
+        """Return the state for the page, as plain data."""
         with self._changed:
             self.lease.check_expiry()
             question = self._question
@@ -168,13 +168,13 @@ class Wizard(Dialog):
     # -- the dialog, in the engine's thread ----------------------------------------------------
 
     def start_step(self, step: Step, number: int, count: int) -> None:
-        """Show which step begins."""
+        """Show the step that begins."""
         with self._changed:
             self._look()
             self._step, self._said, self._live = step.key, [], {}
 
     def found(self, step: Step, finding: Finding) -> None:
-        """Show what a step found: the state has the findings of the engine."""
+        """Show the finding of a step: `state` contains the findings of the engine."""
         with self._changed:
             self._live = {}
             self._look()
@@ -183,11 +183,11 @@ class Wizard(Dialog):
         """Show a text."""
         with self._changed:
             self._look()
-            # What is said again moves to the end: the page has no copies.
+            # A repeated text moves to the end, so that the page shows it once.
             self._said = [*(one for one in self._said if one != text), text][-_SAID_MAX:]
 
     def live(self, name: str, value_text: str) -> None:
-        """Show a value in the place of its previous one."""
+        """Show a value instead of its previous one."""
         with self._changed:
             self._look()
             self._live[name] = value_text
@@ -212,7 +212,7 @@ class Wizard(Dialog):
             self._writes = ()
 
     def _wait(self, phase: Phase, watch: Callable[[], str] | None = None) -> str | float | bool:
-        """Return the answer of the page; what is watched is shown under an empty name."""
+        """Return the answer of the page; a watched value is shown with an empty name."""
         with self._changed:
             self._look()
             self._asked_id += 1
@@ -243,7 +243,7 @@ class Wizard(Dialog):
             raise WizardAborted(reason)
 
     def _lost(self, reason: str) -> None:
-        """End a step that works, which may move; a question waits for the next person."""
+        """End a working step, because it may move; a question waits for the next client."""
         if self._phase is Phase.WORKING and self.running:
             self._leaving = f"nobody is in command, {reason}"
 
@@ -285,20 +285,20 @@ class Wizard(Dialog):
 
 
 def _checked(question: Question, value: str | float | bool) -> str | float:
-    """Return an answer that the question offers; RequestRefused for another one."""
+    """Return a valid answer to the question; raises RequestRefused for any other answer."""
     if question.choices is not None:
         keys = [choice.key for choice in question.choices]
         if value in keys:
             return str(value)
-        raise RequestRefused(f"{value!r} is no answer; the answers are {', '.join(keys)}")
+        raise RequestRefused(f"{value!r} is not a valid answer; use one of {', '.join(keys)}")
     if question.number is None:
         if isinstance(value, str):
             return value
-        raise RequestRefused(f"{value!r} is no text")
+        raise RequestRefused(f"{value!r} is not a text; send a string")
     low, high, unit = question.number.lowest, question.number.highest, question.number.unit
     if isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
         return float(value)
-    raise RequestRefused(f"{value!r} is not within {low:g} and {high:g} {unit}")
+    raise RequestRefused(f"{value!r} is not a number from {low:g} to {high:g} {unit}")
 
 
 class LeasedBody(RequestBody):
@@ -308,14 +308,14 @@ class LeasedBody(RequestBody):
 
 
 class AnswerBody(LeasedBody):
-    """Answer to the question with that id: a choice, a number, a text, or whether to write."""
+    """Answer to the question with that id: a choice, a number, a text, or an approval."""
 
     asked_id: int
     value: bool | float | str
 
 
 class RedoBody(LeasedBody):
-    """A step that is to be done again."""
+    """A step to repeat."""
 
     key: str
 
@@ -367,32 +367,32 @@ class WizardServer(WebServer):
         return Response(standalone_svg(figure), media_type="image/svg+xml", headers=headers)
 
     def record(self) -> Response:
-        """Return the record of what was found so far, HTML."""
+        """Return the record of the results so far, HTML."""
         return Response(render_record(self._wizard.engine), media_type="text/html")
 
     def run(self, body: LeasedBody) -> dict[str, Any]:
-        """Begin, or go on with the first step that is not done."""
+        """Start, or continue with the first open step."""
         self._wizard.run(body.lease)
         return {}
 
     def answer(self, body: AnswerBody) -> dict[str, Any]:
-        """Answer what is asked; ``true`` approves the writes that are shown."""
+        """Answer the open question; ``true`` approves the shown writes."""
         self._wizard.answer(body.lease, body.asked_id, body.value)
         return {}
 
     def leave(self, body: LeasedBody) -> dict[str, Any]:
-        """End the step that runs; what was found before is kept."""
+        """End the running step; earlier results are kept."""
         self._wizard.leave(body.lease)
         return {}
 
     def redo(self, body: RedoBody) -> dict[str, Any]:
-        """Forget a step and those that need it."""
+        """Delete the results of a step and of all steps that need it."""
         return {"steps": self._wizard.redo(body.lease, body.key)}
 
     def hold(
         self, request: Request, name: Annotated[str, Query(max_length=60)] = ""
     ) -> dict[str, Any]:
-        """End the step that runs, and with it its motion; anyone may, without token and lease."""
+        """End the running step and its motion; needs no token and no lease."""
         host = "" if request.client is None else request.client.host
         self._wizard.stop(f"stopped by {f'{host} {name}'.strip()}")
         return {"state": self._wizard.state()["phase"]}

@@ -1,7 +1,7 @@
 """XML-RPC: the interface for robot programs.
 
-A robot program waits for each call and stops at an error: no call takes longer than 100 ms, and
-none raises. The calls and their page stand in `cell.interfaces.host_calls`.
+A robot program waits for each call and stops at an error. So no call takes longer than 100 ms or
+raises an error. The calls are in `cell.interfaces.host_calls`.
 """
 
 import asyncio
@@ -17,9 +17,9 @@ from cell.service.service import Service
 _PATHS = ("/", "/RPC2")
 """Paths of the calls."""
 _REMEDY = f"POST calls to {_PATHS[1]}."
-"""What to do about a request that is no call."""
+"""Remedy for a request that is not a call."""
 _IDLE_S = 60
-"""Silence in s after which a connection is closed; robots connect anew by themselves."""
+"""Silence in s after which a connection is closed; robots reconnect by themselves."""
 _TYPES = {int: "int", float: "double", bool: "boolean", str: "string"}
 """Names of the types in XML-RPC."""
 
@@ -28,30 +28,30 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
     """Answers calls; an ASGI application."""
 
     async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
-        """Answer a request that no web page can have made and that cannot grow."""
+        """Answer a request; refuse requests that a web page could send, and compressed ones."""
         fields = {name: value.decode("latin-1").lower() for name, value in scope["headers"]}
         body, more = b"", True
         while more:
             message = await receive()
-            if message["type"] == "http.disconnect":  # what is cut off counts for nothing
+            if message["type"] == "http.disconnect":  # an incomplete request is ignored
                 return
             body += message["body"]
             more = message.get("more_body", False)
         if scope["path"] not in _PATHS:
             await refuse(send, 404, f"{scope['path']!r:.80} takes no calls", _REMEDY)
         elif scope["method"] != "POST":
-            await refuse(send, 405, f"{scope['method']} is no call", _REMEDY)
+            await refuse(send, 405, f"{scope['method']} is not a call", _REMEDY)
         elif fields.get(b"content-type", "").partition(";")[0].strip() != "text/xml":
-            await refuse(send, 403, "the Content-Type is text/xml")
+            await refuse(send, 403, "the Content-Type must be text/xml")
         elif fields.get(b"content-encoding", "identity") != "identity" or b"<!" in body:
-            await refuse(send, 501, "no compression, no document type")
+            await refuse(send, 501, "compression and document types are not supported")
         else:
             CLIENT.set(scope["client"][0])
             found = await asyncio.to_thread(self._marshaled_dispatch, body)
             await send_answer(send, 200, cast("bytes", found), "text/xml")
 
     def system_methodSignature(self, method_name: str) -> Any:  # noqa: N802  name of the base class
-        """Return the types of a method: what it returns, then its arguments; once with all."""
+        """Return one list with the types of a method: first the result, then the arguments."""
         if method_name not in self.funcs or method_name.startswith("system."):
             return super().system_methodSignature(method_name)
         found = inspect.signature(self.funcs[method_name])
@@ -62,8 +62,8 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
 class XmlRpcInterface(HttpServer):
     """The cell behind XML-RPC.
 
-    Raises OSError if it cannot listen at the configured address and port, or the file of the secret
-    be read, and ConfigError if the secret is too short.
+    Raises OSError if it cannot listen at the configured address and port, or cannot read the file
+    of the secret, and ConfigError if the secret is too short.
     """
 
     def __init__(self, service: Service) -> None:

@@ -1,1 +1,1 @@
-"""What the commands do, without arguments and printing; one job a file."""
+"""The jobs of the commands, without arguments and printing; one job per file."""

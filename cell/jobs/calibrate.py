@@ -1,4 +1,4 @@
-"""Calibration of a taught model for the drift since, by known objects or any grasps of a shift."""
+"""Calibration of a taught model for sensor drift, by known objects or any grasps of a shift."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ GAUGE_GRASPS = 3
 """Grasps of each gauge object at the start of a shift."""
 
 MIN_UNNAMED_GRASPS = 5
-"""Grasps that show a drift when none of them is named."""
+"""Least number of unnamed grasps that show a drift."""
 
 
 @one_blas_thread()
@@ -22,10 +22,10 @@ def calibrate_model(
 ) -> ForceRampRecognizer:
     """Return a copy of the taught recogniser after gauges.
 
-    The model was taught before the drift; what earlier gauges have shown is forgotten. The grasps
-    of each gauge object, one of the taught ones, were taken now. Raises ModelError if the model is
-    of a kind that cannot be gauged, or was taught on other pads, and CellError if an object was not
-    taught, or no grasp of it touched both pads.
+    The model was taught before the drift; results of earlier gauges are dropped. Each gauge object
+    is a taught one with new grasps. Raises ModelError if the model is of a kind that cannot be
+    gauged, or was taught on other pads. Raises CellError if an object was not taught, or no grasp
+    of it touched both pads.
     """
     recognizer = gaugeable(model, *grasps).without_gauges()
     for label, taken in grasps.items():
@@ -37,15 +37,15 @@ def calibrate_model(
 
 @one_blas_thread()
 def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRampRecognizer:
-    """Return a copy that keeps what the grasps of a shift, named by nobody, show of the drift.
+    """Return a copy with the drift that the unnamed grasps of a shift show.
 
     Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads,
-    and CellError if there are fewer grasps than show a drift.
+    and CellError if there are too few grasps.
     """
     recognizer = gaugeable(model)
     if len(grasps) < MIN_UNNAMED_GRASPS:
         raise CellError(
-            f"{len(grasps)} grasps do not show a drift: give {MIN_UNNAMED_GRASPS} or more, of "
+            f"{len(grasps)} grasps are too few for a drift: give {MIN_UNNAMED_GRASPS} or more, of "
             "several objects, or name the object with --gauge"
         )
     check_pads(model, grasps[0].pads)

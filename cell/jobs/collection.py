@@ -14,18 +14,18 @@ from recognition.grasp import Grasp
 
 @dataclass(slots=True, kw_only=True)
 class Collection:
-    """Grasps of one known object, as far as they have come."""
+    """Grasps of one known object so far."""
 
     label: str
     """Name of the object."""
     n_planned: int
-    """Grasps that were asked for."""
+    """Number of planned grasps."""
     present: str | None = None
-    """Object to place where it is called otherwise than the label (simulated cell)."""
+    """Object to place if its name differs from the label (simulated cell)."""
     records: list[GraspRecord] = field(default_factory=list)
     """Grasps that held the object, in order."""
     n_missed: int = 0
-    """Grasps that found no part; they are left out of the records."""
+    """Number of grasps without a part; they are not in the records."""
 
     @property
     def grasps(self) -> list[Grasp]:
@@ -34,12 +34,12 @@ class Collection:
 
     @property
     def n_done(self) -> int:
-        """Grasps that are over, missed ones too."""
+        """Number of finished grasps, including missed ones."""
         return len(self.records) + self.n_missed
 
     @property
     def short(self) -> str:
-        """How many ramps ended below their force, and why the last one did; empty where none."""
+        """Number of ramps that ended below their force, and why the last one did; or empty."""
         texts = [record.outcome.short for record in self.records if record.outcome.short]
         return f"{len(texts)} of {self.n_planned} ramps ended early: {texts[-1]}" if texts else ""
 
@@ -56,13 +56,13 @@ class Collection:
         seed: int,
         on_grasp: Callable[["Collection"], None],
     ) -> None:
-        """Grasp the object at different poses and forces until the plan is at its end.
+        """Grasp the object at different poses and forces until the plan ends.
 
-        A grasp that finds no part is counted and left out. Whatever ends it early, the grasps
-        before stay in the records. ``on_grasp`` is called with this collection after each grasp, a
-        missed one too. Raises NoPartFound if several grasps in a row find no part, or none finds
-        one, and cell.errors.CellStopped, gripper.errors.GripperError or tactile.errors.TactileError
-        as `CellController.grasp`.
+        A grasp that finds no part is only counted. After an error the earlier grasps stay in the
+        records. ``on_grasp`` is called with this collection after each grasp, also a missed one.
+        Raises NoPartFound if several grasps in a row, or all grasps, find no part. Raises
+        cell.errors.CellStopped, gripper.errors.GripperError or tactile.errors.TactileError as
+        `CellController.grasp`.
         """
         misses: list[NoPartFound] = []
 
@@ -88,9 +88,9 @@ def grasps_of(
     seed: int = 0,
     on_grasp: Callable[[Collection], None] = lambda _now: None,
 ) -> list[Grasp]:
-    """Grasp each known object so many times and return the grasps; see `Collection.fill`.
+    """Grasp each known object ``n_grasps`` times and return the grasps; see `Collection.fill`.
 
-    The plan of each object has a seed of its own, from ``seed`` on.
+    The plan of each object has its own seed, starting at ``seed``.
     """
     grasps: list[Grasp] = []
     for number, label in enumerate(labels):

@@ -8,8 +8,8 @@ from cell.errors import CellError
 from cell.jobs.collection import Collection
 
 Progress = Callable[[str, int, int], None]
-"""Called by a job after each step with a task, its steps that are over, and all of them; the
-command line draws a bar from it."""
+"""Called by a job after each step with a task, its finished steps, and all steps; the command line
+draws a bar from it."""
 
 
 def silent(task: str, done: int, total: int) -> None:
@@ -22,7 +22,7 @@ def progress_of(progress: Progress) -> Callable[[Collection], None]:
 
 
 def job_folder(directory: Path, job: str) -> Path:
-    """Make a new folder for one job, named by job and time; an existing one is never used.
+    """Make a new folder for one job, named by job and time; never use an existing one.
 
     Raises CellError if it cannot be made.
     """

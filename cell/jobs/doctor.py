@@ -1,4 +1,4 @@
-"""The system check: each finding passes, warns or fails, with what to do about it."""
+"""The system check: each finding passes, warns or fails, with a remedy."""
 
 import importlib.metadata
 import sys
@@ -25,7 +25,7 @@ from gripper.dynamixel.control_table import (
     HARDWARE_ERROR_STATUS,
     MODEL_NUMBER,
 )
-from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.dynamixel.models import MODELS, model_name
 from gripper.dynamixel.serial_port import latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
@@ -37,16 +37,16 @@ from tactile.errors import IdentityMismatch, TactileError
 from tactile.source import TactileFrame
 
 _TORQUE = "servo torque"
-"""Name of the check whether the servos have torque."""
+"""Name of the check of the servos' torque."""
 _PRESSED_SIGMAS = 6.0
-"""Spreads of the counts at rest above which the mean of a taxel shows that it is pressed."""
+"""Distance of a taxel's mean from the rest, in spreads of the counts, that shows pressure."""
 
 
 def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[CheckResult]:
     """Check the machine, then each device of the cell, yielding results as they come.
 
-    Reads and verifies only: no torque is switched on and nothing moves. The file that the config
-    was read from stands in the commands that are advised.
+    It only reads and verifies: no torque is switched on and nothing moves. The advised commands
+    name ``config_file``.
     """
     yield from _machine()
     if not config.simulated:
@@ -66,14 +66,14 @@ def _machine() -> Iterator[CheckResult]:
         try:
             yield check_result(package, importlib.metadata.version(package), ok=True)
         except importlib.metadata.PackageNotFoundError:
-            yield check_result(package, "not installed", f"if you want it: {remedy(extra)}")
+            yield check_result(package, "not installed", f"if you need it: {remedy(extra)}")
 
 
 def _ports(config: CellConfig) -> Iterator[CheckResult]:
     port = config.gripper.port
     found, advice = port, ""
     if command := rights_command(port):
-        found = f"{port} may not be opened by this user"
+        found = f"this user has no right to open {port}"
         advice = f"{command}, then log out and in"
     elif not Path(port).exists():
         candidates = ", ".join(serial_candidates()) or "none"
@@ -88,10 +88,10 @@ def _ports(config: CellConfig) -> Iterator[CheckResult]:
 
 
 def _self_zero(config: CellConfig, named: str) -> CheckResult:
-    """Return when the empty fingers were measured last, and what they showed."""
+    """Return the date and values of the last self-zero."""
     if not config.gripper.pads_meet or config.self_zero == "never":
         found = (
-            "none: gripper.pads_meet is false" if config.self_zero != "never" else "never wanted"
+            "none: gripper.pads_meet is false" if config.self_zero != "never" else "switched off"
         )
         return check_result("self-zero", found, ok=True)
     kept = kept_zeros(config, Path(config.recording.directory))
@@ -109,28 +109,31 @@ def _self_zero(config: CellConfig, named: str) -> CheckResult:
     return check_result(
         "self-zero",
         f"of {datetime.fromtimestamp(kept.measured_s):%Y-%m-%d %H:%M}: pads meet at "
-        f"{opening_mm:+.2f} mm, finger 0 feels {ratio:.2f} times finger 1",
+        f"{opening_mm:+.2f} mm, finger 0 measures {ratio:.2f} times finger 1",
         ok=True,
     )
 
 
 def _drives(config: CellConfig, named: str) -> CheckResult:
-    """Return what was measured of the servos' drives, beside the catalogue."""
+    """Return the measured characteristics of the servos' drives, beside the catalogue."""
     kept = kept_zeros(config, Path(config.recording.directory), new_hand=False)
-    texts, advice = [], ""
+    texts: list[str] = []
+    drives: list[DriveCharacteristic] = []
+    advice = ""
     for servo in config.gripper.servos:
         if servo.id not in kept.drives:
-            texts.append(f"servo {servo.id}: not measured, the catalogue counts with 30 %")
+            texts.append(f"servo {servo.id}: not measured, catalogue values within 30 % are used")
             continue
         drive = DriveCharacteristic(**kept.drives[servo.id]["drive"])
         at = datetime.fromtimestamp(drive.measured_s)
         where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
         texts.append(f"{drive_text(servo.id, drive, MODELS[servo.model])}, {at:%Y-%m-%d}{where}")
-        if drive.disagreement:
-            advice = (
-                "pads and motor constant disagree: the law of the pads, or the current scale, is "
-                "off; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
-            )
+        drives.append(drive)
+    if any(map(disagreement, [drives, *([drive] for drive in drives)])):
+        advice = (
+            "pads and motor constant disagree: the law of the pads, or the current scale, is "
+            "wrong; press a known weight on the pads, `tactile-cell commission --redo pads_law`"
+        )
     if len(kept.drives) < len(texts) and config.gripper.pads_meet:
         advice = advice or f"`tactile-cell zero{named}` measures them, with nothing in the grip"
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
@@ -155,8 +158,8 @@ def _devices(config: CellConfig, named: str, kept: CommissionedValues) -> Iterat
 
 
 def _loop(cell: Cell) -> Iterator[CheckResult]:
-    """List what the system has not granted to the force loop."""
-    # A line that is missing is found where it is asked.
+    """List the real-time settings that the system refused to the force loop."""
+    # A missing line is found by the check of its device.
     notes = [note for note in cell.notes if not note.startswith(MISSING)]
     if cell.realtime and not notes:
         yield check_result("force loop", "real time as configured", ok=True)
@@ -174,12 +177,12 @@ def _guarded(what: str, check: Callable[[], list[CheckResult]]) -> Iterator[Chec
     except (GripperError, TactileError) as error:
         advice = "check power, id and bit rate"
         if what == _TORQUE:
-            advice += "; whether a part is held is not known: the servos keep their last goals"
+            advice += "; it is unknown whether a part is held: the servos keep their last goals"
         yield check_result(what, str(error), advice, bad=Verdict.FAIL)
 
 
 def _torque(cell: Cell, named: str) -> list[CheckResult]:
-    """Check who has torque: all servos, or none; one alone may press on a part."""
+    """Check that all servos or no servo has torque; one servo alone may press on a part."""
     conditions = cell.controller.hand.conditions()
     found = "; ".join(map(str, conditions))
     limp = [condition for condition in conditions if condition.answers and not condition.torque_on]
@@ -187,7 +190,7 @@ def _torque(cell: Cell, named: str) -> list[CheckResult]:
         failed = any(condition.shut_down for condition in conditions)
         advice = f"remedy the cause of the error, then `tactile-cell clear{named} --reboot`"
         return [check_result(_TORQUE, found, advice, ok=not failed, bad=Verdict.FAIL)]
-    advice = f"a part may be in the grip: let go of it with `tactile-cell release{named} --confirm`"
+    advice = f"a part may be in the grip: release it with `tactile-cell release{named} --confirm`"
     if any(condition.shut_down for condition in limp):
         advice += f", then clear the error with `tactile-cell clear{named} --reboot`"
     return [check_result(_TORQUE, found, advice, bad=Verdict.FAIL if limp else Verdict.WARN)]
@@ -221,7 +224,7 @@ def _advice(row: VerificationRow, named: str) -> str:
         return f"remedy its cause, then `tactile-cell clear{named} --reboot`"
     if row.item == POSITION_ITEM:
         return (
-            "look where the finger stands: on its own side of the middle, one of these keys is "
+            "look at the finger: if it is on its own side of the middle, one of these keys is "
             "wrong; else push it there by hand"
         )
     if row.item in CORRECTABLE:
@@ -233,6 +236,7 @@ def _control_unit(
     cell: Cell, config: CellConfig, named: str, kept: CommissionedValues
 ) -> list[CheckResult]:
     hand = cell.controller.hand
+    is_unit = config.tactile.sensor.canopen
     try:
         identity = hand.start_sensor()
     except IdentityMismatch as error:
@@ -240,8 +244,8 @@ def _control_unit(
         if kept.found:
             advice += (
                 "; for new pads `tactile-cell commission --redo pads_at_rest`, for a new unit "
-                "`--redo unit`, in the folder of the commissioning: what depends on it is done "
-                "again"
+                "`--redo unit`, in the folder of the commissioning: the dependent steps are "
+                "repeated"
             )
         return [check_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
@@ -257,22 +261,25 @@ def _control_unit(
     return [
         *kept.findings("control unit and pads", changes),
         check_result(
-            "control unit",
-            f"{identity.name}, serial {identity.serial}, revision {identity.revision:#x}",
+            "control unit" if is_unit else "sensor",
+            identity.name
+            + (f", serial {identity.serial}, revision {identity.revision:#x}" if is_unit else ""),
             ok=True,
         ),
         check_result(
             "tactile frames",
             f"{statistics.complete} whole, {lost} lost or damaged",
-            "check the terminating resistors and the bus load",
+            "check the terminating resistors and the bus load" if is_unit else "check the cables",
             ok=lost == 0,
         ),
         check_result(
             "force messages",
             f"{forces.received} received, {forces.lost} lost"
             if identity.sends_forces
-            else FORCE_FROM_FRAMES,
-            ok=identity.sends_forces and not forces.lost,
+            else FORCE_FROM_FRAMES
+            if is_unit
+            else f"{identity.name} sends frames alone; the force comes from them",
+            ok=(identity.sends_forces or not is_unit) and not forces.lost,
         ),
         check_result(
             "taxels at rest",
@@ -287,9 +294,9 @@ def _control_unit(
 
 
 def _axes(cell: Cell) -> Iterator[CheckResult]:
-    """Ask each drive and servo of the positioner for its state; they are neither set up nor moved.
+    """Read the state of each drive and servo of the positioner, without setting it up or moving it.
 
-    A fault that is found is cleared by the first motion after somebody has seen it.
+    The first motion after an acknowledgement clears a fault.
     """
     for name, found in ({} if cell.axes is None else cell.axes.inspect()).items():
         lost = isinstance(found, MotionError)
@@ -301,7 +308,7 @@ def _axes(cell: Cell) -> Iterator[CheckResult]:
 
 
 def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckResult:
-    """Check whether the pads are pressed: without a zero, against the counts of most taxels."""
+    """Check whether the pads are pressed, without a zero: compare with the most frequent counts."""
     layout = layout_from_config(config.tactile)
     counts = np.mean([frame.counts for frame in frames], axis=0)
     rest = float(np.median(counts))
@@ -313,37 +320,39 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> CheckRe
     return check_result(
         "pads' force",
         f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",
-        "a part may be held; look. Let go of it, where the servos answer, with "
+        "a part may be held; look. If the servos answer, release it with "
         f"`tactile-cell release{named} --confirm`",
         ok=not pressed,
     )
 
 
 def _noise(frames: list[TactileFrame]) -> CheckResult:
-    """Check that the samples move at rest: else frozen and dead ones cannot be found."""
+    """Check that the samples change at rest: else frozen and dead taxels cannot be detected."""
     moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
     return check_result(
         "noise of the taxels",
         f"{moving} of {len(frames[0].counts)} change at rest",
-        "without noise, frozen, dead and stuck taxels show only while the force changes: press "
-        "each pad once and look whether its force follows",
+        "without noise, frozen, dead and stuck taxels are detected only while the force changes: "
+        "press each pad once and check that its force follows",
         ok=moving >= len(frames[0].counts) // 2,
     )
 
 
 def _boards(boards: tuple[int, int], config: CellConfig) -> CheckResult:
-    """Check that exchanged pads would be noticed: forces and labels depend on it."""
+    """Check that exchanged pads would be detected: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
+    if not any(boards):
+        found = "no serial numbers"
     if config.tactile.board_serial_numbers is not None or config.simulated:
         return check_result("pads' boards", found, ok=True)
-    advice = "these boards cannot be told apart: press each pad after every work on the cables"
+    advice = "these boards look the same: press each pad after every work on the cables"
     if boards[0] != boards[1]:
         advice = (
-            f"press each pad to see that its finger is right, then write [{boards[0]}, "
+            f"press each pad to check its finger, then write [{boards[0]}, "
             f"{boards[1]}] into the config"
         )
     return check_result(
         "pads' boards",
-        f"{found}; tactile.board_serial_numbers names none: exchanged pads are not noticed",
+        f"{found}; tactile.board_serial_numbers is empty: exchanged pads are not detected",
         advice,
     )

@@ -10,27 +10,35 @@ from cell.errors import CellError, MissingExtraError
 from cell.installation import extra
 from cell.jobs.calibrate import GAUGE_GRASPS
 from cell.jobs.common import Progress
+from cell.jobs.selected_grasps import GROUPS
 from cell.learning import training
 from cell.learning.blas import one_blas_thread
+from cell.plugins import RECOGNISERS
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.grid import DriftGrid
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import TrainTest, a_day_later, parse_split, series_parts
+from recognition.evaluation.splits import (
+    TrainTest,
+    a_day_later,
+    left_out_parts,
+    parse_split,
+    series_parts,
+)
 from recognition.grasp import Grasp
-from recognition.recognizers import DEFAULT_TRAINER, make_trainer
+from recognition.recognizers import DEFAULT_TRAINER
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
 
 SERIES = "series"
-"""Split that leaves out each series of the objects that have several in turn."""
+"""Split that leaves out, in turn, each series of the objects with several series."""
 
 
 _NOT_WRITTEN = ("trainer", "uses_aperture", "n", "n_untaught")
-"""Figures of a recogniser that are not in ``--json``: they are those of the split."""
+"""Figures of a recogniser that ``--json`` omits, because the split has them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecognizerFigures:
-    """Figures of one recogniser: with the aperture, where it uses one, and without."""
+    """Figures of one recogniser: with the opening, if it uses it, and without."""
 
     full: Evaluation
     without_aperture: Evaluation | None
@@ -48,7 +56,7 @@ class EvaluationResult:
     default: str
     recognizers: Mapping[str, RecognizerFigures]
     left_out: Mapping[str, str]
-    """Recognisers that these grasps cannot teach, each with the reason."""
+    """Recognisers that cannot be trained with these grasps, each with the reason."""
     drift: Drift = NO_DRIFT
     gauge: str | None = None
     gauged: DriftGrid | None = None
@@ -101,26 +109,26 @@ def evaluate_recognizers(
     """Train and test each named recogniser.
 
     Raises CellError if the split leaves nothing to train or test, the grasps were taken on other
-    pads, or no recogniser can be taught with them.
+    pads, or no recogniser can be trained with them.
 
     Parameters
     ----------
     grasps
         Labelled grasps to split; with ``train``, all of them are tested.
     split
-        As ``chronological:0.6`` or ``shuffled:0.8``; ``series`` leaves out each series of the
-        objects that have several in turn.
+        E.g. ``chronological:0.6`` or ``shuffled:0.8``; ``series`` leaves out, in turn, each series
+        of the objects with several series, ``days`` and ``cells`` each of them.
     train
         Grasps to train on instead of splitting.
     fuse
         Numbers of grasps to fuse.
     mapper
-        Map function for the work, as `cell.jobs.parallel.workers` yields it.
+        Map function for the work, from `cell.jobs.parallel.workers`.
     drift
-        Applied to the tested grasps, which are taken to be of another day then.
+        Applied to the tested grasps, which then count as grasps of another day.
     gauge
-        An object whose first tested grasps show the drift instead of being tested; it is then
-        taken off all others, for every recogniser alike.
+        An object whose first tested grasps measure the drift instead of being tested. The drift is
+        then corrected in all other grasps, for every recogniser.
     """
     started_s = time.monotonic()
     if train is not None:
@@ -134,7 +142,7 @@ def evaluate_recognizers(
     gauged, n_gauged = None, 0
     if gauge is not None:
         if len(parts) > 1:
-            raise CellError("a gauge belongs to one split: leave --gauge or --split series out")
+            raise CellError("a gauge needs a single split: omit --gauge or --split series")
         gauged, n_gauged, test_part = _gauge(*parts[0], gauge)
         parts = [(parts[0][0], test_part)]
     measure = partial(evaluate, parts, fuse=fuse, seed=seed, mapper=mapper)
@@ -144,13 +152,13 @@ def evaluate_recognizers(
     figures, left_out = {}, {}
     for number, name in enumerate(names):
         progress("evaluate", 2 * number, 2 * len(names))
-        trainer = make_trainer(name, use_aperture=True)
+        trainer = RECOGNISERS[name](use_aperture=True)
         try:
             with extra("comparators", needed_by=f"teaching {name}"):
                 full = without = measure(trainer)
             progress("evaluate", 2 * number + 1, 2 * len(names))
             if trainer.uses_aperture:
-                without = measure(make_trainer(name, use_aperture=False))
+                without = measure(RECOGNISERS[name](use_aperture=False))
         except (ValueError, MissingExtraError) as error:
             left_out[name] = str(error)
             continue
@@ -179,13 +187,15 @@ def evaluate_recognizers(
 def _parts(
     grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None, seed: int
 ) -> list[TrainTest]:
-    """Return pairs of grasps to train and to test. Raises CellError where one is of no use."""
+    """Return pairs of grasps to train and to test. Raises CellError if a pair cannot be used."""
     if train is not None:
         parts: list[TrainTest] = [(tuple(train), tuple(grasps))]
     else:
         try:
             if split == SERIES:
                 parts = series_parts(grasps)
+            elif split in GROUPS:
+                parts = left_out_parts(grasps, [GROUPS[split](grasp) for grasp in grasps])
             else:
                 parts = [parse_split(split, seed=seed)(grasps)]
         except ValueError as error:
@@ -204,12 +214,12 @@ def _parts(
 def _gauge(
     train: Sequence[Grasp], test: Sequence[Grasp], label: str
 ) -> tuple[DriftGrid, int, tuple[Grasp, ...]]:
-    """Return what the first tested grasps of the object show, how many, and the others undone."""
+    """Return the drift of the object's first tested grasps, their number, the others corrected."""
     of_label = sorted((grasp for grasp in test if grasp.label == label), key=lambda g: g.start_ms)
     taken = of_label[:GAUGE_GRASPS]
     others = [grasp for grasp in test if not any(grasp is one for one in taken)]
     if not others:
-        raise CellError(f"with {len(taken)} gauge grasps of {label!r} none is left to test")
+        raise CellError(f"{len(taken)} gauge grasps of {label!r} leave no grasp to test")
     taught = training.gaugeable(training.train(train, ForceRampTrainer.name), label)
     found = training.gauged(taught, label, taken).grid
     return found, len(taken), tuple(found.drift.undo(grasp) for grasp in others)

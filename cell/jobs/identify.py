@@ -25,18 +25,18 @@ class RecordedAnswer:
     """Answer to one recorded grasp."""
 
     number: int
-    """Place of the grasp in its file, from 0."""
+    """Index of the grasp in its file, from 0."""
     label: str
     probability: float
     """The answer and its probability."""
     unknown: float
     """Probability that the object was never taught."""
     truth: str
-    """Label in the file; empty where there is none."""
+    """Label in the file, or empty."""
     drift: DriftGrid | None = None
-    """The drift with which the answer was given; None where it is not followed."""
+    """The drift assumed for the answer; None if drift is not followed."""
     shape: ShapeAnswer | None = None
-    """Shape and size; None where they were not asked for, or the pads do not show them."""
+    """Shape and size; None if not requested, or if the pads do not show them."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the answer as plain data."""
@@ -61,14 +61,13 @@ def identify_recorded(
     """Answer each recorded grasp, in the order of the file.
 
     With ``follow`` they are answered in the order of time, and the drift is followed from grasp to
-    grasp. Raises ModelError for grasps on other pads, and where a drift is to be followed by a
-    recogniser that cannot.
+    grasp. Raises ModelError for grasps on other pads, and if the recogniser cannot follow a drift.
     """
     check_pads(model, grasps[0].pads)
     recognizer = model.recognizer
     if follow and not isinstance(recognizer, DriftFollowing):
         raise ModelError(
-            f"a model of {model.trainer_name} cannot follow a drift; train one of force_ramp"
+            f"a model of {model.trainer_name} cannot follow a drift; train a force_ramp model"
         )
     answers: list[RecordedAnswer] = []
     order = range(len(grasps))
@@ -115,7 +114,7 @@ def identify(
     Parameters
     ----------
     held
-        Object that the positioner is to bring; None: the one that is there.
+        Object for the positioner to bring; None: the present object.
     max_grasps
         Most grasps; None: as many as the config allows.
     force_n
@@ -123,7 +122,7 @@ def identify(
     keep
         When the part stays in the grip.
     whole_ramps
-        Whether no ramp ends early, whatever the config says.
+        Whether no ramp ends early, also against the config.
     """
     recognizer, sequence = model.recognizer, model.config.sequence
     if force_n is not None:
@@ -144,7 +143,7 @@ def identify(
 
 
 def drawn_object(config: CellConfig) -> str | None:
-    """Return the object that a simulated cell draws by its seed; None where nobody can choose."""
+    """Return the object that a simulated cell draws by its seed; None if it cannot choose."""
     objects = [entry.label for entry in config.simulator.objects]
     draw = np.random.default_rng(config.seed)
     return str(draw.choice(objects)) if config.brings_objects else None

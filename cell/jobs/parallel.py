@@ -1,7 +1,8 @@
-"""Work spread over the cores of this machine, or over a Dask cluster: joblib does both."""
+"""Work spread over the cores of this machine, or over a Dask cluster, with joblib."""
 
 import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import TypeVar
 from urllib.parse import urlsplit
@@ -13,16 +14,37 @@ from cell.installation import extra
 from recognition.evaluation.evaluation import Mapper, one_by_one
 
 CONNECT_TIMEOUT_S = 15.0
-"""How long a Dask scheduler may take to answer."""
+"""Longest time in s until a Dask scheduler answers."""
+
+_MOST_DEATHS = 3
+"""How often a process may end before any work is done."""
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
 def spread(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Iterable[_Result]:
-    """Do the work through joblib, by the backend of the surrounding `workers`; a `Mapper`."""
-    done: list[_Result] = joblib.Parallel()(joblib.delayed(work)(item) for item in items)
-    return done
+    """Do the work through joblib, by the backend of the surrounding `workers`; a `Mapper`.
+
+    Results come as they are done, in order. Work that a worker held when it died is done again;
+    raises CellError where workers die again and again.
+    """
+    n_done = deaths = 0
+    while n_done < len(items):
+        left = items[n_done:]
+        try:
+            for result in joblib.Parallel(return_as="generator")(
+                joblib.delayed(work)(item) for item in left
+            ):
+                n_done, deaths = n_done + 1, 0
+                yield result
+        except BrokenProcessPool as error:
+            deaths += 1
+            if deaths == _MOST_DEATHS:
+                raise CellError(
+                    f"{deaths} times a process ended at the same work: it may need less memory, "
+                    "so fewer --jobs; what was done before stays"
+                ) from error
 
 
 @contextmanager
@@ -40,7 +62,7 @@ def workers(jobs: int = 1, *, scheduler: str | None = None) -> Iterator[Mapper]:
         `CONNECT_TIMEOUT_S` s.
     """
     if jobs < 0:
-        raise CellError(f"--jobs is {jobs}; 0 is one process a core, 1 is none but this one")
+        raise CellError(f"--jobs is {jobs}; 0 is one process per core, 1 is this process alone")
     if scheduler is not None:
         with _cluster(scheduler):
             yield spread
@@ -76,13 +98,13 @@ def _cluster(scheduler: str) -> Iterator[None]:
 
 
 def _knock(scheduler: str) -> None:
-    """See whether anything listens: a Dask client that finds nobody may wait without end.
+    """Check that a scheduler listens: a Dask client without one may wait forever.
 
-    Raises OSError where nobody does, ValueError for an address without host or port.
+    Raises OSError if nothing listens, ValueError for an address without host or port.
     """
     address = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
     if address.scheme not in ("tcp", "tls"):
         return
     if not address.hostname or address.port is None:
-        raise ValueError("an address is written tcp://HOST:PORT")
+        raise ValueError("write an address as tcp://HOST:PORT")
     socket.create_connection((address.hostname, address.port), CONNECT_TIMEOUT_S).close()

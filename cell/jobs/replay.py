@@ -31,35 +31,35 @@ _SHORTEST_PERIOD_S = 0.012
 _WAIT_S = 0.001
 _BURST_SHARE = 0.9
 _OPENING_PER_RADIUS = 4.0
-"""Opening at which the pinion has turned by 1 rad either way: well within one turn."""
+"""Opening at which the pinion has turned by 1 rad in either direction: well within one turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayResult:
-    """What came back."""
+    """Results of a replay."""
 
     n_grasps: int
     """Grasps replayed."""
     frames_sent: int
     frames_received: int
-    """Tactile frames into the simulated control unit and out of the link."""
+    """Number of tactile frames sent to the simulated control unit and received."""
     frames_equal: bool
-    """Whether each received frame equals the one sent, bit for bit."""
+    """Whether each received frame equals the sent one, bit for bit."""
     difference: str
-    """The first difference; empty where there is none."""
+    """The first difference, or empty."""
     aperture_error_m: float
     """Largest difference of a received opening in m: the servos report whole pulses."""
     accuracy: float | None
     interval: tuple[float, float] | None
-    """Share of grasps whose likeliest label is right, and its 95 % interval; None where there are
-    no labels to train with."""
+    """Share of grasps whose likeliest label is right, and its 95 % interval; None without labels to
+    train with."""
     n_train: int
-    """Grasps that the recogniser was trained on, none of them replayed."""
+    """Number of grasps for training; they are not replayed."""
     recognizer: str
     unnamed: str
-    """Why no grasp was identified; empty where they were."""
+    """Why no grasp was identified, or empty."""
     seconds: float
-    """Time it took in s."""
+    """Duration in s."""
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
@@ -84,19 +84,19 @@ def replay_grasps(
     capture: Path | None = None,
     progress: Progress,
 ) -> ReplayResult:
-    """Train on one part of recorded grasps, send the other through the links, identify it.
+    """Train on one part of recorded grasps, send the other part through the links, identify it.
 
-    Raises CellError if the split is not understood, or the grasps cannot be played.
+    Raises CellError if the split is invalid, or the grasps cannot be played.
 
     Parameters
     ----------
     grasps
-        Recorded grasps. Without labels, or with too few to teach, all of them are replayed and none
-        is identified.
+        Recorded grasps. Without labels, or with too few grasps to teach, all are replayed and not
+        identified.
     config
         Servos and control unit to play with; by default rack-driven fingers that open far enough.
     split
-        Which part trains, as ``chronological:0.6``.
+        Part for the training, e.g. ``chronological:0.6``.
     limit
         Most grasps to replay, spread evenly over the rest.
     capture
@@ -151,7 +151,7 @@ def replay_grasps(
 
 
 class _NoForce:
-    """A force sensor for a gripper that is only read."""
+    """A force sensor without values, for a gripper that is only read."""
 
     def latest_force(self) -> ForceSample | None:
         return None
@@ -203,7 +203,7 @@ class _Rig:
     def play(self, number: int, grasp: Grasp) -> Grasp:
         """Send one grasp and return what was received.
 
-        A burst has just ended when this is called, so the next SYNC latches the first frame.
+        Call it right after a burst, so that the next SYNC latches the first frame.
         """
         self._cell.play(number)
         frames: list[TactileFrame] = []
@@ -224,7 +224,7 @@ class _Rig:
                 break
             self._cell.clock.sleep(_WAIT_S)
         if not frames:
-            raise CellError(f"grasp {number} was played, but no whole frame came back")
+            raise CellError(f"grasp {number} was played, but no whole frame was received")
         n, all_came = len(frames), len(frames) == grasp.n_frames
         known = np.isfinite(grasp.aperture_m) if all_came else np.ones(n, dtype=bool)
         return Grasp(

@@ -1,4 +1,4 @@
-"""Serving the simulated cell to other processes, with a config that is ready for its ports."""
+"""Serving the simulated cell to other processes, with a config for its ports."""
 
 import fcntl
 import os
@@ -23,7 +23,7 @@ from simulator.errors import SimulatorError, SimulatorSettingsError
 from simulator.realtime.process import serve
 
 _OPENING_OVERSHOOT_M = 2e-3
-"""Distance in m by which opening fingers run past their goal at most; recorded grasps show it."""
+"""Largest overshoot of opening fingers in m, from recorded grasps."""
 
 _LEAST_LIMITS = (
     ("tactile", "heartbeat_ms", 400),
@@ -34,10 +34,10 @@ _LEAST_LIMITS = (
     ("gripper", "watchdog_ms", 500.0),
     ("loop", "overruns_max", 40),
 )
-"""Section, key and least value (ms, share, or periods) of a client's limits: cell and client share
-the processors of one machine, and an answer delayed by that is no fault."""
+"""Section, key and least value (ms, share, or periods) of a client's limits. Cell and client share
+the processors of one machine, and an answer that is late for this reason is no fault."""
 _LEAST_AXIS_LOSS_MS = 400.0
-"""Least time in ms after which a client takes a drive or servo of an axis for lost."""
+"""Least time in ms after which a client reports a drive or servo of an axis as lost."""
 
 
 @one_blas_thread()
@@ -56,16 +56,16 @@ def serve_simulated_cell(
     Parameters
     ----------
     config
-        The cell to simulate; its ports are replaced by the simulator's, and its positioner by the
-        simulator's socket, unless it has axes that carry the object.
+        The cell to simulate. The simulator's ports replace its ports, and the simulator's socket
+        its positioner, unless axes move the object.
     frames
         Data set or recording to play instead of pressing objects.
     folder
-        Where device links, socket and config are made; a temporary folder by default.
+        Folder of device links, socket and config; a temporary folder by default.
     announce
-        Gets device paths, and the path of the ready config as ``config``, when clients can come.
+        Gets the device paths, and the path of the config as ``config``, when clients can connect.
     until_parent_ends
-        Also end when the process that started this one is gone.
+        Also end when the parent process ends.
     """
     grasps: tuple[Grasp, ...] = read_grasps(frames) if frames is not None else ()
     layout = layout_from_pads(grasps[0].pads) if grasps else None
@@ -111,9 +111,9 @@ def serve_simulated_cell(
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Hold the folder of the device links: a second cell there would take the links of the first.
+    """Lock the folder of the device links: a second cell there would take the links of the first.
 
-    The lock (flock) is on the folder itself and ends with this process, however it ends.
+    The lock (flock) is on the folder itself and ends with this process.
     Raises CellError if another process holds it.
     """
     handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
@@ -133,7 +133,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
 def client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
     """Return the config with which another process reaches the simulated cell.
 
-    ``found`` is what the cell announces; see `simulator.realtime.process.serve`.
+    ``found``: announced values of the cell; see `simulator.realtime.process.serve`.
     """
     timeouts = {
         f"{section}.{key}": max(getattr(getattr(config, section), key), least)
@@ -155,7 +155,7 @@ def client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
 
 
 def _client_positioner(config: PositionerConfig, found: dict[str, Any]) -> dict[str, Any]:
-    """Return who moves the object for a client: the axes of the config, else the simulated cell."""
+    """Return the positioner for a client: the axes of the config, else the simulated cell."""
     socket = {"socket": found["positioner_socket"]}
     if config.kind != "axes":
         return {"kind": "simulated"} | socket

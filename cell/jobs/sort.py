@@ -1,4 +1,4 @@
-"""Sorting: each part is named, kept, brought to its place and let go there."""
+"""Sorting: each part is named, kept, brought to its place and released there."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -23,7 +23,7 @@ from recognition.recognizer import UNKNOWN
 class Places:
     """Places of a sort by the label of a part.
 
-    Raises ConfigError if the config names places, but none for one of these parts.
+    Raises ConfigError if the config names places, but a part has no place.
     """
 
     def __init__(self, config: CellConfig, labels: Iterable[str]) -> None:
@@ -68,40 +68,39 @@ class SortedPart:
     probability: float
     """Answer of its identification."""
     place: str
-    """Where it was let go."""
+    """Place where it was released."""
     n_grasps: int
     """Grasps of its identification."""
     truth: str | None = None
-    """What it was, of a simulated cell; None where nobody can tell."""
+    """The true object of a simulated cell; None if not known."""
     changed: tuple[str, ...] = ()
-    """What had changed in the grip on the way, for which it was rejected; empty where nothing had.
-    """
+    """Changes in the grip on the way, for which it was rejected; empty without any."""
 
     def as_json(self) -> dict[str, Any]:
-        """Return the part as plain data; ``was`` is what it was."""
+        """Return the part as plain data; ``was`` is the true object."""
         values = asdict(self)
         return values | {"was": values.pop("truth")}
 
 
 @dataclass(slots=True, kw_only=True)
 class Tally:
-    """Count of a sort, which is whole as far as it came when the sort ends early."""
+    """Counts of a sort so far, also valid if the sort ends early."""
 
     places: Places
     """The places."""
     parts: list[SortedPart] = field(default_factory=list)
-    """The parts that were let go at a place, in order."""
+    """The parts that were released at a place, in order."""
     n_missed: int = 0
-    """Turns in which no part was found."""
+    """Number of turns without a part."""
 
     @property
     def n_rejected(self) -> int:
-        """Parts at the place of the rejects."""
+        """Number of parts at the place of the rejects."""
         return self.counts[self.places.reject.place]
 
     @property
     def counts(self) -> dict[str, int]:
-        """Parts at each place."""
+        """Number of parts at each place."""
         found = Counter(part.place for part in self.parts)
         return {name: found[name] for name in self.places.names}
 
@@ -112,7 +111,7 @@ class Tally:
 
     @property
     def mistakes(self) -> tuple[SortedPart, ...]:
-        """Parts at the place of another kind, of a simulated cell; a reject is none."""
+        """Parts at the place of another kind (simulated cell); rejects do not count."""
         return tuple(
             part
             for part in self.parts
@@ -132,7 +131,7 @@ class Tally:
         }
 
     def as_json(self) -> dict[str, Any]:
-        """Return the count as plain data."""
+        """Return the counts as plain data."""
         return {
             "n_parts": len(self.parts),
             "n_missed": self.n_missed,
@@ -169,21 +168,21 @@ def sort_parts(
     Parameters
     ----------
     controller, model
-        The cell, started, and what it was taught.
+        The started cell and its taught model.
     tally
-        Gets each part when it has been let go.
+        Gets each released part.
     n_parts
-        How many turns there are.
+        Number of turns.
     feed
-        Returns what the positioner is to bring for a turn, from 0; None: what is there.
+        Returns the object for the positioner in a turn, from 0; None: the present object.
     seed
         Seed of the poses and forces of the first part; each further one has the next.
     max_grasps, force_n
         As `cell.jobs.identify.identify`.
     on_part
-        Called after each part, with what its identification has found.
+        Called after each part with its identification.
     on_missed
-        Called after each turn in which no part was found.
+        Called after each turn without a part.
 
     Raises
     ------
@@ -191,7 +190,7 @@ def sort_parts(
         If no part was found in `MISSES_IN_A_ROW` turns in a row.
     PositionerError
         If a place was refused or cannot be reached.
-    cell.errors.CellStopped, and what the devices raise
+    cell.errors.CellStopped, and errors of the devices
         As `CellController.identify` and `CellController.carry_to`.
     """
     misses = 0
@@ -236,7 +235,7 @@ def sort_parts(
 
 
 def simulated_feed(config: CellConfig, n_parts: int) -> list[str]:
-    """Return a mixed feed of the simulated objects, each kind as often as the others."""
+    """Return a mixed feed of the simulated objects, each kind equally often."""
     kinds = [entry.label for entry in config.simulator.objects]
     feed = [kinds[number % len(kinds)] for number in range(n_parts)]
     np.random.default_rng(config.seed).shuffle(feed)

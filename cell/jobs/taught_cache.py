@@ -1,6 +1,6 @@
 """The taught model of the built-in simulated cell, kept for the next start in the user's cache.
 
-A model is found only by the config, the version and the very code that it was taught with.
+A model is found only with the same config, version and code.
 """
 
 import hashlib
@@ -17,19 +17,19 @@ from cell.errors import CellError
 from cell.learning.taught_model import TaughtModel
 
 MODEL_FILE = "model.npz"
-"""Name of the model in its folder; its training set lies beside it under the name it gives."""
+"""Name of the model in its folder; its training set is beside it."""
 _NOT_OF_THE_MODEL = {"serve", "recording"}
-"""Sections of a config that change nothing about what is taught."""
+"""Sections of a config that do not affect the taught model."""
 _CODE = ("cell", "gripper", "recognition", "simulator", "tactile")
-"""Packages whose code decides what is taught: a checkout changes without its version."""
+"""Packages whose code affects the taught model: a checkout changes without its version."""
 _KEPT_MAX = 4
-"""Models that are kept; the oldest go first."""
+"""Most models that are kept; the oldest are removed."""
 
 
 def cached_model(config: CellConfig) -> Path | None:
-    """Return the model that is kept for a config; None where there is none that can be used.
+    """Return the kept model for a config, or None.
 
-    One that is broken, or that has lost its training set, is removed.
+    A damaged model, or one without its training set, is removed.
     """
     folder = _folder(config)
     path = folder / MODEL_FILE
@@ -45,10 +45,10 @@ def cached_model(config: CellConfig) -> Path | None:
 
 
 def keep_model(config: CellConfig, write: Callable[[Path], object]) -> Path:
-    """Keep a model for the next start, in the place of the one before, and return its path.
+    """Keep a model for the next start, replace the previous one, and return its path.
 
-    ``write`` writes `MODEL_FILE` and its training set into the folder that it gets. Raises OSError
-    or CellError if the files cannot be written: the next start has to teach again.
+    ``write`` writes `MODEL_FILE` and its training set into the given folder. Raises OSError or
+    CellError if the files cannot be written: the next start then teaches again.
     """
     folder = _folder(config)
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -74,6 +74,6 @@ def _folder(config: CellConfig) -> Path:
 
 
 def _code() -> list[Path]:
-    """Return the files of the packages that decide what is taught."""
+    """Return the files of the packages that affect the taught model."""
     folders = [folder for name in _CODE for folder in import_module(name).__path__]
     return sorted(file for folder in folders for file in Path(folder).rglob("*.py"))

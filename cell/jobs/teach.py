@@ -1,4 +1,4 @@
-"""Teaching: grasps of known objects, and the data sets that they are added to."""
+"""Teaching: grasps of known objects, and the data sets to which they are added."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,10 +23,10 @@ def teach(
     seed: int,
     on_grasp: Callable[[Collection], None],
 ) -> None:
-    """Grasp a known object and add its grasps to the training set; `train` is to follow.
+    """Grasp a known object and add its grasps to the training set; call `train` next.
 
-    What was grasped before an error stays in the training set. Raises CellStateError if the
-    training set of the loaded model is not at hand: its objects would be lost. Else it raises as
+    Grasps before an error stay in the training set. Raises CellStateError if the training set of
+    the loaded model is not available, because its objects would be lost. Else it raises as
     `Collection.fill`.
     """
     model.check_extendable()
@@ -44,27 +44,27 @@ def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
     Returns
     -------
     (added, before)
-        Grasps that were added, and those that the data set held before.
+        Number of added grasps, and of grasps in the data set before.
     """
     grasps = [grasp for grasp in read_grasps(source) if not grasp.label]
     if not grasps:
-        raise CellError(f"{source}: each of its grasps has a label; `train` takes it as it is")
+        raise CellError(f"{source}: each of its grasps has a label; use it with `train` directly")
     before = dataset_to_extend(dataset, grasps[0].pads)
     append_to_dataset(dataset, before, [replace(grasp, label=label) for grasp in grasps])
     return len(grasps), len(before)
 
 
 def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:
-    """Return the labelled grasps of a data set or recording; a note says how many have no label.
+    """Return the labelled grasps of a data set or recording; a note gives the number of others.
 
-    Raises CellError if none has a label: then nothing can be taught or tested with them.
+    Raises CellError if no grasp has a label: they can be neither taught nor tested.
     """
     grasps = read_grasps(path)
     named = tuple(grasp for grasp in grasps if grasp.label)
     if not named:
         raise CellError(
-            f"{path}: none of its {len(grasps)} grasps has a label; "
-            f"`tactile-cell teach LABEL --from {path} -o DATASET` adds them to a data set under one"
+            f"{path}: its {len(grasps)} grasps have no label; "
+            f"`tactile-cell teach LABEL --from {path} -o DATASET` adds them to a data set with one"
         )
     if n_without := len(grasps) - len(named):
         note(f"{path}: {n_without} grasps without a label are left out")
@@ -72,7 +72,7 @@ def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp
 
 
 def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
-    """Return the grasps that stood before already, at the same time with the same frames."""
+    """Return the grasps that repeat an earlier one: same time, same frames."""
     seen: dict[int, list[Grasp]] = {}
     found = []
     for grasp in grasps:
@@ -84,7 +84,7 @@ def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
 
 
 def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
-    """Return the grasps that a data set holds already, before grasps of these pads are taken.
+    """Return the present grasps of a data set, to which grasps of these pads will be added.
 
     Raises CellError if it cannot be read, holds grasps on other pads, or its folder does not exist.
     """
@@ -96,9 +96,9 @@ def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
 
 
 def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp]) -> None:
-    """Write a data set anew with further grasps at its end.
+    """Rewrite a data set with further grasps at its end.
 
-    Raises CellError if the new grasps were taken on other pads; the file stays as it was.
+    Raises CellError if the new grasps were taken on other pads; the file does not change.
     """
     _check_pads(path, before, new[0].pads)
     write_dataset(path, [*before, *new])

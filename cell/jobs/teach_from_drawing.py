@@ -1,4 +1,4 @@
-"""Teaching from a drawing: virtual grasps, as the cell would take them."""
+"""Teaching from a drawing: virtual grasps, equal to those of the cell."""
 
 import math
 
@@ -24,7 +24,7 @@ _PULSES = 4096
 _MODULUS_FURTHER = 2.5
 """Foams differ in stiffness more than in anything else."""
 _BEND, _LAG, _NOISE = 0.7, 1.0, 2.5
-"""How far converter, slowness of the foam and noise may be off, over how far the gain may be."""
+"""Uncertainty of converter, slowness of the foam and noise, relative to that of the gain."""
 
 
 @one_blas_thread()
@@ -52,11 +52,11 @@ def teach_drawing(
     label, drawing, kind
         Name, shape and class of shape of the object.
     known
-        What is known of foam and sensor; by default what is usual, under the config's law.
+        Foam and sensor; by default the usual ones, under the config's law.
     seed
-        Of poses, forces, noise and all that is not known exactly.
+        Of poses, forces, noise and all uncertain values.
     start_ms
-        Time of the first grasp; each next one counts a second more.
+        Time of the first grasp; each next grasp is a second later.
     """
     known = known or PadKnowledge(foam=usual_foam(config))
     layout = layout_from_config(config.tactile)
@@ -94,7 +94,7 @@ def teach_drawing(
 
 
 def course_of(config: CellConfig, known: PadKnowledge) -> Course:
-    """Return how the configured cell moves."""
+    """Return the motion of the configured cell."""
     drive, settings = config.gripper.linkage, config.gripper_settings
     arm_mm = drive.link_mm if isinstance(drive, ParallelLinkageConfig) else drive.pinion_radius_mm
     step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
@@ -122,7 +122,7 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
 
 
 def _noise(config: CellConfig, pads: PadArray, rest: NDArray[np.uint16] | None) -> Noise:
-    """Return the noise: frames of the gauge's untouched pads, else that of the simulated cell."""
+    """Return the noise: of the gauge's untouched frames, else that of the simulated cell."""
     if rest is not None:
         frames = rest.astype(np.float64)
         return lambda rng, n_frames: frames[rng.integers(len(frames), size=n_frames)]

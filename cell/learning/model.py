@@ -1,7 +1,7 @@
 """Model files: a trained recogniser as plain arrays and one JSON header in an npz archive.
 
-Nothing in a model file is ever executed. A model is refused before any hardware is touched when
-its format, its pads or the version of its features are not those of this program.
+Nothing in a model file is ever executed. A model is refused before any hardware is used if its
+format, its pads or the version of its features differ from this program.
 """
 
 import hashlib
@@ -20,20 +20,20 @@ from numpy.typing import NDArray
 from cell.data.files import read_npz, savez, write_atomically
 from cell.data.formats import MODEL
 from cell.data.grasp_limits import text_refused
-from cell.errors import ModelError, reason_text
+from cell.errors import ConfigError, ModelError, reason_text
+from cell.plugins import RECOGNISERS
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer
-from recognition.recognizers import recognizer_module, trainer_names
 
 _REHEARSED_FRAMES = 40
-"""Frames of the made-up grasp, about as many as a short ramp has."""
+"""Frames of the artificial grasp, about as many as in a short ramp."""
 _REHEARSED_FORCE_N = 8.0
 """Force in N at the end of its ramp: the largest of the default sequence."""
 
 
 def made_up_grasp(pads: PadArray) -> Grasp:
-    """Return a round part in the middle of all pads, pressed ever harder, at a known opening."""
+    """Return a round part in the middle of all pads, with growing force at a known opening."""
     share = np.linspace(0.0, 1.0, _REHEARSED_FRAMES)
     offset_m = pads.taxel_xy_m - pads.taxel_xy_m.mean(axis=0)
     extent_m = max(float(np.abs(offset_m).max()), 1e-6)
@@ -49,9 +49,9 @@ def made_up_grasp(pads: PadArray) -> Grasp:
 
 
 def rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
-    """Classify a grasp, and without its opening, so that arrays that do not fit fail now.
+    """Classify a grasp with and without its opening, so that wrong arrays fail now.
 
-    A recogniser that refuses the grasp for what it is raises a RecognitionError; that is no fault.
+    A RecognitionError, with which a recogniser refuses the grasp itself, is no failure.
     """
     for one in (grasp, replace(grasp, aperture_m=np.array(np.nan))):
         with suppress(RecognitionError):
@@ -61,10 +61,10 @@ def rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
 
 
 MODEL_LIMIT_BYTES = 256 << 20
-"""Largest unpacked size in bytes of a model file that is read; real ones have a few MB."""
+"""Largest unpacked size in bytes of a model file; real ones have a few MB."""
 
 _NAMED_BEFORE = {"ForceRamp": "ForceRampRecognizer"}
-"""Names of classes today, by those that stand in the headers of older model files."""
+"""Present names of classes, by the names in the headers of older model files."""
 
 Arrays = Mapping[str, NDArray[Any]]
 """Plain arrays by name."""
@@ -81,14 +81,14 @@ _UNSUITABLE = (
     RecursionError,
     RuntimeWarning,
 )
-"""Errors of arrays that have not the shapes, types or values that a recogniser expects."""
+"""Errors of arrays with other shapes, types or values than a recogniser expects."""
 _LARGEST = np.float64(1e12)
-"""Largest number of a model, far beyond all that training gives: its square is finite, too."""
+"""Largest number of a model, far beyond any training result: its square is finite, too."""
 _UNKNOWN_ALLOWED = (".drawn_m", ".mean", ".spread", ".low", ".high")
-"""Ends of the names of arrays that have NaN for an object: one that was not drawn, or one whose
-grasps have no level (`recognition.recognizers.level_check`)."""
+"""Ends of the names of arrays that have NaN for some objects: an object without a drawing, or one
+whose grasps have no level (`recognition.recognizers.level_check`)."""
 _FARTHEST_M = 10.0
-"""Largest coordinate of a taxel in m that is taken for one: far beyond any gripper."""
+"""Largest accepted coordinate of a taxel in m: far beyond any gripper."""
 _HEADER = "model"
 _PREFIX = "learnt."
 _PADS = "pads."
@@ -98,12 +98,12 @@ _OWN_SECTIONS = ("model", "learnt", "pads")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedModel:
-    """Content of a model file that was read and suits this program."""
+    """Content of a model file that fits this program."""
 
     recognizer: Recognizer
-    """Ready to answer."""
+    """The recogniser, ready to answer."""
     trainer_name: str
-    """Name of its kind, one of `recognition.recognizers.trainer_names`."""
+    """Name of its kind, one of `cell.plugins.RECOGNISERS`."""
     labels: tuple[str, ...]
     """The taught objects."""
     pads: PadArray
@@ -114,16 +114,16 @@ class LoadedModel:
     """Further arrays of the file by section; see `section`."""
 
     def section(self, name: str, build: Callable[[Arrays], _T]) -> _T | None:
-        """Return what ``build`` makes of a section's arrays; None where there is no such section.
+        """Return the result of ``build`` for a section's arrays; None without the section.
 
-        Raises ModelError if the arrays are not what ``build`` takes.
+        Raises ModelError if the arrays do not fit ``build``.
         """
         arrays = self.sections.get(name)
         return None if arrays is None else _built(self.path, lambda: build(arrays))
 
 
 def layout_hash(pads: PadArray) -> str:
-    """Return 16 hex digits that are equal for equal pads: shapes, places to 1 um, full scale."""
+    """Return a hash of the pads, 16 hex digits: shapes, places to 1 um, full scale."""
     digest = hashlib.sha256()
     for array in (pads.pad_shape, pads.taxel_pad, np.rint(pads.taxel_xy_m * 1e6)):
         digest.update(np.asarray(array, dtype="<i8").tobytes() + b"|")
@@ -141,20 +141,19 @@ def save_model(
 ) -> None:
     """Write a taught recogniser, whole or not at all.
 
-    Raises ModelError if the kind is unknown or the disk refuses, and ValueError if a section has no
-    name of its own.
+    Raises ModelError if the kind is unknown or the write fails, and ValueError if the name of a
+    section is invalid.
 
     Parameters
     ----------
     path
         The model file; an older one stays until the new one is whole.
     trainer_name
-        Its kind, one of `recognition.recognizers.trainer_names`.
+        Its kind, one of `cell.plugins.RECOGNISERS`.
     pads
         The pads that it was taught on.
     sections
-        Further arrays, by the name of a section and their own; a program without use for a section
-        leaves it alone.
+        Further arrays, by the name of a section and their own; programs ignore unknown sections.
     """
     path = Path(path)
     kind = type(recognizer)
@@ -170,7 +169,7 @@ def save_model(
     }
     for section, content in (sections or {}).items():
         if not section.isidentifier() or section in _OWN_SECTIONS:
-            raise ValueError(f"{section!r} is no name of a section")
+            raise ValueError(f"{section!r} is not a valid name of a section")
         arrays |= {f"{section}.{name}": np.asarray(array) for name, array in content.items()}
     header = {
         "format": str(MODEL),
@@ -187,8 +186,8 @@ def save_model(
 def load_model(path: Path | str, expected_pads: PadArray | None = None) -> LoadedModel:
     """Read a model file.
 
-    It is read for the pads of a cell, or for its own. Raises ModelError if the file is damaged, no
-    model, of another version, or was taught on other pads.
+    By default for its own pads. Raises ModelError if the file is damaged, not a model, of another
+    version, or was taught on other pads.
     """
     path = Path(path)
     arrays = read_npz(path, error=ModelError, what="model", limit_bytes=MODEL_LIMIT_BYTES)
@@ -232,7 +231,7 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
 
 
 def check_pads(model: LoadedModel, pads: PadArray) -> None:
-    """Refuse a model that was trained on other pads. Raises ModelError."""
+    """Raise ModelError for a model that was trained on other pads."""
     if not model.pads.same_as(pads):
         raise ModelError(
             f"the model was taught on {model.pads.n_taxels} taxels in {model.pads.n_pads} pads, "
@@ -242,7 +241,7 @@ def check_pads(model: LoadedModel, pads: PadArray) -> None:
 
 
 def what_differs(taught: PadArray, pads: PadArray) -> str:
-    """Return what differs between pads of which there are as many, as text."""
+    """Return the difference of two pad arrays with the same number of pads, as text."""
     if (taught.n_taxels, taught.n_pads) != (pads.n_taxels, pads.n_pads):
         return ""
     if taught.adc_max != pads.adc_max:
@@ -259,14 +258,14 @@ def _section(arrays: Arrays, prefix: str) -> dict[str, NDArray[Any]]:
 
 
 def _built(path: Path, build: Callable[[], _T]) -> _T:
-    """Return what is built of a file's arrays. Raises ModelError where they do not suit."""
+    """Return the result of ``build`` for a file's arrays. Raises ModelError if they do not fit."""
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"), catch_warnings():
             simplefilter("error", RuntimeWarning)
             return build()
     except _UNSUITABLE as cause:
         raise ModelError(
-            f"{path} does not suit this program ({reason_text(cause)}); {MODEL.remedy}"
+            f"{path} does not fit this program ({reason_text(cause)}); {MODEL.remedy}"
         ) from cause
 
 
@@ -275,13 +274,13 @@ def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     if "grasp_offsets" in arrays:
         raise ModelError(f"{path} is a data set: `tactile-cell train {path}` makes a model of it")
     if text is None or text.dtype.kind != "U" or text.shape != ():
-        raise ModelError(f"{path} is no model file: it has no header; train a model first")
+        raise ModelError(f"{path} is not a model file: it has no header; train a model first")
     try:
         header = json.loads(str(text))
     except (ValueError, RecursionError) as cause:
-        raise ModelError(f"{path}: its header is no JSON ({cause})") from cause
+        raise ModelError(f"{path}: its header is not JSON ({cause})") from cause
     if not isinstance(header, dict):
-        raise ModelError(f"{path}: its header is no object; {MODEL.remedy}")
+        raise ModelError(f"{path}: its header is not an object; {MODEL.remedy}")
     MODEL.check(header.get("format"), path, ModelError)
     rest = {name: array for name, array in arrays.items() if name != _HEADER}
     if header.get("sha256") != _digest(rest):
@@ -304,7 +303,7 @@ def _check_numbers(path: Path, arrays: Arrays) -> None:
         known = ~np.isnan(array) if name.endswith(_UNKNOWN_ALLOWED) else ...
         if not np.all(np.abs(array[known]) <= _LARGEST):
             raise ModelError(
-                f"{path}: {name} holds a value that is no number up to {_LARGEST:g}; train it again"
+                f"{path}: {name} has a value beyond the limit {_LARGEST:g}; train it again"
             )
 
 
@@ -312,7 +311,7 @@ def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
     try:
         places_m = arrays[f"{_PADS}taxel_xy_m"]
         if places_m.dtype.kind != "f" or not np.all(np.abs(places_m) <= _FARTHEST_M):
-            raise ValueError(f"a place is no number up to {_FARTHEST_M:g} m")
+            raise ValueError(f"a coordinate is beyond the limit {_FARTHEST_M:g} m")
         with np.errstate(invalid="raise"):
             return PadArray(
                 pad_shape=arrays[f"{_PADS}shape"],
@@ -327,12 +326,11 @@ def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
 
 
 def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer]:
-    """Return a recogniser's class; a file can only name those that this program offers."""
-    if trainer_name not in trainer_names():
-        raise ModelError(
-            f"{path} is of the kind {trainer_name!r}; there are {', '.join(trainer_names())}"
-        )
-    module = importlib.import_module(recognizer_module(trainer_name))
+    """Return a recogniser's class; a file can only name the classes of this program."""
+    try:
+        module = importlib.import_module(RECOGNISERS.entry(trainer_name).module)
+    except (ConfigError, ImportError) as error:
+        raise ModelError(f"{path} is of the kind {trainer_name!r}: {error}") from error
     found = getattr(module, class_name, None)
     if not isinstance(found, type) or not hasattr(found, "from_arrays"):
         raise ModelError(f"{path}: {trainer_name} has no recogniser named {class_name!r}")

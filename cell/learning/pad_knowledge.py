@@ -26,22 +26,22 @@ from recognition.shape.models import Drawing
 from recognition.shape.residuals import PadUncertainty
 
 _UNKNOWN_SD = 0.1
-"""Relative standard deviation of modulus, gain and spread of a foam that was not gauged."""
+"""Relative standard deviation of modulus, gain and spread of a foam without a gauge."""
 _LEAST_SD = 0.03
-"""Smallest relative standard deviation after a gauge: what a few grasps can show at best."""
+"""Smallest relative standard deviation after a gauge: the best result of a few grasps."""
 _OTHER_FOAMS = 2.5
-"""Virtual grasps without a gauge are drawn with so many times the deviations."""
+"""Factor on the deviations of virtual grasps without a gauge."""
 _OTHER_THAN_GAUGED = 0.3
-"""Share of the spread between foams that is left for a fit of shape after a gauge."""
+"""Share of the spread between foams that remains for a shape fit after a gauge."""
 _OTHER_THAN_ONE_SHAPE = 1.4
-"""Virtual grasps after a gauge are drawn with so many times the deviations: it was one shape."""
+"""Factor on the deviations of virtual grasps after a gauge with its single shape."""
 _DEPTH_SD_M = 0.2e-3
-"""How far the zero that one shape gives may be from that of others, in m."""
+"""Difference in m between the zeros that two shapes give."""
 _MIN_QUIET = 5
-"""Frames of the untouched pads that suffice to draw noise from."""
+"""Number of frames of the untouched pads that suffice as a source of noise."""
 _BAD_MISFIT = 2.5
-"""Misfit of a gauge, where 1 is the noise, from which its shape is doubted."""
-_BAD_FIT = " where 1 is the noise: is this the gauge's shape? These pads are not understood"
+"""Misfit of a gauge, where 1 is the noise, above which its shape is doubtful."""
+_BAD_FIT = " where 1 is the noise: is this the gauge's shape? The model does not fit these pads"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,14 +57,13 @@ class PadKnowledge:
     thickness_sd: float = 0.6 * _UNKNOWN_SD
     """Relative standard deviations."""
     other_foams: float = _OTHER_FOAMS
-    """Virtual grasps are drawn with this many times these deviations: a name that was taught
-    without a gauge has to hold on whatever foam it will meet, and a grasp on another foam is no
-    unknown object. A gauge tells of one shape only; others differ from what it makes of the foam by
-    more than its deviations."""
+    """Factor on these deviations for virtual grasps. Without a gauge a name must hold on any foam,
+    and a grasp on another foam is not an unknown object. A gauge has one shape only; other shapes
+    differ from its foam model by more than its deviations."""
     aperture_sd_m: float = 0.2e-3
     """Standard deviation in m of the measured opening."""
     zero: SelfZero = field(default_factory=drawn_zero)
-    """Self-zero of the hand whose openings these are: of the gauge's grasps, else nominal."""
+    """Self-zero to which the openings refer: of the gauge's grasps, else nominal."""
     rest: NDArray[np.uint16] | None = None
     """(n, n_taxels) uint16 or None: frames of the untouched pads; None without a gauge."""
     fit: FoamFit | None = None
@@ -115,13 +114,13 @@ class PadKnowledge:
 
 
 def usual_foam(config: CellConfig) -> FoamModel:
-    """Return the usual foam on a sensor that follows the config's law from force to counts."""
+    """Return the usual foam on a sensor with the config's law from force to counts."""
     law = sensor_law(config)
     return FoamModel(gain=law.gain, full_scale_n=law.full_scale_n)
 
 
 def gauge_shape(grasps: Sequence[Grasp], text: str | None, config: CellConfig) -> Drawing:
-    """Return the shape of the gauge: as given, else the configured object of the grasps' label.
+    """Return the shape of the gauge: as given, else the configured object with the grasps' label.
 
     Raises CellError if the grasps are of several objects, or their shape is not known.
     """
@@ -142,8 +141,8 @@ def calibrate_on_gauge(
 ) -> PadKnowledge:
     """Fit stiffness and gain to grasps of a known object.
 
-    ``pads`` are those of the cell; ``foam`` is what the fit begins with, equation (11) by default.
-    Raises CellError if the grasps were taken on other pads, or do not suffice.
+    ``pads`` are those of the cell; ``foam`` is the start of the fit, equation (11) by default.
+    Raises CellError if the grasps were taken on other pads, or are too few.
     """
     if not grasps[0].pads.same_as(pads):
         raise CellError(
@@ -172,11 +171,11 @@ def calibrate_on_gauge(
 
 
 def pad_knowledge(config: CellConfig, gauge: Path | None, gauge_text: str | None) -> PadKnowledge:
-    """Return foam and sensor by a gauge, or the usual ones without one.
+    """Return foam and sensor from a gauge, or the usual ones without a gauge.
 
-    The gauge is a data set or recording of grasps of one known object, its shape by default that of
-    the configured object of their label. Raises ConfigError if a shape is given without grasps, or
-    is none, and CellError if the grasps cannot be read, or do not suffice.
+    The gauge is a data set or recording of grasps of one known object; its shape is by default that
+    of the configured object with their label. Raises ConfigError if a shape is invalid or given
+    without grasps, and CellError if the grasps cannot be read, or are too few.
     """
     foam = usual_foam(config)
     if gauge is None:
@@ -190,7 +189,7 @@ def pad_knowledge(config: CellConfig, gauge: Path | None, gauge_text: str | None
 
 
 def _rest_frames(grasps: Sequence[Grasp]) -> NDArray[np.uint16] | None:
-    """Return the frames before the touch of all grasps, None where there are too few."""
+    """Return the frames before the touch of all grasps; None if they are too few."""
     rest = learn_rest(grasps)
     parts = []
     for grasp in grasps:

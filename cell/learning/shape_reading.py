@@ -1,4 +1,4 @@
-"""Shape and size in the cell: how they are read from a grasp, and how they are put in words."""
+"""Shape and size in the cell: read from a grasp, and written as text."""
 
 from cell.config.model import CellConfig
 from cell.control.identification import ReadShape
@@ -11,7 +11,7 @@ from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import UNCLEAR, ShapeAnswer, shape_of
 
 NO_SHAPE = "no shape: it needs two facing pads of 2 x 2 taxels or more, both pressed"
-"""Text in place of shape and size where the pads of a grasp do not show them."""
+"""Text instead of shape and size if the pads of a grasp do not show them."""
 
 _NOUNS = {
     "sphere": "a sphere",
@@ -24,20 +24,20 @@ _NOUNS = {
 
 
 def shape_reader(config: CellConfig, known: PadKnowledge | None = None) -> ReadShape | None:
-    """Return the function that reads shape and size on a cell; None where the config wants none.
+    """Return the function that reads shape and size on a cell; None if the config has them off.
 
     Foam and sensor are by default the usual ones, under the config's law. Raises ConfigError if
-    there is a gauge, and the config wants no shapes.
+    there is a gauge although ``recognition.shape`` is off.
     """
     if not config.recognition.shape:
         if known is not None and known.fit is not None:
-            raise ConfigError("a gauge serves shape and size, which recognition.shape leaves out")
+            raise ConfigError("a gauge serves shape and size, but recognition.shape is off")
         return None
     return reader_under(known or PadKnowledge(foam=usual_foam(config)))
 
 
 def reader_under(known: PadKnowledge) -> ReadShape:
-    """Return the function that reads shape and size on pads of that foam and sensor."""
+    """Return the function that reads shape and size on pads with this foam and sensor."""
     foam, trust = known.foam, known.trust
 
     @one_blas_thread()
@@ -51,13 +51,13 @@ def reader_under(known: PadKnowledge) -> ReadShape:
 
 
 def in_words(shape: ShapeAnswer) -> str:
-    """Return shape and size as of an object without a name: ``a cylinder of 6.1 mm (...)``."""
+    """Return shape and size of an object without a name: ``a cylinder of 6.1 mm (...)``."""
     sizes = " and ".join(map(str, shape.thicknesses))
     return f"{_NOUNS.get(shape.kind, shape.kind)} of {sizes}"
 
 
 def beside(label: str, shape: ShapeAnswer | None) -> str:
-    """Return shape and size as text to stand behind a label; empty where there is none."""
+    """Return shape and size as text after a label; empty without a shape."""
     if shape is None:
         return ""
     return f": {in_words(shape)}" if label == UNKNOWN else f"; {shape}"

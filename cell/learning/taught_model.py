@@ -1,4 +1,4 @@
-"""The taught model of a cell: what it is taught now, its answers, and the drift that it follows."""
+"""The taught model of a cell: its objects, its answers, and the drift that it follows."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -22,34 +22,34 @@ from cell.learning.training_set import (
     saved_training_set,
     training_section,
 )
+from cell.plugins import RECOGNISERS
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
 from recognition.drift.self_zero import foam_change
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
-from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from recognition.shape.answer import ShapeAnswer
 
 
 class TaughtModel:
-    """A recogniser of taught objects with all that belongs to it in a running cell.
+    """A recogniser of taught objects with its data in a running cell.
 
-    Beside the recogniser, which follows the drift, these are its training set, the shapes of the
-    taught objects, and early classifiers where the config uses them. One thread changes it, others
-    may read it meanwhile. Raises ModelError if the model was trained on other pads or lacks what
-    the config needs, or the training set is not that of the model.
+    These are its training set, the shapes of the taught objects, and early classifiers if the
+    config uses them. The recogniser follows the drift. One thread changes the model, others may
+    read it. Raises ModelError if the model was trained on other pads, lacks a needed part, or has
+    another training set.
 
     Parameters
     ----------
     config
         The cell.
     model
-        A model file that was read; None where nothing was taught yet.
+        A loaded model file; None if nothing was taught yet.
     training_set
-        The grasps that trained the model; empty where they are not at hand.
+        The grasps that trained the model; empty if they are not available.
     known
         Foam and sensor, for shape and size; by default the usual ones.
     """
@@ -66,7 +66,7 @@ class TaughtModel:
         self.training_set = tuple(training_set)
         self.shapes = TaughtShapes(config, known)
         self.revision = 0
-        """Changes of what is taught so far."""
+        """Number of changes of the taught objects."""
         self._pads = pad_array(layout_from_config(config.tactile))
         self._trained: Trained | None = None
         self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
@@ -86,11 +86,11 @@ class TaughtModel:
         training_set: Path | str | None = None,
         known: PadKnowledge | None = None,
     ) -> Self:
-        """Read a model file, and its training set where there is one.
+        """Read a model file, and its training set if there is one.
 
-        ``training_set`` is the data set of the grasps that trained it, by default the one that
-        `save` wrote with it, where that still stands beside it. Raises ModelError or DatasetError
-        if a file cannot be read, or does not suit the config.
+        ``training_set`` is the data set of the grasps that trained it, by default the file that
+        `save` wrote beside it, if it is still there. Raises ModelError or DatasetError if a file
+        cannot be read, or does not fit the config.
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
         grasps = saved_training_set(model) if training_set is None else read_dataset(training_set)
@@ -109,7 +109,7 @@ class TaughtModel:
 
     @property
     def early(self) -> EarlyClassifiers | None:
-        """Classifiers for ramps that end early; None where the cell uses none."""
+        """Classifiers for ramps that end early; None if the cell uses none."""
         return self.check_taught().early
 
     @property
@@ -119,7 +119,7 @@ class TaughtModel:
 
     @property
     def drift(self) -> DriftGrid | None:
-        """The drift since teaching; None where it is not followed."""
+        """The drift since teaching; None if drift is not followed."""
         recognizer = None if self._trained is None else self._trained.recognizer
         return recognizer.grid if isinstance(recognizer, DriftFollowing) else None
 
@@ -127,11 +127,11 @@ class TaughtModel:
 
     @property
     def extendable(self) -> bool:
-        """Whether teaching keeps the objects of before: their grasps are at hand."""
+        """Whether teaching keeps the earlier objects, because their grasps are available."""
         return self._trained is None or bool(self.training_set)
 
     def check_extendable(self) -> None:
-        """Raise TrainingSetMissing where teaching would lose the objects of a loaded model."""
+        """Raise TrainingSetMissing if teaching would lose the objects of a loaded model."""
         if not self.extendable:
             raise TrainingSetMissing(
                 "name the data set that trained the model when it is loaded, or begin without a "
@@ -150,9 +150,9 @@ class TaughtModel:
         self.training_set += tuple(grasps)
 
     def train(self) -> None:
-        """Train anew on the whole training set; the drift followed so far stays followed.
+        """Train on the whole training set; the followed drift is kept.
 
-        Raises CellError if the grasps do not suffice; they are kept.
+        Raises CellError if there are too few grasps; they are kept.
         """
         wanted, grid = self.config.recognition, self.drift
         try:
@@ -170,10 +170,10 @@ class TaughtModel:
         self.revision += 1
 
     def forget(self, label: str, *, last: bool = False) -> None:
-        """Forget an object and train anew without it; with ``last`` its newest grasp alone.
+        """Forget an object, or with ``last`` only its newest grasp, and train without it.
 
-        Raises CellStateError if it was not taught, or its grasps are not at hand, and CellError if
-        the grasps that are left do not suffice; nothing is forgotten then.
+        Raises CellStateError if it was not taught, or its grasps are not available. Raises
+        CellError if too few grasps would remain; nothing is forgotten then.
         """
         self.check_extendable()
         before = self.training_set
@@ -191,22 +191,22 @@ class TaughtModel:
         except CellError as error:
             self.training_set = before
             raise CellError(
-                f"{label!r} stays as it is taught, because too little would be left: "
+                f"{label!r} is unchanged, because too few grasps would remain: "
                 f"{error.__cause__ or error}; teach more first, or forget the whole object"
             ) from error
 
     def told_apart(self, label: str) -> ToldApart:
-        """Return how well a taught object is told from the others; takes two small trainings."""
+        """Return how well a taught object differs from the others; runs two small trainings."""
         wanted = self.config.recognition
-        trainer = make_trainer(wanted.recognizer, use_aperture=wanted.use_aperture)
+        trainer = RECOGNISERS[wanted.recognizer](use_aperture=wanted.use_aperture)
         return told_apart(self.training_set, label, trainer)
 
     # -- taught objects ------------------------------------------------------------------------
 
     def objects(self) -> dict[str, tuple[int, ShapeAnswer | None]]:
-        """Return the taught objects with their number of grasps, and the shape by the newest one.
+        """Return the taught objects with their number of grasps, and the shape of the newest one.
 
-        A grasp that is not at hand counts for none. No shape is known before `read_shapes`.
+        Only available grasps count. No shape is known before `read_shapes`.
         """
         counts, newest = Counter(grasp.label for grasp in self.training_set), self._newest
         return {
@@ -220,7 +220,7 @@ class TaughtModel:
         return not self.shapes.unread(self._newest)
 
     def read_shapes(self) -> None:
-        """Read the shapes of `objects` that are not known yet: some tenths of a second for each."""
+        """Read the missing shapes of `objects`: some tenths of a second for each."""
         for _label in self.shapes.read_newest(self._newest):
             self.revision += 1
 
@@ -231,14 +231,14 @@ class TaughtModel:
     # -- drift ---------------------------------------------------------------------------------
 
     def check_gauge(self, label: str) -> ForceRampRecognizer:
-        """Return the recogniser as far as it can be gauged with an object; see `gaugeable`."""
+        """Return the recogniser if it can be gauged with an object; see `gaugeable`."""
         return gaugeable(self.check_taught(), label)
 
     def gauge(self, label: str, grasps: Sequence[Grasp]) -> tuple[Drift, Drift]:
-        """Learn from grasps of a taught object what has drifted since teaching.
+        """Measure the drift since teaching with grasps of a taught object.
 
-        Returns the drift before and after it. Every gauge begins at the teaching: corrections do
-        not add up. Raises as `check_gauge` and `gauged`; nothing changes then.
+        Returns the drift before and after it. Every gauge starts from the teaching: corrections do
+        not accumulate. Raises as `check_gauge` and `gauged`; nothing changes then.
         """
         taught = self.check_gauge(label)
         found = gauged(taught.without_gauges(), label, grasps)
@@ -247,15 +247,15 @@ class TaughtModel:
         return taught.grid.drift, found.grid.drift
 
     def forget_drift(self) -> None:
-        """Begin following the drift anew, as after work on the sensors."""
+        """Reset the followed drift, e.g. after work on the sensors."""
         if (grid := self.drift) is not None:
             self._with_grid(grid.without_unnamed())
         self._drift_remarked = False
 
     def remark_on(self, records: Sequence[GraspRecord]) -> str:
-        """Follow the drift by the grasps of an answer; return what people have to be told, once.
+        """Follow the drift with the grasps of an answer; return new remarks for the operator.
 
-        Empty where there is nothing new: of the drift, or of what the model lacks.
+        A remark about the drift or a missing part of the model is returned once; else empty.
         """
         if remark := self._follow(records):
             return remark
@@ -266,10 +266,10 @@ class TaughtModel:
         return ""
 
     def _follow(self, records: Sequence[GraspRecord]) -> str:
-        """Follow the drift by whole grasps; return a remark where it has become likely, or is gone.
+        """Follow the drift with whole grasps; return a remark when it becomes likely, or is gone.
 
-        Grasps whose ramp ended before its force, or that held nothing, are left out: classifiers of
-        ramps cut short judge a drift in other ways, and both together let more new objects pass.
+        Grasps whose ramp ended below its force, or that held nothing, are omitted: early
+        classifiers judge a drift differently, and both together accept more new objects.
         """
         recognizer = self.recognizer
         if not self.config.recognition.follow_drift or not isinstance(recognizer, DriftFollowing):
@@ -284,7 +284,7 @@ class TaughtModel:
         self._drift_remarked = grid.likely
         if grid.likely:
             return f"the sensors have drifted since teaching: {drift_text(grid.drift)}"
-        return "the sensors are as they were taught again"
+        return "the sensors are again as at the teaching"
 
     def _with_grid(self, grid: DriftGrid) -> None:
         recognizer = self.recognizer
@@ -292,35 +292,35 @@ class TaughtModel:
         self._trained = replace(self.check_taught(), recognizer=recognizer.with_grid(grid))
 
     def _lacks(self, records: Sequence[GraspRecord]) -> Iterator[str]:
-        """Yield what the model lacks of what the cell would use, and another foam than its own."""
+        """Yield remarks about missing parts of the model, and about a changed foam."""
         recognizer = self.recognizer
         if not isinstance(recognizer, ForceRampRecognizer):
             return
         today = records[-1].grasp.zero if records else None
         if recognizer.zero and today and (times := foam_change(recognizer.zero, today)):
             yield (
-                f"the foam is {times:.1f} times as stiff as when the objects were taught, so that "
-                "fewer parts get a name: look at the pads, and teach again if they are new"
+                f"the foam is {times:.1f} times as stiff as at the teaching, so fewer parts get a "
+                "name: look at the pads, and teach again if they are new"
             )
         if recognizer.zero is None and any(one.grasp.zero is not None for one in records):
             yield (
-                "the model was taught without a self-zero, so that today's changes nothing and "
+                "the model was taught without a self-zero, so today's self-zero is not used and "
                 "answers allow for any drift: teach again after a self-zero, or gauge"
             )
         if self.config.decides_early and self.early is None and may_end_early(recognizer):
             yield (
-                "the model was taught without ramps cut short, so that none ends early: train it "
-                "again, or set sequence.decide_early to false"
+                "the model has no early classifiers, so no ramp ends early: train it again, or set "
+                "sequence.decide_early to false"
             )
 
     # -- files ---------------------------------------------------------------------------------
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:
-        """Write the model file, and its training set where it is at hand and not written yet.
+        """Write the model file, and its training set if it is available and not written yet.
 
         The training set goes to ``NAME.grasps.npz`` beside the model. With ``followed`` the model
-        expects the drift that was followed so far. Raises CellStateError if nothing was taught yet,
-        and ModelError or DatasetError if a file cannot be written.
+        expects the drift followed so far. Raises CellStateError if nothing was taught yet, and
+        ModelError or DatasetError if a file cannot be written.
         """
         path, trained = Path(path), self.check_taught()
         recognizer, sections = trained.recognizer, dict(trained.sections)

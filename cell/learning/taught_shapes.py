@@ -1,4 +1,4 @@
-"""Shapes of the taught objects: read from the newest grasp of each, once."""
+"""Shapes of the taught objects: read once from the newest grasp of each."""
 
 from collections.abc import Iterator, Mapping
 
@@ -11,7 +11,7 @@ from recognition.shape.answer import ShapeAnswer
 
 
 class TaughtShapes:
-    """Shape and size of each taught object, as far as they were read.
+    """Shape and size of the taught objects read so far.
 
     Raises ConfigError as `shape_reader`.
 
@@ -23,18 +23,18 @@ class TaughtShapes:
 
     def __init__(self, config: CellConfig, known: PadKnowledge | None = None) -> None:
         self.reader = shape_reader(config, known)
-        """Reads shape and size from a grasp; None where the config wants none."""
+        """Reads shape and size from a grasp; None if the config has them off."""
         self._read: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
 
     def read(self, grasp: Grasp) -> ShapeAnswer | None:
-        """Return shape and size by one grasp; None where it does not show them."""
+        """Return shape and size from one grasp; None if it does not show them."""
         try:
             return None if self.reader is None else self.reader(grasp)
         except (RecognitionError, ValueError):
             return None
 
     def of(self, label: str, newest: Grasp | None) -> ShapeAnswer | None:
-        """Return the shape of an object by its newest grasp; None where that was not read."""
+        """Return the shape of an object from its newest grasp; None if not read yet."""
         read_from, shape = self._read.get(label, (None, None))
         return shape if read_from is newest else None
 
@@ -43,7 +43,7 @@ class TaughtShapes:
         return [one for one in newest if self._read.get(one, (None,))[0] is not newest[one]]
 
     def read_newest(self, newest: Mapping[str, Grasp]) -> Iterator[str]:
-        """Read the shapes that are not known yet, some tenths of a second for each; yield whose."""
+        """Read the missing shapes, some tenths of a second for each; yield their labels."""
         for label in self.unread(newest):
             self._read[label] = (newest[label], self.read(newest[label]))
             yield label

@@ -1,4 +1,4 @@
-"""Teaching summary: how much the grasps that teach a model vary, and what is not in them."""
+"""Teaching summary: how much the taught grasps vary, and what is missing."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,16 +12,15 @@ from recognition.recognizer import Posterior, Trainer
 from recognition.statistics.calibration import blocked_folds
 
 _ENOUGH_GRASPS = 10
-"""Grasps of an object from which names are sure enough within a series."""
+"""Least number of grasps of an object for sure names within a series."""
 _MISSED = "one in six"
-"""Single grasps of taught objects that are UNKNOWN, and of others that get a name, where two to
-eight alike objects were taught with three or four (docs/decisions/0006-parts-of-the-recogniser.md).
-"""
+"""Share of single grasps of taught objects that are UNKNOWN, and of others that get a name, after
+two to eight similar objects were taught with three or four grasps
+(docs/decisions/0006-parts-of-the-recogniser.md)."""
 _FOLDS = 2
-"""Parts of the grasps that are left out in turn: as few as there can be, for each costs a training.
-"""
+"""Parts of the grasps that are left out in turn: the minimum, because each costs a training."""
 _ENOUGH_OBJECTS = 4
-"""Objects from which leaving some of them out shows how a new one differs."""
+"""Least number of objects for an estimate of how a new object differs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,20 +33,20 @@ class TeachingSummary:
     few: Mapping[str, int]
     """Number of grasps of each object that has too few."""
     drawn: tuple[str, ...]
-    """Objects that were taught from drawings alone."""
+    """Objects that were taught only from drawings."""
     again: tuple[str, ...]
     """Objects that were taught in several series, with a pause of an hour or more between them."""
     longest_series_s: float
     """Duration of the longest series in s."""
     n_without_zero: int
-    """Grasps without a self-zero where others have one: the model takes none of them then."""
+    """Grasps without a self-zero while others have one: the model then uses no self-zero."""
     opening_sd_mm: float | None
     """Standard deviation in mm of the smallest opening over the grasps of an object, the median of
-    all objects; None where no opening is known."""
+    all objects; None without a known opening."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user has to expect of such a teaching, and what it needs."""
+        """Notes for the user: limits of this teaching, and what is missing."""
         return tuple(
             note for note in (self._amount_note, self._series_note, self._zero_note) if note
         )
@@ -61,31 +60,31 @@ class TeachingSummary:
         if self.n_objects < _ENOUGH_OBJECTS:
             needs.append(f"{_ENOUGH_OBJECTS} objects (now {self.n_objects})")
         if self.drawn:
-            needs.append(f"real grasps of what is only drawn ({', '.join(self.drawn)}), or a gauge")
+            needs.append(f"real grasps of drawn objects ({', '.join(self.drawn)}), or a gauge")
         if not needs:
             return ""
         return (
             f"teach {'; '.join(needs)}. Until then expect {_MISSED} of taught objects to be "
-            f"UNKNOWN, and {_MISSED} of others that are like them to get a name (simulated cell)"
+            f"UNKNOWN, and {_MISSED} of similar untaught objects to get a name (simulated cell)"
         )
 
     @property
     def _series_note(self) -> str:
         if not self.again:
             return (
-                "each object was taught in one go, so by one individual: where a label is a kind, "
-                "as of fruit, teach several of it, an hour apart or later. On another day, with "
-                "another placing or on another cell expect UNKNOWN and wrong names; measure the "
-                "zero (`tactile-cell zero`) or gauge with two objects (`tactile-cell calibrate "
-                "--gauge LABEL --gauge OTHER`)"
+                "each object was taught in one series, so with one individual: if a label is a "
+                "kind, for example of fruit, teach several individuals, an hour apart or later. On "
+                "another day, with another placing or on another cell expect UNKNOWN and wrong "
+                "names; measure the zero (`tactile-cell zero`) or gauge with two objects "
+                "(`tactile-cell calibrate --gauge LABEL --gauge OTHER`)"
             )
         once = self.n_objects - len(self.again)
         if once:
             return (
                 f"taught in several series: {', '.join(self.again)}; in one: the {once} others. "
-                "Grasps of another day look most like what was taught on another day, so that the "
-                "others may be named as one of these: teach all objects again, or leave the "
-                "further series out (`tactile-cell evaluate --split series` measures it)"
+                "Grasps of another day are most similar to those taught on another day, so the "
+                "others may be named as one of these: teach all objects again, or omit the "
+                "further series (`tactile-cell evaluate --split series` measures it)"
             )
         return ""
 
@@ -94,8 +93,8 @@ class TeachingSummary:
         if not self.n_without_zero:
             return ""
         return (
-            f"{self.n_without_zero} of {self.n_grasps} grasps have no self-zero, so that the model "
-            "uses none and answers allow for any drift on another day: teach their objects again "
+            f"{self.n_without_zero} of {self.n_grasps} grasps have no self-zero, so the model uses "
+            "none and answers allow for any drift on another day: teach their objects again "
             "after a self-zero (config `self_zero`, `tactile-cell zero`)"
         )
 
@@ -114,20 +113,20 @@ class TeachingSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToldApart:
-    """How well a taught object is told from the others, by grasps that were left out in turn."""
+    """How well a taught object differs from the others, by grasps that were left out in turn."""
 
     nearest: str | None
-    """The object that its grasps look most like beside itself; None where it is the only one."""
+    """The other object that is most similar to its grasps; None for a single object."""
     mistaken_share: float | None
-    """Share of its grasps that look more like another object; None where it is the only one, or
-    there are too few grasps to leave some out."""
+    """Share of its grasps that are more similar to another object; None for a single object, or if
+    there are too few grasps."""
 
 
 @one_blas_thread()
 def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApart:
-    """Return how well an object is told from all others, by two trainings with half of the grasps.
+    """Return how well an object differs from all others, by two trainings with half of the grasps.
 
-    The taught grasps of an object stand in the order of time.
+    The taught grasps of an object must be in the order of time.
     """
     names = sorted({grasp.label for grasp in grasps})
     if len(names) < 2:
@@ -139,7 +138,7 @@ def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApa
         tested = [g for g, out in zip(grasps, held_out, strict=True) if out and g.label == label]
         try:
             recognizer = trainer.fit(taught)
-        except ValueError:  # too few grasps are left
+        except ValueError:  # too few grasps remain
             return ToldApart(nearest=None, mistaken_share=None)
         found += [recognizer.posterior(grasp) for grasp in tested]
     others = [name for name in found[0].labels if name != label] if found else []
@@ -156,7 +155,7 @@ def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApa
 
 
 def summarise_teaching(grasps: Sequence[Grasp]) -> TeachingSummary:
-    """Return how much labelled grasps vary. Raises ValueError where one has no label."""
+    """Return how much labelled grasps vary. Raises ValueError if a grasp has no label."""
     members = by_label(grasps)
     series = {label: series_of(group) for label, group in members.items()}
     spreads_mm = [

@@ -1,6 +1,6 @@
-"""Training: from labelled grasps to all that a model file keeps, and its optional parts back again.
+"""Training: from labelled grasps to the content of a model file, and its optional parts back.
 
-Beside the recogniser a model may keep early classifiers, which answer while a ramp still runs.
+Beside the recogniser a model may have early classifiers, which answer while a ramp still runs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,54 +12,54 @@ from cell.errors import CellError, CellStateError, ModelError, TooFewGrasps
 from cell.installation import extra
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import Arrays, LoadedModel, made_up_grasp, rehearse
+from cell.plugins import RECOGNISERS
 from recognition.grasp import Grasp
 from recognition.ramp.running_load import load_so_far
 from recognition.recognizer import Recognizer
-from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, teach_early
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 
 EARLY_SECTION = "early"
-"""Section of a model file that holds the early classifiers."""
+"""Section of a model file with the early classifiers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trained:
-    """Result of a training, as a model file keeps it."""
+    """Result of a training: the content of a model file."""
 
     recognizer: Recognizer
     """The recogniser of whole ramps."""
     trainer_name: str
-    """Its kind, one of `recognition.recognizers.trainer_names`."""
+    """Its kind, one of `cell.plugins.RECOGNISERS`."""
     early: EarlyClassifiers | None = None
-    """Classifiers for ramps that end early; None where they were not asked for."""
+    """Classifiers for ramps that end early; None if not requested."""
     sections: Mapping[str, Arrays] = field(default_factory=dict)
-    """Further sections of the model file, those of the optional parts among them."""
+    """Further sections of the model file, including the optional parts."""
 
     def with_caution(self, caution: float) -> Self:
-        """Return it with a caution, where the recogniser is of a kind that has one."""
+        """Return it with a caution, if its kind of recogniser has one."""
         if not isinstance(self.recognizer, ForceRampRecognizer):
             return self
         return replace(self, recognizer=replace(self.recognizer, caution=caution))
 
 
 def may_end_early(recognizer: Recognizer) -> bool:
-    """Return whether ramps cut short name as whole ones do: by the default one, with the opening.
+    """Return whether early classifiers suit a recogniser: the default kind, with the opening.
 
-    By touch alone that is not shown, and little is gained (docs/explanations/sequences.md).
+    By touch alone this is not shown, and little is gained (docs/explanations/sequences.md).
     """
     return isinstance(recognizer, ForceRampRecognizer) and recognizer.both is not None
 
 
 def gaugeable(model: Trained | LoadedModel, *labels: str) -> ForceRampRecognizer:
-    """Return the recogniser of a model that can be gauged with these objects.
+    """Return the recogniser of a model if it can be gauged with these objects.
 
     Raises ModelError if it is of another kind, and CellStateError if an object was not taught.
     """
     recognizer = model.recognizer
     if not isinstance(recognizer, ForceRampRecognizer):
         raise ModelError(
-            f"a model of {model.trainer_name} cannot be gauged; train one of force_ramp"
+            f"a model of {model.trainer_name} cannot be gauged; train a force_ramp model"
         )
     for label in labels:
         if label not in recognizer.labels:
@@ -72,7 +72,7 @@ def gaugeable(model: Trained | LoadedModel, *labels: str) -> ForceRampRecognizer
 def gauged(
     recognizer: ForceRampRecognizer, label: str, grasps: Sequence[Grasp]
 ) -> ForceRampRecognizer:
-    """Return a recogniser after grasps of a taught object that were taken now.
+    """Return a recogniser gauged with new grasps of a taught object.
 
     Raises CellError if the object was not taught, or no grasp touched both pads.
     """
@@ -92,18 +92,18 @@ def train(
 ) -> Trained:
     """Train one kind of recogniser.
 
-    Raises CellError if the grasps do not suffice; the message names what is missing.
+    Raises CellError if the grasps are too few or unsuitable; the message names what is missing.
 
     Parameters
     ----------
     name
-        Kind of recogniser, one of `recognition.recognizers.trainer_names`.
+        Kind of recogniser, one of `cell.plugins.RECOGNISERS`.
     use_aperture
         Whether the opening of the fingers is a feature.
     early
-        Whether ramps cut short train early classifiers too, where `may_end_early`.
+        Whether to train early classifiers too, if `may_end_early`.
     """
-    trainer = make_trainer(name, use_aperture=use_aperture)
+    trainer = RECOGNISERS[name](use_aperture=use_aperture)
     try:
         with extra("comparators", needed_by=f"teaching {name}"):
             recognizer = trainer.fit(grasps)
@@ -119,7 +119,7 @@ def train(
 
 
 def loaded(model: LoadedModel, config: CellConfig) -> Trained:
-    """Return a model file as trained, with what the config uses of it; raises as `load_early`."""
+    """Return a model file as trained, with the parts that the config uses. See `load_early`."""
     trained = Trained(
         recognizer=model.recognizer,
         trainer_name=model.trainer_name,
@@ -130,9 +130,9 @@ def loaded(model: LoadedModel, config: CellConfig) -> Trained:
 
 
 def load_early(model: LoadedModel) -> EarlyClassifiers | None:
-    """Return the early classifiers of a model file; None where it has none to go by.
+    """Return the early classifiers of a model file, or None.
 
-    Raises ModelError where they do not fit its recogniser.
+    Raises ModelError if they do not fit its recogniser.
     """
     if not may_end_early(model.recognizer):
         return None
@@ -144,7 +144,7 @@ def load_early(model: LoadedModel) -> EarlyClassifiers | None:
         load_so_far(grasp, heads.rest)
         for head in heads.recognizers:
             if head.labels != model.recognizer.labels:
-                raise ValueError(f"ramps cut short name {head.labels}")
+                raise ValueError(f"the early classifiers have the labels {head.labels}")
             rehearse(head, grasp)
         return heads
 

@@ -1,4 +1,4 @@
-"""Training set: the grasps that trained a model, and the data set beside it that keeps them."""
+"""Training set: the grasps that trained a model, in the data set beside it."""
 
 import hashlib
 import os
@@ -26,7 +26,7 @@ def training_section(grasps: Sequence[Grasp], file: Path) -> Arrays:
 
 
 def saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
-    """Return the training set that was saved with a model, where it still stands beside it.
+    """Return the training set that was saved with a model, if it is still beside it.
 
     Raises DatasetError if it cannot be read.
     """
@@ -38,8 +38,8 @@ def saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
 def check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
     """Raise ModelError for grasps that cannot have trained a model.
 
-    Further grasps after those of the model are no fault: the data set is written first, and the
-    program may have ended before the model.
+    Further grasps after those of the model are accepted: the data set is written first, and the
+    program may have ended before the model was written.
     """
     if not grasps:
         return
@@ -53,13 +53,13 @@ def check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
         or (kept is not None and str(kept) != _checksum(grasps[:n_trained]))
     ):
         raise ModelError(
-            f"the training set, {len(grasps)} grasps of {', '.join(sorted(labels))}, is not the "
-            f"one that trained {model.path} ({', '.join(model.labels)}): name that one"
+            f"{model.path} ({', '.join(model.labels)}) was trained with another training set than "
+            f"these {len(grasps)} grasps of {', '.join(sorted(labels))}: name its own"
         )
 
 
 def _checksum(grasps: Sequence[Grasp]) -> str:
-    """Return the SHA-256 of labels, times and frames, which a data set keeps as they are."""
+    """Return the SHA-256 of labels, times and frames, which a data set keeps exactly."""
     digest = hashlib.sha256()
     for grasp in grasps:
         digest.update(f"{grasp.label}|{grasp.start_ms}|{grasp.counts.shape}|".encode())

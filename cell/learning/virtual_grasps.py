@@ -1,9 +1,9 @@
 """Virtual grasps: the frames that a drawing would give on the cell's pads, without a cell.
 
-A rigid shape is pressed between two foam pads by `recognition.shape.foam`; the course of a grasp is
-that of the cell: the fingers close at the approach speed, meet the object with some impact, follow
-the force ramp with the stick and slip of a geared drive, and hold. Frames carry the sensor's noise
-and are not tared, as the cell's own.
+`recognition.shape.foam` presses a rigid shape between two foam pads. The grasp is like that of the
+cell: the fingers close at the approach speed, meet the object with some impact, follow the force
+ramp with the stick and slip of a geared drive, and hold. Frames have the sensor's noise and are not
+tared, like those of the cell.
 """
 
 import math
@@ -26,21 +26,21 @@ _DEEPEST = 0.97
 _LARGEST_SHARE = 0.98
 """Largest force as a share of that at the largest depth."""
 _N_DEPTHS = 48
-"""Depths at which the force is worked out."""
+"""Number of depths at which the force is computed."""
 _FEW_DEPTHS = 20
-"""The same for foam that spreads sideways, where each depth costs an iteration."""
+"""The same for foam that spreads sideways, where each depth needs an iteration."""
 _STEPS = 6
-"""Steps of that iteration."""
+"""Steps of the iteration."""
 _FAR_M = 1.0
-"""Distance in m in place of an infinite one, where nothing faces the pad."""
+"""Distance in m instead of an infinite one, where nothing faces the pad."""
 _SLOW_CONTACT_S = (0.0, 0.05)
 """Shortest and longest time in s from the first touch to the ramp: a finger brakes, and presses
-slowly until the contact is sure (simulated cell; the rounder the object the longer)."""
+slowly until the contact is sure (simulated cell; longer for rounder objects)."""
 _SLOW_WAY_M = 2e-3
-"""Way in m before the touch of the widest part in which fingers that travelled slow down: 0.5 mm of
-margin and 1.5 mm for mass and servo."""
+"""Distance in m before the touch of the widest part in which fast fingers slow down: 0.5 mm margin
+and 1.5 mm for mass and servo."""
 _SLOW_S = 0.5
-"""Time constant in s with which foam creeps."""
+"""Time constant of the foam's creep in s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,12 +72,11 @@ def reaches_m(
     beds: Sequence[PadBed],
     aslant_rad: NDArray[np.float64] | None = None,
 ) -> list[NDArray[np.float64]]:
-    """Return how far a posed object reaches towards each pad in m, over the grids of the pads.
+    """Return the distance in m that a posed object reaches towards each pad, over the pads' grids.
 
-    Tilted by the small angles ``aslant_rad`` (2,) it reaches as much further towards one pad as
-    less far towards the other, in proportion to the way from its centre along x and along y.
-
-    Raises ValueError where it lies beside a pad.
+    A tilt by the small angles ``aslant_rad`` (2,) adds the same distance towards one pad that it
+    removes towards the other, in proportion to x and y from the centre. Raises ValueError if the
+    object lies beside a pad.
     """
     both: list[NDArray[np.float64]] = []
     for side, bed in enumerate(beds):
@@ -130,7 +129,7 @@ def pressed_pad(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> P
 def shared_force(
     presses: Sequence[PressedPad], depth_sum_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the force in N at which both pads together are so deep: the object floats."""
+    """Return the force in N at a total depth of both pads: the object floats."""
     force_n = np.linspace(0.0, min(float(p.force_n[-1]) for p in presses), 4 * _N_DEPTHS)
     together_m = sum(np.interp(force_n, p.force_n, p.depth_m) for p in presses)
     shared_n: NDArray[np.float64] = np.interp(depth_sum_m, np.asarray(together_m), force_n)
@@ -138,7 +137,7 @@ def shared_force(
 
 
 class Noise(Protocol):
-    """Noise of the taxels: counts beside those of the force."""
+    """Noise of the taxels, in counts to add."""
 
     def __call__(self, rng: np.random.Generator, n_frames: int) -> NDArray[np.float64]:
         """Return counts (n_frames, n_taxels) to add."""
@@ -147,16 +146,16 @@ class Noise(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """Motion and sensor of a cell, with their uncertainties; what a config has comes from it."""
+    """Motion and sensor of a cell, with their uncertainties; some values come from the config."""
 
     period_s: float
     """Time between two frames in s."""
     aperture_open_m: float
     aperture_min_m: float
-    """Opening in m at the start, and where fingers that have touched nothing end."""
+    """Opening in m at the start, and at the end without a touch."""
     approach_speed_m_s: float
     travel_speed_m_s: float
-    """Closing speed of the opening in m/s, where a part may begin and before that."""
+    """Closing speed of the opening in m/s, near a possible part and before it."""
     aperture_step_m: float
     """Smallest step of the measured opening in m."""
     aperture_sd_m: float
@@ -174,10 +173,10 @@ class Course:
     spread_sd: float
     densification_sd: float
     thickness_sd: float
-    """Relative standard deviations of what is known of foam and sensor; drawn for each grasp."""
+    """Relative standard deviations of foam and sensor; drawn for each grasp."""
     bend_sd: float
-    """Standard deviation of the logarithm of an exponent of the reading: a converter that bends
-    otherwise than its law."""
+    """Standard deviation of the logarithm of an exponent of the reading: a converter whose curve
+    differs from its law."""
     lag: float
     """Largest share of a reading that follows the force only slowly: foam creeps."""
     noise_sd: float
@@ -186,7 +185,7 @@ class Course:
     taxel_gain_sd: float = 0.08
     """Relative standard deviations of the gains of the two pads, and of single taxels."""
     tilt_rad: float = 0.01
-    """Standard deviation in rad by which an object lies aslant between the pads, about x and y."""
+    """Standard deviation in rad of an object's tilt between the pads, about x and y."""
     imbalance_n: float = 0.05
     """Largest difference in N between the forces on both pads: the object is held a little."""
 
@@ -199,16 +198,16 @@ class VirtualPads:
     gripping: tuple[int, int]
     """All taxels, and the two pads that face each other."""
     foam: FoamModel
-    """Foam and sensor, as calibrated."""
+    """The calibrated foam and sensor."""
     course: Course
-    """How the cell moves."""
+    """Motion of the cell."""
     noise: Noise
     """Noise that is added to the counts."""
     zero: SelfZero
-    """Self-zero of the hand that they are of."""
+    """Self-zero of their hand."""
 
     def __post_init__(self) -> None:
-        # The spread is drawn from few values: the matrices that it needs are worked out once.
+        # The spread is drawn from few values: their matrices are computed once.
         shares = np.exp(self.course.spread_sd * np.array([-1.2, -0.4, 0.4, 1.2]))
         self._beds = [
             tuple(PadBed(self.pads, pad, float(spread_m)) for pad in self.gripping)
@@ -216,9 +215,9 @@ class VirtualPads:
         ]
 
     def check(self, drawing: Drawing, steps: Sequence[GraspStep]) -> None:
-        """Refuse a drawing that the fingers would not feel before they are closed.
+        """Refuse a drawing that the pads would not detect before the fingers are closed.
 
-        Raises ValueError for the thinnest pose, or where the object lies beside a pad.
+        Raises ValueError for the thinnest pose, or if the object lies beside a pad.
         """
         beds, course = self._beds[len(self._beds) // 2], self.course
         reached = [(reaches_m(drawing, step.pose, beds), step.pose) for step in steps]
@@ -230,7 +229,7 @@ class VirtualPads:
             raise ValueError(
                 f"the object is {1e3 * touch_m:.3g} mm thick at {pose}. It sinks into the foam: "
                 f"the fingers are closed, at {1e3 * course.aperture_min_m:g} mm "
-                f"(gripper.aperture_min_mm), before they feel {course.contact_n:g} N "
+                f"(gripper.aperture_min_mm), before they measure {course.contact_n:g} N "
                 f"(gripper.contact_force_n). Check the unit of the drawing, or turn the object"
             )
 
@@ -359,7 +358,7 @@ class VirtualPads:
         way_m = course.aperture_open_m - touch_m + depth_m
         wait_s = rng.uniform(0.01, 0.04)
         pause_s = rng.uniform(*_SLOW_CONTACT_S)
-        # Other parts begin wider: so far the fingers travel.
+        # Other parts begin wider: the fingers travel fast up to there.
         travel_m = rng.uniform(0.7, 1.0) * max(0.0, way_m - _SLOW_WAY_M)
         travel_s = travel_m / max(course.travel_speed_m_s, course.approach_speed_m_s)
         closing_s = travel_s + (way_m - travel_m) / course.approach_speed_m_s
@@ -372,7 +371,7 @@ class VirtualPads:
 
 
 def _slowly(values: NDArray[np.float64], n_frames: float) -> NDArray[np.float64]:
-    """Return values (n, ...) behind a low-pass with a time constant of so many frames."""
+    """Return values (n, ...) after a low-pass with a time constant in frames."""
     share = -math.expm1(-1.0 / n_frames)
     out: NDArray[np.float64] = lfilter([share], [1.0, share - 1.0], values, axis=0)
     return out
@@ -381,7 +380,7 @@ def _slowly(values: NDArray[np.float64], n_frames: float) -> NDArray[np.float64]
 def _force_course(
     ramp: ForceRamp, impact_n: float, course: Course, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return force and set-point in N in each frame from the beginning of the ramp on."""
+    """Return force and set-point in N in each frame from the start of the ramp."""
     actual = ramp.starting_from(impact_n)
     n = math.ceil(actual.duration_s / course.period_s) + int(rng.integers(1, 5))
     setpoint_n = np.array([actual.setpoint_n(course.period_s * i) for i in range(n)])

@@ -1,4 +1,4 @@
-"""The answer of an identification as a host program gets it: plain values, lengths in mm."""
+"""The answer of an identification for a host program: plain values, lengths in mm."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,19 +22,18 @@ class FeltShape:
     kind: str
     """``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell``, or ``unclear``."""
     probability: float
-    """Probability of the likeliest kind, given that it is one of them."""
+    """Probability of the likeliest kind, given that the shape is one of these kinds."""
     probabilities: Mapping[str, float] = field(hash=False)
     """Probability of each kind."""
     size_mm: float
     interval_mm: tuple[float, float]
-    """Thickness along the closing axis (the diameter of what is round), and the interval that holds
-    it with 90 % probability."""
+    """Thickness along the closing axis (the diameter of a round part), and its 90 % interval."""
     thicknesses_mm: tuple[tuple[float, float, float], ...]
-    """All thicknesses that were met: size, and both ends of the interval."""
+    """All measured thicknesses: size, and both ends of the interval."""
     dimensions_mm: Mapping[str, float] = field(hash=False)
     """Dimensions of the likeliest kind by their names, without interval."""
     n_grasps: int
-    """Grasps that it rests on."""
+    """Number of grasps that it is based on."""
 
     def __str__(self) -> str:
         sizes = (f"{at:.1f} mm ({low:.1f} to {high:.1f})" for at, low, high in self.thicknesses_mm)
@@ -66,19 +65,19 @@ class Answer:
     probabilities: Mapping[str, float] = field(hash=False)
     """Probability of each taught label and of ``UNKNOWN``; they sum to 1."""
     n_grasps: int
-    """Grasps that it took."""
+    """Number of grasps."""
     kept: bool = False
-    """Whether the part is still in the grip, for the host to release where it wants it."""
+    """Whether the part is still in the grip; the host releases it."""
     shape: FeltShape | None = None
-    """Shape and size, also of an object that was never taught; None where the pads do not show
-    them, or the config has ``recognition.shape`` off."""
+    """Shape and size, also of an untaught object; None if the pads do not show them, or if
+    ``recognition.shape`` is off in the config."""
     n_ended_early: int = 0
-    """Grasps whose ramp ended early, because it sufficed."""
+    """Number of grasps whose ramp ended early because the answer was sure enough."""
     drift: "DriftGrid | None" = None
-    """The drift of the sensors that it rests on; None where it is not followed."""
+    """The sensor drift that it assumes; None if drift is not followed."""
     remark: str = ""
-    """Message for the operator: the sensors have drifted, told once, or the part is too small or
-    too soft for the force of the ramp. Empty otherwise."""
+    """Message for the operator: the sensors have drifted (once), or the part is too small or too
+    soft for the force of the ramp. Empty otherwise."""
     job: int = 0
     """Number of the job that found it."""
 
@@ -89,7 +88,7 @@ class Answer:
 
     @property
     def size_mm(self) -> float:
-        """Size in mm; 0 where it was not felt."""
+        """Size in mm; 0 if it was not measured."""
         return 0.0 if self.shape is None else self.shape.size_mm
 
     @property
@@ -115,32 +114,32 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostStatus(CellStatus):
-    """States of cell and grip, and what a host that carries a part needs beside them."""
+    """States of cell and grip, live values and the last answer, for a host."""
 
     live: "LiveValues" = field(compare=False)
-    """Force, opening, temperature and taxels as they are measured at the moment."""
+    """Present force, opening, temperature and taxels."""
     recording_fault: str = ""
-    """Why the recording has stopped; empty while it is written, or where none is made."""
+    """Why the recording has stopped; empty while it is written or without a recording."""
     last_answer: Answer | None
-    """Answer of the last identification, whatever jobs came after it; None from the beginning of
-    the next identification or sort on, until the identification has succeeded."""
+    """Answer of the last identification, also after other jobs. None from the start of the next
+    identification or sort until an identification succeeds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """Result of the look at a part in the grip: whether it is still the one that was kept."""
+    """Result of a check of the part in the grip: whether it is still the kept one."""
 
     held: bool
     """Whether both pads are loaded."""
     same: bool | None
-    """Whether opening and footprint on the pads are those with which it was kept; None where
-    nothing is held."""
+    """Whether opening and footprint on the pads are unchanged since it was kept; None if nothing is
+    held."""
     force_n: float
     """Grip force in N."""
     opening_mm: float
     """Opening between the pads in mm."""
     reasons: tuple[str, ...] = ()
-    """What differs, in words with value and limit; empty where nothing does."""
+    """Differences as text with value and limit; empty without any."""
 
     @classmethod
     def of(cls, check: "HeldCheck") -> Self:
@@ -156,13 +155,13 @@ class Verification:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SortAnswer:
-    """Count of a sort."""
+    """Counts of a sort."""
 
     n_parts: int
-    """Parts that were let go at a place."""
+    """Parts that were released at a place."""
     n_missed: int
     """Turns in which no part was found."""
     n_rejected: int
-    """Parts at the place of the rejects: never taught, or not what they were any more."""
+    """Parts at the place of the rejects: never taught, or changed since they were named."""
     places: Mapping[str, int] = field(hash=False)
     """Parts at each place."""

@@ -39,11 +39,11 @@ class TeachGoal(_Goal):
     seed: int = Field(default=0, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
     present: str | None = None
-    """Object to place where the positioner can do so (simulated cell); None: that of this label, or
-    what lies between the fingers. The label names it there from then on."""
+    """Object to place, if the positioner can (simulated cell). None: the object of this label, or
+    the one between the fingers, which has this label from then on."""
     train: bool = True
-    """Whether the model is trained at the end. False where more objects follow, and then a
-    training of all: `TactileCellPlugin.train`. The progress has no sizes then."""
+    """Whether the model is trained at the end. False if more objects follow: then call
+    `TactileCellPlugin.train` after the last one. The progress has no sizes then."""
 
 
 class GaugeGoal(_Goal):
@@ -75,7 +75,7 @@ class IdentifyGoal(_Goal):
     seed: int = Field(default=1, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
     present: str | None = None
-    """Object to place first, where the positioner can do so (simulated cell)."""
+    """Object to place first, if the positioner can (simulated cell)."""
     keep: Literal["never", "when_named", "always"] = "never"
     """Whether the part stays in the grip for the host: ``never``, ``when_named`` or ``always``."""
     force_n: float | None = Field(default=None, gt=0.0, le=50.0)
@@ -89,28 +89,28 @@ class GripGoal(_Goal):
 
     task: ClassVar[str] = "grip"
     force_n: float = Field(gt=0.0, le=50.0)
-    """Force at the end of the ramp in N, up to 50. The part is then held with another one, whatever
-    this is: ``sequence.carry_force_n`` of the config, 4 N by default."""
+    """Force at the end of the ramp in N, up to 50. The part is then held with
+    ``sequence.carry_force_n`` of the config, 4 N by default."""
     present: str | None = None
-    """Object to place between the fingers first, where the positioner can do so (simulated cell);
-    without one it does not move."""
+    """Object to place between the fingers first, if the positioner can (simulated cell). Without an
+    object the positioner does not move."""
 
 
 class VerifyGoal(_Goal):
-    """Measure whether the part in the grip is still the one that was named or gripped."""
+    """Measure whether the part in the grip is still the named or gripped one."""
 
     task: ClassVar[str] = "verify"
 
 
 class SortGoal(_Goal):
-    """Name parts one after the other and let each go at its place."""
+    """Name parts one after the other and release each at its place."""
 
     task: ClassVar[str] = "sort"
     parts: int = Field(default=1, ge=1, le=1_000_000)
     """How many parts."""
     feed: tuple[str, ...] = Field(default=(), strict=False, max_length=FEED_MAX)
-    """Objects to place, one for each part and then again from the first, where the positioner can
-    do so (simulated cell)."""
+    """Objects to place, one for each part, repeated from the first, if the positioner can
+    (simulated cell)."""
     seed: int = Field(default=1, ge=0, le=2**32 - 1)
     """Seed of the poses and forces of the first part; each further one has the next."""
     max_grasps: int | None = Field(default=None, ge=1, le=100)
@@ -146,14 +146,14 @@ def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:
     Raises
     ------
     ConfigError
-        If it is no goal, the task or a field is unknown, or a value out of range.
+        If it is not a goal, the task or a field is unknown, or a value is out of range.
     """
     if isinstance(goal, Goal):
         return goal
     if not isinstance(goal, Mapping):
         raise ConfigError(
-            f"goal is {goal!r:.60}; write a goal, as IdentifyGoal, or a mapping with task and its "
-            "fields"
+            f"goal is {goal!r:.60}; write a goal, for example IdentifyGoal, or a mapping with task "
+            "and its fields"
         )
     fields = dict(goal)
     task = fields.pop("task", None)
@@ -170,5 +170,5 @@ def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:
 
 
 def goal_of(task: str, **fields: Any) -> dict[str, Any]:
-    """Return a goal as a mapping without the fields that are empty or 0: as the config has them."""
+    """Return a goal as a mapping without empty or zero fields; the config's values then apply."""
     return {"task": task} | {name: value for name, value in fields.items() if value}

@@ -1,6 +1,6 @@
 """Health of a cell for a display: a level for each of its parts, and the figures behind it.
 
-The limits are those of the config, at whose passing the cell itself acts; none is made here.
+All limits come from the config; the cell itself acts beyond them.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from recognition.drift.grid import DriftGrid
 def health_values(config: CellConfig, cell: Cell, drift: DriftGrid | None) -> dict[str, Any]:
     """Return level and figures of servos, CAN, loop, drift, self-zero and recording as plain data.
 
-    Levels are ``ok``, ``watch`` (the cell acts soon, or less is as it should be) and ``bad``.
+    Levels are ``ok``, ``watch`` (the cell will act soon, or a function is degraded) and ``bad``.
     """
     controller = cell.controller
     statistics = controller.hand.statistics
@@ -39,7 +39,7 @@ def _level(*, watch: bool, bad: bool) -> dict[str, Any]:
 
 
 def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
-    """Heat: the cap of the current is lowered from some degrees below the limit on."""
+    """Heat: some degrees below the limit the current limit starts to fall."""
     gripper = config.gripper
     cycle = cell.controller.latest.cycle
     servos = () if cycle is None else cycle.state.servos
@@ -52,7 +52,7 @@ def _servos(config: CellConfig, cell: Cell) -> dict[str, Any]:
 
 
 def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
-    """Newest frames that were lost: one is worth a look, the share of the limit is a fault."""
+    """Lost frames among the newest: one gives ``watch``, the share of the limit is a fault."""
     source = cell.controller.hand.statistics.source
     frame = cell.controller.latest.frame
     age_s = None if frame is None else max(0.0, cell.controller.now_s - frame.t_s)
@@ -65,7 +65,7 @@ def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
 
 
 def _loop(p99_s: float, period_s: float) -> dict[str, Any]:
-    """Lateness: of 1 % of the periods more than counts as late, or than a whole period."""
+    """Lateness of the latest 1 % of the periods: above the limit for late, or a whole period."""
     return _level(watch=p99_s > LATE_SHARE * period_s, bad=p99_s > period_s)
 
 

@@ -13,27 +13,27 @@ from cell.fault_catalogue import error_text
 from gripper.clock import Clock
 
 _LOOKS = 10
-"""Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
+"""Checks of the lease per time-out: a loss is noticed at most a tenth of the time-out late."""
 
 
 @dataclass
 class Lease:
     """The lease of one cell; every method from any thread.
 
-    `check_expiry` notices a silent client; `watch` has a thread do so.
+    `check_expiry` detects a silent client; `watch` does so in a thread.
     """
 
     timeout_s: float
-    """Longest silence in s of the client that has it."""
+    """Longest silence in s of the client with the lease."""
     _: KW_ONLY
     given: Callable[[str], None]
     """Called with the name of a client that acquires it."""
     lost: Callable[[str], None]
-    """Called with the reason when it ends, however it does."""
+    """Called with the reason at each end of the lease."""
     clock: Clock = time
-    """Time of the clients: real time also where that of the cell is virtual."""
+    """Time of the clients: real time even if the cell's time is virtual."""
     lock: AbstractContextManager[Any] = field(default_factory=RLock)
-    """A lock that one thread may take twice, held while ``given`` and ``lost`` are called."""
+    """A reentrant lock, held while ``given`` and ``lost`` are called."""
     number: int = 0
     name: str = ""
     """Number and name of the client in command; 0 and empty for nobody."""
@@ -52,7 +52,7 @@ class Lease:
             if self.number:
                 if not take:
                     raise NotInCommand(
-                        f"{self.name!r} is in command; wait until it gives the lease up or is "
+                        f"{self.name!r} is in command; wait until it gives up the lease or is "
                         f"silent for {self.timeout_s:g} s"
                     )
                 self._end(f"because {name!r} took command")
@@ -62,13 +62,13 @@ class Lease:
             return self.number
 
     def has(self, lease: int) -> bool:
-        """Whether a number is that of the lease; looking does not keep it."""
+        """Whether a number is that of the lease; does not renew it."""
         with self.lock:
             self.check_expiry()
             return bool(self.number) and self.number == lease
 
     def alive(self, lease: int) -> None:
-        """Keep the lease. Raises NotInCommand if it is lost: acquire a new one."""
+        """Renew the lease. Raises NotInCommand if it is lost: acquire a new one."""
         with self.lock:
             if not self.has(lease):
                 raise NotInCommand(
@@ -78,16 +78,16 @@ class Lease:
             self._heard_s = self.clock.monotonic()
 
     def give_up(self, lease: int) -> None:
-        """Give the lease up. Raises NotInCommand as `alive`."""
+        """Give up the lease. Raises NotInCommand as `alive`."""
         with self.lock:
             self.alive(lease)
-            self._end("because its client gave the lease up")
+            self._end("because its client gave up the lease")
 
     @contextmanager
     def calling(self, name: str) -> Iterator[None]:
-        """Have a client within this program be in command; it is not silent while its call lasts.
+        """Give command to a client within this program, which is not silent during its call.
 
-        The lease is acquired where nobody has it.
+        The lease is acquired if it is free.
         """
         with self.lock:
             self._inside += 1
@@ -101,20 +101,20 @@ class Lease:
                 self._heard_s = self.clock.monotonic()
 
     def check_expiry(self) -> None:
-        """Notice a client that is silent for too long."""
+        """End the lease of a client that is silent for too long."""
         with self.lock:
             silent_s = self.clock.monotonic() - self._heard_s
             if self.number and not self._inside and silent_s > self.timeout_s:
                 self._end(f"because {self.name!r} was silent for {silent_s:.2f} s")
 
     def watch(self, note: Callable[[str], None]) -> None:
-        """Begin to look in a thread of its own; ``note`` gets what goes wrong there."""
+        """Start the checks in a thread; ``note`` gets its errors."""
 
         def run() -> None:
             while not self._over.wait(self.timeout_s / _LOOKS):
                 try:
                     self.check_expiry()
-                except Exception as error:  # the watch must outlive whatever it meets
+                except Exception as error:  # the watch must survive every error
                     note(f"watch over the lease: {error_text(error)}")
 
         self._thread = Thread(target=run, name="lease", daemon=True)

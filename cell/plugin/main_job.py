@@ -27,7 +27,7 @@ from recognition.recognizer import Posterior, Recognizer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One identification, the object that was really held, and answers to its first grasp."""
+    """One identification, the true object, and the answers to its first grasp."""
 
     truth: str
     """The object that was held."""
@@ -44,9 +44,9 @@ class MainResult:
     labels: tuple[str, ...]
     """The identified objects."""
     default: str
-    """Name of the recogniser that identified."""
+    """Name of the recogniser of the identifications."""
     n_taught: int
-    """Grasps that were taught."""
+    """Number of taught grasps."""
     seconds: float
     """Duration in s."""
     scores: dict[str, ConfusionTable]
@@ -56,13 +56,13 @@ class MainResult:
     dataset: Path | None
     model: Path | None
     recording: Path | None
-    """Files; None where none was written."""
+    """Files; None if not written."""
     drift: DriftGrid | None = None
-    """The drift at the end; None where it is not followed."""
+    """The drift at the end; None if drift is not followed."""
     remarks: tuple[str, ...] = ()
-    """Messages for the operator, as that the sensors have drifted."""
+    """Messages for the operator, for example about sensor drift."""
     report: Path | None = None
-    """File of the report; None where none was written."""
+    """File of the report; None if not written."""
     extra: dict[str, Any] = field(default_factory=dict)
     """Further values for ``--json``."""
 
@@ -127,14 +127,13 @@ def teach_and_identify(
 ) -> MainResult:
     """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
 
-    A plugin with a model teaches nothing. Plans of teaching and of identifying are drawn with
-    different seeds, so no pose and force is met twice. Ramps are whole: all recognisers judge the
-    same grasps.
+    A plugin with a model teaches nothing. Plans of teaching and identifying have different seeds,
+    so no pose and force repeats. Ramps are whole: all recognisers get the same grasps.
 
     Raises
     ------
     CellError, GripperError, TactileError
-        What the cell raises; the recording has all that happened until then.
+        Errors of the cell; the recording has everything until then.
     """
     started_s = time.monotonic()
     remarks: list[str] = []
@@ -186,7 +185,7 @@ def teach_and_identify(
 
 @one_blas_thread()
 def baseline(default: str, grasps: Sequence[Grasp]) -> dict[str, Recognizer]:
-    """Return the paper's classifier, by its name, taught the same; none where the model is one."""
+    """Return the paper's classifier by its name, taught the same grasps; empty if it is default."""
     return {} if default == BASELINE else {BASELINE: train(grasps, BASELINE).recognizer}
 
 
@@ -197,9 +196,9 @@ def teach_objects(
     n_grasps: int,
     progress: Progress,
 ) -> list[str]:
-    """Grasp each object ``n_grasps`` times for the training set; return remarks on it.
+    """Grasp each object ``n_grasps`` times for the training set; return remarks about it.
 
-    `TactileCellPlugin.train` is to follow. Raises as `TactileCellPlugin.run`.
+    Call `TactileCellPlugin.train` next. Raises as `TactileCellPlugin.run`.
     """
     missed, short = list[str](), list[str]()
     for number, label in enumerate(labels):
@@ -220,5 +219,5 @@ def teach_objects(
 
 
 def _seed(config: CellConfig, use: int, number: int) -> int:
-    """Return a seed of its own for each plan, so that none repeats another."""
+    """Return a different seed for each plan, so that no plan repeats another."""
     return int(np.random.SeedSequence([config.seed, use, number]).generate_state(1)[0])

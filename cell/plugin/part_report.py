@@ -1,6 +1,6 @@
-"""The report of one part that a job has met, for those who count them: answer, place, time, grasp.
+"""The report of one part of a job, for programs that count parts: answer, place, time, grasp.
 
-It is made in the thread of the cell between two grasps, from what the force loop has sent already.
+It is made in the thread of the cell between two grasps, from received data of the force loop.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,12 +20,12 @@ from tactile.sensor.tare import TareResult
 from tactile.sensor.taxel_forces import TaxelForces
 
 POINTS_MAX = 300
-"""Most points of a curve: as many as a display shows."""
+"""Most points of a curve, enough for a display."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartReport:
-    """One part that was identified or sorted, or one turn in which none was found."""
+    """One identified or sorted part, or one turn without a part."""
 
     number: int = 0
     """Its number since the program began, from 1; 0 for a turn without a part."""
@@ -34,25 +34,25 @@ class PartReport:
     task: str
     """``identify`` or ``sort``."""
     answer: Answer | None
-    """None where no part was found."""
+    """None if no part was found."""
     found: Identification | None = field(default=None, repr=False, compare=False)
-    """What the answer rests on, with all frames: megabytes, for those who listen in this program.
-    None where no part was found."""
+    """Data of the answer with all frames: megabytes, for listeners in this program. None if no part
+    was found."""
     held: str = ""
-    """What host, person or simulator said that was brought; empty where nobody did."""
+    """Label of the brought object according to host, person or simulator; empty if not given."""
     label_id: int = 0
     """Id of its label, from 1; 0 for UNKNOWN."""
     place: str | None = None
-    """Where it was let go; None outside of a sort."""
+    """Place where it was released; None outside of a sort."""
     place_id: int = 0
     """Number of that place, from 1, in the order of `Places.names`; 0 outside of a sort."""
     rejected: bool = False
-    """Whether it has no name, or was let go at the place of the rejects."""
+    """Whether it has no name, or was released at the place of the rejects."""
     seconds: float
-    """Time since the part before, or since the start of the job, in s of the cell's clock."""
+    """Time since the previous part, or since the start of the job, in s of the cell's clock."""
     curves: dict[str, Any] | None = None
     """The last grasp: ``t_s``, ``force_n``, ``setpoint_n``, ``opening_mm``, each a list with at
-    most `POINTS_MAX` values, and ``frame``, the newtons of each taxel under the highest load."""
+    most `POINTS_MAX` values. ``frame``: force in N of each taxel at the highest load."""
 
     def as_json(self) -> dict[str, Any]:
         """Return a part as plain data, without its curves; lengths in mm."""
@@ -83,12 +83,12 @@ class PartReport:
 OnPart = Callable[[PartReport], None]
 """Called with each part, in the thread of the cell."""
 PartCallback = Callable[..., None]
-"""Called by a task with the `Identification` of a part, or None where none was found; further
-fields of `PartReport` by name."""
+"""Called by a task with the `Identification` of a part, or None if no part was found, and with
+further fields of `PartReport` by name."""
 
 
 class TaxelNewtons:
-    """Turns counts into newtons by the zero that the cell has at the time."""
+    """Converts counts into newtons with the present zero of the cell."""
 
     def __init__(self, config: CellConfig, controller: CellController) -> None:
         self._controller = controller
@@ -109,7 +109,7 @@ class TaxelNewtons:
 def part_reporter(
     task: str, controller: CellController, newtons: TaxelNewtons, listeners: Sequence[OnPart]
 ) -> PartCallback:
-    """Return the function with which a task that begins now reports its parts to all listeners."""
+    """Return the function with which a starting task reports its parts to all listeners."""
     since_s = controller.now_s
 
     def seen(found: Identification | None, **fields: Any) -> None:

@@ -1,8 +1,8 @@
-"""The plugin: a cell as a host program loads it, behind jobs that never block.
+"""The plugin: a cell for a host program, behind jobs that never block.
 
 Found through the entry point ``tactile_cell`` of the group ``robot_cell.plugins``. The host moves;
-the plugin grasps and answers what it held. Libraries for recognition, CAN and servos are loaded
-with the first cell, not with this module.
+the plugin grasps and identifies. Libraries for recognition, CAN and servos are loaded with the
+first cell, not with this module.
 """
 
 import sys
@@ -88,25 +88,24 @@ __all__ = [
 
 
 _COMMANDS = dict.fromkeys(TASKS, Command.GRASP) | {"grip": Command.GRIP, "verify": Command.VERIFY}
-"""Command of the controller that each task begins with."""
+"""First command of the controller in each task."""
 _NAMING = ("identify", "sort")
-"""Tasks that name parts: an earlier answer is not that of their part."""
+"""Tasks that name parts: they clear the last answer."""
 _REMARKS_MAX = 1000
-"""Remarks that wait for the thread of the cell; the oldest go first."""
+"""Most remarks that wait for the thread of the cell; the oldest are dropped."""
 
 
 class TactileCellPlugin:
     """A cell for host programs without ROS.
 
-    Calls return at once, but for `result`, `release`, `clear`, `reset`, `forget_drift` and `close`,
-    which wait up to their time-out. A fault or a cancelled job keeps the grip; `release` is the
-    only way to let go. A command that the state of the cell does not allow is refused at once with
-    CellStateError.
+    Calls return at once, except `result`, `release`, `clear`, `reset`, `forget_drift` and `close`,
+    which wait up to their time-out. A fault or a cancelled job keeps the grip until `release`. A
+    command that the state of the cell does not allow raises CellStateError at once.
 
-    With ``host_timeout_s`` in the config a host that makes no call for so long while a job runs
-    has the job stopped, with the grip kept. Any call counts, `alive` too; a job keeps its result.
+    ``host_timeout_s`` in the config is the longest time without a call while a job runs. The job is
+    then stopped, with the grip kept. Any call counts, also `alive`; a job keeps its result.
 
-    A plugin that is dropped without `close` is closed by its thread, with a ResourceWarning.
+    The thread of a plugin that is dropped without `close` closes it, with a ResourceWarning.
     """
 
     _closed = True
@@ -135,44 +134,44 @@ class TactileCellPlugin:
         config
             Config file or value; None is the built-in simulated cell.
         mover
-            Called with each pose that the sequence wants the object at; returns None or True when
-            it is reached, False to refuse, or the pose reached instead.
+            Called with each pose of the sequence; moves there and returns None or True, False to
+            refuse, or the pose reached instead.
         places
-            Called by a sort with the `Destination` of a part that the grip holds; brings it there
-            and returns None or True, or False to refuse. The part is let go after that.
+            Called by a sort with the `Destination` of the part in the grip; brings it there and
+            returns None or True, or False to refuse. The part is released after that.
         model
-            File of a taught model, as `save` or ``tactile-cell train`` writes it; without one,
+            File of a taught model, written by `save` or ``tactile-cell train``; without a model,
             teach first.
         training_set
             Data set of the grasps that trained the model, needed to teach further objects; by
-            default the one that `save` wrote beside it.
+            default the data set that `save` wrote beside it.
         gauge
-            Data set or recording of grasps of one known object on this cell: shape and size are
-            then read under the foam that it shows.
+            Data set or recording of grasps of one known object on this cell. It shows the foam with
+            which shape and size are then read.
         gauge_shape
-            Its shape, as ``sphere:diameter=9.5mm``; without it that of the configured object of
+            Its shape, e.g. ``sphere:diameter=9.5mm``; by default that of the configured object with
             the grasps' label.
         folder
-            Where the recording goes; None makes none.
+            Folder of the recording; None: no recording.
         save
-            Model file that each teaching writes before its job succeeds, as `save` does. One that
-            cannot be written aborts the job, though what was taught is in use, and is tried again
-            after each job that leaves the grip empty, and by `close`. None writes none.
+            Model file that each teaching writes before its job succeeds, as `save` does. A write
+            error aborts the job, but the taught model is in use. The write is repeated after each
+            job that leaves the grip empty, and by `close`. None: no file.
         capture, ask
             As `cell.build.build_cell`.
         start
-            False: the devices are verified by `reset`, which raises all that is wrong with them.
+            False: `reset` verifies the devices and raises their errors.
         note
-            Gets messages for the operator, as that the recording has stopped, from any thread.
+            Gets messages for the operator, e.g. that the recording has stopped, from any thread.
 
         Raises
         ------
         ConfigError, ModelError, DatasetError, CellError
             Before any hardware is touched.
         gripper.errors.GripperError, tactile.errors.TactileError
-            If a device is missing or differs from the config. What `clear` and `release` may mend,
-            a servo at fault or a part that an earlier run left in the grip, does not raise: the
-            cell is then ABORTED, and `fault` returns why.
+            If a device is missing or differs from the config. A servo at fault, or a part that an
+            earlier run left in the grip, does not raise: the cell is then ABORTED, and `fault`
+            returns why. Use `clear` and `release`.
         """
         checked = (
             config
@@ -229,7 +228,7 @@ class TactileCellPlugin:
             if start:
                 self._cell.controller.start()
         except (ServoFault, PartInGrip):
-            # The fault is latched: `clear` and `release` are the way on.
+            # The fault is latched: `clear` and `release` follow.
             pass
         except BaseException:
             self._cell.close()
@@ -247,7 +246,7 @@ class TactileCellPlugin:
         self._lease: Lease | None = None
         self._closed = False
         if checked.host_timeout_s is not None:
-            # Weakly: the thread of the lease must not keep a cell that its host has dropped.
+            # A weak reference: the thread of the lease must not keep a dropped cell alive.
             worker, cell = weakref.ref(self._worker), weakref.ref(controller)
 
             def lost(reason: str) -> None:
@@ -272,13 +271,13 @@ class TactileCellPlugin:
 
         try:
             return self._places().names
-        except ConfigError:  # a taught part has no place yet; a sort is refused
+        except ConfigError:  # a taught part has no place: a sort is refused
             return Places(self._config, ()).names
 
     def watch_parts(self, on_part: "OnPart") -> None:
-        """Have a function called with each part that is identified or sorted, and with each miss.
+        """Call a function with each identified or sorted part and each miss.
 
-        It is called in the thread of the cell.
+        It runs in the thread of the cell.
         """
         self._part_listeners.append(on_part)
 
@@ -292,27 +291,27 @@ class TactileCellPlugin:
 
     @property
     def working(self) -> bool:
-        """Whether the thread of the cell runs a job, or looks after the cell in each period.
+        """Whether the thread of the cell runs a job, or supervises the cell in each period.
 
-        A force loop that is silent ends a job, and a look, with a fault.
+        A silent force loop ends both with a fault.
         """
         return self._worker.working
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the operator: how the force loop runs, and why there is no self-zero."""
+        """Notes for the operator: state of the force loop, and why there is no self-zero."""
         return tuple(filter(None, (*self._cell.notes, self._cell.controller.zero_note)))
 
     @property
     def loop_text(self) -> str:
-        """How punctual the force loop was; empty in virtual time."""
+        """Timing of the force loop as text; empty in virtual time."""
         from cell.control.journal import loop_line  # noqa: PLC0415
 
         hand = self._cell.controller.hand
         return loop_line(hand.statistics.loop, hand.period_s) if self._cell.realtime else ""
 
     def grip_left(self, error: BaseException) -> str:
-        """Return what an error has left in the grip, as far as it is known, as text."""
+        """Return the grip after an error as text, as far as it is known."""
         from cell.control.lifecycle import NO_GRIP  # noqa: PLC0415
 
         controller = self._cell.controller
@@ -325,12 +324,12 @@ class TactileCellPlugin:
         return "the grip is kept" if controller.holding else NO_GRIP[controller.shows_nothing]
 
     def check_recording(self) -> None:
-        """Raise RecordingError where something is lost of the recording."""
+        """Raise RecordingError if a part of the recording is lost."""
         self._cell.check_recording()
 
     @property
     def training_set(self) -> "tuple[Grasp, ...]":
-        """The taught grasps, as far as they are at hand."""
+        """The taught grasps, as far as they are available."""
         return self._model.training_set
 
     @property
@@ -340,11 +339,11 @@ class TactileCellPlugin:
 
     @property
     def drift(self) -> "DriftGrid | None":
-        """The drift of the sensors since teaching; None where it is not followed."""
+        """The drift of the sensors since teaching; None if drift is not followed."""
         return self._model.drift
 
     def newtons(self, counts: "NDArray[np.uint16]") -> "NDArray[np.float32] | None":
-        """Return the force in N on each taxel by its counts; None before the first zero."""
+        """Return the force in N on each taxel from its counts; None before the first zero."""
         return self._newtons.of(counts)
 
     @property
@@ -374,7 +373,7 @@ class TactileCellPlugin:
             )
 
     def fault(self) -> str | None:
-        """Return the latched fault as text; None where there is none."""
+        """Return the latched fault as text; None without a fault."""
         with self._calling():
             return self._cell.controller.fault
 
@@ -389,10 +388,10 @@ class TactileCellPlugin:
         return self._model.revision
 
     def taught(self) -> list[dict[str, Any]]:
-        """Return the taught objects as plain data: grasps at hand, shape and size in mm by one.
+        """Return the taught objects as plain data: available grasps, shape and size in mm.
 
-        Shapes that are not known yet are None, and are read in a thread of their own;
-        `taught_revision` changes with each.
+        Another thread reads missing shapes; they are None until then. `taught_revision` changes
+        with each.
         """
         if not self._model.shapes_read and not (self._reading and self._reading.is_alive()):
             read = self._model.read_shapes
@@ -416,7 +415,7 @@ class TactileCellPlugin:
         *,
         on_progress: Callable[[dict[str, Any]], None] = lambda _progress: None,
     ) -> Any:
-        """Do a job to its end and return its result; what ends it otherwise is raised as it is.
+        """Run a job to its end and return its result; raises the error that ended it.
 
         ``on_progress`` is called in the thread of the cell with each report. Raises as `start`.
         """
@@ -437,13 +436,13 @@ class TactileCellPlugin:
         Raises
         ------
         ConfigError
-            If the goal is none of these, has unknown fields or values out of range, or a taught
-            part has no place to be sorted to.
+            If the goal is of another kind, has unknown fields or values out of range, or if a
+            taught part has no place for a sort.
         CellStateError
             If another job runs, the cell is not IDLE (for a verify: not COMPLETE) or is being
-            closed, nothing was taught yet, or a model was loaded whose training set is not at hand:
-            teaching would lose its objects. If nothing lies between the fingers of the simulated
-            cell, and it has no object of the name to teach.
+            closed, or nothing was taught yet. If the training set of a loaded model is not
+            available, because teaching would lose its objects. If the simulated cell has no object
+            between the fingers and no object with the name to teach.
         """
         checked = checked_goal(goal)
         self._check_taught(checked.task)
@@ -471,7 +470,7 @@ class TactileCellPlugin:
         return self._accept(work, _COMMANDS[checked.task], checked.task)
 
     def check(self, task: str) -> None:
-        """Raise what `start` and `start_command` would raise now, whatever the goal.
+        """Raise the errors that `start` and `start_command` would raise now for any goal.
 
         Raises
         ------
@@ -486,7 +485,7 @@ class TactileCellPlugin:
             self._cell.controller.check(self._needed(Command(task)))
 
     def _check_taught(self, task: str) -> None:
-        """Raise CellStateError or ConfigError where the taught objects do not allow a task."""
+        """Raise CellStateError or ConfigError if the taught objects do not allow a task."""
         if task == "teach":
             self._model.check_extendable()
         elif task in (*_NAMING, "gauge"):
@@ -495,7 +494,7 @@ class TactileCellPlugin:
                 self._places()
 
     def _needed(self, command: Command) -> Command:
-        """Return the command of the controller that a command of the host is in this state."""
+        """Return the controller's command for a host's command in the present state."""
         state = self._cell.controller.state
         if command is Command.RESET and state is CellState.STOPPED:
             return Command.START
@@ -513,14 +512,14 @@ class TactileCellPlugin:
         label
             The object.
         last
-            Whether its newest grasp alone is taken back.
+            Whether only its newest grasp is removed.
         forgotten
-            Called, in the thread of the cell, once nothing of the object is left.
+            Called in the thread of the cell after the last grasp of the object is removed.
 
         Raises
         ------
         CellStateError
-            If it is not taught, its grasps are not at hand, or the cell is not IDLE.
+            If it is not taught, its grasps are not available, or the cell is not IDLE.
         """
         self._model.check_extendable()
         if label not in self._model.labels:
@@ -543,17 +542,16 @@ class TactileCellPlugin:
     def result(self, job: Job, timeout_s: float) -> Any:
         """Wait for a job and return its result.
 
-        That is an `Answer` of an identification, a `Verification` of a grip or a verify, a
-        `SortAnswer` of a sort, a `Drift` of a gauge, a `SelfZero` of a zero, and the number of
-        grasps taught.
+        An `Answer` of an identification, a `Verification` of a grip or a verify, a `SortAnswer` of
+        a sort, a `Drift` of a gauge, a `SelfZero` of a zero, or the number of taught grasps.
 
         Raises
         ------
         TimeoutError
-            If it is not over in time; it goes on.
+            If it does not end in time; it continues.
         JobFailed
-            If it was cancelled or aborted: ``outcome`` names which, and ``__cause__`` is the error
-            that ended it, a `CellStopped` for one that was cancelled.
+            If it was cancelled or aborted, see ``outcome``. ``__cause__`` is the error that ended
+            it, a `CellStopped` after a cancel.
         """
         with self._calling():
             status = self._worker.wait(job, timeout_s)
@@ -562,18 +560,15 @@ class TactileCellPlugin:
         return status.value
 
     def cancel(self, job: Job, reason: str = "on request") -> None:
-        """Stop a job; what is held stays held. Does nothing to a job that is over.
-
-        A part that is kept is held already: nothing changes then.
-        """
+        """Stop a job; a held part stays held. Does nothing after the end of the job."""
         with self._starting:
             if not self.feedback(job).outcome.terminal:
                 self._cell.controller.cancel(reason)
 
     def interrupt(self) -> None:
-        """Stop what runs, and each job that starts later, for a program that is to end.
+        """Stop the running job and each later job, before the program ends.
 
-        What is held stays held. A signal handler may call it.
+        A held part stays held. A signal handler may call it.
         """
         self._interrupted = True
         self._cell.controller.cancel()
@@ -589,11 +584,11 @@ class TactileCellPlugin:
         ----------
         command
             ``Command.RELEASE``, ``CLEAR``, ``RESET`` or ``SHUTDOWN``. After a shutdown the cell is
-            STOPPED, what is held stays held, and `reset` starts it anew.
+            STOPPED, a held part stays held, and `reset` starts the cell again.
         reboot
             As `clear`.
         needless
-            Whether a clear is accepted where nothing of the cell is to be cleared.
+            Whether a clear is accepted when nothing of the cell needs it.
 
         Raises
         ------
@@ -624,9 +619,7 @@ class TactileCellPlugin:
     def release(self, timeout_s: float = 30.0) -> "ReleaseReport":
         """Let the part go and open the fingers; the only way to do so outside a sequence.
 
-        Of a kept part too, where the host wants it.
-
-        After a fault: `clear`, then `release`, then `reset`. What goes wrong is raised as it is.
+        After a fault: `clear`, then `release`, then `reset`. Raises the error of the command.
         Returns what was opened: a servo that is silent or at fault is left as it is, and the other
         finger opens alone.
         """
@@ -634,31 +627,31 @@ class TactileCellPlugin:
         return report
 
     def clear(self, timeout_s: float = 5.0, *, reboot: bool = False) -> None:
-        """Acknowledge a latched fault, one that was there at loading too; the grip stays as it is.
+        """Acknowledge a latched fault, also one from loading; the grip stays as it is.
 
-        With ``reboot`` servos that report a hardware error are restarted: what one of them still
-        held would drop. A fault that is still there is raised as it is.
+        ``reboot`` restarts servos that report a hardware error: a part that they still hold drops.
+        A remaining fault is raised.
         """
         self._finish(self.start_command(Command.CLEAR, reboot=reboot), timeout_s)
 
     def reset(self, timeout_s: float | None = 60.0) -> None:
-        """After `clear`: verify the devices anew and be ready again.
+        """Verify the devices again after `clear`, and be ready.
 
-        Raises PartInGrip where the fault left a part in the grip, and latches that: `clear` it,
-        `release` the part on purpose, and `reset` again. Other faults are raised as they are.
+        Raises and latches PartInGrip if the fault left a part in the grip: `clear` it, `release`
+        the part, and `reset` again. Other faults are raised as they are.
         """
         self._finish(self.start_command(Command.RESET), timeout_s)
 
     def follow_real_time(self, speed: float = 1.0, clock: "Clock" = time) -> None:
-        """Have the time of a simulated cell follow a real clock, where people watch it.
+        """Let the time of a simulated cell follow a real clock, for people who watch it.
 
-        It begins between two jobs. Before it, and for tests, virtual time runs as fast as the
-        machine goes, and stands still between two jobs. A real cell is left as it is.
+        It starts between two jobs. Before, virtual time runs as fast as the machine allows, and
+        stands still between two jobs. A real cell does not change.
 
         Parameters
         ----------
         speed
-            Virtual seconds in a real one; 0: as before it.
+            Virtual seconds per real second; 0: as before the first call.
         clock
             The real clock.
         """
@@ -670,28 +663,28 @@ class TactileCellPlugin:
             self._worker.between_jobs(begin)
 
     def simulate(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Ask the simulated cell for something and return its reply, also while a job runs.
+        """Send a request to the simulated cell and return its reply, also while a job runs.
 
-        As ``{"inject": "servo1.off"}`` and ``{"clear": "servo1.off"}``, which begin and end a
-        fault, and ``{"place": "cylinder:diameter=8mm,length=20mm"}``, which exchanges the part.
-        `simulator.realtime.requests` has all requests.
+        Examples: ``{"inject": "servo1.off"}`` and ``{"clear": "servo1.off"}`` begin and end a
+        fault; ``{"place": "cylinder:diameter=8mm,length=20mm"}`` exchanges the part. See
+        `simulator.realtime.requests`.
 
         Raises
         ------
         RequestRefused
             If the request cannot be carried out, or the cell has real ports.
         CellStateError
-            If a part is exchanged that the fingers hold: release it first. If the cell has no time
-            for it: ask again.
+            If the fingers hold the part to exchange: release it first. If the cell is busy: try
+            again.
         """
         return self._simulated()(dict(request))
 
     def begin_simulation_reset(self) -> Job:
-        """Start to make a simulated cell ready, whatever has happened, and return the job.
+        """Start to make a simulated cell ready from any state, and return the job.
 
-        All faults of the simulation end, a fault of the cell is cleared, the fingers open, and
-        nothing lies between them. Raises RequestRefused if the cell has real ports, CellStateError
-        while a job runs.
+        It ends all faults of the simulation, clears a fault of the cell, opens the fingers and
+        removes the part. Raises RequestRefused if the cell has real ports, CellStateError while a
+        job runs.
         """
         simulation, controller = self._simulated(), self._cell.controller
 
@@ -713,14 +706,14 @@ class TactileCellPlugin:
 
     def _simulated(self) -> "SimulationRequests":
         if self._simulation is None:
-            raise RequestRefused("this cell has real ports: nothing of it is simulated")
+            raise RequestRefused("this cell has real ports: it is not simulated")
         return self._simulation
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the taught model, and its training set as a data set beside it.
 
-        With both files a plugin that loads the model can teach further objects. With ``followed``
-        the model expects the drift that this session has followed: for the rest of a shift.
+        A plugin that loads both files can teach further objects. ``followed``: the model expects
+        the drift that this program has followed, for the rest of a shift.
 
         Raises
         ------
@@ -732,15 +725,15 @@ class TactileCellPlugin:
         self._model.save(path, followed=followed)
 
     def remark(self, kind: str, text: str) -> None:
-        """Write into the recording that something happened, with the next job or its end."""
+        """Write an event into the recording, with the next job or its end."""
         if self._cell.records:
             self._remarks.append((kind, text))
 
     def train(self, timeout_s: float | None = None) -> None:
         """Train the model on all taught grasps, after jobs with ``TeachGoal.train`` off.
 
-        Raises CellError if the grasps do not suffice; they are kept. ModelError or DatasetError if
-        the model cannot be written.
+        Raises CellError if there are too few grasps; they are kept. Raises ModelError or
+        DatasetError if the model cannot be written.
         """
         file = self._file
 
@@ -752,7 +745,7 @@ class TactileCellPlugin:
         self._finish(self._accept(work, None, "train"), timeout_s)
 
     def forget_drift(self, timeout_s: float = 5.0) -> None:
-        """Forget the followed drift, as after work on the sensors, and follow anew."""
+        """Reset the followed drift, e.g. after work on the sensors."""
         self._finish(self.start_forget_drift(), timeout_s)
 
     def start_forget_drift(self) -> Job:
@@ -761,20 +754,19 @@ class TactileCellPlugin:
         return self._accept(lambda _report: model.forget_drift(), None, "forget_drift")
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """Stop what runs and disconnect; a held part stays held. A second call does nothing.
+        """Stop the running job and disconnect; a held part stays held. A second call does nothing.
 
-        Jobs that were accepted end as cancelled, unless they were nearly done; further ones are
-        refused.
+        Accepted jobs end as cancelled unless they were nearly done; further jobs are refused.
 
         Raises
         ------
         CellStateError
             If the mover calls this: a job cannot wait for its own end. Nothing changes.
         TimeoutError
-            If the running job does not end in time, as while the mover has not returned. Jobs are
-            refused from then on; call this again to disconnect.
+            If the running job does not end in time, e.g. because the mover does not return. Jobs
+            are refused from then on; call this again to disconnect.
         ModelError, DatasetError, RecordingError
-            If what was taught cannot be written to ``save``, or something is lost of the recording.
+            If the taught model cannot be written to ``save``, or a part of the recording is lost.
             Everything else has ended.
         """
         self._worker.check_outside()
@@ -815,13 +807,13 @@ class TactileCellPlugin:
         self.close()
 
     def _stop_jobs(self) -> None:
-        """Refuse further jobs, then stop those that were accepted: a later one would go on."""
+        """Refuse further jobs first, then stop the accepted ones: a later job would run."""
         with self._starting:
             self._worker.refuse()
             self._cell.controller.cancel()
 
     def _finish(self, job: Job, timeout_s: float | None) -> Any:
-        """Wait for a command and return what it does; its error is raised as it is."""
+        """Wait for a command and return its result, or raise its error."""
         with self._calling():
             status = self._worker.wait(job, timeout_s)
         if status.exception is not None:
@@ -829,7 +821,7 @@ class TactileCellPlugin:
         return status.value
 
     def _accept(self, work: Callable[[Report], Any], command: Command | None, task: str) -> Job:
-        """Start a job that no earlier `cancel` is meant for, where its command is allowed now."""
+        """Start a job if its command is allowed now; an earlier `cancel` does not stop it."""
         controller, remarks, file = self._cell.controller, self._remarks, self._file
         last_answer, number = self._last_answer, 0
 
@@ -859,8 +851,8 @@ class TactileCellPlugin:
             finally:
                 _write_remarks(controller, remarks)
                 controller.remark("job", f"{task} {end}")
-                if not controller.status.holding:  # nothing to look after meanwhile
-                    with suppress(CellError):  # `close` is the last to try, and raises it
+                if not controller.status.holding:  # nothing to supervise meanwhile
+                    with suppress(CellError):  # `close` tries last, and raises it
                         file.write()
 
         with self._calling(), self._starting:
@@ -899,6 +891,6 @@ def cell_values(config: CellConfig, layout: "TaxelLayout") -> dict[str, Any]:
 
 
 def _write_remarks(controller: "CellController", remarks: deque[tuple[str, str]]) -> None:
-    """Write remarks of other threads: the recording belongs to the thread of the cell."""
+    """Write remarks of other threads; only the thread of the cell writes the recording."""
     while remarks:
         controller.remark(*remarks.popleft())

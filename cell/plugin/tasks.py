@@ -39,11 +39,11 @@ from recognition.statistics.fusion import fuse
 __all__ = ["ModelFile", "Places", "Tasks"]
 
 _SHOWN_GRASPS = 100
-"""Newest grasps of a teaching that its progress lists."""
+"""Number of newest grasps in the progress of a teaching."""
 
 
 class ModelFile:
-    """The file that each teaching renews, if there is one; what it did not take is tried again."""
+    """The file that each teaching writes, if there is one; a failed write is tried again."""
 
     def __init__(self, model: TaughtModel, path: Path | None) -> None:
         self.model = model
@@ -51,22 +51,22 @@ class ModelFile:
         self.due = False
 
     def write(self) -> None:
-        """Write what was taught since the last time, if anything.
+        """Write the model if it changed since the last write.
 
-        Raises ModelError or DatasetError if a file cannot be written; it is due still.
+        Raises ModelError or DatasetError if a file cannot be written; the write stays pending.
         """
         if self._path is not None and self.due:
             if self.model.labels:
                 self.model.save(self._path)
-            else:  # all was forgotten: the next start shall not find it
+            else:  # all was forgotten: the next start must not find the file
                 self._path.unlink(missing_ok=True)
         self.due = False
 
     def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> None:
         """Forget a taught object, or its newest grasp with ``last``, and write the model.
 
-        Raises CellError as `TaughtModel.forget`, and where the model cannot be written; it is tried
-        again.
+        Raises CellError as `TaughtModel.forget`, and if the model cannot be written; the write is
+        tried again.
         """
         self.model.forget(label, last=last)
         if label not in self.model.objects():
@@ -77,32 +77,32 @@ class ModelFile:
 
 @dataclass(frozen=True, slots=True)
 class Tasks:
-    """The tasks of a cell, by their names in goals; each is run in its thread."""
+    """The tasks of a cell, by their names in goals; each runs in the thread of the cell."""
 
     controller: CellController
     file: ModelFile
-    """The model, and where it is written."""
+    """The model and its file."""
     places: Callable[[], Places] = lambda: Places(CellConfig(), ())
-    """Returns the places of a sort for what is taught now."""
+    """Returns the places of a sort for the objects taught now."""
     reporter: Callable[[str], PartCallback] = lambda _task: lambda *_, **__: None
-    """Begins to report the parts of a task, as `part_reporter`; nobody counts them by default."""
+    """Starts the reports of the parts of a task, as `part_reporter`; by default no reports."""
 
     @property
     def model(self) -> TaughtModel:
-        """What the cell was taught."""
+        """The taught model."""
         return self.file.model
 
     def teach(self, goal: TeachGoal, report: Report) -> int:
-        """Grasp an object, train the model anew, write it, and return the number of grasps of it.
+        """Grasp an object, train the model, write it, and return the object's number of grasps.
 
         Raises
         ------
-        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
-            As `cell.jobs.teach.teach`; the grasps until then count at the next teaching.
+        cell.errors.NoPartFound, cell.errors.CellStopped, and errors of the devices
+            As `cell.jobs.teach.teach`; the next teaching uses the grasps until then.
         CellError
-            If all taught grasps together are too few to train with; they are kept too.
+            If there are too few taught grasps for a training; they are kept too.
         ModelError, DatasetError
-            If the model cannot be written; what was taught is in use all the same.
+            If the model cannot be written; it is in use.
         """
         each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
 
@@ -136,10 +136,10 @@ class Tasks:
         return len(collection.records)
 
     def gauge(self, goal: GaugeGoal, report: Report) -> Drift:
-        """Grasp a taught object, expect the drift that it shows from now on, and return that drift.
+        """Grasp a taught object, measure the drift, correct it from now on, and return it.
 
         Raises as `Collection.fill`; nothing changes then. Raises CellError if the grasps show no
-        drift, or the model cannot be written; it is in use all the same.
+        drift, or if the model cannot be written; it is then in use.
         """
         shown: dict[str, Any] = {"task": "gauge", "label": goal.label, "grasps": 0, "missed": 0}
 
@@ -163,7 +163,7 @@ class Tasks:
         return found[1]
 
     def zero(self, _goal: ZeroGoal, report: Report) -> SelfZero:
-        """Close the empty fingers on each other and return what they show.
+        """Close the empty fingers on each other and return the self-zero.
 
         Raises as `CellController.measure_zero`.
         """
@@ -178,7 +178,8 @@ class Tasks:
     def identify(self, goal: IdentifyGoal, report: Report) -> Answer:
         """Grasp an object until its name is sure enough, and return the answer.
 
-        What the goal wants to be kept stays in the grip. Raises as `cell.jobs.identify.identify`.
+        ``goal.keep`` decides whether the part stays in the grip. Raises as
+        `cell.jobs.identify.identify`.
         """
         seen, posteriors = self.reporter("identify"), list[Posterior]()
 
@@ -220,7 +221,7 @@ class Tasks:
         return Answer.of(found)
 
     def grip(self, goal: GripGoal, report: Report) -> Verification:
-        """Grip a part and keep it; return what was measured of it.
+        """Grip a part and keep it; return its measurement.
 
         Raises as `CellController.grip`.
         """
@@ -234,7 +235,7 @@ class Tasks:
         return found
 
     def verify(self, _goal: VerifyGoal | None, report: Report) -> Verification:
-        """Measure whether the part in the grip is still the one that was kept.
+        """Measure whether the part in the grip is still the kept one.
 
         Raises as `CellController.verify`.
         """
@@ -242,10 +243,10 @@ class Tasks:
         return Verification.of(self.controller.verify())
 
     def sort(self, goal: SortGoal, report: Report) -> SortAnswer:
-        """Name parts and let each go at its place; return the count.
+        """Name parts and release each at its place; return the counts.
 
-        Raises as `cell.jobs.sort.sort_parts`; the part is kept, and the count so far is the
-        progress.
+        Raises as `cell.jobs.sort.sort_parts`; the part is then kept, and the progress has the
+        counts so far.
         """
         seen, places = self.reporter("sort"), self.places()
         tally = Tally(places=places)

@@ -1,4 +1,4 @@
-"""The worker: one thread that owns a cell, runs its jobs, and supervises it in between."""
+"""The worker: one thread that owns a cell, runs its jobs, and supervises it between jobs."""
 
 import functools
 import math
@@ -17,16 +17,16 @@ from cell.errors import CellError, CellStateError, CellStopped
 from cell.fault_catalogue import error_text, fault_number
 
 KEPT_JOBS = 100
-"""Newest jobs whose end can be asked for: a resident program must not grow with each job."""
+"""Newest jobs whose status is kept, so that the memory of a resident program stays bounded."""
 SIGNAL_LOOK_S = 0.02
 """Longest time in s that a waiting main thread leaves a signal unanswered.
 
-The system may deliver a signal to any thread, but Python answers it in the main one, once it runs.
+The system may deliver a signal to any thread, but Python handles it only in the main thread.
 """
 
 _SILENT_S = 10.0
-"""Time in s without a look after the cell from which its thread counts as stuck: twice as long as
-a force loop may be silent."""
+"""Time in s without supervision after which the thread counts as stuck: twice the longest silence
+of a force loop."""
 
 
 class JobOutcome(StrEnum):
@@ -51,7 +51,7 @@ class Job:
     number: int
     """Its number among the jobs of its worker, from 1."""
     worker: str
-    """Name of the worker that runs it: jobs of two cells have the same numbers."""
+    """Name of its worker: jobs of two cells have the same numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,20 +63,20 @@ class JobStatus:
     progress: dict[str, Any]
     """Its last report; the keys depend on the job."""
     value: Any = None
-    """Its result, once it succeeded."""
+    """Its result after success."""
     error: str = ""
-    """Why it ended otherwise, as text; empty before."""
+    """Why it failed, as text; else empty."""
     exception: BaseException | None = None
-    """The error that ended it; None where it did not fail."""
+    """The error that ended it; None without an error."""
 
     @property
     def fault_number(self) -> int:
-        """Number of that error in the fault catalogue; 0 where it did not fail."""
+        """Number of the error in the fault catalogue; 0 without an error."""
         return fault_number(self.exception)
 
 
 class JobFailed(CellError):
-    """A job was cancelled or aborted; the error that ended it is the cause of this one."""
+    """A job was cancelled or aborted; ``__cause__`` is the error that ended it."""
 
     def __init__(self, job: Job, status: JobStatus) -> None:
         super().__init__(f"job {job.number} {status.outcome.value}: {status.error}")
@@ -91,10 +91,10 @@ Report = Callable[[dict[str, Any]], None]
 
 
 class CellWorker:
-    """Runs jobs on a thread of its own, at most one at a time.
+    """Runs jobs on its own thread, at most one at a time.
 
-    The thread refers to its worker weakly while it waits, so that a cell that nobody uses any more
-    can be collected.
+    The waiting thread has only a weak reference to its worker, so that an unused cell can be
+    collected.
     """
 
     def __init__(self, *, idle: Callable[[], None], idle_period_s: float | None) -> None:
@@ -105,13 +105,13 @@ class CellWorker:
         idle
             Called on the thread once a period while no job runs.
         idle_period_s
-            That period in s; None for a cell whose time stands still while nothing runs. It can be
-            changed on the thread, by what `between_jobs` runs there.
+            That period in s; None for a cell whose time stands still without a job. A function that
+            `between_jobs` runs can change it.
         """
         self._idle = idle
         self.idle_period_s = idle_period_s
         self.looked_s = time.monotonic()
-        """Monotonic time in s at which the thread was last between two turns."""
+        """Monotonic time in s of the thread's last turn."""
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._name = uuid.uuid4().hex
         self._refusing = False
@@ -131,9 +131,9 @@ class CellWorker:
     ) -> Job:
         """Accept a job; return at once.
 
-        The job gets a function to report its progress with. ``accepted`` is called with it once no
-        other one runs and before this one does; what it raises refuses the job. Raises
-        CellStateError if another job is not over yet, or the cell is being closed.
+        ``work`` gets a function to report its progress. ``accepted`` is called with the job before
+        it runs and after other jobs have ended; an error that it raises refuses the job. Raises
+        CellStateError if another job has not ended, or the cell is being closed.
         """
         with self._changed:
             self.check_free()
@@ -143,15 +143,15 @@ class CellWorker:
             self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
             if len(self._status) > KEPT_JOBS:
                 del self._status[next(iter(self._status))]
-            # Within the lock: whatever is accepted stands before the end in the queue.
+            # Within the lock: accepted jobs come before the end of the queue.
             self._queue.put(functools.partial(self._execute, job, work))
         return job
 
     def check_free(self) -> None:
-        """Raise CellStateError where `start` would refuse every job, as while one runs."""
+        """Raise CellStateError if `start` would refuse every job, e.g. while a job runs."""
         with self._changed:
             if self._refusing:
-                raise CellStateError("the cell is closed; load the plugin anew")
+                raise CellStateError("the cell is closed; load the plugin again")
             running = [job for job, status in self._status.items() if not status.outcome.terminal]
             if running:
                 raise CellStateError(
@@ -167,9 +167,9 @@ class CellWorker:
                 raise CellStateError(f"there is no job {job.number} in this cell") from None
 
     def wait(self, job: Job, timeout_s: float | None) -> JobStatus:
-        """Wait until a job is over; None: however long it takes.
+        """Wait for the end of a job; None: without a limit.
 
-        Raises TimeoutError if it is not over in time; it goes on.
+        Raises TimeoutError if it does not end in time; it continues.
         """
         end_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not (status := self.status(job)).outcome.terminal:
@@ -183,36 +183,36 @@ class CellWorker:
 
     @property
     def running(self) -> bool:
-        """Whether a job is not over yet."""
+        """Whether a job has not ended yet."""
         with self._changed:
             return any(not status.outcome.terminal for status in self._status.values())
 
     @property
     def working(self) -> bool:
-        """Whether the thread runs a job, or looks after the cell as often as it should."""
+        """Whether the thread runs a job, or supervises the cell in time."""
         late = time.monotonic() - self.looked_s > _SILENT_S
         return self.running or self.idle_period_s is None or not late
 
     def between_jobs(self, act: Callable[[], None]) -> None:
-        """Have something done on the thread, after the jobs that are accepted; it must not fail."""
+        """Call a function on the thread after the accepted jobs; it must not fail."""
         self._queue.put(act)
 
     def refuse(self) -> None:
-        """Accept no further job; those that are accepted go on to their end."""
+        """Accept no further job; accepted jobs run to their end."""
         with self._changed:
             self._refusing = True
 
     def end(self, last: Callable[[], None] = lambda: None) -> None:
-        """Accept no further job; after those accepted the thread does ``last`` and ends."""
+        """Accept no further job; after the accepted jobs the thread calls ``last`` and ends."""
         self.refuse()
         self._queue.put(last)
         self._queue.put(None)
 
     def close(self, timeout_s: float) -> None:
-        """End the thread after the jobs that are accepted; further ones are refused.
+        """End the thread after the accepted jobs; further jobs are refused.
 
-        Raises CellStateError if a job calls this itself: it would wait for its own end, and
-        TimeoutError if that takes too long; the jobs go on.
+        Raises CellStateError if a job calls this itself, because it would wait for its own end.
+        Raises TimeoutError if the end takes too long; the jobs continue.
         """
         self.check_outside()
         self.end()
@@ -224,12 +224,12 @@ class CellWorker:
         """Raise CellStateError on the thread of the cell, which cannot wait for its own end."""
         if threading.current_thread() is self._thread:
             raise CellStateError(
-                "close was called by a job itself, as by its mover, and would wait for that job's "
-                "end; cancel the job here, and close from another thread"
+                "a job itself, for example its mover, called close, which would wait for the job's "
+                "own end; cancel the job here, and close from another thread"
             )
 
     def supervise(self) -> None:
-        """Look after the cell once, while no job runs; the cell latches what goes wrong."""
+        """Supervise the cell once while no job runs; the cell latches faults."""
         with suppress(Exception):
             self._idle()
 
@@ -261,7 +261,7 @@ def _serve(
     worker: "weakref.ref[CellWorker]",
     work: "queue.SimpleQueue[Callable[[], None] | None]",
 ) -> None:
-    """Carry out what stands in the queue until its end, or until the worker is gone."""
+    """Carry out the queue until its end, or until the worker is gone."""
     idle_period_s = None
     while True:
         if (owner := worker()) is not None:

@@ -1,7 +1,7 @@
-"""pytest plugin for those who test cells: simulated cells, real buses, faults.
+"""pytest plugin for tests of cells: simulated cells, real buses, faults.
 
-pytest finds it through the entry point ``tactile_cell`` of the group ``pytest11``. It costs other
-test runs nothing: simulator, drivers and numpy are imported when a fixture is asked for. Start at
+pytest finds it by the entry point ``tactile_cell`` of the group ``pytest11``. Other test runs stay
+fast: simulator, drivers and numpy are imported when a test requests a fixture. Start at
 `cell.pytest_plugin.fixtures`; docs/how-to/test-your-cell.md shows how to use it.
 """
 
@@ -21,6 +21,7 @@ from cell.pytest_plugin.fixtures import (
 from cell.pytest_plugin.options import (
     pytest_addoption,
     pytest_configure,
+    pytest_generate_tests,
     pytest_report_header,
 )
 
@@ -34,6 +35,7 @@ __all__ = [
     "inject_fault",
     "pytest_addoption",
     "pytest_configure",
+    "pytest_generate_tests",
     "pytest_report_header",
     "servo_bus",
     "servo_clock",

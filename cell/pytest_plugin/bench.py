@@ -1,4 +1,4 @@
-"""Both links of a cell without its controller: simulated, or real where a port is named."""
+"""Both links of a cell without its controller: simulated, or real if a port is named."""
 
 import time
 from contextlib import ExitStack
@@ -19,19 +19,19 @@ from tactile.can.bus import CanBus, close_bus, open_bus
 
 @dataclass
 class LinkBench:
-    """Opens the two links when asked for, each once; simulated ones share their devices."""
+    """Opens the two links on demand, each once; simulated links share their devices."""
 
     config: CellConfig
     """The cell: rates, servo IDs, node."""
     options: HardwareOptions
-    """Names the real ports."""
+    """The real ports."""
     registry: FaultRegistry
-    """Is told what is simulated and what is real."""
+    """Registers simulated devices and real hardware."""
     _closing: ExitStack = field(default_factory=ExitStack, init=False)
 
     @cached_property
     def simulated(self) -> SimulatedCell:
-        """The simulated devices, made when first asked for."""
+        """The simulated devices, created at the first use."""
         simulated = SimulatedCell(simulator_settings(simulated_config(self.config)))
         self._closing.callback(simulated.close)
         self.registry.add(simulated)
@@ -39,7 +39,7 @@ class LinkBench:
 
     @cached_property
     def servo_line(self) -> tuple[ByteStream, Clock]:
-        """Bytes of the servo line, and the time that passes for it; raises PortLost."""
+        """Bytes of the servo line, and its clock; raises PortLost."""
         port, rate = self.options.servo_port, self.config.gripper.baud_rate
         if port is not None:
             self.registry.add_hardware(f"servos at {port}")
@@ -49,7 +49,7 @@ class LinkBench:
 
     @cached_property
     def servo_bus(self) -> ServoBus:
-        """Transactions on the servo line; no servo is written to. Raises PortLost."""
+        """Transactions on the servo line; nothing is written to a servo. Raises PortLost."""
         stream, clock = self.servo_line
         gripper = self.config.gripper
         return ServoBus(
@@ -58,7 +58,7 @@ class LinkBench:
 
     @cached_property
     def can_line(self) -> tuple[CanBus, Clock]:
-        """The CAN bus, on which nothing is sent, and its time; raises BusNotOpened."""
+        """The CAN bus, without sending, and its clock; raises BusNotOpened."""
         interface, channel = self.options.can_interface, self.options.can_channel
         if interface is None or channel is None:
             return self.simulated.can_bus, self.simulated.clock
@@ -68,5 +68,5 @@ class LinkBench:
         return bus, time
 
     def close(self) -> None:
-        """Close what was opened; the servos keep doing what they were told last."""
+        """Close the open links; the servos keep their last commands."""
         self._closing.close()

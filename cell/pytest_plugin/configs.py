@@ -1,4 +1,4 @@
-"""The config of a test: from a file, with the values that options or the test itself change."""
+"""The config of a test: from a file, with changes by options or by the test."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ ConfigSource = CellConfig | Path | str | None
 
 
 def config_under_test(path: Path | None, options: HardwareOptions) -> CellConfig:
-    """Return the config of the file with what the command line says about servos and node.
+    """Return the config of the file with the command line's values for servos and node.
 
     Raises
     ------
@@ -42,9 +42,9 @@ def simulated_config(
     changes: Mapping[str, Any] | None = None,
     callback: bool = False,
 ) -> CellConfig:
-    """Return a config whose ports are the simulated ones; everything else stays.
+    """Return a config with simulated ports; other values stay.
 
-    But a test has no day: what is zeroed once a day is zeroed in a test that asks for it.
+    Only ``self_zero: daily`` becomes ``on_demand``: a test zeroes only on request.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def simulated_config(
     changes
         Further values by dotted path.
     callback
-        Whether a mover of the test moves; else the simulated cell places the object.
+        Whether a mover of the test moves the object; else the simulated cell places it.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def simulated_config(
 
 
 def given_config(source: ConfigSource, default: CellConfig) -> CellConfig:
-    """Return the config that a test names by value or file, or else the default one."""
+    """Return the config that a test gives as value or file, else the default config."""
     if source is None:
         return default
     return source if isinstance(source, CellConfig) else load_config(Path(source))

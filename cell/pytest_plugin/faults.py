@@ -1,4 +1,4 @@
-"""Which simulated cells a test has, and the faults that it put into them."""
+"""The simulated cells of a test, and the injected faults."""
 
 from typing import Protocol
 
@@ -10,24 +10,24 @@ class FaultHandle(Protocol):
 
     @property
     def began_s(self) -> float | None:
-        """Time of the cell in s at which the fault began, None before."""
+        """Time of the cell in s at which the fault began; None before."""
         ...
 
     def clear(self) -> None:
-        """End the fault; ending it again changes nothing."""
+        """End the fault; a second call has no effect."""
         ...
 
 
 class FaultTarget(Protocol):
-    """A simulated cell that takes faults as text, as ``can.loss=0.05@2s``."""
+    """A simulated cell that takes faults as text, for example ``can.loss=0.05@2s``."""
 
     def inject(self, text: str) -> FaultHandle:
-        """Put a fault in; refuses one that it does not know with the list of what there is."""
+        """Inject a fault; an unknown fault is refused with a list of all faults."""
         ...
 
 
 class FaultRegistry:
-    """Finds the cell that a fault is meant for; faults are for simulated cells only."""
+    """Finds the cell for a fault; only simulated cells take faults."""
 
     def __init__(self) -> None:
         self._targets: list[FaultTarget] = []
@@ -35,33 +35,33 @@ class FaultRegistry:
         self._faults: list[FaultHandle] = []
 
     def add(self, target: FaultTarget) -> None:
-        """Take in a simulated cell of this test."""
+        """Add a simulated cell of this test."""
         self._targets.append(target)
 
     def add_hardware(self, name: str) -> None:
-        """Note that this test uses real hardware: from now on every fault is refused."""
+        """Register real hardware: from now on every fault is refused."""
         self._hardware.append(name)
 
     def inject(self, text: str, *, into: FaultTarget | None = None) -> FaultHandle:
-        """Put a fault into the simulated cell of this test.
+        """Inject a fault into the simulated cell of this test.
 
         Parameters
         ----------
         text
-            The fault, as ``servo1.off@contact+0.5s``.
+            The fault, for example ``servo1.off@contact+0.5s``.
         into
-            The cell, where the test has several.
+            The cell, if the test has several.
 
         Raises
         ------
         pytest.fail.Exception
-            If the test uses hardware, has no simulated cell, or has several and names none.
+            If the test uses hardware, has no simulated cell, or has several without ``into``.
         """
         if self._hardware:
             pytest.fail(
                 f"fault {text!r} refused: this test runs on hardware ({', '.join(self._hardware)}) "
-                "and faults are injected into simulated cells only; skip it there, or leave the "
-                "options out that name the hardware",
+                "and faults are for simulated cells only; skip the test, or leave out the options "
+                "that name the hardware",
                 pytrace=False,
             )
         if into is None:
@@ -69,15 +69,15 @@ class FaultRegistry:
                 pytest.fail(
                     f"fault {text!r}: this test has {len(self._targets)} simulated cells"
                     + (
-                        "; say which with inject_fault(text, into=cell)"
+                        "; name one with inject_fault(text, into=cell)"
                         if self._targets
-                        else " so far; make one first, as cell = simulated_cell()"
+                        else " so far; make one first: cell = simulated_cell()"
                     ),
                     pytrace=False,
                 )
             into = self._targets[0]
         elif into not in self._targets:
-            pytest.fail(f"fault {text!r}: {into!r} is no simulated cell of this test")
+            pytest.fail(f"fault {text!r}: {into!r} is not a simulated cell of this test")
         fault = into.inject(text)
         self._faults.append(fault)
         return fault

@@ -1,4 +1,4 @@
-"""The fixtures. Everything heavy is imported inside them, when a test asks for one."""
+"""The fixtures. Heavy modules are imported inside them, when a test requests one."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class MakeSimulatedCell:
-    """Makes simulated cells in virtual time; what is on ``closing`` closes them."""
+    """Makes simulated cells in virtual time; ``closing`` closes them."""
 
     def __init__(self, config: "CellConfig", faults: FaultRegistry, closing: ExitStack) -> None:
         self._config = config
@@ -42,29 +42,29 @@ class MakeSimulatedCell:
         changes: Mapping[str, Any] | None = None,
         folder: Path | None = None,
     ) -> "VirtualCell":
-        """Return a cell that is made but not started.
+        """Return a cell that is not started.
 
         Parameters
         ----------
         config
-            Config or its file; by default `cell_config`. Its ports are replaced by simulated ones.
+            Config or its file; by default `cell_config`. Simulated ports replace its ports.
         objects
-            Shapes by label, as ``{"pin": "cylinder:diameter=6mm,length=20mm"}``.
+            Shapes by label: ``{"pin": "cylinder:diameter=6mm,length=20mm"}``.
         seed
             Seed of noise and poses.
         mover
-            Moves instead of the simulated positioner: called with each pose, as a host program's.
+            Replaces the simulated positioner: called with each pose, like that of a host program.
         places
-            Brings kept parts to their places, as a host program's.
+            Brings kept parts to their places, like that of a host program.
         changes
-            Other values of the config by dotted path, as ``{"tactile.tare_frames": 25}``.
+            Other values of the config by dotted path: ``{"tactile.tare_frames": 25}``.
         folder
-            Where a recording is made; None makes none.
+            Folder of the recording; None: no recording.
 
         Raises
         ------
         cell.errors.ConfigError
-            If the config that results is not valid.
+            If the resulting config is not valid.
         """
         from cell.build import build_cell
         from cell.pytest_plugin.configs import given_config, simulated_config
@@ -87,7 +87,7 @@ class MakeSimulatedCell:
 
 
 class MakeCellProcess:
-    """Starts simulated cells in processes of their own; what is on ``closing`` ends them."""
+    """Starts simulated cells in separate processes; ``closing`` ends them."""
 
     def __init__(
         self,
@@ -130,10 +130,10 @@ class MakeCellProcess:
 
 
 class InjectFault(Protocol):
-    """Puts faults into the simulated cell of the test."""
+    """Injects faults into the simulated cell of the test."""
 
     def __call__(self, text: str, *, into: FaultTarget | None = None) -> FaultHandle:
-        """Put a fault in; ``into`` names the cell where the test has several."""
+        """Inject a fault; ``into`` is the cell if the test has several."""
         ...
 
 
@@ -166,10 +166,10 @@ def cell_faults() -> Iterator[FaultRegistry]:
 def cell_bench(
     request: pytest.FixtureRequest, cell_config: "CellConfig", cell_faults: FaultRegistry
 ) -> "Iterator[LinkBench]":
-    """Both links of a cell without a controller, opened when asked for.
+    """Both links of a cell without a controller, opened on demand.
 
-    What servo_bus, servo_stream and can_bus are taken from: ``cell_bench.simulated`` has the
-    simulated devices behind them.
+    Source of servo_bus, servo_stream and can_bus; ``cell_bench.simulated`` has the simulated
+    devices.
     """
     from cell.pytest_plugin.bench import LinkBench
 
@@ -185,9 +185,9 @@ def simulated_cell(
 ) -> Iterator[MakeSimulatedCell]:
     """Make simulated cells in virtual time: ``cell = simulated_cell(objects=..., seed=...)``.
 
-    Each has a CellController, the simulated devices and their clock; time passes only while
-    somebody waits, so a grasp takes a fraction of a second. Never touches hardware: the ports of
-    the config are replaced. Settings: config, objects, seed, mover, places, changes, folder::
+    Each has a CellController, the simulated devices and their clock. Time passes only during
+    waits, so a grasp takes a fraction of a second. Hardware is never used: simulated ports replace
+    those of the config. Settings: config, objects, seed, mover, places, changes, folder::
 
         def test_grip(simulated_cell):
             cell = simulated_cell(objects={"pin": "cylinder:diameter=6mm,length=20mm"})
@@ -203,7 +203,7 @@ def simulated_cell(
 def servo_bus(cell_bench: "LinkBench") -> "ServoBus":
     """ServoBus on the simulated servos in virtual time, or on real ones with ``--servo-port``.
 
-    Nothing is written to the servos when it opens or closes. ``servo_clock`` is its time,
+    Opening and closing write nothing to the servos. ``servo_clock`` is its clock,
     ``cell_config.gripper.servos`` has the IDs.
     """
     return cell_bench.servo_bus
@@ -211,13 +211,13 @@ def servo_bus(cell_bench: "LinkBench") -> "ServoBus":
 
 @pytest.fixture
 def servo_stream(cell_bench: "LinkBench") -> "ByteStream":
-    """Bytes of the servo line, for tests below the level of servo_bus; the same line."""
+    """Bytes of the line of servo_bus, for tests below its level."""
     return cell_bench.servo_line[0]
 
 
 @pytest.fixture
 def servo_clock(cell_bench: "LinkBench") -> "Clock":
-    """Time that passes for servo_bus: virtual, or the module time with ``--servo-port``."""
+    """Clock of servo_bus: virtual, or the module time with ``--servo-port``."""
     return cell_bench.servo_line[1]
 
 
@@ -225,7 +225,7 @@ def servo_clock(cell_bench: "LinkBench") -> "Clock":
 def can_bus(cell_bench: "LinkBench") -> "CanBus":
     """python-can bus with the simulated control unit, or a real one with ``--can-interface``.
 
-    Waiting in ``recv`` moves the virtual time. ``can_clock`` is its time,
+    Waiting in ``recv`` advances the virtual time. ``can_clock`` is its clock,
     ``cell_config.tactile.node_id`` the unit's node.
     """
     return cell_bench.can_line[0]
@@ -233,7 +233,7 @@ def can_bus(cell_bench: "LinkBench") -> "CanBus":
 
 @pytest.fixture
 def can_clock(cell_bench: "LinkBench") -> "Clock":
-    """Time that passes for can_bus: virtual, or the module time with ``--can-interface``."""
+    """Clock of can_bus: virtual, or the module time with ``--can-interface``."""
     return cell_bench.can_line[1]
 
 
@@ -245,8 +245,8 @@ def cell_process(
 
     Servos and CAN adapter are on pseudo-terminals. The result has servo_port, can_channel,
     config_path (a config for any program), positioner_socket, ask(), wait_for_grip(), kill().
-    What was started is ended with the test, and nothing else; a process that died by itself
-    fails the test with its log.
+    The end of the test ends the process. A process that ended by itself fails the test with its
+    log.
     """
     with ExitStack() as closing:
         report = request.node.add_report_section
@@ -256,10 +256,10 @@ def cell_process(
 
 @pytest.fixture
 def inject_fault(cell_faults: FaultRegistry) -> InjectFault:
-    """Put faults into the simulated cell of the test: ``inject_fault("can.loss=0.05@2s")``.
+    """Inject faults into the simulated cell of the test: ``inject_fault("can.loss=0.05@2s")``.
 
-    For cells of simulated_cell and cell_process and for the devices behind servo_bus and can_bus;
-    refused where the test runs on hardware. Returns the fault with clear(); all that is left is
-    cleared at the end of the test. ``tactile-cell simulate --list-faults`` lists the vocabulary.
+    For cells of simulated_cell and cell_process and for the devices of servo_bus and can_bus; on
+    hardware faults are refused. Returns the fault with clear(); the end of the test clears all
+    faults. ``tactile-cell simulate --list-faults`` lists the vocabulary.
     """
     return cell_faults.inject

@@ -1,4 +1,4 @@
-"""Options of the plugin: which config, and which real ports if any."""
+"""Options of the plugin: config and real ports."""
 
 from argparse import ArgumentTypeError
 from collections.abc import Callable
@@ -12,23 +12,27 @@ _HIGHEST_SERVO_ID = 252
 """Highest ID of a servo (e-Manual, Protocol 2.0)."""
 
 
+CONTRACTS = ("sensor", "servo_model", "pad_layout", "recogniser", "interface")
+"""Kinds of plugins that have a contract: files of `cell.pytest_plugin.contracts`."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HardwareOptions:
-    """What the command line says about real hardware; None where it says nothing."""
+    """Options of the command line for real hardware; None: not given."""
 
     servo_port: str | None = None
-    """Port of the servos; without one they are simulated."""
+    """Port of the servos; None: simulated servos."""
     servo_baud_rate: int | None = None
     """Rate of the servos' line in bit/s."""
     servo_ids: tuple[int, ...] | None = None
-    """Servos that are asked."""
+    """IDs of the servos."""
     can_interface: str | None = None
     can_channel: str | None = None
-    """CAN adapter, for python-can; without one the control unit is simulated."""
+    """CAN adapter, for python-can; None: a simulated control unit."""
     can_bitrate: int | None = None
     """Rate of the CAN bus in bit/s."""
     node_id: int | None = None
-    """Node-ID of the control unit that is asked."""
+    """Node-ID of the control unit."""
     allow_motion: bool = False
     """Whether tests may switch torque on and move real servos."""
 
@@ -41,7 +45,7 @@ class HardwareOptions:
 def config_path(config: pytest.Config) -> Path | None:
     """Return the config of the cell under test: ``--cell-config``, else the ini option, else None.
 
-    The ini option is relative to the file that it stands in.
+    The ini option is relative to its file.
     """
     given: str | None = config.getoption("cell_config")
     if given is not None:
@@ -59,7 +63,7 @@ def _servo_ids(text: str) -> tuple[int, ...]:
         ids = ()
     if not ids or not all(0 <= servo_id <= _HIGHEST_SERVO_ID for servo_id in ids):
         raise ArgumentTypeError(
-            f"{text!r} is no list of servo IDs from 0 to {_HIGHEST_SERVO_ID}, as 1,2"
+            f"{text!r} is not a list of servo IDs from 0 to {_HIGHEST_SERVO_ID}, for example 1,2"
         )
     return ids
 
@@ -67,42 +71,73 @@ def _servo_ids(text: str) -> tuple[int, ...]:
 _VALUES: tuple[tuple[str, str, Callable[[str], Any], str], ...] = (
     ("--cell-config", "FILE", str,
      "config of the cell under test (also ini option cell_config); its ports are not used"),
-    ("--servo-port", "PATH", str, "real servos on this serial port, as /dev/ttyUSB0"),
+    ("--servo-port", "PATH", str, "real servos on this serial port, for example /dev/ttyUSB0"),
     ("--servo-baud-rate", "RATE", int, "baud rate of the servo bus in bit/s"),
-    ("--servo-ids", "IDS", _servo_ids, "IDs of the servos, as 1,2"),
+    ("--servo-ids", "IDS", _servo_ids, "IDs of the servos, for example 1,2"),
     ("--can-interface", "NAME", str,
-     "real control unit on this python-can interface, as socketcan or slcan"),
-    ("--can-channel", "NAME", str, "channel of the interface, as can0"),
+     "real control unit on this python-can interface, for example socketcan or slcan"),
+    ("--can-channel", "NAME", str, "channel of the interface, for example can0"),
     ("--can-bitrate", "RATE", int, "bit rate of the CAN bus in bit/s"),
     ("--node-id", "ID", int, "CANopen node id, 1 to 127"),
 )  # fmt: skip
-"""Options with a value: name, what stands for the value, its type, and its help."""
+"""Options with a value: name, metavar, type and help."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of the group ``tactile-cell``."""
     group = parser.getgroup(
-        "tactile-cell", "tactile-cell: what is under test; without a port, the simulated cell is"
+        "tactile-cell", "tactile-cell: cell under test; without ports the simulated cell"
     )
     for option, metavar, kind, text in _VALUES:
         group.addoption(option, metavar=metavar, type=kind, help=text)
     group.addoption(
         "--allow-motion",
         action="store_true",
-        help="let tests switch on the torque of real servos; nothing may be in the grip",
+        help="allow tests to switch on the torque of real servos; the grip must be empty",
+    )
+    group.addoption(
+        "--contract",
+        metavar="KIND[:NAME]",
+        action="append",
+        default=[],
+        help=f"run the contract tests of installed plugins: {', '.join(CONTRACTS)}",
     )
     parser.addini("cell_config", "config of the cell under test", type="string", default="")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuse options that do not go together."""
+    """Refuse incomplete options."""
     options = HardwareOptions.of(config)
     if (options.can_interface is None) != (options.can_channel is None):
-        raise pytest.UsageError("--can-interface and --can-channel go together: name both")
+        raise pytest.UsageError("--can-interface and --can-channel need each other: name both")
+    wanted = [text.partition(":")[0] for text in config.getoption("contract")]
+    for kind in wanted:
+        if kind not in CONTRACTS:
+            raise pytest.UsageError(f"no contract {kind!r}; there are {', '.join(CONTRACTS)}")
+    if wanted and config.args_source is not pytest.Config.ArgsSource.ARGS:
+        config.args = []
+    folder = Path(__file__).with_name("contracts")
+    config.args += [str(folder / f"{kind}.py") for kind in dict.fromkeys(wanted)]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run each test of a contract on each plugin of its kind, or on the one that is named."""
+    if "plugin_name" not in metafunc.fixturenames:
+        return
+    from cell.plugins import GROUPS
+
+    kind = metafunc.module.__name__.rpartition(".")[2]
+    found = list(next(group for group in GROUPS if group.what == kind.replace("_", " ")))
+    texts = [text.partition(":") for text in metafunc.config.getoption("contract")]
+    names = [name for one, _, name in texts if one == kind and name]
+    for name in names:
+        if name not in found:
+            raise pytest.UsageError(f"no {kind} {name!r} is installed; there are {found}")
+    metafunc.parametrize("plugin_name", names or found, scope="module")
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
-    """Name the hardware under test; say nothing where all is simulated."""
+    """Return a line with the hardware under test; empty if all devices are simulated."""
     options = HardwareOptions.of(config)
     found = []
     if options.servo_port is not None:

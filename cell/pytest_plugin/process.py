@@ -1,4 +1,4 @@
-"""A simulated cell in a process of its own: real time, pseudo-terminals, one socket."""
+"""A simulated cell in a separate process: real time, pseudo-terminals, one socket."""
 
 import contextlib
 import json
@@ -20,17 +20,17 @@ from cell.errors import CellError, PositionerError
 _PROGRAM = "from cell.interfaces.cli import main; main()"
 _SIMULATE = (sys.executable, "-P", "-c", _PROGRAM, "simulate", "--with-parent")
 _START_S = 60.0
-"""Longest start of a simulated cell in s, on a busy machine."""
+"""Longest start time of a simulated cell in s, on a busy machine."""
 _REPLY_S = 10.0
 """Longest wait for a reply at its socket in s."""
 _END_S = 5.0
 """Time in s for a process to end before it is killed."""
 _LOG_BYTES = 4000
-"""Bytes at the end of a log that an error shows."""
+"""Number of last bytes of a log in an error."""
 
 
 class CellProcessError(CellError):
-    """The simulated cell did not start, died, or refused a request; its log is in the message."""
+    """The simulated cell did not start, ended, or refused a request; its log is in the message."""
 
 
 class ProcessFault:
@@ -42,21 +42,21 @@ class ProcessFault:
 
     @property
     def began_s(self) -> float | None:
-        """Monotonic time of this machine in s at which it began; None before and after it."""
+        """Monotonic time of this machine in s at which it began; None before and after."""
         if self._cell is None or not self._cell.running:
             return None
         began_s: float | None = self._cell.ask(state=True)["faults"].get(self.text)
         return began_s
 
     def clear(self) -> None:
-        """End the fault; one in a process that is over is over with it."""
+        """End the fault; the end of the process ends it too."""
         cell, self._cell = self._cell, None
         if cell is not None and cell.running:
             cell.ask(clear=self.text)
 
 
 class CellProcess:
-    """``tactile-cell simulate``, started here and ended here.
+    """A process ``tactile-cell simulate``, which this object starts and ends.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class CellProcess:
     """
 
     def __init__(self, config: CellConfig) -> None:
-        # The socket's path must be short, so the test's own folder does not do.
+        # The path of the socket must be short, so the folder of the test cannot be used.
         self._folder = tempfile.TemporaryDirectory(prefix="cell-")
         folder = Path(self._folder.name)
         wanted = folder / "simulate.yaml"
@@ -97,9 +97,9 @@ class CellProcess:
             """The pseudo-terminal with the CAN adapter, for python-can, and the control unit's
             node."""
             self.positioner_socket: str = found["positioner_socket"]
-            """Unix socket that takes requests as JSON lines; `ask` does it."""
+            """Unix socket for requests as JSON lines; `ask` sends them."""
             self.config_path = Path(found["config"])
-            """Config by which any program reaches it: ``tactile-cell run --config ...``."""
+            """Config for programs that use this cell: ``tactile-cell run --config ...``."""
         except BaseException:
             self.end()
             raise
@@ -111,23 +111,23 @@ class CellProcess:
 
     @property
     def running(self) -> bool:
-        """Whether the process is still there."""
+        """Whether the process runs."""
         return self._process.poll() is None
 
     @property
     def log(self) -> str:
-        """The end of what the process wrote to its standard error."""
+        """The last bytes of the standard error of the process."""
         with contextlib.suppress(OSError):
             return self._log_path.read_bytes()[-_LOG_BYTES:].decode(errors="replace")
         return ""
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        """Send one request, as ``place="ball"`` or ``state=True``, and return the reply.
+        """Send a request, for example ``place="ball"`` or ``state=True``; return the reply.
 
         Raises
         ------
         CellProcessError
-            If it is refused, or the process is gone or does not answer.
+            If the request is refused, or the process is gone or does not answer.
         """
         try:
             client = SocketPlacer(self.positioner_socket, timeout_s=_REPLY_S)
@@ -137,21 +137,21 @@ class CellProcess:
             raise CellProcessError(f"{request}: {error}. {self._state()}") from error
 
     def inject(self, text: str) -> ProcessFault:
-        """Put a fault in, as ``can.loss=0.05@2s``. Raises CellProcessError if it is refused."""
+        """Inject a fault such as ``can.loss=0.05@2s``. Raises CellProcessError if refused."""
         self.ask(inject=text)
         return ProcessFault(self, text)
 
     def grip_n(self) -> float:
-        """Return the true force in N on the pad that carries less."""
+        """Return the true force in N on the pad with less force."""
         return float(min(self.ask(state=True)["contact_force_n"]))
 
     def wait_for_grip(self, least_n: float, *, timeout_s: float = 30.0) -> float:
-        """Wait until both pads carry ``least_n`` N, and return the force.
+        """Wait until the force on both pads is ``least_n`` N, and return it.
 
         Raises
         ------
         TimeoutError
-            If they do not within ``timeout_s`` s.
+            If the force is not reached within ``timeout_s`` s.
         CellProcessError
             If the process is gone.
         """
@@ -163,7 +163,7 @@ class CellProcess:
         return grip_n
 
     def kill(self) -> None:
-        """Let the process die at once (SIGKILL), as after a loss of power."""
+        """Kill the process at once (SIGKILL), as by a loss of power."""
         self._ended_by_us = True
         self._process.kill()
         self._process.wait()
@@ -174,12 +174,12 @@ class CellProcess:
         Raises
         ------
         CellProcessError
-            If it had ended by itself before; the message has its exit code and log.
+            If the process had ended by itself; the message has its exit code and log.
         """
         died, log = not self.running and not self._ended_by_us, self.log
         if self.running:
             self._ended_by_us = True
-            os.kill(self.pid, signal.SIGCONT)  # in case that the test has stopped it
+            os.kill(self.pid, signal.SIGCONT)  # the test may have stopped it
             self._process.terminate()
             try:
                 self._process.wait(_END_S)
@@ -192,12 +192,12 @@ class CellProcess:
         if died:
             raise CellProcessError(
                 f"the simulated cell (process {self.pid}) ended by itself during the test with "
-                f"exit code {self._process.returncode}; if the test means it to die, let it call "
-                f"kill(). Its log:\n{log or '(empty)'}"
+                f"exit code {self._process.returncode}; call kill() if the test should end it. "
+                f"Its log:\n{log or '(empty)'}"
             )
 
     def _announcement(self) -> dict[str, Any]:
-        """Wait for the line of JSON that says that clients can come."""
+        """Wait for the JSON line of a process that is ready for clients."""
         pipe = self._process.stdout
         if pipe is None:
             raise CellProcessError("the simulated cell has no standard output")

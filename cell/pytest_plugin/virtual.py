@@ -1,4 +1,4 @@
-"""A whole cell in virtual time, as a test sees it."""
+"""A whole cell in virtual time, for tests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,28 +21,28 @@ from simulator.faults.injector import InjectedFault
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualCell:
-    """A simulated cell in virtual time: time passes only while somebody waits."""
+    """A simulated cell in virtual time: time passes only during waits."""
 
     config: CellConfig
-    """What it was made from."""
+    """Its config."""
     cell: Cell
-    """Controller and both links, as `cell.build.build_cell` makes them for every cell."""
+    """Controller and both links, from `cell.build.build_cell` as for every cell."""
     simulated: SimulatedCell
-    """The simulated devices, and what only a simulator can tell."""
+    """The simulated devices, with true values that only a simulator has."""
 
     @property
     def controller(self) -> CellController:
-        """Runs the sequences."""
+        """The controller, which runs the sequences."""
         return self.cell.controller
 
     @property
     def clock(self) -> VirtualClock:
-        """The time of everything in this cell."""
+        """The clock of all parts of this cell."""
         return self.simulated.clock
 
     @property
     def grip_n(self) -> float:
-        """True force in N on the pad that carries less; 0 while nothing is held."""
+        """True force in N on the pad with less force; 0 while nothing is held."""
         return min(self.simulated.world.contact_force_n())
 
     @property
@@ -51,17 +51,17 @@ class VirtualCell:
         return self.simulated.devices.mechanics.aperture_m
 
     def inject(self, text: str) -> InjectedFault:
-        """Put a fault in, as ``can.loss=0.05@2s``; tests take `inject_fault`, which clears it.
+        """Inject a fault such as ``can.loss=0.05@2s``; tests use `inject_fault`, which clears it.
 
         Raises
         ------
         simulator.errors.SimulatorSettingsError
-            If it does not exist or cannot be; the message lists what there is.
+            If the fault does not exist or does not fit; the message has a hint.
         """
         return self.simulated.inject(text)
 
     def start(self, present: str | None = None) -> "VirtualCell":
-        """Start the cell, and have an object brought if one is named; returns itself.
+        """Start the cell, and bring an object if one is named; returns the cell.
 
         Raises
         ------
@@ -74,16 +74,16 @@ class VirtualCell:
         return self
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass in s while the controller does nothing; it does not wait really."""
+        """Advance the virtual time by s without the controller; no real time passes."""
         self.clock.sleep(seconds)
 
     def idle(self, seconds: float) -> None:
-        """Let time pass in s as in a program between two jobs: links alive, supervised.
+        """Advance the time by s as between two jobs: with links alive and supervised.
 
         Raises
         ------
         gripper.errors.GripperError, tactile.errors.TactileError
-            The fault that the controller sees meanwhile.
+            A fault that the controller detects.
         """
         end_s = self.clock.monotonic() + seconds
         while self.clock.monotonic() < end_s:
@@ -95,12 +95,12 @@ class VirtualCell:
         return self.controller.grasp(GraspStep(pose=pose or Pose(), force_n=force_n))
 
     def teach(self, labels: Sequence[str], grasps: int = 6, *, seed: int = 0) -> Recognizer:
-        """Grasp each object several times and train the config's recogniser on it.
+        """Grasp each object several times and train the config's recogniser.
 
         Raises
         ------
         cell.errors.CellError
-            If the grasps do not suffice for training, or as `CellController.grasp`.
+            If there are too few grasps for training, or as `CellController.grasp`.
         """
         wanted = self.config.recognition
         return train(
@@ -117,9 +117,9 @@ class VirtualCell:
         seed: int = 1,
         early: EarlyClassifiers | None = None,
     ) -> Identification:
-        """Have an object brought and identify it; ``present`` is known to the simulator alone.
+        """Bring an object and identify it; only the simulator uses the name ``present``.
 
-        With ``early`` (`cell.learning.training.train`) ramps end as soon as they suffice.
+        With ``early`` (`cell.learning.training.train`) ramps end when the answer is sure enough.
         """
         self.controller.present(present)
         sequence = self.config.sequence

@@ -1,5 +1,5 @@
 """The report page of a recording: tables, plots and the pressure on the pads.
 
-For interfaces: `recorded` makes the values (`data`) of a recording, with the parts of `build`;
-`page` writes them. Needs the extra `report` (matplotlib, jinja2).
+`recorded` computes the values (`data`) of a recording with the functions of `build`; `page` writes
+them. Needs the extra `report` (matplotlib, jinja2).
 """

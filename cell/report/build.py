@@ -1,4 +1,4 @@
-"""The parts of a report, made from the values of a run."""
+"""The parts of a report, from the values of a run."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,14 +16,13 @@ from recognition.quadric.thresholds import LevelBands
 from recognition.recognizer import UNKNOWN, Posterior
 
 BASELINE = "level_check"
-"""The paper's own classifier: it names the likeliest object by one grasp, never UNKNOWN, as in its
-Table 1."""
+"""The paper's classifier: the likeliest object by one grasp, never UNKNOWN, as in its Table 1."""
 
 
 def score(
     name: str, truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]
 ) -> ConfusionTable:
-    """Count answers against the truth; those that are no label count as UNKNOWN."""
+    """Count answers against the truth; answers that are not a label count as UNKNOWN."""
     columns = (*labels, UNKNOWN)
     counts = np.zeros((len(labels), len(columns)), dtype=np.int64)
     for truth, answer in zip(truths, answers, strict=True):
@@ -36,12 +35,12 @@ def score(
 def score_tables(
     trials: Sequence[tuple[str, str, Mapping[str, Posterior]]], labels: Sequence[str], default: str
 ) -> dict[str, ConfusionTable]:
-    """Return the tables of identifications, by recogniser; none without one.
+    """Return the tables of identifications, by recogniser; empty without trials.
 
     Parameters
     ----------
     trials
-        What was held, the answer, and what each recogniser answers to the first grasp alone.
+        Held object, answer, and the answer of each recogniser to the first grasp only.
     labels
         The objects, in the order of the rows.
     default
@@ -50,13 +49,13 @@ def score_tables(
     if not trials:
         return {}
     truths, answers, first = zip(*trials, strict=True)
-    scores = {default: score("This cell, as many grasps as it takes", truths, answers, labels)}
+    scores = {default: score("This cell, all grasps", truths, answers, labels)}
     for name in first[0]:
         posteriors = [one[name] for one in first]
         named = [p.best if name == BASELINE else p.name for p in posteriors]
         key = f"{name}_one_grasp" if name == default else name
         whose = "This cell" if name == default else "The paper's method"
-        scores[key] = score(f"{whose}, first grasp alone", truths, named, labels)
+        scores[key] = score(f"{whose}, first grasp only", truths, named, labels)
     return scores
 
 
@@ -92,7 +91,7 @@ def _count(name: str, value: int, *, bad: bool = False, note: str = "") -> Healt
 
 
 def source_health(counts: Mapping[str, int]) -> HealthGroup:
-    """Return the counts of tactile frames, and of the line that they come over."""
+    """Return the counts of tactile frames and of their line."""
     complete, lost = counts["complete"], counts["lost"]
     share = lost / max(1, complete + lost)
     return HealthGroup(
@@ -102,7 +101,7 @@ def source_health(counts: Mapping[str, int]) -> HealthGroup:
                 name="whole frames", value=f"{complete:,}", state="ok" if complete else "bad"
             ),
             _count("lost", lost, bad=share > 0.01, note=f"{share:.2%} of all"),
-            _count("torn", counts["torn"], note="begun and given up"),
+            _count("torn", counts["torn"], note="incomplete, dropped"),
             _count("duplicate", counts["duplicate"], note="messages, dropped"),
             _count("out of order", counts["reordered"], note="messages"),
             _count("stale", counts["stale"], note="older than the last, dropped"),
@@ -131,7 +130,7 @@ def servo_health(counts: Mapping[str, int]) -> HealthGroup:
 
 
 def loop_health(values: Mapping[str, float], period_s: float) -> HealthGroup:
-    """Return how punctual the force loop was, by `cell.control.journal.loop_values`.
+    """Return the timing of the force loop from `cell.control.journal.loop_values`.
 
     ``period_s`` is the length of a period in s.
     """
@@ -149,7 +148,7 @@ def loop_health(values: Mapping[str, float], period_s: float) -> HealthGroup:
             _count(
                 "without feedback",
                 int(values["missed_reads"]),
-                note="nothing was written in them",
+                note="periods without a write to the servos",
             ),
             HealthRow(
                 name="worst lateness",

@@ -1,6 +1,6 @@
-"""What the page of a run shows, as plain values; `cell.report.page.write_report` makes it of them.
+"""The values of a report page, for `cell.report.page.write_report`.
 
-Texts are shown as they are: markup in a label is escaped, never interpreted.
+The page escapes all texts: markup in a label has no effect.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from recognition.shape.answer import ShapeAnswer
 from tactile.layout import TaxelLayout
 
 HealthState = Literal["ok", "warn", "bad", "plain"]
-"""How a figure of the links' health is marked."""
+"""Mark of a value of the links' health."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -25,39 +25,39 @@ class Answered:
     """One identification."""
 
     truth: str
-    """What it really was; empty where nobody has named it."""
+    """True name of the part; empty if not known."""
     label: str
     """The answer."""
     fused: Posterior
-    """Answer to all grasps together."""
+    """Answer of all grasps together."""
     posteriors: tuple[Posterior, ...] = ()
-    """Answer to each grasp by itself, in order; empty where they are not known."""
+    """Answer of each single grasp, in order; empty if not known."""
     n_grasps: int = 1
     """Number of grasps."""
     notes: tuple[str, ...] = ()
-    """Pose and force of each grasp; further ramps in the same grip have none."""
+    """Pose and force of each grasp; not of further ramps in the same grip."""
     grasps: tuple[Grasp, ...] = ()
-    """The grasps; further ramps in the same grip are not among them."""
+    """The grasps, without further ramps in the same grip."""
     whole_ramps: bool = True
-    """Whether no ramp was ended before its force."""
+    """Whether all ramps reached their force."""
     shape: ShapeAnswer | None = None
-    """Shape and size by all grasps; None where none of them shows it."""
+    """Shape and size by all grasps; None if not measured."""
     place: str = ""
-    """Where a sort has let it go; empty for no sort."""
+    """Place where a sort released it; else empty."""
 
     @property
     def name(self) -> str:
-        """What it was, as far as that is known."""
+        """True name if known, else the answer."""
         return self.truth or self.label
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShownGrasp:
-    """One grasp that is drawn: the pads, and force, current and opening over time."""
+    """One grasp with plots: the pads, and force, current and opening over time."""
 
     label: str
     note: str
-    """What was held, pose and force."""
+    """Name of the held part; pose and force."""
     grasp: Grasp
     cycles: RecordedCycles
     """Its periods of the force loop."""
@@ -65,27 +65,27 @@ class ShownGrasp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyFigure:
-    """One large figure at the head of the page."""
+    """One large value at the top of the page."""
 
     value: str
     caption: str
     note: str = ""
-    """The figure with its unit, what it is, and in small what it rests on."""
+    """Value with unit, its meaning, and its basis in small print."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ConfusionTable:
-    """What was held against what was named."""
+    """Counts of held objects and answers."""
 
     name: str
-    """Whose answers they are, in words."""
+    """Source of the answers, as text."""
     labels: tuple[str, ...]
     columns: tuple[str, ...]
     """Objects held (rows) and answers (columns)."""
     counts: NDArray[np.int64]
     """(n_labels, n_columns) int64: trials."""
     caption: str = ""
-    """What was counted."""
+    """Description of the trials."""
 
     @property
     def n(self) -> int:
@@ -113,7 +113,7 @@ class ConfusionTable:
 
     @property
     def text(self) -> str:
-        """The counts as text: right, UNKNOWN and wrong ones of all."""
+        """The counts as text: right, UNKNOWN and wrong answers."""
         n_unknown = int(self.counts[:, np.array(self.columns) == UNKNOWN].sum())
         unknown = f", {n_unknown} {UNKNOWN}" if n_unknown else ""
         wrong = self.n - self.n_right - n_unknown
@@ -122,7 +122,7 @@ class ConfusionTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HealthRow:
-    """One figure of the links' health, and whether it is as it should be."""
+    """One value of the links' health, and its state."""
 
     name: str
     value: str
@@ -152,7 +152,7 @@ class ObjectTrajectory:
     """(m,) float64: smallest eigenvalue along the force ramp, and the force in N; may be empty."""
     low: float
     high: float
-    """The object's level: least and largest taught value; NaN where it has none."""
+    """The object's level: smallest and largest taught value; NaN without a level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,9 +166,9 @@ class Window:
     """The neighbours."""
     low: float
     high: float
-    """Edges; a window is closed where ``high <= low``."""
+    """Edges; a window is closed if ``high <= low``."""
     threshold: float
-    """The middle, the threshold between the two."""
+    """Middle of the window: threshold between the two objects."""
 
     @property
     def closed(self) -> bool:
@@ -186,29 +186,29 @@ class Trajectories:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportData:
-    """All that the page shows."""
+    """All values of the page."""
 
     title: str
     created: str
     subtitle: str = ""
-    """Heading, when it was made, and a line below."""
+    """Heading, date, and a line below."""
     layout: TaxelLayout
     """The pads."""
     key_figures: tuple[KeyFigure, ...] = ()
-    """The result in a few large figures."""
+    """The main results."""
     facts: tuple[tuple[str, str], ...] = ()
     """Description of the cell: name and value."""
     examples: tuple[ShownGrasp, ...] = ()
     """One grasp of each object."""
     trajectories: Trajectories | None = None
-    """The paper's method, where it was taught."""
+    """The paper's method, if it was taught."""
     sequences: tuple[Answered, ...] = ()
     """All identifications."""
     confusions: tuple[ConfusionTable, ...] = ()
     """One table for each recogniser; `build.paper_table` gives the paper's."""
     health: tuple[HealthGroup, ...] = ()
-    """Of the links and the force loop."""
+    """Health of the links and the force loop."""
     files: tuple[tuple[str, str], ...] = ()
     """Name and path of recording, data set and model."""
     notes: tuple[str, ...] = ()
-    """What the figures rest on."""
+    """Basis and limits of the results."""

@@ -1,7 +1,7 @@
 """Pressure on the pads as inline SVG, coloured by the page's light or dark theme.
 
-A picture holds one path for each of `N_SHADES` shades (CSS classes ``s1`` to ``s12``), so that all
-408 taxels of a grasp take a few kilobytes.
+A picture has one path for each of `N_SHADES` shades (CSS classes ``s1`` to ``s12``), so all 408
+taxels of a grasp take a few kilobytes.
 """
 
 from html import escape
@@ -14,28 +14,28 @@ from recognition.grasp import Grasp
 from tactile.layout import TaxelLayout
 
 N_SHADES = 12
-"""Shades from the first above nothing to full scale."""
+"""Number of shades between zero and full scale."""
 
 UNTOUCHED_SHARE = 0.10
-"""Part of full scale that no taxel of an untouched pad exceeds: noise stays below 8 %."""
+"""Largest reading of an untouched pad as a share of full scale: noise stays below 8 %."""
 
 _FILL = 0.92
 """Side of a drawn taxel as a share of the pitch: a thin gap separates the taxels."""
 
 
 _LEVELS, _LEVEL_FRAMES = 4, 5
-"""Forces of the ramp at which the pads are drawn, and frames whose mean is drawn."""
+"""Number of forces of the ramp with a picture, and of frames in the mean of a picture."""
 
 
 def pressure_levels(grasp: Grasp) -> dict[str, NDArray[np.float64]]:
-    """Return the counts (n_taxels,) at four equal parts of the force ramp, by the force for people.
+    """Return the counts (n_taxels,) at four equal steps of the force ramp, by the force as text.
 
-    Each is the mean of the nearest frames. The force is the one that was asked for, which each
-    frame of a cell's grasp has.
+    Each is the mean of the nearest frames. The force is the set-point, which each frame of a cell's
+    grasp has.
     """
     levels = {}
     for wanted_n in np.linspace(0, float(grasp.force_n.max()), _LEVELS + 1)[1:]:
-        # Of equally near frames the later ones: the pressure has settled in them.
+        # Of equally near frames take the later ones: their pressure has settled.
         near = np.lexsort((-np.arange(grasp.n_frames), np.abs(grasp.force_n - wanted_n)))
         levels[f"{wanted_n:.1f} N"] = grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)
     return levels
@@ -44,9 +44,9 @@ def pressure_levels(grasp: Grasp) -> dict[str, NDArray[np.float64]]:
 def level_pictures(
     layout: TaxelLayout, caption: str, counts: NDArray[np.float64], full: float
 ) -> dict[str, Any]:
-    """Draw all pads at one force: the gripping ones, the others, and names of the untouched.
+    """Draw all pads at one force: gripping pads, other touched pads, names of untouched pads.
 
-    ``full`` are the counts that the darkest shade stands for.
+    ``full`` are the counts of the darkest shade.
     """
     places = range(layout.n_pads)
     pictures = [_picture(layout, i, counts[layout.taxels_of(i)], full) for i in places]
@@ -88,11 +88,11 @@ def pad_svg(
     xy_mm : (n, 2) float64
         Places of the taxels in mm.
     values : (n,) float64
-        Their values; 0 and less is the lightest shade.
+        Their values; 0 or less has the lightest shade.
     full
         Value of the darkest shade.
     label
-        The picture in words.
+        Text for screen readers.
     """
     pitch_x, pitch_y = _pitch_mm(xy_mm[:, 0]), _pitch_mm(xy_mm[:, 1])
     pitch_x, pitch_y = pitch_x or pitch_y or 1.0, pitch_y or pitch_x or 1.0

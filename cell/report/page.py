@@ -1,6 +1,6 @@
-"""The report page: one HTML file that needs nothing else, no script, no font, no network.
+"""The report page: one HTML file without script, fonts or network.
 
-`write_report` makes it of `ReportData`; the views are what the templates print.
+`write_report` makes it from `ReportData`; the views are the variables of the templates.
 """
 
 from collections.abc import Mapping
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 
 
 MAX_SEQUENCES = 80
-"""Identifications that are drawn; the page counts the others."""
+"""Most identifications on a page; the page counts the others."""
 _SEQUENCES_PER_OBJECT = 2
-"""Identifications of each object that are drawn at most."""
+"""Most identifications of each object on a page."""
 _LEAST_SHARE = 0.002
-"""Least probability that a bar shows."""
+"""Smallest probability in a bar."""
 
 DENSE_LABELS = 12
-"""Number of labels from which a confusion table is printed small."""
+"""Most labels of a confusion table in normal size."""
 
 
 def write_report(path: Path | str, data: ReportData) -> None:
-    """Write the page, whole or not at all: an older file stays until the new one is whole.
+    """Write the page atomically: an older file stays until the new file is complete.
 
-    Raises ReportError if the disk refuses, and MissingExtraError without the extra ``report``.
+    Raises ReportError if it cannot be written, and MissingExtraError without the extra ``report``.
     """
     page = render_report(data).encode("utf-8", errors="replace")
     write_atomically(Path(path), lambda file: file.write(page), error=ReportError, what="report")
@@ -64,7 +64,7 @@ def page_template(name: str) -> "Template":
 
 
 def label_order(data: ReportData) -> tuple[str, ...]:
-    """Return all taught labels, each once; its place is a label's colour on the whole page."""
+    """Return all taught labels, each once; their order gives the colours on the page."""
     tables = [table.labels for table in data.confusions]
     answers = [found.fused.labels for found in data.sequences]
     drawn = [one.label for one in data.trajectories.objects] if data.trajectories else []
@@ -72,7 +72,7 @@ def label_order(data: ReportData) -> tuple[str, ...]:
 
 
 def example_view(layout: TaxelLayout, shown: ShownGrasp, name: str) -> dict[str, Any]:
-    """Return heat maps, all of one scale, and time-line of one grasp."""
+    """Return the heat maps of a grasp, all on one scale, and its time-line."""
     levels = pressure_levels(shown.grasp)
     full = max([1.0, *(float(counts.max()) for counts in levels.values())])
     pictures = [level_pictures(layout, *level, full) for level in levels.items()]
@@ -104,9 +104,9 @@ def trajectories_view(data: ReportData, colours: Mapping[str, int]) -> dict[str,
 
 
 def drawn_sequences(data: ReportData) -> list[Answered]:
-    """Return some identifications of each object: wrong ones first, then the longest.
+    """Return some identifications of each object: first the wrong ones, then the longest.
 
-    These are what a reader wants to see; the tables count all.
+    They are the most useful ones for a reader; the tables count all.
     """
     drawn = []
     for name in dict.fromkeys(one.name for one in data.sequences):
@@ -119,7 +119,7 @@ def drawn_sequences(data: ReportData) -> list[Answered]:
 def sequence_view(found: Answered, colours: Mapping[str, int]) -> dict[str, Any]:
     """Return the bars of one identification.
 
-    Its figure is the share of the answer in the last thick bar, whose shares sum to one.
+    Its probability is the share of the answer in the last thick bar; all shares sum to one.
     """
     steps = [
         {
@@ -175,7 +175,7 @@ def _percent(share: float) -> str:
 def confusion_view(table: ConfusionTable, colours: Mapping[str, int]) -> dict[str, Any]:
     """Return one table: per cent and counts of each cell, Wilson intervals of each row.
 
-    All tables of a page have their rows and columns in the same order.
+    All tables of a page have rows and columns in the same order.
     """
     rows = []
     last = len(colours)

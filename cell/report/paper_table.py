@@ -1,4 +1,4 @@
-"""Figures of the paper that ours are put beside."""
+"""Results of the paper, for comparison."""
 
 TABLE_1_LABELS = ("oval", "cylinder", "box", "ball", "dumbbell")
 """Objects of Table 1, in its order (section 4)."""
@@ -12,11 +12,11 @@ TABLE_1 = (
 )
 """Table 1 in per cent of ten trials for each object; row: held, column: named.
 
-The paper prints the errors only; the diagonal is what they leave of each row's ten trials.
+The paper prints only the errors; the diagonal is the rest of each row's ten trials.
 """
 
 TABLE_1_TRIALS = 10
-"""Trials of each object behind Table 1."""
+"""Trials of each object in Table 1."""
 
 FIGURE_2 = ((2.0, 650.0), (4.0, 250.0), (6.0, 100.0), (8.0, 50.0))
 """Points of figure 2: force in N and resistance in kOhm."""

@@ -1,7 +1,7 @@
-"""The plots of the pages: by matplotlib, coloured by the page's own style sheet.
+"""The plots of the pages: drawn by matplotlib, coloured by the style sheet of the page.
 
-Colours go through matplotlib as place-holders and become CSS variables afterwards, so that one
-picture serves light and dark themes; text stays text in the page's font.
+matplotlib uses placeholder colours, which become CSS variables. So one picture fits light and dark
+themes. Text stays text in the font of the page.
 """
 
 import io
@@ -25,7 +25,7 @@ N_COLOURS = 10
 """Colours of objects (CSS variables ``--c0`` to ``--c9``); more objects use them again."""
 
 INK, MUTED, GRID, PAPER = "#010101", "#010102", "#010103", "#010104"
-"""Place-holders of text, quiet text, lines and ground."""
+"""Placeholders of text, muted text, lines and background."""
 _COLOURS = tuple(f"#0101{16 + i:02x}" for i in range(N_COLOURS))
 _VARIABLES = {
     INK: "var(--ink)",
@@ -81,7 +81,7 @@ def drawing() -> Any:
 
 
 def to_svg(figure: "Figure", name: str, description: str) -> str:
-    """Return the figure as SVG that may stand in a page several times under different names."""
+    """Return the figure as SVG; a page may contain it several times with different names."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
@@ -98,20 +98,20 @@ def to_svg(figure: "Figure", name: str, description: str) -> str:
 
 
 def colour(index: int) -> str:
-    """Return the place-holder of a colour, by the object's place on the page or another number."""
+    """Return the placeholder of a colour by its number, for example the place of an object."""
     return _COLOURS[index % N_COLOURS]
 
 
 _MAX_PERIODS = 1500
-"""Periods of a grasp that are drawn; more are thinned out."""
+"""Most periods of a grasp in a plot; more are thinned out."""
 _MAX_BINS = 260
-"""Points of a sweep that are drawn; a plot has about two pixels for each."""
+"""Most points of a sweep in a plot, about two pixels each."""
 
 
 def timeline_figure(cycles: RecordedCycles, name: str) -> str:
-    """Draw force against set-point, goal current and opening over time, from the first period on.
+    """Draw force and set-point, goal current and opening over time, from the first period on.
 
-    Nothing is drawn of a force that is not known.
+    Unknown forces leave gaps.
     """
     every = slice(None, None, max(1, len(cycles) // _MAX_PERIODS))
     since_s = cycles.t_s - cycles.t_s[0]
@@ -164,7 +164,7 @@ def _least(values: NDArray[np.float64]) -> float:
 def sweep_figure(trajectories: Trajectories, colours: Mapping[str, int], name: str) -> str:
     """Draw the smallest eigenvalue over the poses of Algorithm 1: median and range.
 
-    ``colours`` is the place of each label on the page, as for `levels_figure`.
+    ``colours`` has the colour number of each label, as for `levels_figure`.
     """
     with drawing():
         figure = new_figure(6.4, 3.7)

@@ -1,6 +1,6 @@
-"""The report of a recording: pressure felt, answers given, health of the links.
+"""The report of a recording: pressure, answers, health of the links.
 
-It is made of the recording alone, so `run` and `report` write the same page.
+It uses only the recording, so `run` and `report` write the same page.
 """
 
 from bisect import bisect_right
@@ -14,7 +14,6 @@ import numpy as np
 from cell.config.file import recorded_config
 from cell.config.model import CellConfig
 from cell.config.tactile import (
-    ControlUnitConfig,
     TactileConfig,
     layout_from_config,
     layout_from_pads,
@@ -54,31 +53,31 @@ from recognition.shape.answer import ShapeAnswer, Thickness
 from tactile.layout import TaxelLayout
 
 _RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
-"""Shares of the grip force at which the eigenvalue along the ramp is drawn."""
+"""Shares of the grip force for the plot of the eigenvalue along the ramp."""
 _FILES = (("Data set", "model.grasps.npz"), ("Model", "model.npz"))
 """Files that `run` writes beside the recording."""
 
 
 @one_blas_thread()
 def recorded_report(recording: Recording) -> ReportData:
-    """Return what the page shows of a recording.
+    """Return the values of the page of a recording.
 
-    Raises RecordingError if it holds neither grasp nor answer, or a message has values that no cell
-    has, and ConfigError if its pads are not those of two fingers.
+    Raises RecordingError if it has neither grasps nor answers, or impossible values, and
+    ConfigError if its pads are not those of two fingers.
     """
     path = recording.path
     if not recording.grasps and not recording.results:
-        raise RecordingError(f"{path} holds no whole grasp and no answer: there is nothing to show")
+        raise RecordingError(f"{path} has no whole grasp and no answer; name another recording")
     try:
         return _Story(recording).data()
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as cause:
         raise RecordingError(
-            f"{path}: a message has values that no cell has ({reason_text(cause)})"
+            f"{path}: a message has impossible values ({reason_text(cause)})"
         ) from cause
 
 
 class _Story:
-    """What a recording says of teaching, identifications and the cell."""
+    """Contents of a recording: teaching, identifications and the cell."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -99,7 +98,7 @@ class _Story:
         tables = tuple(scores.values())
         known = {one.truth for one in self.answers}
         return ReportData(
-            title="What the cell held",
+            title="Report of the cell",
             subtitle=f"{name}: {len(self.taught)} grasps taught, "
             f"{len(self.answers)} identifications",
             created=started.strftime("%Y-%m-%d %H:%M"),
@@ -126,7 +125,7 @@ class _Story:
         )
 
     def note(self, grasp: Grasp, t_s: float) -> tuple[str, float]:
-        """Return the pose of a grasp that began at ``t_s``, and the force at its end in N."""
+        """Return the pose of a grasp that began at ``t_s``, and its final force in N."""
         place = bisect_right(self.pose_stamps, t_s)
         if not place:
             return "pose not recorded", _force_n(grasp)
@@ -135,7 +134,7 @@ class _Story:
         return str(pose), _force_n(grasp)
 
     def _baseline(self) -> LevelCheckRecognizer | None:
-        """Return the paper's classifier, taught the same; None where too little was taught."""
+        """Return the paper's classifier, taught with the same grasps; None with too few grasps."""
         try:
             recognizer = train(self.taught, BASELINE).recognizer if self.taught else None
         except CellError:  # too few grasps
@@ -143,9 +142,9 @@ class _Story:
         return recognizer if isinstance(recognizer, LevelCheckRecognizer) else None
 
     def _scores(self) -> dict[str, ConfusionTable]:
-        """Return the tables of the identifications of which it is known what was held.
+        """Return the tables of the identifications whose held object is known.
 
-        The paper's method is for whole ramps.
+        The paper's method needs whole ramps.
         """
         default = self.config.recognition.recognizer if self.config else "cell"
         trials = []
@@ -170,7 +169,7 @@ class _Story:
         )
 
     def _examples(self) -> tuple[ShownGrasp, ...]:
-        """Return the strongest taught grasp of each object, or else its first identified one."""
+        """Return the strongest taught grasp of each object, else its first identified grasp."""
         of_label: dict[str, Grasp] = {}
         for grasp in sorted(self.taught, key=_force_n, reverse=True):
             of_label.setdefault(grasp.label, grasp)
@@ -203,7 +202,7 @@ def _layout(recording: Recording, config: CellConfig | None) -> TaxelLayout:
 
 
 def _answers(story: _Story) -> list[Answered]:
-    """Return the identifications, each with the last unlabelled grasps before its answer."""
+    """Return the identifications, each with the unlabelled grasps before its answer."""
     recording, config = story.recording, story.config
     in_one_grip = config is not None and config.sequence.regrasp == "none"
     found = []
@@ -246,7 +245,7 @@ def _posterior(labels: tuple[str, ...], row: Mapping[str, Any]) -> Posterior:
 
 
 def _shape(row: Mapping[str, Any]) -> ShapeAnswer:
-    """Return shape and size as far as a recording keeps them."""
+    """Return shape and size from a recording."""
     return ShapeAnswer(
         kind=str(row["kind"]),
         probability={str(row["kind"]): float(row["probability"])},
@@ -284,7 +283,7 @@ def _line(tactile: TactileConfig) -> dict[str, str]:
     if tactile.serial_ports:
         return {"Sensor boards": tactile.place}
     can = f"{tactile.place}, {tactile.bitrate:,} bit/s"
-    unit = isinstance(tactile.sensor, ControlUnitConfig)
+    unit = tactile.sensor.canopen
     return {"CAN": f"{can}, node {tactile.node_id}" if unit else can}
 
 
@@ -311,7 +310,7 @@ def _facts(config: CellConfig | None, layout: TaxelLayout) -> tuple[tuple[str, s
 
 
 def _health(recording: Recording) -> tuple[HealthGroup, ...]:
-    """Return what the last message on the loop has; older recordings have no counts of links."""
+    """Return the values of the last loop message; older recordings have no counts of links."""
     if not recording.statistics:
         return ()
     last = recording.statistics[-1]
@@ -327,7 +326,7 @@ def _health(recording: Recording) -> tuple[HealthGroup, ...]:
 
 
 def _remarks(recording: Recording) -> list[str]:
-    """Return what happened that an operator should read beside the figures."""
+    """Return events that the operator should read with the results."""
     remarks = []
     if recording.lost_reason:
         remarks.append(f"The recording is not complete: {recording.lost_reason}.")
@@ -342,21 +341,21 @@ def _remarks(recording: Recording) -> list[str]:
 def _notes(config: CellConfig | None, *, drawn: bool, baseline: bool) -> tuple[str, ...]:
     notes = []
     if drawn:
-        notes.append("Poses and forces of the identifications were drawn anew; none was taught.")
+        notes.append("Poses and forces of the identifications differ from those of the teaching.")
     if baseline:
         opening = config is None or config.recognition.use_aperture
         notes.append(
-            "The level check names the likeliest object by the taxels of one grasp, as in the "
-            "paper, never UNKNOWN; the default recogniser uses the whole ramp, both pads"
+            "The level check names the likeliest object by the taxels of one grasp, never UNKNOWN, "
+            "as in the paper. The default recogniser uses the whole ramp, both pads"
             + (", the opening of the fingers" if opening else "")
             + " and several grasps."
         )
     if config is None:
-        notes.append("The recording keeps no config that this version reads.")
+        notes.append("The config in the recording is not valid in this version.")
     elif config.simulated:
         notes.append(
-            "Simulated cell: rigid objects in 3 mm foam, byte-true servos and control unit. "
-            "A real sensor drifts and wears; measure on yours."
+            "Simulated cell: rigid objects in 3 mm foam, servos and control unit with their real "
+            "protocols. A real sensor drifts and wears; repeat the measurement on your cell."
         )
     return tuple(notes)
 

@@ -1,4 +1,4 @@
-"""The part of a report that shows shape and size of what was held, each on one scale in mm."""
+"""The part of a report with shape and size of the held parts, on one scale in mm."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,18 +11,17 @@ from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import ShapeAnswer
 
 MAX_BARS = 30
-"""Identifications of one object that are drawn, and of nameless ones that are listed; all are
-counted."""
+"""Most bars of one object, and most listed unknown objects; all are counted."""
 
 Felt = tuple[str, str, ShapeAnswer | None]
-"""What it really was, empty where nobody has named it, the answer, and its shape."""
+"""True name (empty if not known), the answer, and its shape."""
 
 _TICKS = 6
-"""Ticks of the scale at most."""
+"""Most ticks of the scale."""
 
 
 def shapes_view(rows: Sequence[Felt]) -> dict[str, Any] | None:
-    """Return a group for each object, the scale, and what has no name; None without shapes."""
+    """Return a group for each object, the scale, and the unknown objects; None without shapes."""
     felt = [(truth, label, shape) for truth, label, shape in rows if shape is not None]
     if not felt:
         return None
@@ -73,14 +72,14 @@ def shapes_view(rows: Sequence[Felt]) -> dict[str, Any] | None:
 
 
 def _kinds(shapes: Sequence[ShapeAnswer], n: int) -> str:
-    """Return how often each kind was felt in ``n`` identifications, and how often none."""
+    """Return the number of each kind in ``n`` identifications, and of those without shape."""
     counts = Counter(shape.kind for shape in shapes).most_common()
     silent = [("without shape", n - len(shapes))] if len(shapes) < n else []
     return ", ".join(f"{kind} {count} of {n}" for kind, count in counts + silent)
 
 
 def _sizes(shapes: Sequence[ShapeAnswer]) -> str:
-    """Return all sizes of one answer; of several the median of size and of interval width."""
+    """Return the sizes of one answer; of several answers the medians of size and interval."""
     if len(shapes) < 2:
         return " and ".join(str(thickness) for shape in shapes for thickness in shape.thicknesses)
     size_mm = 1e3 * float(np.median([shape.size_m for shape in shapes]))
@@ -89,6 +88,6 @@ def _sizes(shapes: Sequence[ShapeAnswer]) -> str:
 
 
 def _step_mm(range_mm: float) -> float:
-    """Return a round distance of ticks."""
+    """Return a round tick spacing in mm."""
     steps = [0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
     return next((step for step in steps if range_mm / step <= _TICKS), 200.0)

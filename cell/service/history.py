@@ -1,7 +1,7 @@
-"""History of a cell: parts and faults in one SQLite table per day, beyond the end of a program.
+"""History of a cell: parts and faults in one SQLite table per day, kept after the program's end.
 
-A thread of its own writes what has come each second: a slow or full disk holds up neither the force
-loop nor a client. Days are those of the local wall clock, and at most `KEPT_DAYS` have a table.
+A separate thread writes new rows each second, so a slow or full disk delays neither the force loop
+nor a client. Days are those of the local wall clock, and at most `KEPT_DAYS` have a table.
 """
 
 import sqlite3
@@ -23,7 +23,7 @@ from recognition.recognizer import UNKNOWN
 VERSION = 1
 """Version of the tables, ``user_version`` of the file."""
 KEPT_DAYS = 400
-"""Days with a table; of more the first ones are dropped."""
+"""Most days with a table; the oldest are dropped."""
 COLUMNS = {
     "time_s": "REAL NOT NULL",
     "kind": "TEXT NOT NULL",
@@ -40,31 +40,31 @@ COLUMNS = {
     "text": "TEXT",
 }
 """Columns of each table and their types. ``kind`` is ``start``, ``part``, ``miss`` or ``fault``;
-``held`` is what host, person or simulator said that was brought, empty where nobody did."""
+``held`` is the label of the brought object according to host, person or simulator, or empty."""
 _NEAR = 0.1
-"""Probability of the second label from which on an answer that nobody confirmed counts as near."""
+"""Least probability of the second label at which an unconfirmed answer counts as near."""
 _MOST_CONFUSED = 5
-"""Pairs of objects that are named."""
+"""Most pairs of objects in the sums."""
 _WAITING_MAX = 10_000
-"""Rows that wait for a disk that takes none; the oldest go first."""
+"""Most rows that wait for the disk; the oldest are dropped."""
 _LOOK_S = 1.0
-"""Time in s from one look to the next."""
+"""Time in s from one write to the next."""
 _FRESH_S = 60.0
-"""Time in s after which the sums are made again: a new day may have begun."""
+"""Time in s after which the sums are computed again: a new day may have begun."""
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 class History:
-    """Parts and faults of a cell, for the page and for others; every method from any thread.
+    """Parts and faults of a cell, for the page and other clients; every method from any thread.
 
     Parameters
     ----------
     path
-        SQLite file; one that is damaged is moved away. None keeps the history in memory.
+        SQLite file; a damaged file is moved away. None keeps the history in memory.
     status
         Returns the state of the cell, with its faults.
     note
-        Gets messages for the operator, as that the file cannot be written.
+        Gets messages for the operator, for example that the file cannot be written.
     wall_s
         Unix time in s.
     """
@@ -89,17 +89,17 @@ class History:
         self._add(kind="start")
 
     def start(self) -> None:
-        """Write each second, in a thread of its own, until `close`."""
+        """Write each second, in a separate thread, until `close`."""
         self._thread.start()
 
     def close(self, timeout_s: float = 2.0) -> None:
-        """Write what has come, and end; a disk that does not answer is left behind."""
+        """Write the waiting rows, and end; do not wait longer for a blocked disk."""
         self._over.set()
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
 
     def add(self, report: PartReport) -> None:
-        """Take a part, or a turn without one; nothing is written yet."""
+        """Add a part, or a turn without one; nothing is written yet."""
         if report.answer is None:
             self._add(kind="miss", held=report.held)
             return
@@ -117,19 +117,19 @@ class History:
     def values(self) -> dict[str, Any]:
         """Return the sums of ``today``, ``yesterday`` and this ``week``, which begins on Monday.
 
-        Each has ``parts``, ``rejected``, ``missed``, ``faults``, ``starts``, ``cycle_s``, the mean,
-        and ``confused``: pairs ``held`` and ``named`` with their number ``n``, those that happen
-        most first. In a pair that is not ``confirmed`` nobody said what was held: ``held`` is the
-        second label then. They are empty until the first look.
+        Each has ``parts``, ``rejected``, ``missed``, ``faults``, ``starts``, the mean ``cycle_s``,
+        and ``confused``: pairs ``held`` and ``named`` with their number ``n``, the most frequent
+        first. In a pair that is not ``confirmed`` the held object was not given: ``held`` is then
+        the second label. The sums are empty until the first `look`.
         """
         return self._values
 
     def day(self, day: date) -> list[Mapping[str, Any]]:
-        """Return the rows of a day as `read_day`; none where the history is in memory."""
+        """Return the rows of a day as `read_day`; empty if the history is in memory."""
         return [] if self._path is None else read_day(self._path, day)
 
     def look(self) -> None:
-        """Write what has come since the last look, and make the sums; nothing is raised."""
+        """Write the rows since the last call, and compute the sums; raises nothing."""
         now = self._status()
         for n in range(now.n_faults - self._n_faults, 0, -1):
             newest = n == 1 and now.fault is not None
@@ -159,7 +159,7 @@ class History:
         self._waiting.append({"time_s": self._wall_s()} | row)
 
     def _write(self) -> bool:
-        """Write all rows that wait, in one transaction; return whether there were some."""
+        """Write all waiting rows in one transaction; return whether there were any."""
         rows = list(self._waiting)
         if not rows:
             return False
@@ -188,7 +188,7 @@ class History:
         self._summed_s = self._wall_s()
 
     def _opened(self) -> sqlite3.Connection:
-        """Return the connection. Raises CellError where the tables are of a later version."""
+        """Return the connection. Raises CellError if the tables are of a later version."""
         if self._link is None:
             if self._path is not None:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -206,7 +206,7 @@ class History:
         assert self._path is not None
         with suppress(OSError):
             moved = self._path.rename(free_name(self._path))
-            self._note(f"a new history begins; the damaged one is {moved}")
+            self._note(f"a new history begins; the damaged file is now {moved}")
 
 
 def history_file(directory: Path, cell_name: str) -> Path:
@@ -216,7 +216,7 @@ def history_file(directory: Path, cell_name: str) -> Path:
 
 
 def read_day(path: Path, day: date) -> list[Mapping[str, Any]]:
-    """Return the rows of a day, oldest first, with `COLUMNS`; none where it has no table.
+    """Return the rows of a day, oldest first, with `COLUMNS`; empty if the day has no table.
 
     Raises CellError if the file cannot be read.
     """
@@ -255,7 +255,7 @@ def _tables(link: sqlite3.Connection) -> set[str]:
 
 
 def _sums(link: sqlite3.Connection, days: list[date]) -> dict[str, Any]:
-    """Return the sums of some days, as `History.values` has them."""
+    """Return the sums of some days, in the form of `History.values`."""
     tables = [_table(day) for day in days if _table(day) in _tables(link)]
     all_rows = " UNION ALL ".join(f"SELECT * FROM {table}" for table in tables)
     counts: dict[str, Any] = dict.fromkeys(("parts", "rejected", "missed", "faults", "starts"), 0)

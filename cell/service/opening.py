@@ -21,17 +21,17 @@ def open_service(
     clock: Clock = time,
     **cell: Any,
 ) -> Service:
-    """Open a cell and return the service of it.
+    """Open a cell and return its service.
 
     Parameters
     ----------
     config
-        The cell. A positioner of kind ``callback`` is the pose handshake; ``host_timeout_s`` does
-        not count, because the service watches its clients by the lease.
+        The cell. A positioner of kind ``callback`` is the pose handshake. ``host_timeout_s`` has no
+        effect, because the lease supervises the clients.
     note, clock
         As `Service`.
     cell
-        Model, folder of the recording and more, as `TactileCellPlugin` takes them.
+        Model, folder of the recording and other arguments of `TactileCellPlugin`.
 
     Raises
     ------
@@ -52,13 +52,13 @@ def open_service(
 
 
 def history_of(config: CellConfig, folder: Path | None) -> Path | None:
-    """Return the file of a cell's history, None where nothing of it is to be left behind."""
+    """Return the file of a cell's history; None if the history is not saved."""
     kept = kept_folder(config, folder)
     return None if kept is None else history_file(kept, config.name)
 
 
 def open_plugin(config: CellConfig, **cell: Any) -> tuple[TactileCellPlugin, PoseHandshake]:
-    """Open a cell for a service, as `open_service`, and return it with its pose handshake."""
+    """Open a cell for a service; return it with its pose handshake. See `open_service`."""
     config = config.model_copy(update={"host_timeout_s": None})
     poses = PoseHandshake()
     mover = poses.move if config.positioner.kind == "callback" else None

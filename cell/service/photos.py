@@ -12,18 +12,18 @@ from cell.errors import RequestRefused
 LONGEST_PHOTO = 512 * 1024
 """Largest photo in bytes."""
 _MOST_IN_MEMORY = 64
-"""Photos kept without a model file."""
+"""Most photos without a model file."""
 _FIRST_BYTES = {
     b"\xff\xd8\xff": ("image/jpeg", ".jpg"),
     b"\x89PNG\r\n\x1a\n": ("image/png", ".png"),
 }
-"""Media type and file name by the first bytes: what a client says of it does not count."""
+"""Media type and file name by the first bytes, whatever type the client declares."""
 
 
 class Photos:
     """One photo for each label; every method from any thread.
 
-    They stand in ``NAME.photos`` beside the model file; without one they are kept in memory.
+    They are in ``NAME.photos`` beside the model file; without a model file they are in memory.
     """
 
     def __init__(self, model: Path | None) -> None:
@@ -34,7 +34,7 @@ class Photos:
         """Changes so far."""
 
     def get(self, label: str) -> tuple[bytes, str] | None:
-        """Return the photo of an object and its media type; None where there is none."""
+        """Return the photo of an object and its media type; None without a photo."""
         photo = self._kept.get(label)
         for path in self._paths(label):
             with suppress(RequestRefused):
@@ -48,13 +48,13 @@ class Photos:
         return label in self._kept or any(path.exists() for path in self._paths(label))
 
     def put(self, label: str, photo: bytes) -> None:
-        """Keep the photo of an object in the place of an earlier one.
+        """Save the photo of an object and replace an earlier one.
 
-        Raises RequestRefused if it is too large, neither JPEG nor PNG, or one too many, and OSError
-        if it cannot be written.
+        Raises RequestRefused if it is too large, neither JPEG nor PNG, or one too many. Raises
+        OSError if it cannot be written.
         """
         if len(photo) > LONGEST_PHOTO:
-            raise RequestRefused(f"a photo of {len(photo)} bytes; at most {LONGEST_PHOTO} are kept")
+            raise RequestRefused(f"the photo has {len(photo)} bytes; the limit is {LONGEST_PHOTO}")
         _, ending = _kind(photo)
         with self._lock:
             if self._folder is None:
@@ -94,9 +94,9 @@ def _kind(photo: bytes) -> tuple[str, str]:
     for first, kind in _FIRST_BYTES.items():
         if photo.startswith(first):
             return kind
-    raise RequestRefused("a photo is a JPEG or PNG file by its first bytes; this is neither")
+    raise RequestRefused("the photo is neither a JPEG nor a PNG file; send one of these")
 
 
 def _name(label: str) -> str:
-    """Return a file name for any label."""
+    """Return a valid file name for a label."""
     return hashlib.sha256(label.encode()).hexdigest()[:24]

@@ -1,9 +1,9 @@
-"""The service: one cell for many clients, of which one at a time may command.
+"""The service: one cell for many clients; one client at a time may command.
 
-Every call returns at once: what moves is a job with a number, to be asked for. A client commands
-under a lease that it keeps alive; `hold` needs none, and anyone may call it, once or for as long as
-a button is pressed. A lease that is lost while a job runs has the job held: the grip is kept, and
-nothing is resumed by itself.
+Every call returns at once: each motion is a job with a number, whose state can be read. A client
+commands under a lease that it renews. `hold` needs no lease: anyone may call it, once or while a
+button is pressed. If the lease is lost while a job runs, the job is held: the grip is kept, and
+nothing resumes by itself.
 """
 
 import itertools
@@ -48,17 +48,17 @@ from cell.simulation import shape_of_stl
 from gripper.clock import Clock
 
 RELEASE_KEY = 0x4F50
-"""Key of a release ("OP"): zeroed or repeated outputs of a controller let nothing go."""
+"""Key of a release ("OP"): zeroed or repeated outputs of a controller never release a part."""
 _HOLDERS_MAX = 100
-"""Clients that keep the cell on hold at once; further ones are refused, the cell is held anyway."""
+"""Most clients that keep the cell on hold; more are refused, but the cell is held."""
 _UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
-"""Commands that move nothing and are obeyed while a client keeps the cell on hold."""
+"""Commands without motion, allowed while a client keeps the cell on hold."""
 _KEEPING = (*_UNMOVING, Command.RESET.value, "verify", "forget", "forget_drift")
-"""Tasks and commands that leave what is in the grip there."""
+"""Tasks and commands that leave the part in the grip."""
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
 _HEALTH_S = 0.5
-"""Time in s for which the health of the cell is not worked out again."""
+"""Time in s for which a computed health of the cell is reused."""
 OUTCOME_NUMBERS = {
     JobOutcome.ACCEPTED: 1,
     JobOutcome.EXECUTING: 2,
@@ -70,7 +70,7 @@ OUTCOME_NUMBERS = {
 
 
 class RequestFields(TypedDict, total=False):
-    """Fields of tasks and commands as hosts with plain numbers send them; see `Service.request`."""
+    """Fields of tasks and commands of hosts with plain numbers; see `Service.request`."""
 
     label: str
     grasps: int
@@ -85,11 +85,11 @@ class RequestFields(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobView:
-    """A job as every interface shows it."""
+    """A job in the form that every interface shows."""
 
     number: int = 0
     task: str = ""
-    """Its number, 0 for none yet, and what was asked for."""
+    """Its number, 0 before the first job, and its task or command."""
     since_s: float = 0.0
     """Unix time in s of its start."""
     outcome: str = ""
@@ -97,24 +97,24 @@ class JobView:
     """Its state."""
     fault_number: int = 0
     error: str = ""
-    """Why it did not succeed; 0 and empty else."""
+    """Why it failed; else 0 and empty."""
     label: str = ""
     label_id: int = 0
     probability: float = 0.0
     n_grasps: int = 0
-    """Answer of an identification; before its end the answer so far, with label id 0. Of a sort
+    """Answer of an identification; before its end the answer so far, with label id 0. For a sort
     the answer of its newest part."""
     shape: str = ""
     size_mm: float = 0.0
-    """Shape of the part, empty where it is not known, and its size in mm, 0 then."""
+    """Shape of the part and its size in mm; empty and 0 if not known."""
     kept: bool = False
     """Whether the answer leaves the part in the grip."""
     held: bool | None = None
     same: bool | None = None
     """Answer of a verification."""
     taught: Mapping[str, Any] | None = None
-    """Answer of a teaching: label, its grasps at hand, the nearest other object, and the share of
-    grasps that look more like another one."""
+    """Answer of a teaching: label, its available grasps, the nearest other object, and the share of
+    grasps that are more similar to another object."""
     gauged: Mapping[str, Any] | None = None
     """Answer of a gauge: label, and the drift ``before`` and ``after`` it: ``gain``,
     ``opening_mm``."""
@@ -135,19 +135,19 @@ class Snapshot:
     commander: str
     """Name of the client with the lease; empty for none."""
     held_by: tuple[str, ...]
-    """Clients that keep the cell on hold; "(gone)" stands after one that is gone."""
+    """Clients that keep the cell on hold; "(gone)" follows the name of a disconnected client."""
     part: PartReport | None
     """The newest part of an identification or sort; None before the first."""
     held_part: int | None
-    """Number of the part in the grip; None where nothing is held, or what is held has no name."""
+    """Number of the part in the grip; None if nothing is held or the part has no name."""
     pose_seq: int
     pose: Pose | None
-    """The pose that the host shall reach and its number; 0 and None where none is waited for."""
+    """The pose that the host shall reach and its number; 0 and None without a pending pose."""
 
 
 @dataclass(slots=True)
 class _Holder:
-    """A client that keeps the cell on hold; inf for one whose connection stands."""
+    """A client that keeps the cell on hold; its time is inf while it is connected."""
 
     name: str
     heard_s: float
@@ -156,23 +156,23 @@ class _Holder:
 class Service:
     """One cell, its lease, its jobs and its pose handshake; every method from any thread.
 
-    `open_service` of `cell.interfaces.opening` opens a cell behind one.
+    `cell.service.opening.open_service` opens a cell with its service.
 
     Parameters
     ----------
     plugin
-        The cell, without ``host_timeout_s``: the lease watches the clients, each by itself. It is
-        closed with the service.
+        The cell, without ``host_timeout_s``: the lease supervises the clients. It is closed with
+        the service.
     poses
-        Mover of a cell with a positioner of kind ``callback``; other cells move by themselves.
+        Mover of a cell with a positioner of kind ``callback``.
     history_file
         SQLite file of the history; None keeps it in memory.
     photos_beside
-        Model file beside which the photos of taught objects stand; None keeps them in memory.
+        Model file; the photos of taught objects are beside it. None keeps them in memory.
     note
         Gets messages for the operator.
     clock
-        Time of the clients: real time also where that of the cell is virtual.
+        Time of the clients: real time even if the cell's time is virtual.
     """
 
     def __init__(
@@ -189,12 +189,12 @@ class Service:
         self.config = config
         self.version = version("tactile-cell")
         self.boot = int(time.time()) % 0xFFFF + 1
-        """Number of this start, 1 to 65535: seconds of its time, so that it differs after each
-        start."""
+        """Number of this start, 1 to 65535, from the seconds of its time: it differs at each start.
+        """
         self.shift = Shift()
         """The ledger of the parts."""
         self.totals = Totals()
-        """What only grows, for metrics."""
+        """Growing totals, for metrics."""
         self.history = History(history_file, plugin.status, note=note)
         """Parts and faults of the days."""
         self.history.start()
@@ -212,7 +212,7 @@ class Service:
             clock=clock,
             lock=self._lock,
         )
-        """Without it nobody commands; whoever loses it has the job that runs held."""
+        """Commands need it; its loss holds the running job."""
         self._holders: dict[Hashable, _Holder] = {}
         self._jobs: dict[int, tuple[Job, str, int, float]] = {}
         self._newest = self._gripped_by = 0
@@ -230,14 +230,14 @@ class Service:
         return (*listed, *(label for label in self._plugin.labels if label not in listed))
 
     def label_id(self, label: str) -> int:
-        """Return the id of a label; 0 for UNKNOWN and for what has none."""
+        """Return the id of a label; 0 for UNKNOWN and for a label without an id."""
         names = self.labels
         return names.index(label) + 1 if label in names else 0
 
     def snapshot(self) -> Snapshot:
         """Return everything that interfaces show."""
         with self._lock:
-            # The job before the answer, which stands there before the job has succeeded.
+            # Read the job before the answer: the answer is set before the job succeeds.
             job = self.job()
             status = self.status()
             seq, pose = self._poses.awaited
@@ -261,7 +261,7 @@ class Service:
         return self._plugin.status()
 
     def job(self, number: int | None = None) -> JobView:
-        """Return a job, the newest by default. Raises RequestRefused for one that is not known."""
+        """Return a job, the newest by default. Raises RequestRefused for an unknown number."""
         with self._lock:
             wanted = self._newest if number is None else number
             if wanted == 0 and number is None:
@@ -275,7 +275,7 @@ class Service:
             return self._view(wanted, task, self._plugin.feedback(job), since_s)
 
     def part(self, number: int) -> PartReport:
-        """Return a part by its number. Raises RequestRefused for one that is not kept."""
+        """Return a part by its number. Raises RequestRefused if it is not kept."""
         if (found := self.shift.part(number)) is None:
             newest = self.shift.parts[-1].number if self.shift.parts else 0
             raise RequestRefused(
@@ -289,9 +289,9 @@ class Service:
             return tuple(self.job(number) for number in sorted(self._jobs))
 
     def allowed(self) -> dict[str, CellError | None]:
-        """Return what refuses each task and command at the moment, for a client with the lease.
+        """Return the error that each task and command would raise now, for a client with the lease.
 
-        None stands for what is allowed.
+        None: the task or command is allowed.
         """
         found: dict[str, CellError | None] = {}
         with self._lock:
@@ -320,7 +320,7 @@ class Service:
         return self._plugin.counters()
 
     def health(self) -> dict[str, Any]:
-        """Return what `TactileCellPlugin.health` does, at most `_HEALTH_S` old."""
+        """Return the values of `TactileCellPlugin.health`, at most `_HEALTH_S` old."""
         now_s = time.monotonic()
         seen_s, found = self._health
         if now_s - seen_s >= _HEALTH_S:
@@ -329,12 +329,12 @@ class Service:
         return found
 
     def frame_n(self) -> NDArray[np.float32] | None:
-        """Return the newest force in N on each taxel, (n_taxels,); None where none is measured."""
+        """Return the newest force in N on each taxel, (n_taxels,); None without a measurement."""
         counts = self.status().live.counts
         return None if counts is None else self._plugin.newtons(counts)
 
     def info(self) -> dict[str, Any]:
-        """Return what stays as it is, as plain data; lengths in mm, forces in N."""
+        """Return the constant values as plain data; lengths in mm, forces in N."""
         return self._plugin.info() | {
             "mode": "cell",
             "version": self.version,
@@ -361,8 +361,8 @@ class Service:
         goal
             ``task`` and the fields of its goal.
         number
-            Number that the job shall have, to repeat a request whose answer was lost: where it is
-            that of the newest job, this is the job, and nothing is done twice. 0: not checked.
+            Number that the job shall have, to repeat a request after a lost answer. If the newest
+            job has this number, it is returned, and nothing is done twice. 0: not checked.
         """
         checked: Goal = checked_goal(goal)
         if self.config.simulated or self.config.positioner.kind == "simulated":
@@ -371,7 +371,7 @@ class Service:
         return self._begin(lease, checked.task, given, number, lambda: self._plugin.start(checked))
 
     def _with_part(self, goal: Goal) -> Goal:
-        """Return a goal with the chosen part, or the next one: nobody brings them here."""
+        """Return a goal with the chosen part, or the next one, for the simulated cell."""
         part = self._part
         if isinstance(goal, SortGoal) and not goal.feed:
             every = tuple(entry.label for entry in self.config.simulator.objects)
@@ -394,9 +394,9 @@ class Service:
         command, reboot
             As `TactileCellPlugin.start_command`.
         key
-            `RELEASE_KEY` for a release, the only way to let the part go.
+            `RELEASE_KEY` for a release.
 
-        A clear acknowledges the holds of clients that are gone, too.
+        A clear also acknowledges the holds of clients that are gone.
         """
 
         def begin() -> Job:
@@ -416,15 +416,15 @@ class Service:
     def request(
         self, lease: int, name: str, *, number: int = 0, **fields: Unpack[RequestFields]
     ) -> int:
-        """Start a task or command as hosts with plain numbers ask for it; return its job.
+        """Start a task or command of a host with plain numbers; return the number of its job.
 
         Parameters
         ----------
         lease, number
             As `start`.
         name, fields
-            Of `cell.interfaces.host_calls.COMMANDS`. ``keep`` may be a bool; fields of a
-            task that are 0 or empty are as the config has them.
+            Of `cell.interfaces.host_calls.COMMANDS`. ``keep`` may be a bool; for fields of a task
+            that are 0 or empty the config's values apply.
 
         Raises as `start`.
         """
@@ -436,7 +436,7 @@ class Service:
         return self.start(lease, goal_of(name, **fields), number=number)
 
     def forget_drift(self, lease: int, *, number: int = 0) -> int:
-        """Start to follow the drift of the sensors anew and return the number of the job.
+        """Start to reset the followed drift and return the number of the job.
 
         Raises as `start`.
         """
@@ -450,7 +450,7 @@ class Service:
         return self._plugin.taught_revision + self.photos.revision
 
     def taught(self) -> list[dict[str, Any]]:
-        """Return the taught objects as `TactileCellPlugin.taught`, with id and whether a photo."""
+        """Return `TactileCellPlugin.taught` with id and whether there is a photo."""
         return [
             one
             | {
@@ -476,10 +476,10 @@ class Service:
         )
 
     def put_photo(self, lease: int, label: str, photo: bytes) -> None:
-        """Keep a photo of a taught object.
+        """Save a photo of a taught object.
 
-        Raises NotInCommand as `Lease.alive`, and RequestRefused or OSError if it is not taught, or
-        as `Photos.put`.
+        Raises NotInCommand as `Lease.alive`, RequestRefused if the object is not taught, and as
+        `Photos.put`.
         """
         self.lease.alive(lease)
         if label not in self._plugin.labels:
@@ -490,11 +490,11 @@ class Service:
 
     @property
     def simulated(self) -> bool:
-        """Whether the cell is simulated in this program, and can have faults on request."""
+        """Whether this program simulates the cell and can inject faults."""
         return self.config.simulated
 
     def simulated_faults(self) -> dict[str, Any]:
-        """Return the ``kinds`` of faults that fit the simulated cell, and those ``running``."""
+        """Return the ``kinds`` of faults of the simulated cell, and the ``running`` faults."""
         injected = self._plugin.simulate({"state": True})["faults"]
         running = [
             {"fault": text, "begun": began_s is not None} for text, began_s in injected.items()
@@ -510,7 +510,7 @@ class Service:
         self._plugin.remark("simulation", f"{text} {'ended' if end else 'injected'}")
 
     def simulated_part(self) -> dict[str, Any]:
-        """Return the chosen ``part``, its ``pose``, what lies between the fingers, all objects."""
+        """Return the chosen ``part``, its ``pose``, the part between the fingers, all objects."""
         found = self._plugin.simulate({"state": True})
         pose = {name: found["offset"][name] for name in Pose().as_dict()}
         return {
@@ -521,7 +521,7 @@ class Service:
         }
 
     def choose_part(self, lease: int, part: str | None, pose: Pose) -> None:
-        """Put a part between the fingers of the simulated cell, for all jobs from now on.
+        """Put a part between the fingers of the simulated cell, for all later jobs.
 
         Raises NotInCommand as `Lease.alive`, and as `TactileCellPlugin.simulate`.
 
@@ -530,7 +530,7 @@ class Service:
         part
             Name of an object, shape as text, ``nothing``; None: each job brings the next object.
         pose
-            How far it lies beside the pose that a job asks for.
+            Offset from the pose that a job asks for.
         """
         self.lease.alive(lease)
         placed = self._plugin.simulate({"state": True})["placed"] if part is None else part
@@ -539,10 +539,10 @@ class Service:
         self._plugin.remark("simulation", f"part {part or 'in turn'} at {pose}")
 
     def define_object(self, lease: int, label: str, stl: bytes) -> list[str]:
-        """Add an object from an STL file to the simulated cell; return the names of all.
+        """Add an object from an STL file to the simulated cell; return the names of all objects.
 
-        Raises NotInCommand as `Lease.alive`, ConfigError if the file holds no part, RequestRefused
-        if the name is taken or none.
+        Raises NotInCommand as `Lease.alive`, ConfigError if the file has no part, RequestRefused
+        if the name is taken or invalid.
         """
         self.lease.alive(lease)
         try:
@@ -562,7 +562,7 @@ class Service:
         return number
 
     def hold(self, reason: str = "on request") -> None:
-        """Stop what runs and keep the grip; anyone may."""
+        """Stop the running job and keep the grip; any client may call this."""
         with self._lock:
             entry = self._jobs.get(self._newest)
             if entry is not None and not self._plugin.feedback(entry[0]).outcome.terminal:
@@ -573,7 +573,7 @@ class Service:
 
     @property
     def held_by(self) -> tuple[str, ...]:
-        """Names of the clients that keep the cell on hold; those that are gone are marked."""
+        """Names of the clients that keep the cell on hold; clients that are gone are marked."""
         with self._lock:
             every = self._holders.values()
             return tuple(f"{one.name} (gone)" if self._is_gone(one) else one.name for one in every)
@@ -588,13 +588,13 @@ class Service:
             self.end_hold(name)
 
     def begin_hold(self, client: Hashable, name: str, *, connected: bool = False) -> None:
-        """Stop what runs, and start nothing that moves until this client ends its hold.
+        """Stop the running job, and allow no motion until this client ends its hold.
 
-        A client that comes again takes up the hold that a client of the same name has left behind.
-        One whose connection tells when it is gone, by `leave_hold`, is ``connected``. Any other
-        client counts as gone when it has not repeated this for ``serve.lease_timeout_s``. A client
-        that is gone keeps the cell on hold until a person comes: the client again, or a clear.
-        Raises RequestRefused if too many clients do so; what runs is stopped.
+        A client that returns takes over the hold left by a client of the same name. ``connected``:
+        the end of its connection calls `leave_hold`. Any other client counts as gone if it does not
+        repeat this within ``serve.lease_timeout_s``. The cell stays on hold for a client that is
+        gone until the client returns and ends the hold, or until a clear.
+        Raises RequestRefused if too many clients hold the cell; the running job is stopped anyway.
         """
         with self._lock:
             for left in [k for k, one in self._holders.items() if one.name == name and k != client]:
@@ -617,7 +617,7 @@ class Service:
                 self._plugin.remark("hold", f"ended for {holder.name}")
 
     def leave_hold(self, client: Hashable) -> None:
-        """Take note that the connection of a client is gone; its hold stays."""
+        """Mark a client as gone; its hold stays."""
         with self._lock:
             if client in self._holders:
                 self._holders[client].heard_s = -inf
@@ -633,8 +633,8 @@ class Service:
     def _check_held(self, task: str) -> None:
         if self._holders and task not in _UNMOVING:
             raise HeldByClient(
-                f"{task}: {', '.join(self.held_by)} keeps the cell on hold; let its button go, or "
-                "clear the hold of one that is gone"
+                f"{task}: {', '.join(self.held_by)} keeps the cell on hold; release its button, or "
+                "clear the hold of a client that is gone"
             )
 
     def _begin(
@@ -654,7 +654,7 @@ class Service:
                     return number
                 raise RequestRefused(f"job {number} is another request; the next is {self._next}")
             if number > self._next:
-                raise RequestRefused(f"job {number} cannot be next; the next is {self._next}")
+                raise RequestRefused(f"job {number} is not the next job; the next is {self._next}")
             name = self.lease.name
             values = "".join(f", {field} {value}" for field, value in given.items())
             self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
@@ -683,8 +683,7 @@ class Service:
     ) -> None:
         """Answer the pose with that number: reached, refused, or another one reached instead.
 
-        Raises NotInCommand as `Lease.alive`, and RequestRefused if the pose is not the one that is
-        waited for.
+        Raises NotInCommand as `Lease.alive`, and RequestRefused if another pose or none is pending.
         """
         with self._lock:
             self.lease.alive(lease)
@@ -693,9 +692,9 @@ class Service:
     # -- the end -------------------------------------------------------------------------------
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """Hold what runs and disconnect; a held part stays held. A second call does nothing.
+        """Hold the running job and disconnect; a held part stays held. Can be called twice.
 
-        Raises ModelError or DatasetError if what was taught cannot be saved; all has ended then.
+        Raises ModelError or DatasetError if the taught model cannot be saved; all has ended then.
         """
         self.lease.end_watch()
         self.hold("because the service ends")
@@ -705,7 +704,7 @@ class Service:
         self._plugin.close(timeout_s)
 
     def _count(self, report: PartReport) -> None:
-        """Count a part with the id that its label has now."""
+        """Count a part with the present id of its label."""
         self.totals.add(report)
         label = "" if report.answer is None else report.answer.label
         part = replace(report, found=None, label_id=self.label_id(label))
@@ -713,7 +712,7 @@ class Service:
         self.history.add(part)
 
     def _answered(self, status: HostStatus) -> JobView | None:
-        """Return the job of the last answer, also where it is no longer among those kept."""
+        """Return the job of the last answer, even if it is no longer among the kept jobs."""
         answer = status.last_answer
         if answer is None:
             return None

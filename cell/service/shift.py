@@ -10,11 +10,11 @@ from typing import Any
 from cell.plugin.part_report import PartReport
 
 KEPT_ANSWERS = 20
-"""Newest answers that are kept, each with its last grasp."""
+"""Number of newest answers that are kept, each with its last grasp."""
 _KEPT_CYCLES = 1000
-"""Newest parts whose cycle times are kept."""
+"""Number of newest parts whose cycle times are kept."""
 _HOUR_S = 3600.0
-"""Time in s up to now over which recent parts are counted."""
+"""Time in s before now in which recent parts are counted."""
 
 
 class Shift:
@@ -60,5 +60,5 @@ class Shift:
         }
 
     def part(self, number: int) -> PartReport | None:
-        """Return a part by its number; None where it is no longer kept."""
+        """Return a part by its number; None if it is no longer kept."""
         return next((part for part in self.parts if part.number == number), None)

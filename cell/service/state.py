@@ -13,7 +13,7 @@ from cell.service.service import Service
 
 
 def state_values(service: Service) -> dict[str, Any]:
-    """Return everything but the taxels: JSON types alone, null for a number that is not finite."""
+    """Return everything except the taxels: JSON types, null for a number that is not finite."""
     now = service.snapshot()
     live = now.status.live
     state: dict[str, Any] = plain_data(
@@ -42,7 +42,7 @@ def state_values(service: Service) -> dict[str, Any]:
 
 
 def plain_data(value: Any) -> Any:
-    """Return plain data with null for each number that is not finite, which JSON does not have."""
+    """Return plain data with null for each number that is not finite, because JSON has none."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

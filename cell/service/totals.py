@@ -1,4 +1,4 @@
-"""Totals since the service began, for metrics: parts, cycle times, errors of the force."""
+"""Totals since the service began, for metrics: parts, cycle times, force errors."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ _ERRORS_N = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
 class Distribution:
-    """Counts values in classes; the edges are upper ones, and included."""
+    """Counts values in classes; each class includes its upper edge."""
 
     def __init__(self, edges: tuple[float, ...]) -> None:
         self._edges = (*edges, inf)
@@ -34,19 +34,19 @@ class Distribution:
 
 
 class Totals:
-    """Counts what only grows; one thread adds, any thread reads."""
+    """Growing totals; one thread adds, any thread reads."""
 
     def __init__(self) -> None:
         self.parts: Counter[tuple[str, str]] = Counter()
-        """Parts by label and result: ``named``, ``unknown``, ``rejected`` (named, and let go at the
-        place of the rejects) or ``missed`` (nothing was found; without label)."""
+        """Parts by label and result: ``named``, ``unknown``, ``rejected`` (named, but released at
+        the place of the rejects) or ``missed`` (no part found; without label)."""
         self.cycles_s = Distribution(_CYCLES_S)
         """Time of each part in s, as `PartReport.seconds`."""
         self.force_errors_n = Distribution(_ERRORS_N)
         """Distance in N between force and set-point at the end of each grasp of a part."""
 
     def add(self, report: PartReport) -> None:
-        """Count a part, with the grasps that it was found by, or a turn without one."""
+        """Count a part with its grasps, or a turn without a part."""
         if report.answer is None:
             self.parts["", "missed"] += 1
             return

@@ -1,6 +1,6 @@
 """Writes the tables that are made from the code into the pages: ``python -m docs.tools``.
 
-In a page such a table stands between ``<!-- made: NAME -->`` and ``<!-- end: NAME -->``. With
+In a page a table is between ``<!-- made: NAME -->`` and ``<!-- end: NAME -->``. With
 ``--check`` nothing is written, and a page that differs from the code is an error.
 """
 
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from docs.tools.api_page import names_page
+from docs.tools.archive_page import archive_page
 from docs.tools.campaign_page import campaign_page
 from docs.tools.catalogue_page import catalogue_page
 from docs.tools.command_page import command_page
@@ -24,6 +25,7 @@ from docs.tools.walk_page import walk_page
 from docs.tools.xml_rpc_page import xml_rpc_page
 
 MAKERS: dict[str, Callable[[], str]] = {
+    "archive": archive_page,
     "campaign": campaign_page,
     "catalogue": catalogue_page,
     "command line": command_page,
@@ -49,7 +51,7 @@ _TABLE = re.compile(r"(<!-- made: (.+?) -->\n).*?(<!-- end: \2 -->)", flags=re.S
 
 
 def filled(page: str) -> str:
-    """Return a page, or a picture, with its tables made anew."""
+    """Return a page, or a picture, with new tables."""
     return _TABLE.sub(lambda found: f"{found[1]}\n{MAKERS[found[2]]().strip()}\n\n{found[3]}", page)
 
 

@@ -1,4 +1,4 @@
-"""Python reference: the face of a package, and every class that stands in its signatures."""
+"""Python reference: the public names of a package, and every class in their signatures."""
 
 import inspect
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ def names_page(package: str) -> str:
     """Return one row for each name that a program takes from a package."""
     face = import_module(package)
     names = sorted(face.__all__, key=lambda name: name[0].isupper())
-    rows = ["| name | what it is |", "| --- | --- |"]
+    rows = ["| name | meaning |", "| --- | --- |"]
     for name in names:
         if not name.isupper():
             first = (inspect.getdoc(getattr(face, name)) or "").partition("\n\n")[0]

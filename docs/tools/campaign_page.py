@@ -10,10 +10,10 @@ from tests.faults.table import GROUPS, REACTIONS, ROWS
 def campaign_page() -> str:
     """Return how many rows there are, by what fails and by the required reaction."""
     lines = [
-        f"{len(ROWS)} variants of {len({row.row for row in ROWS})} kinds of fault, "
-        f"{sum(row.real_time for row in ROWS)} of them between real processes in real time, "
-        f"{sum(row.limit_s is not None for row in ROWS)} with a limit for the time until the fault "
-        "is detected. `make campaign` runs all of them, `make test` "
+        f"There are {len(ROWS)} variants of {len({row.row for row in ROWS})} kinds of fault. Of "
+        f"these {sum(row.real_time for row in ROWS)} run between real processes in real time, and "
+        f"{sum(row.limit_s is not None for row in ROWS)} have a time limit for the detection. "
+        "`make campaign` runs all of them, `make test` "
         f"{sum(not row.long and not row.real_time for row in ROWS)}; both run random "
         "commands and faults. After each fault of a grasp the steps of the "
         "[fault catalogue](fault-numbers.md) lead back to IDLE.\n",

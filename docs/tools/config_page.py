@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cell.config.model import CellConfig
+from cell.config.section import sections_in
 
 UNITS = {
     "mm_s": "mm/s", "n_s": "N/s", "nm_a": "Nm/A", "mm": "mm", "ms": "ms", "deg": "degrees",
@@ -31,7 +32,7 @@ def _sections(model: type[BaseModel], path: str) -> Iterator[str]:
     yield f"{_plain(model.__doc__)}\n"
     below = []
     for name, field in model.model_fields.items():
-        models = list(_models(field.annotation))
+        models = list(sections_in(field))
         below += [(inner, _path(path, name, field, inner, len(models))) for inner in models]
         yield f"- `{name}`: {_meaning(field)}\\\n  {_allowed(name, field)}"
     yield ""
@@ -46,13 +47,6 @@ def _path(path: str, name: str, field: FieldInfo, inner: type[BaseModel], n_mode
         dotted += "[]"
     kind = inner.model_fields.get("kind")
     return f"{dotted} ({_choices(kind.annotation)[0]})" if n_models > 1 and kind else dotted
-
-
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in typing.get_args(annotation):
-        yield from _models(inner)
 
 
 def _type(name: str, field: FieldInfo) -> str:

@@ -1,9 +1,9 @@
 """Pictures and transcripts of the docs, made anew: `make pictures`.
 
-Pictures are cuts of the report page of `tactile-cell run`, drawn by a headless Chromium, and the
-operator's page of `tactile-cell serve` while it holds a part that it has named.
-Transcripts are what the commands of the tutorial print: each line that the tutorial shows is
-replaced by the line of today that resembles it most.
+A headless Chromium draws the pictures: of the report page of `tactile-cell run`, and of the
+operator's page of `tactile-cell serve` with a named part in the grip.
+Transcripts are the output of the commands in the tutorial. The most similar line of a new run
+replaces each line in the tutorial.
 """
 
 import difflib
@@ -150,14 +150,14 @@ def _printed(command: str, folder: Path) -> list[str]:
 
 
 def _like(shown: str, printed: list[str]) -> str:
-    """Return the printed line that is most like the shown one, as short as that one is."""
+    """Return the printed line that is most similar to the shown line, shortened like it."""
     start, short, _ = shown.partition(" ...")
     ratio, line = max(
         (difflib.SequenceMatcher(None, start, line[: len(start)] if short else line).ratio(), line)
         for line in printed
     )
     if ratio < _LEAST_ALIKE:
-        raise SystemExit(f"printed no more: {shown!r}; correct the page, then make it again")
+        raise SystemExit(f"no longer printed: {shown!r}; correct the page, then make it again")
     return " ".join(line.split(" ")[: len(start.split(" "))]) + short if short else line
 
 

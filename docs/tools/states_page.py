@@ -30,21 +30,21 @@ _PLACES = {
 """Column and row of each state in the picture."""
 DOES = {
     CellState.STOPPED: (
-        "Nothing is commanded and the links are not supervised. A cell begins here.",
-        "As it was left: a part that an earlier run or a cleared fault left is still held.",
+        "There is no command, and the links are not supervised. A cell begins here.",
+        "Unchanged: a part of an earlier run or a cleared fault is still held.",
     ),
     CellState.STARTING: (
-        "Verifies servos and control unit, opens the fingers, takes the zero of the taxels.",
-        "Empty fingers open. Torque found on is a fault and nothing moves: a part may be held.",
+        "Verifies servos and control unit, opens the fingers, measures the zero of the taxels.",
+        "Empty fingers open. Torque that is on is a fault, and nothing moves: a part may be held.",
     ),
     CellState.IDLE: (
         "Ready. Both links are kept alive and supervised (`tick`).",
         "Open and empty, torque on, bus watchdog armed.",
     ),
     CellState.EXECUTE: (
-        "A grasp runs (pose, approach, ramp, hold, letting go or keeping), a release or a look at "
-        "a kept part (`verify`).",
-        "Closes, holds, opens; opens only as the planned end of a grasp or by `release`.",
+        "Runs a grasp (pose, approach, ramp, hold, release or keep), a release, or a check of a "
+        "kept part (`verify`).",
+        "Closes, holds, opens; opens only at the planned end of a grasp or by `release`.",
     ),
     CellState.COMPLETE: (
         "The part was named or gripped and is held for the host. The links are supervised, and the "
@@ -52,44 +52,44 @@ DOES = {
         "Holds the part with `sequence.carry_force_n`, until `release`; slip and loss are faults.",
     ),
     CellState.HOLDING: (
-        "A stop on request is being obeyed: the ramp is frozen.",
+        "A stop on request is in progress: the ramp is frozen.",
         "Goals are frozen at their last value; the bus watchdog is disarmed.",
     ),
     CellState.HELD: (
         "Stopped on request. The links are supervised (`tick`).",
-        "Keeps what it holds, until `release`.",
+        "Keeps a held part until `release`.",
     ),
     CellState.STOPPING: (
-        "Ends the work with the devices, or lets go of a part before the start (`release_held`).",
+        "Ends the use of the devices, or releases a part before the start (`release_held`).",
         "A held part stays held; empty fingers lose their torque. `release_held` opens.",
     ),
     CellState.ABORTING: (
         "A fault is being latched: its text is kept, the grip is frozen.",
-        "Goals are frozen, torque as it is; above the force cap the currents are lowered.",
+        "Goals are frozen, torque is unchanged; above the force cap the currents are lowered.",
     ),
     CellState.ABORTED: (
         "A fault is latched. Nothing moves until a person or host has cleared and reset it.",
-        "Keeps what it holds, as far as the fault leaves the servos to do so.",
+        "Keeps a held part if the servos still can.",
     ),
     CellState.CLEARING: (
-        "Acknowledges a fault, or before the start what is left of one; on request restarts "
-        "servos. Or lets go of what it left.",
-        "`clear` leaves it as it is (a restarted servo drops its part); `release_held` opens.",
+        "Acknowledges a fault, also an earlier one before the start; on request restarts servos. "
+        "Or releases the part of an earlier run.",
+        "`clear` does not change it (but a restarted servo drops its part); `release_held` opens.",
     ),
     CellState.RESETTING: (
         "The fault is acknowledged; the cell waits for `reset`.",
-        "As the fault left it; `release_held` lets go.",
+        "As after the fault; `release_held` opens.",
     ),
 }
 """What the cell does in each state, and what the grip does."""
 
 GRASP_DOES = {
-    GraspState.IDLE: "The fingers rest; nothing is held as far as the gripper knows.",
+    GraspState.IDLE: "The fingers rest; the gripper has no sign of a held part.",
     GraspState.GRIPPING: "Approach and force ramp.",
     GraspState.NO_PART_FOUND: "The last grasp touched nothing; until the fingers move again.",
     GraspState.PART_LOST: "Both pads became empty in a grasp or hold, or a kept part slipped.",
     GraspState.HOLDING: "Force is held, or goals are frozen and a part may be in the grip.",
-    GraspState.RELEASING: "The fingers open to let go.",
+    GraspState.RELEASING: "The fingers open to release the part.",
     GraspState.POSITIONING: "Empty fingers move to an opening.",
     GraspState.ERROR: "A fault is latched; a part may still be in the grip.",
 }
@@ -103,14 +103,14 @@ def states_page() -> str:
             "## States of the cell\n",
             _states(),
             "## Commands\n",
-            "What a command leads to when nothing goes wrong; all that is not named is refused.",
-            "A `cancel` that nothing obeys counts for the next start or grasp, and a release",
-            "withdraws it; in CLEARING and STOPPING it stops a `release_held`. An identification",
+            "The table has the result of each command without a fault; other commands are refused.",
+            "A `cancel` without a running grasp applies to the next start or grasp; a release",
+            "withdraws it. In CLEARING and STOPPING it stops a `release_held`. An identification",
             "that keeps the part goes from EXECUTE to COMPLETE. Any fault leads to ABORTING.\n",
             _commands(),
             "## Diagram\n",
-            "![The states of the cell and what leads to the next one](../images/states.svg)\n",
-            "The cell goes the dashed ways by itself.\n",
+            "![The states of the cell and their transitions](../images/states.svg)\n",
+            "Dashed transitions happen without a command.\n",
             "## States of the grip\n",
             _grasp_states(),
         )
@@ -118,7 +118,7 @@ def states_page() -> str:
 
 
 def states_picture() -> str:
-    """Return the states and the ways between them as SVG; dashed: the cell goes it by itself."""
+    """Return the states and their transitions as SVG; dashed: without a command."""
     ways: dict[tuple[CellState, CellState], list[str]] = {}
     for (state, event), target in TRANSITIONS.items():
         if event is not Event.FAULT:
@@ -198,7 +198,7 @@ def _commands() -> str:
         return "<br>".join(leads), ", ".join(stays)
 
     return _table(
-        ("state", "leads to", "obeyed without a change of state"),
+        ("state", "leads to", "allowed without a change of state"),
         [
             (state.value, *allowed(state))
             for state in sorted(CellState, key=lambda state: state.number)

@@ -1,9 +1,8 @@
-"""The transcript of a commissioning in the tutorial; `make pictures` writes it anew.
+"""The transcript of a commissioning in the tutorial; `make pictures` writes it.
 
-The wizard's own terminal asks, at the cell that the commands of the tutorial make, in virtual time;
-the hands are those of `tactile-cell simulate --ask`, moved by the person of the tests. What people
-type in a terminal is tested with the transcript as it stands there
-(`tests/cell/commissioning/test_practice.py`).
+The wizard's own terminal asks in virtual time, at the cell of the tutorial's commands. The hands
+are those of `tactile-cell simulate --ask`, moved by the person of the tests.
+`tests/cell/commissioning/test_practice.py` tests the typed input with the transcript of the page.
 """
 
 import contextlib
@@ -56,7 +55,7 @@ class _Typing(TerminalDialog):
         person.show = lambda words: print_line(f"hands> {words}")
 
     def say(self, text: str) -> None:
-        """Print a text; the hands do what it says."""
+        """Print a text; the hands do it."""
         super().say(text)
         self._person.heard(text)
 
@@ -81,7 +80,7 @@ def practice_commands() -> list[list[str]]:
 
 
 def transcript() -> str:
-    """Return what the terminal shows from the box to the gauge object."""
+    """Return the terminal's text from the first step to the gauge object."""
     simulate, *_ = practice_commands()
     faults = [simulate[at + 1] for at, word in enumerate(simulate) if word == "--fault"]
     config = changed_config(CellConfig(), {"simulator.faults": faults})

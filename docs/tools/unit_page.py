@@ -1,7 +1,7 @@
 """The control unit's messages and objects, made from its EDS and from a start of the simulated one.
 
-The bytes are those that go over the wire between this program and the simulated unit, so a firmware
-can be compared with them one by one.
+The bytes are those between this program and the simulated unit on the wire. A firmware can be
+compared with them one by one.
 """
 
 import struct
@@ -37,7 +37,7 @@ Message = tuple[int, bytes]
 def start_page() -> str:
     """Return the messages of a start as a table, segments of long transfers left out."""
     rows = ("| " + " | ".join(row) + " |" for row in _rows(_start(_captured())))
-    return "\n".join(("| host | unit | what it is |", "| --- | --- | --- |", *rows))
+    return "\n".join(("| host | unit | meaning |", "| --- | --- | --- |", *rows))
 
 
 def objects_page() -> str:

@@ -1,12 +1,11 @@
 """Servo bus: typed, checked transactions in DYNAMIXEL Protocol 2.0, and retries of lost answers.
 
 Every status packet is checked: CRC, sender, length of its data, error number and Alert bit. A
-transaction either returns what was asked for or raises; it never returns a value that no servo
-has sent.
+transaction returns the requested values or raises; it never returns a value that no servo has sent.
 
-An answer that comes late is the danger of a bus without sequence numbers: it passes for the
-answer to the next request. The answers of one servo come in the order of its requests, so an
-answered ping shows that nothing older of that servo is still on its way.
+Late answers are the danger of a bus without sequence numbers: one may be taken for the answer to
+the next request. A servo answers in the order of its requests, so an answered ping shows that no
+older answer of this servo is pending.
 """
 
 import threading
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import PRESENT_BLOCK, RAM_START, Register, RegisterBlock
-from gripper.dynamixel.models import RAM_SHIFTS
+from gripper.dynamixel.models import ram_shift
 from gripper.dynamixel.protocol2 import (
     STATUS_OVERHEAD,
     CheckedPacketHandler,
@@ -44,14 +43,14 @@ from gripper.dynamixel.transactions import (
 from gripper.errors import BusBusy, BusCorrupt, BusTimeout, LimitExceeded, PortLost
 
 _COLLISION_READS = 3
-"""Readings of a servo's present state that show whether another one answers with it."""
+"""Readings of a servo's state that show whether a second servo answers to the same ID."""
 _ALL_SILENT_MISSES = 3
-"""Lost answers in a row, of every servo asked, after which a sync read waits for a quiet line."""
+"""Lost answers in a row, of each requested servo, before a sync read waits for a quiet line."""
 _LATE_GUARD_S = 0.05
-"""Quiet time in s after which nothing late is expected any more."""
+"""Quiet time in s after which no late answer is expected."""
 _LONGEST_QUIET_WAIT = 10.0
-"""Longest wait for a quiet line, in multiples of `_LATE_GUARD_S`: more than the answers that can
-be outstanding, so that only a line that never falls quiet reaches it."""
+"""Longest wait for a quiet line, in multiples of `_LATE_GUARD_S`: longer than all pending answers
+take, so that only a line that never becomes quiet reaches it."""
 _SLOT_MS = 3.0
 """Time in ms that a servo may take for its answer to a broadcast ping, for each ID."""
 
@@ -68,8 +67,8 @@ class ServoIdentity:
 class ServoBus:
     """Transactions with servos on one line; safe to use from several threads.
 
-    A lost answer is asked for again behind a ping: once in `in_loop`, up to three times and
-    patiently outside of it. A late answer is never taken for a new one.
+    A lost answer is requested again after a ping: once within `in_loop`, up to three times with
+    longer waits outside of it. A late answer is never taken for a new one.
 
     The line is CLEAN, OWING (inside a transaction whose answer is missing) or SUSPECT:
 
@@ -87,9 +86,9 @@ class ServoBus:
     SUSPECT ``_LATE_GUARD_S`` passed                CLEAN   none
     ======= ======================================= ======= ======================================
 
-    Each wait ends: for an answer at the time-out of the packet or after ``_LATE_GUARD_S``, for a
-    quiet line after ten times that. In the loop a quiet line is not waited for: what has arrived
-    is dropped, and the transaction fails until nothing came for ``_LATE_GUARD_S``.
+    Each wait is bounded: for an answer by the time-out of the packet or ``_LATE_GUARD_S``, for a
+    quiet line by ten times that. The loop does not wait for a quiet line: it drops received bytes,
+    and the transaction fails until the line was quiet for ``_LATE_GUARD_S``.
 
     Parameters
     ----------
@@ -142,18 +141,18 @@ class ServoBus:
 
     @property
     def lost(self) -> bool:
-        """Whether the line has failed since it was opened: then only `use` helps."""
+        """Whether the line has failed since it was opened; then call `use` with a new one."""
         return self._port.lost
 
     def use(self, stream: ByteStream) -> None:
-        """Go on with a line that was opened anew."""
+        """Continue with a reopened line."""
         self._port.use(stream)
 
     @property
     def return_delay_s(self) -> float:
-        """Longest Return Delay Time of the servos in s (register 9; first 0.5 ms, the factory's).
+        """Longest Return Delay Time of the servos in s (register 9; default 0.5 ms).
 
-        It enters every time-out.
+        Part of every time-out.
         """
         return float(self._port.return_delay_s)
 
@@ -176,12 +175,11 @@ class ServoBus:
 
     @contextmanager
     def in_loop(self) -> Iterator[None]:
-        """Within the block no transaction waits longer than a period of the loop may take.
+        """Limit each transaction in the block to the time that a period of the loop allows.
 
-        Outside of it a retry waits for ``_LATE_GUARD_S``: at a start or between commands a servo,
-        or the machine that simulates it, may be slow once without being at fault. Within it a
-        sync read does not wait until the line is quiet: its caller reads Realtime Tick (register
-        120) along, which shows an old answer.
+        Outside the block a retry waits for ``_LATE_GUARD_S``: at a start or between commands a slow
+        answer is no fault. Within it a sync read does not wait for a quiet line: its caller also
+        reads Realtime Tick (register 120), which shows an old answer.
         """
         before, self._policy = self._policy, IN_LOOP
         try:
@@ -194,27 +192,27 @@ class ServoBus:
         return servo_id in self.alerts
 
     def ping(self, servo_id: int) -> ServoIdentity:
-        """Ask a servo for its identity; BusTimeout when none has that ID."""
+        """Read the identity of a servo; raises BusTimeout if no servo has this ID."""
         return self._identity(self._ask(ping_request(servo_id)))
 
     def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
-        """Ping each ID once, without patience, and return who answers; for finding a mistake."""
+        """Ping each ID once, with short time-outs, and return the servos; for diagnosis."""
         found = []
         with self.exclusive():
             for servo_id in ids:
                 with suppress(NoAnswerError):
                     status = self._exchange(ping_request(servo_id))
-                    if status.error == 0:  # a servo that refuses does not say which it is
+                    if status.error == 0:  # a refusal has no identity
                         found.append(self._identity(status))
             self._mark_suspect()
         return tuple(found)
 
     def scan_at_once(self) -> tuple[tuple[ServoIdentity, ...], bool]:
-        """Ping all IDs with one broadcast; return who answers, and whether damaged bytes came.
+        """Ping all IDs with one broadcast; return the servos, and whether damaged bytes came.
 
         Takes about a second. Damaged bytes are of servos that share an ID, or of another device;
-        equal servos that share an ID may pass for one, see `shares_id`. Servos answer one after the
-        other, in the order of their IDs; the wait is that of the vendor's SDK
+        equal servos that share an ID may look like one, see `shares_id`. Servos answer one after
+        the other, in the order of their IDs; the wait is that of the vendor's SDK
         (`Protocol2PacketHandler.broadcastPing`).
         """
         found: list[ServoIdentity] = []
@@ -234,8 +232,8 @@ class ServoBus:
     def shares_id(self, servo_id: int) -> bool:
         """Return whether several servos answer to one ID.
 
-        Each reports its own time, position and voltage: their answers damage each other, or leave
-        nothing that an adapter takes for bytes. One answer may be lost by chance.
+        Each servo reports its own time, position and voltage: their answers damage each other, or
+        the adapter receives no bytes. One answer may be lost by chance.
         """
         action = f"reading {PRESENT_BLOCK} of servo {servo_id}"
         params = _words(self._address(servo_id, PRESENT_BLOCK), PRESENT_BLOCK.size)
@@ -251,7 +249,7 @@ class ServoBus:
         return lost == _COLLISION_READS
 
     def round_trip_s(self, servo_id: int) -> float:
-        """Return the time in s that a ping takes, however late its answer comes."""
+        """Return the round-trip time of a ping in s, also for a late answer."""
         return self._ask_once(ping_request(servo_id), patient=True)[1]
 
     def read(self, servo_id: int, register: Register) -> int:
@@ -280,12 +278,12 @@ class ServoBus:
     def sync_read(self, ids: Sequence[int], block: RegisterBlock) -> dict[int, dict[str, int]]:
         """Return the items of one block of several servos as raw values by name.
 
-        A servo whose answer is missing is asked alone, `in_loop` as long as the period allows.
+        A servo whose answer is missing is asked alone, within `in_loop` only as the period allows.
 
         Raises
         ------
         BusTimeout, BusCorrupt
-            When an answer is still missing; nothing of the others is returned then.
+            When an answer is still missing; then nothing is returned.
         """
         action = f"reading {block} of servos {ids}"
         params = _words(self._common_address(ids, block), block.size)
@@ -295,7 +293,7 @@ class ServoBus:
     def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
         """Write the items of one block to several servos at once.
 
-        Servos do not confirm a sync write: what must be certain is read back by the caller.
+        Servos do not confirm a sync write: the caller reads back critical values.
 
         Parameters
         ----------
@@ -315,9 +313,9 @@ class ServoBus:
             self._send(BROADCAST_ID, Instruction.SYNC_WRITE, params)
 
     def reboot(self, servo_id: int) -> None:
-        """Restart a servo: torque off, RAM at its defaults; a part that it holds is let go.
+        """Restart a servo: torque off, RAM at its defaults; it lets a held part go.
 
-        Sent once only, because a repetition would restart it again.
+        Sent only once, because a repetition would restart it again.
         """
         request = Request(servo_id, Instruction.REBOOT, 0, f"reboot of servo {servo_id}")
         status, _ = self._ask_once(request)
@@ -325,12 +323,12 @@ class ServoBus:
         checked(status, request.action)
 
     def expect_late_answer(self) -> None:
-        """Let the next transaction wait until the line is quiet: an answer came out of turn."""
+        """Make the next transaction wait for a quiet line, after an unexpected answer."""
         self._mark_suspect()
         self._outstanding += 1
 
     def close(self) -> None:
-        """Close the line, the servos go on with their last goals; transactions raise PortLost."""
+        """Close the line; the servos keep their last goals, and transactions raise PortLost."""
         with self._lock:
             self._closed = True
             self._port.closePort()
@@ -346,7 +344,7 @@ class ServoBus:
         PortLost
             After `close`.
         BusCorrupt
-            When the line never falls quiet.
+            When the line never becomes quiet.
         """
         if not self._lock.acquire(timeout=self._lock_timeout_s):
             raise BusBusy(
@@ -381,13 +379,13 @@ class ServoBus:
 
     def _identity(self, status: StatusPacket) -> ServoIdentity:
         number = int.from_bytes(status.data[:2], "little")
-        self._ram_shifts[status.servo_id] = RAM_SHIFTS.get(number, 0)
+        self._ram_shifts[status.servo_id] = ram_shift(number)
         return ServoIdentity(servo_id=status.servo_id, model_number=number, firmware=status.data[2])
 
     def _ask(self, request: Request) -> StatusPacket:
-        """Send a request and return the checked answer; ask again when it is lost.
+        """Send a request and return the checked answer; repeat it when the answer is lost.
 
-        Raises BusTimeout or BusCorrupt when no repetition was answered, or the line never fell
+        Raises BusTimeout or BusCorrupt when no repetition was answered, or the line did not become
         quiet. Raises ServoRejected when the servo refuses.
         """
         check_id(request.servo_id)
@@ -417,7 +415,7 @@ class ServoBus:
         if not policy.patient:
             ids = sorted(ids, key=self.misses)
         if min(map(self.misses, ids)) >= _ALL_SILENT_MISSES:
-            # Requests must not pile up in front of a machine that is slow to answer.
+            # Requests must not accumulate at a slow machine.
             precaution = Precaution.QUIET
         with self.exclusive(precaution):
             deadline_s = None if policy.patient else self._clock.monotonic() + self._period_s
@@ -451,7 +449,7 @@ class ServoBus:
     def _retry(
         self, request: Request, failure: NoAnswerError, deadline_s: float | None = None
     ) -> StatusPacket:
-        """Ask again, each time behind a ping, as the policy allows; raise when nothing comes."""
+        """Repeat a request after a ping, as often as the policy allows; raise without an answer."""
         for _ in range(self._policy.repetitions):
             with suppress(NoAnswerError):
                 self._ping(request.servo_id, deadline_s)
@@ -460,16 +458,15 @@ class ServoBus:
         raise self._given_up(failure, request) from None
 
     def _given_up(self, failure: NoAnswerError, request: Request) -> BusTimeout | BusCorrupt:
-        """Return the error of a servo that is not asked again; the line is suspect from now on."""
+        """Return the error of a servo without an answer; the line is now suspect."""
         self._mark_suspect()
         self._last_error = given_up(failure, request, self._heard)
         return self._last_error
 
     def _ping(self, servo_id: int, deadline_s: float | None = None) -> None:
-        """Ping a servo, so that none of its earlier answers is outstanding any more.
+        """Ping a servo, so that no earlier answer of it is pending.
 
-        The answer to a patient ping may have overtaken an earlier one: then the line is watched
-        until it is quiet.
+        The answer to a ping with a long wait may be an earlier one: then wait for a quiet line.
         """
         if deadline_s is not None and self._clock.monotonic() >= deadline_s:
             raise NoAnswerError(damaged=False)
@@ -483,7 +480,7 @@ class ServoBus:
     ) -> tuple[dict[int, StatusPacket], NoAnswerError]:
         """Send a sync read and collect the answers up to the first missing one.
 
-        The servos answer one after the other: behind a missing answer there is none.
+        The servos answer one after the other: after a missing answer no other follows.
         """
         self._send(BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
         found: dict[int, StatusPacket] = {}
@@ -504,7 +501,7 @@ class ServoBus:
         self._handler.send(self._port, servo_id, instruction, params)
 
     def _receive(self, servo_id: int, size: int, *, patient: bool = False) -> StatusPacket:
-        """Return the next right answer; drop what is damaged, late or of another servo."""
+        """Return the next correct answer; drop damaged, late and foreign ones."""
         if patient:
             self._port.setPacketTimeoutMillis(1000.0 * _LATE_GUARD_S)
         else:
@@ -523,8 +520,7 @@ class ServoBus:
                 self._counts["late"] += 1
                 self._heard.add_packet()
             elif status.error == 0 and len(status.data) != size:
-                # A servo that refuses answers without data; any other length answers an earlier
-                # request.
+                # A refusal has no data; any other length is an answer to an earlier request.
                 damaged = True
                 self._outstanding = max(0, self._outstanding - 1)
                 self._counts["late"] += 1
@@ -544,7 +540,7 @@ class ServoBus:
         BusCorrupt
             When bytes still come after ten times ``_LATE_GUARD_S``; in the loop when they do now.
         BusTimeout
-            In the loop, while late answers of servos that fell silent may still come.
+            In the loop, while late answers of silent servos may still come.
         """
         now_s = self._clock.monotonic()
         if self._quiet_since_s is None:
@@ -576,7 +572,7 @@ class ServoBus:
             return type(self._last_error)(*self._last_error.args)
         within = f"within {patience_s:.2g} s" if patience_s else "yet"
         return BusCorrupt(
-            f"{self._name} did not fall quiet {within}: {self._heard}. Another program or device "
+            f"{self._name} did not become quiet {within}: {self._heard}. Another program or device "
             f"sends on the line, or it picks up noise: disconnect other hosts, check cable, "
             f"ground, termination and baud rate"
         )

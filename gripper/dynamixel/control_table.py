@@ -2,7 +2,7 @@
 
 Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-M288, section
 "Control Table". The addresses are the same on all four. The RH-P12-RN(A) has its RAM items farther
-up; the bus adds that (`gripper.dynamixel.models.RAM_SHIFTS`).
+up; the bus adds that (`gripper.dynamixel.models.ram_shift`).
 """
 
 import struct

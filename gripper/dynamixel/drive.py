@@ -1,14 +1,15 @@
-"""Drive characteristic of one servo: how its current becomes torque, and how sure that is.
+"""Drive characteristic of one servo: the relation of current and torque, with its uncertainty.
 
-Two measured lines bound what a current holds: the load rises at ``rising_a_nm * load +
+Two measured lines bound the load that a current holds: the load rises at ``rising_a_nm * load +
 breakaway_a``, and falls at ``falling_a_nm * load - breakaway_a``. In free motion the current is
 ``offset_a +- friction_a(speed)``. Loads are torques at the output by the force of the pads; only
-``kt_nm_a`` does not rest on the pads.
+``kt_nm_a`` does not depend on the pads.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import exp, hypot, log
+from math import exp, log, sqrt
+from statistics import fmean
 from typing import NamedTuple, Self
 
 from gripper.dynamixel.models import KT_SD, ServoModel
@@ -75,7 +76,7 @@ class DriveCharacteristic:
 
     @classmethod
     def catalogue(cls, model: ServoModel) -> Self:
-        """Return the figures of a model, uncertain as servos of one model differ."""
+        """Return the values of a model, with the uncertainty between servos of one model."""
         friction_a = model.friction_nm / model.kt_nm_a
         return cls(
             coulomb_a=friction_a,
@@ -94,7 +95,7 @@ class DriveCharacteristic:
 
     @property
     def once_measured(self) -> Self:
-        """The same values, no more uncertain than a measurement leaves them."""
+        """The same values, with at most the uncertainty of a measurement."""
         return replace(
             self,
             friction_sd=min(self.friction_sd, _MEASURED_FRICTION_SD),
@@ -103,8 +104,13 @@ class DriveCharacteristic:
 
     @property
     def distrusted(self) -> Self:
-        """The same values, its friction as uncertain as that of any servo of its model."""
+        """The same values, with the friction uncertainty of an unmeasured servo of its model."""
         return replace(self, friction_sd=_FRICTION_SD)
+
+    @property
+    def breakaway_share(self) -> float:
+        """Friction at rest under a load over that of free motion."""
+        return self.breakaway_a / (self.coulomb_a + self.stribeck_a)
 
     @property
     def least_breakaway_a(self) -> float:
@@ -121,16 +127,6 @@ class DriveCharacteristic:
         """Largest plausible torque for current in N m / A: the pads may be weak."""
         return max(exp(SIGMAS * self.load_sd) / self.rising_a_nm, self.kt_nm_a)
 
-    @property
-    def disagreement(self) -> float:
-        """Logarithm of the torque by pads over that by the motor constant; 0 where both agree.
-
-        A weak pad and a weak motor look alike.
-        """
-        apart = -log(self.rising_a_nm * self.kt_nm_a)
-        beyond = abs(apart) - SIGMAS * hypot(self.load_sd, self.kt_sd)
-        return apart if beyond > 0.0 else 0.0
-
     def friction_a(self, speed_rad_s: float) -> float:
         """Return the friction current in A of free motion at a speed in rad/s."""
         slow = exp(-((abs(speed_rad_s) / self.stribeck_rad_s) ** self.stribeck_exponent))
@@ -141,17 +137,31 @@ class DriveCharacteristic:
         return max(self.breakaway_a, self.friction_a(speed_rad_s))
 
 
-class Drives:
-    """The newest drive characteristic of each servo, by its ID: the one place that has them.
+def disagreement(drives: Sequence[DriveCharacteristic]) -> float:
+    """Return the logarithm of the torque by pads over that by the motor constants; 0: they agree.
 
-    All that converts between current and force reads it here, with its uncertainty.
+    It is the mean of some servos, whose motor constants err apart. The catalogue alone is no
+    anchor, and without a servo there is none. A weak pad and a weak motor look alike.
+    """
+    if any(drive.kt_sd >= KT_SD for drive in drives) or not drives:
+        return 0.0
+    apart = -fmean(log(drive.rising_a_nm * drive.kt_nm_a) for drive in drives)
+    variances = (drive.load_sd**2 + drive.kt_sd**2 for drive in drives)
+    beyond = abs(apart) - SIGMAS * sqrt(sum(variances)) / len(drives)
+    return apart if beyond > 0.0 else 0.0
+
+
+class Drives:
+    """The newest drive characteristic of each servo, by its ID.
+
+    All conversions between current and force use it, with its uncertainty.
     """
 
     def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
         self._newest = dict(newest or {})
 
     def of(self, servo_id: int, unmeasured: DriveCharacteristic) -> DriveCharacteristic:
-        """Return that of a servo; where it was never measured the given one."""
+        """Return that of a servo; if it was never measured, ``unmeasured``."""
         return self._newest.get(servo_id, unmeasured)
 
     @property
@@ -165,9 +175,9 @@ class Drives:
 
 
 class DriveReport(NamedTuple):
-    """What a gripper knows of its servos."""
+    """Measured drive characteristics of a gripper's servos."""
 
     drives: Mapping[int, DriveCharacteristic]
-    """By the servos' IDs; of those that nobody has measured there is none."""
+    """By the servos' IDs; unmeasured servos have no entry."""
     notes: tuple[str, ...] = ()
     """Unusual changes since the last report, each with its likely cause."""

@@ -1,7 +1,7 @@
-"""Round trips to the servos: measured at each start, refused where they are too slow for the loop.
+"""Round trips to the servos: measured at each start, refused if too slow for the loop.
 
-A USB adapter that hands bytes on every 16 ms, a slow baud rate or a machine that has no time would
-otherwise show as lost answers in the middle of a grasp.
+A USB adapter with a latency of 16 ms, a slow baud rate or a busy machine would otherwise cause lost
+answers during a grasp.
 """
 
 from collections.abc import Sequence
@@ -67,9 +67,9 @@ def check_link(bus: "ServoBus", ids: Sequence[int], period_s: float) -> float:
     if work_s > _WORK_SHARE * period_s:
         rate_hz = int(_WORK_SHARE / work_s)
         raise LinkTooSlow(
-            f"a servo answers after {typical_s * 1e3:.1f} ms (median), reading and writing all of "
-            f"them takes {work_s * 1e3:.1f} ms of a period of {period_s * 1e3:.1f} ms, at "
-            f"most {_WORK_SHARE * period_s * 1e3:.1f} ms are allowed: set the latency timer of the "
+            f"a servo answers after {typical_s * 1e3:.1f} ms (median); reading and writing all "
+            f"servos takes {work_s * 1e3:.1f} ms of a period of {period_s * 1e3:.1f} ms, the "
+            f"limit is {_WORK_SHARE * period_s * 1e3:.1f} ms: set the latency timer of the "
             f"USB adapter to 1 ms (/sys/bus/usb-serial/devices/*/latency_timer), raise the baud "
             f"rate, or lower loop_rate_hz to {max(1, rate_hz)}. Nothing has moved"
         )

@@ -268,17 +268,28 @@ RH_P12_RN_A = ServoModel(
 its closing speed of 75 mm/s. Nobody publishes torque constant, friction, inertia or gains: these
 are assumed."""
 
-MODELS: Mapping[str, ServoModel] = MappingProxyType(
-    {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288, RH_P12_RN_A)}
-)
+_MODELS = {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288, RH_P12_RN_A)}
+MODELS: Mapping[str, ServoModel] = MappingProxyType(_MODELS)
 """Models that can limit their current, by name."""
 
-RAM_SHIFTS: Mapping[int, int] = MappingProxyType(
-    {model.number: model.ram_shift for model in MODELS.values()}
-)
-"""``ram_shift`` by Model Number (register 0)."""
 
-_WITHOUT_CURRENT_CONTROL = frozenset({"XL430-W250", "XC430-W150", "XC430-W240", "2XL430-W250"})
+def add_model(model: ServoModel) -> None:
+    """Add a model to `MODELS`. Raises LimitExceeded where another one has its name or number."""
+    for other in _MODELS.values():
+        if other != model and (other.name == model.name or other.number == model.number):
+            raise LimitExceeded(
+                f"servo model {model.name} with number {model.number} is there with other values "
+                f"({other.name}, {other.number}): give it a name and number of its own"
+            )
+    _MODELS[model.name] = model
+
+
+def ram_shift(number: int) -> int:
+    """Return `ServoModel.ram_shift` of the model with a Model Number (register 0)."""
+    return next((m.ram_shift for m in MODELS.values() if m.number == number), 0)
+
+
+WITHOUT_CURRENT_CONTROL = frozenset({"XL430-W250", "XC430-W150", "XC430-W240", "2XL430-W250"})
 """Models of the series without Goal Current (register 102); they are refused."""
 
 
@@ -292,7 +303,7 @@ def require_current_control(name: str) -> ServoModel:
     model = MODELS.get(name)
     if model is not None:
         return model
-    if name in _WITHOUT_CURRENT_CONTROL:
+    if name in WITHOUT_CURRENT_CONTROL:
         raise LimitExceeded(
             f"{name} measures load, not current: it has no Goal Current and no current-based "
             f"position mode, so its grip force cannot be bounded. Use one of {', '.join(MODELS)}"

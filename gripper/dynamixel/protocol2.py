@@ -31,10 +31,10 @@ _HIGHEST_ID_BYTE = 0xFE
 _CRC_SIZE = 2
 """Bytes of the CRC at the end of a packet."""
 _LONGEST_LENGTH = 1024
-"""Longest length field taken for real: the answers here are below 300 bytes, and a damaged length
-must not hide what follows."""
+"""Longest accepted length field: the answers here are below 300 bytes, and a damaged length must
+not hide the next packet."""
 _READ_AHEAD = 256
-"""Bytes asked for at once: answers that came together are fetched together."""
+"""Bytes per read: answers that came together are read together."""
 _CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
 """The SDK's own table; its method makes it anew with every call."""
 _SHOWN_BYTES = 16
@@ -126,10 +126,10 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
             raise BusBusy("the SDK's port is still in use by another transaction")
 
     def receive(self, port: SdkPort) -> StatusPacket | None:
-        """Return the next status packet whose CRC is right, None at the port's time-out.
+        """Return the next status packet with a correct CRC; None at the port's time-out.
 
-        A line on which bytes come without a pause is given up one longest packet after it. What
-        came while the program itself stood still is read once, however late that is.
+        On a line with bytes without a pause the wait ends one longest packet after the time-out.
+        Bytes that came while the program was stopped are still read once.
         """
         looked_late = False
         self.dropped_bytes, self.dropped_head = 0, b""

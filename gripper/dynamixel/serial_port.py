@@ -1,6 +1,6 @@
-"""Serial port under the servo bus: a stream of bytes, its lock file, and the SDK's port on it.
+"""Serial port of the servo bus: a stream of bytes, its lock file, and the SDK's port on it.
 
-A read blocks until a byte is there; the SDK's own port asks in a loop.
+A read blocks until a byte arrives; the SDK's own port polls.
 """
 
 import errno
@@ -29,14 +29,14 @@ BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 _WRITE_TIMEOUT_S = 0.1
 """Longest time in s for which a port may take no byte: 10,000 bytes at 1 Mbit/s."""
 _TIMER_GRAIN_MS = 1e-3
-"""A time-out is over so many ms early, against the rounding of times as floats."""
+"""Margin in ms by which a time-out ends early, for the rounding of floats."""
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
 _Result = TypeVar("_Result")
-"""What pyserial and the operating system raise when a port is missing, taken or gone."""
+"""Errors of pyserial and the operating system for a missing, used or lost port."""
 
 
 class ByteStream(Protocol):
-    """Both directions of a serial line; OSError or PortLost when it is gone."""
+    """Both directions of a serial line; raises OSError or PortLost when it is lost."""
 
     def write(self, data: bytes, /) -> None:
         """Send all bytes."""
@@ -85,9 +85,9 @@ def latency_timer_ms(path: str) -> int | None:
 
 
 def lock_device(device: str) -> int:
-    """Return the descriptor of the lock file of a device, which keeps a second program off it.
+    """Return the descriptor of the lock file of a device, which excludes a second program.
 
-    The operating system drops the lock when the program ends. Raises OSError where it is taken.
+    The operating system releases the lock when the program ends. Raises OSError if it is taken.
     """
     digest = hashlib.sha256(device.encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock"
@@ -106,12 +106,11 @@ def lock_device(device: str) -> int:
 
 
 class SerialStream:
-    """A serial port of the operating system, held alone.
+    """A serial port of the operating system for one program.
 
-    A lock file beside the exclusive mode of the port keeps a second program out even where that
-    runs with the rights of an administrator. Raises PortLost when the port is missing, taken or
-    refuses; the message names the remedy. Raises LimitExceeded when the baud rate is none that
-    servos support.
+    Beside the exclusive mode of the port a lock file excludes a second program, even with the
+    rights of an administrator. Raises PortLost when the port is missing, used or not permitted; the
+    message names the remedy. Raises LimitExceeded when servos do not support the baud rate.
 
     Parameters
     ----------
@@ -124,7 +123,7 @@ class SerialStream:
     def __init__(self, path: str, baudrate: int = 1_000_000) -> None:
         if baudrate not in BAUD_RATES:
             raise LimitExceeded(
-                f"baud rate {baudrate} is none of {', '.join(map(str, BAUD_RATES))}"
+                f"baud rate {baudrate} is not supported; use {', '.join(map(str, BAUD_RATES))}"
             )
         self.path = path
         try:
@@ -199,8 +198,8 @@ class SerialStream:
 
     def _lost(self, cause: object) -> PortLost:
         return PortLost(
-            f"serial port {self.path} is gone ({cause}): check cable and supply of the adapter, "
-            f"then clear the fault, which opens the port anew. A part may still be gripped"
+            f"serial port {self.path} is lost ({cause}): check cable and supply of the adapter, "
+            f"then clear the fault, which reopens the port. A part may still be gripped"
         )
 
 
@@ -255,7 +254,7 @@ class SdkPort(PortHandler):  # type: ignore[misc]
         self._unanswered_bytes = 0
 
     def use(self, stream: ByteStream) -> None:
-        """Take another stream in the place of one that is lost."""
+        """Replace a lost stream."""
         self._stream = stream
         self.is_open, self.lost = True, False
         self._unanswered_bytes = 0
@@ -290,7 +289,7 @@ class SdkPort(PortHandler):  # type: ignore[misc]
             raise
         except OSError as error:
             self.lost = True
-            raise PortLost(f"the servo line is gone: {error}") from error
+            raise PortLost(f"the servo line is lost: {error}") from error
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
         """Start the time-out for an answer of that many bytes."""

@@ -41,11 +41,11 @@ class RetryPolicy:
     before_several: Precaution
     """Precaution before a request to one servo and before a sync read, on a suspect line."""
     repetitions: int
-    """How often a lost answer is asked for again, each time behind a ping."""
+    """How often a lost answer is requested again, each time after a ping."""
     patient: bool
-    """True where ping and repetition wait 50 ms for their answers, and a quiet line is
-    waited for. False where they wait for the time-out of a packet, a sync read starts none after
-    its period, and on a line that is not quiet yet a transaction fails at once."""
+    """True: ping and repetition wait 50 ms for their answers, and transactions wait for a quiet
+    line. False: they wait for the time-out of a packet, a sync read starts no repetition after its
+    period, and a transaction fails at once if the line is not quiet."""
 
 
 BETWEEN_COMMANDS = RetryPolicy(
@@ -95,7 +95,7 @@ class Request(NamedTuple):
 
 
 class Heard:
-    """What came since the last right answer and was none, for error messages."""
+    """Invalid data since the last correct answer, for error messages."""
 
     def __init__(self) -> None:
         self._bytes = self._packets = 0
@@ -131,12 +131,12 @@ class Heard:
 
 
 class NoAnswerError(Exception):
-    """No right answer within the time-out; `ServoBus` turns it into a typed error."""
+    """No correct answer within the time-out; `ServoBus` converts it into a typed error."""
 
     def __init__(self, damaged: bool) -> None:
         super().__init__(damaged)
         self.damaged = damaged
-        """True when something came that was no answer to the request."""
+        """True when other data than the answer came."""
 
 
 def ping_request(servo_id: int) -> Request:

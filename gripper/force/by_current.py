@@ -13,18 +13,18 @@ from gripper.values.state import STANDING_M_S, ServoFeedback
 _ASSUMED_FRICTION_SD = 0.25
 """Uncertainty of a friction that was never measured: 0.6 to 1.6 times the catalogue's. [assumed]"""
 _CAP_SIGMAS = 2.0
-"""So many standard deviations of the force are kept free below the cap of the force. [chosen]"""
+"""Margin below the cap of the force, in standard deviations of the force. [chosen]"""
 _AT_REST = 1.25
-"""Friction at rest over that in motion, at most: only more current shows a part. [assumed]"""
+"""Largest ratio of friction at rest to that in motion: only more current shows a part. [assumed]"""
 _STILL_M_S = 1.5 * STANDING_M_S
-"""Rate of the opening in m/s below which fingers may press on something: each servo is one count of
-its velocity off."""
+"""Rate of the opening in m/s below which fingers may press on something: an error of one count of
+velocity per servo."""
 
 
 def assume_friction(settings: GripperSettings) -> None:
-    """Bound the friction of servos that were never measured, where no pad shows a contact.
+    """Limit the friction of servos that were never measured, without pads that show a contact.
 
-    A finger that stands at more current than that presses on something.
+    A finger that stands at more current presses on something.
     """
     for servo in settings.servos:
         drive = settings.drives.of(servo.servo_id, servo.drive)
@@ -33,9 +33,9 @@ def assume_friction(settings: GripperSettings) -> None:
 
 
 def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
-    """Return the cap in N for a force by current, below which the true one keeps ``force_max_n``.
+    """Return the cap in N for a force by current with which the true force keeps ``force_max_n``.
 
-    Raises LimitExceeded where nothing is left of it.
+    Raises LimitExceeded if no force is left.
     """
     paths = transmissions(settings, linkage, linkage.angles_rad(settings.aperture_min_m))
     doubt_n = 0.0
@@ -47,7 +47,7 @@ def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
     cap_n = round(settings.force_max_n - doubt_n, 1)
     if not largest_setpoint_n(cap_n) > settings.contact_force_n:
         raise LimitExceeded(
-            f"without a force sensor the grip force is known to {doubt_n:.1f} N, which leaves "
+            f"without a force sensor the grip force is exact to {doubt_n:.1f} N, which leaves "
             f"{max(cap_n, 0.0):.1f} N of force_max_n = {settings.force_max_n} N: give the "
             "gripper a force sensor, or write a cap that parts and risk assessment allow"
         )
@@ -59,21 +59,21 @@ class ForceByCurrent:
 
     The gearing holds a load by friction: at a driving force u the grip force may be anywhere from
     u - phi to u + phi. While it rises it is u - phi, while it falls u + phi; phi is measured on the
-    approach, by the current that closes the empty fingers. ``noise_n`` of the samples is what
-    remains uncertain: 0.7 N at 5 N with two XM430-W350 on links of 60 mm, where phi is 3.7 N. In
-    the simulated cell 5 N that were asked for are 4.9 to 5.0 N, 4.5 and 5.5 N with a torque
-    constant that is off by 10 %, and 4.6 to 4.8 N on a part as soft as 1 N/mm.
+    approach, by the current that closes the empty fingers. ``noise_n`` of the samples is the
+    remaining uncertainty: 0.7 N at 5 N with two XM430-W350 on links of 60 mm, with phi 3.7 N. In
+    the simulated cell a set-point of 5 N gives 4.9 to 5.0 N; 4.5 and 5.5 N with an error of the
+    torque constant of 10 %; and 4.6 to 4.8 N on a soft part of 1 N/mm.
 
-    A contact shows when the fingers stand still although the motor makes more than friction at
-    rest may hold: later, and with more force, than taxels show it. The force of the impact stays
-    in the grip, and no current shows it: there 2.8 N at an approach of 20 mm/s, 1.3 N at 8 mm/s. A
-    set-point below it is not reached. A part that stops no finger shows only when its force does; a
-    finger that is stuck passes for a part.
+    A contact is found when the fingers stand still although the motor makes more than friction at
+    rest can hold: later, and with more force, than with taxels. The force of the impact stays in
+    the grip, and the current does not show it: 2.8 N at an approach of 20 mm/s, 1.3 N at 8 mm/s. A
+    smaller set-point is not reached. A part that does not stop a finger is found only by its force;
+    a stuck finger is taken for a part.
 
-    What compares sensor and current has no second witness here, and must not be taken for one: a
-    torque constant that has changed, a part beside the pad, a force that the part makes by itself
-    within the band, are not seen. What is still seen: by position that the part is lost, slips or
-    runs away; by current that a servo does not make its goal, or that one finger makes less.
+    Checks that compare sensor and current have no second measurement here. They do not detect a
+    changed torque constant, a part beside the pad, or a force of the part itself within the band.
+    Position still shows that the part is lost, slips or runs away. Current shows that a servo does
+    not reach its goal, or that one finger presses less.
 
     Parameters
     ----------

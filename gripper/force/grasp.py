@@ -23,45 +23,49 @@ from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import LevelSlip
 from gripper.mechanics.identification import LoadPoint, fit_load
 from gripper.mechanics.kinematics import Linkage, driving_n, mean_friction_n, transmissions
+from gripper.servos.goals import running_lead_rad
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import STANDING_M_S, GripperPhase, ServoFeedback
 
 _CONTACT_SHARE = 0.97
-"""Where in the friction band the drive is at the contact: at its rising edge, with a reserve.
+"""Position of the drive in the friction band at the contact: at its rising edge, with a reserve.
 [tuned]"""
 _BEGINS_M, _SURPRISE_M = 0.0005, 0.0015
-"""How much wider in m than all parts so far the next one may begin: the first, and the second over
-the number of these parts, because each is the widest of all as likely as any other. [tuned]"""
+"""Margin in m by which the next part may be wider than all earlier ones: the first value, and the
+second over the number of these parts, because each is equally likely to be the widest. [tuned]"""
 _REST_S = 0.08
-"""Time in s that the fingers rest at the contact, so that the ramp begins at the force there.
-[tuned]"""
+"""Rest of the fingers at the contact in s, so that the ramp begins at the force there. [tuned]"""
 _TOUCH_S = 0.065
-"""Time in s from the brake at a first touch before which no ramp begins on what was met with more
-than the force of a contact: the force of the touch decays first. [tuned]"""
+"""Least time in s from the brake at a first touch to the ramp after a hard touch, with more than
+the force of a contact: the force of the touch must decay first. [tuned]"""
 _EQUAL_S = 1e-9
-"""Difference of times in s that counts as none: sums of periods are rounded. [chosen]"""
+"""Difference of times in s that is ignored: sums of periods are rounded. [chosen]"""
 
 
 _LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
 """Least force of the measurement of a drive in contact forces, its largest one as a share of the
 force that was held, and the least difference in N of both. [chosen]"""
-_LOAD_N_S, _UNLOAD_N_S = 6.0, 20.0
-"""Rate in N/s of that measurement, and of the way to it. [chosen]"""
+_LOAD_N_S, _LOCKED_N_S, _LOCKED_SHARE = 8.0, 30.0, 0.1
+"""Rate in N/s of the drive of that measurement, and while friction locks the finger: until the
+force has changed by this share of its range. [chosen]"""
+_LIMITED_S = 0.25
+"""Time in s without a change of the current after which a limit of the drive has ended it: four
+steps of the goal. [chosen]"""
 _CURRENT_SHARE = 0.9
-"""Share of the cap of the current that this measurement takes at most. [chosen]"""
+"""Largest share of the current limit in this measurement. [chosen]"""
 
 
 class GraspRun:
-    """Runner of the phases of a grasp; keeps the control of the part that is held.
+    """Runner of the phases of a grasp; keeps the control of the held part.
 
     Parameters
     ----------
     runner, servos, linkage, settings
         Of the gripper.
     set_phase
-        Tells the phase that a grasp comes to.
+        Gets each new phase of a grasp.
     free
         Gets the free motion of each approach.
     """
@@ -93,11 +97,11 @@ class GraspRun:
         return None if self._ramp_step is None else self._ramp_step.control
 
     def forget(self) -> None:
-        """Discard the control of a part: nothing is held any more."""
+        """Discard the control of a part: nothing is held."""
         self._ramp_step = None
 
     def start_proving(self) -> None:
-        """Prove anew where the fingers are closed, and learn anew: their torque comes on."""
+        """Repeat the proof of the closed position and the learning, after the torque comes on."""
         self._closed_is_proven = False
         self._widest_m, self._touched = 0.0, 0
 
@@ -140,7 +144,7 @@ class GraspRun:
             return self._press(ramp, reached, slip=None)
 
     def _press(self, ramp: ForceRamp, reached: Reached, *, slip: LevelSlip | None) -> GraspOutcome:
-        """Follow a ramp on what was touched; a part that was lost on it is forgotten."""
+        """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
         self._set_phase(GripperPhase.RAMPING)
         self._ramp_step = step = ContactStep(self._linkage, ramp, reached, self._end, slip=slip)
         final = self._runner.run(step.step)
@@ -158,7 +162,7 @@ class GraspRun:
         stiffness_n_m: float | None = None,
         approached: bool = False,
     ) -> None:
-        """Return when nothing shows a part any more; GripContradicted where something does."""
+        """Return when no measurement shows a part; else raise GripContradicted."""
         self._set_phase(GripperPhase.HOLDING)
         step = EmptyGrip(
             self._settings,
@@ -191,11 +195,10 @@ class GraspRun:
     def measure_load(self, control: GripControl) -> None:
         """Move one finger after the other under a force that rises and falls; fit each drive.
 
-        The pads of empty fingers press on each other. Where the current, or the force that was
-        held, leaves too little of a way, the drives stay as they are.
+        The pads of empty fingers press on each other. If the current, or the held force, leaves too
+        small a range, the drives do not change.
         """
         grip, settings = control.grip, control.grip.settings
-        self._free.forget()
         low_n = _LOW_CONTACTS * settings.contact_force_n
         paths = transmissions(settings, self._linkage, self._servos.read_patiently().angles_rad)
         bearable_n = min(
@@ -206,15 +209,10 @@ class GraspRun:
             return
         try:
             for finger, servo in enumerate(settings.servos):
-                trial = LoadTrial(self._linkage, finger)
-                grip.moving = finger
-                ramp = ForceRamp.linear(low_n, _UNLOAD_N_S, start_n=grip.setpoint_n)
-                self.follow(control, ramp)
-                for from_n, to_n in ((low_n, high_n), (high_n, low_n)):
-                    ramp = ForceRamp.linear(to_n, _LOAD_N_S, start_n=from_n)
-                    step = GripStep(settings, control, ramp)
-                    trial.begin(rises=to_n > from_n)
-                    self._runner.run(trial.watched(step.step))
+                trial = LoadTrial(control, self._linkage, finger, (low_n, high_n))
+                for rises in (False, True):
+                    trial.begin(rises=rises)
+                    self._runner.run(trial.step)
                 before = settings.drives.of(servo.servo_id, servo.drive)
                 found = fit_load(trial.rising, trial.falling, before)
                 settings.drives.put(servo.servo_id, found)
@@ -223,8 +221,8 @@ class GraspRun:
         self._free.compare()
 
     def _approach(self, settings: GripperSettings) -> Reached:
-        """Close until the contact, or the end of the way, and feed the estimates."""
-        # Fingers that are to meet find no part on their way.
+        """Close until the contact, or the end of the travel, and update the estimates."""
+        # Fingers that shall meet find no part.
         known = settings is self._settings and self._touched > 0
         approach = Approach(
             settings,
@@ -253,55 +251,91 @@ class GraspRun:
 
     @property
     def _begins_m(self) -> float:
-        """Opening in m at which the next part may begin, by those touched so far."""
+        """Opening in m at which the next part may begin, by the parts touched so far."""
         return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
     def _closed(self) -> Reached:
-        """Close until the pads meet; MechanicsContradicted where nothing stops the fingers."""
+        """Close until the pads meet; raise MechanicsContradicted if nothing stops the fingers."""
         reached = self._approach(meeting_settings(self._settings))
         if reached.event is ApproachEvent.LIMIT:
             raise not_met(self._settings, self._linkage, reached.state)
         return reached
 
     def _prove_closed(self, state: ServoFeedback) -> None:
-        """Look once whether the pads of fingers that have found nothing stop each other."""
+        """Check once, after a grasp without a part, that the pads stop each other."""
         if not self._closed_is_proven and closes_farther(self._settings, state):
             self._closed()
             self._closed_is_proven = True
 
 
 class LoadTrial:
-    """Collector of the load of one finger that moves, and of its current, while both change.
+    """Step that measures the load of one finger, and its current, while its goal moves steadily.
+
+    Nothing is controlled by the force: what is unknown is how it follows the current. The position
+    controller keeps a gearing from slipping that sticks at rest more than in motion.
 
     Parameters
     ----------
+    control
+        Of the pads that press on each other.
     linkage
         Of the gripper.
     finger
-        Index of the finger, and of its servo.
+        Index of the finger that moves, and of its servo.
+    range_n
+        Least and largest force in N.
     """
 
-    def __init__(self, linkage: Linkage, finger: int) -> None:
+    def __init__(
+        self, control: GripControl, linkage: Linkage, finger: int, range_n: tuple[float, float]
+    ) -> None:
         self.rising: list[LoadPoint] = []
         self.falling: list[LoadPoint] = []
+        self._control = control
         self._linkage = linkage
         self._finger = finger
-        self._points: list[LoadPoint] = []
-        self._currents = History()
-        self._sample_s = 0.0
+        self._low_n, self._high_n = range_n
+        control.grip.moving = finger
+        control.resume()
 
     def begin(self, *, rises: bool) -> None:
         """Begin a change of the force."""
+        self._rises, self._sign = rises, 1.0 if rises else -1.0
         self._points = self.rising if rises else self.falling
+        self._currents = History()
+        self._sample_s = self._stalled_s = 0.0
+        self._most_a = -inf
+        self._from_n: float | None = None
+        self._goal_rad: float | None = None
 
-    def watched(self, step: Callable[[Moment], Action]) -> Callable[[Moment], Action]:
-        """Return a step of control that is watched."""
+    def step(self, moment: Moment) -> Action:
+        """Return the action of one period."""
+        control = self._control
+        self._push(moment)
+        current_a = -self._sign * moment.state.servos[self._finger].current_a
+        self._stalled_s = 0.0 if current_a > self._most_a else self._stalled_s + moment.dt_s
+        self._most_a = max(self._most_a, current_a)
+        if self._from_n is None and control.watch.pads.recent:
+            self._from_n = control.force_n
+        moved_n = 0.0 if self._from_n is None else self._sign * (control.force_n - self._from_n)
+        locked = moved_n < _LOCKED_SHARE * (self._high_n - self._low_n)
+        control.grip.trial_rad = self._next_rad(moment, _LOCKED_N_S if locked else _LOAD_N_S)
+        end_n = self._high_n if self._rises else self._low_n
+        done = self._sign * (control.force_n - end_n) >= 0.0 or self._stalled_s > _LIMITED_S
+        goals = control.goals(moment, self._high_n)
+        return Action(goals=goals, setpoint_n=self._high_n, done=done)
 
-        def watch(moment: Moment) -> Action:
-            self._push(moment)
-            return step(moment)
-
-        return watch
+    def _next_rad(self, moment: Moment, rate_n_s: float) -> float:
+        """Return the goal of the finger, which changes its drive at a rate while it stands."""
+        settings = self._control.grip.settings
+        model = settings.servos[self._finger].servo_model
+        servo = moment.state.servos[self._finger]
+        if self._goal_rad is None:
+            self._goal_rad = servo.angle_rad + running_lead_rad(model, servo.current_a, 0.0)
+        path = transmissions(settings, self._linkage, moment.state.angles_rad)[self._finger]
+        change_a = self._sign * rate_n_s * moment.dt_s / path.n_per_a
+        self._goal_rad -= running_lead_rad(model, change_a, 0.0)
+        return self._goal_rad
 
     def _push(self, moment: Moment) -> None:
         servo, sample = moment.state.servos[self._finger], moment.sample
@@ -314,9 +348,9 @@ class LoadTrial:
 
 
 class RampTime:
-    """Time on a ramp: it stands at the beginning of a level until the force has risen to it.
+    """Time on a ramp: it stops at the start of a level until the force has risen to it.
 
-    What is held is then the level, however far the force was behind a fast change.
+    So the held force is the level, also after a fast change.
 
     Parameters
     ----------
@@ -330,25 +364,25 @@ class RampTime:
         self._settings = settings
         self._waited_s: float | None = None
         self.asked_n = ramp.final_n
-        """Force in N at which the ramp was to end."""
+        """Planned force in N at the end of the ramp."""
         self.ramp = ramp
         self.elapsed_s = 0.0
         """Time since the beginning of the ramp in s."""
 
     @property
     def setpoint_n(self) -> float:
-        """Force in N that is asked for now."""
+        """Present set-point in N."""
         return self.ramp.setpoint_n(self.elapsed_s)
 
     @property
     def level(self) -> int | None:
-        """Index of the level that is held; None on the way to it."""
+        """Index of the held level; None on the way to it."""
         return None if self._waited_s is not None else self.ramp.level_at(self.elapsed_s)
 
     def pass_by(self, dt_s: float, force_n: float, aperture_m: float) -> None:
-        """Let ``dt_s`` s pass, in which the force was ``force_n`` N and the opening so many m.
+        """Advance by ``dt_s`` s, at a force of ``force_n`` N and an opening in m.
 
-        A rise ends where the fingers are closed: part and foam yield, and no force would come.
+        A rise ends with closed fingers: part and foam yield without more force.
         """
         least_m, least_n = self._settings.least_pressed_m, self._settings.contact_force_n
         if aperture_m <= least_m and least_n <= self.setpoint_n < self.ramp.final_n:
@@ -368,7 +402,7 @@ class RampTime:
             self._waited_s = None
 
     def settled(self, force_n: float) -> bool:
-        """Return whether the ramp is over and its force reached, or the time for that is up."""
+        """Return whether the ramp is over and its force reached, or its time is over."""
         left_s = self.ramp.duration_s - self.elapsed_s
         if left_s > _EQUAL_S or self._waited_s is not None:
             return False
@@ -387,12 +421,12 @@ class GripStep:
     settings
         Of the gripper.
     control
-        Control of the held part; None where a contact is to come first.
+        Control of the held part; None before the contact.
     ramp
-        The way down or up.
+        The change of force.
     slip
-        Watches over what is held at the levels of the ramp; None where the force only changes, or
-        nothing could slip.
+        Slip detector at the levels of the ramp; None if the force only changes, or nothing can
+        slip.
     """
 
     def __init__(
@@ -471,9 +505,9 @@ class ContactStep(GripStep):
     linkage
         Of the gripper.
     ramp
-        Set-point of the grip force; it begins at the force that is measured at the contact.
+        Set-point of the grip force; it begins at the measured force at the contact.
     reached
-        How the approach ended.
+        End of the approach.
     end
         Request to end the ramp early.
     slip
@@ -500,7 +534,7 @@ class ContactStep(GripStep):
         )
 
     def step(self, moment: Moment) -> Action:
-        """Return the action of one period; PartSlipped when a held part slips."""
+        """Return the action of one period. Raises PartSlipped when a held part slips."""
         self._reached.stiffness.push(moment)
         if self._rest.goes_on(moment):
             return Action()
@@ -509,7 +543,7 @@ class ContactStep(GripStep):
         return self._action(moment, control)
 
     def _advance(self, moment: Moment) -> GripControl:
-        """Advance the time on the ramp: begin it, end it early, or go on."""
+        """Advance the time on the ramp: begin it, end it early, or continue."""
         if self.control is None:
             self.control = self._new_control(moment, self._rest.force_n)
             begun = self._time.ramp.starting_from(self._rest.force_n)
@@ -525,7 +559,7 @@ class ContactStep(GripStep):
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
         """Return the control of a part: the fingers close, so the drive is at the rising edge.
 
-        Where momentum alone has made the force of the ramp, they stay where friction locks them.
+        If momentum alone has made the force of the ramp, friction locks the fingers.
         """
         paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
         drive_n = force_n + _CONTACT_SHARE * mean_friction_n(paths)
@@ -536,7 +570,7 @@ class ContactStep(GripStep):
         )
 
     def _ends_early(self) -> bool:
-        """Return whether the ramp is to end now: wanted, not over, and enough to hold a part."""
+        """Return whether to end the ramp now: requested, not over, and enough to hold a part."""
         return (
             self._end.requested
             and self._time.ramp.duration_s - self._time.elapsed_s > _EQUAL_S
@@ -582,8 +616,8 @@ def _check_part(control: GripControl, moment: Moment) -> None:
     if control.watch.lost(moment):
         raise PartLost(
             f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
-            f"fingers apart any more, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
-            f"fingers stand still"
+            f"fingers apart, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the fingers "
+            f"stand still"
         )
 
 
@@ -599,7 +633,7 @@ def _too_small(settings: GripperSettings, asked_n: float, force_n: float, apertu
 def _obstructed(state: ServoFeedback) -> GripContradicted:
     return GripContradicted(
         f"the fingers were stopped at an opening of {state.aperture_m * 1e3:.1f} mm, pressing with "
-        f"{state.current_a:.2f} A, and the pads feel nothing: something is between the fingers "
+        f"{state.current_a:.2f} A, but the pads show no force: something is between the fingers "
         f"beside the taxels, or the pads are blind (where nothing blocks the fingers check "
         f"gripper.servos[].zero_pulse, direction and gripper.linkage). Nothing opens by itself: "
         f"look between the fingers, check pads and control unit, then clear the fault and release"

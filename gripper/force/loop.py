@@ -29,18 +29,17 @@ from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 _FREEZE_AT = 2
 """Period without feedback, counted in a row, in which the stop goals are written. [chosen]"""
 _ONE_SIDED_PERIODS = 3
-"""Periods in a row in which one servo is silent and the other is not, that make it a fault.
-[chosen]"""
+"""Periods in a row with one silent and one answering servo that are a fault. [chosen]"""
 _LEAST_LOST_PERIODS = 3
 """Periods in a row without feedback before the bus can count as lost: a pause alone is no loss.
 [chosen]"""
 _HEALTH_EVERY = 4
-"""Every fourth period one health check: each takes a transaction of the period. [chosen]"""
+"""Periods between two health checks: each takes a transaction of the period. [chosen]"""
 _LONGEST_STEP = 2.0
 """Longest step of control in periods: after a late period nothing catches up. [chosen]"""
 YOUNG_S = 0.015
-"""Age in s of a sample up to which the drive may answer to it at once: of the force messages, that
-of a frame is older. A first touch is worth braking for, and all of the stiffening of a soft part is
+"""Largest age in s of a sample to which the drive may respond at once: force messages are newer,
+frames are older. Braking at a first touch is then useful, and the stiffening of a soft part is
 stable. [tuned]"""
 
 
@@ -51,9 +50,9 @@ class Action:
     goals: Sequence[ServoGoal] | None = None
     """Goal of each servo; None writes nothing."""
     setpoint_n: float = 0.0
-    """Force that is asked for in N."""
+    """Set-point of the force in N."""
     level: int | None = None
-    """Level of the ramp that is held."""
+    """Held level of the ramp."""
     done: bool = False
     """True when the command ends after this period."""
 
@@ -68,17 +67,17 @@ class Moment:
     periods at most, so that nothing catches up."""
     state: ServoFeedback
     sample: ForceSample | None
-    """Feedback and newest force sample, checked for age where force matters."""
+    """Feedback and newest force sample, with a checked age if the force is used."""
 
     @property
     def young(self) -> bool:
-        """Whether the sample is so new that the drive may answer to it at once."""
+        """Whether the sample is new enough for an immediate response of the drive."""
         return self.sample is not None and self.now_s - self.sample.measured_s <= YOUNG_S
 
 
 @dataclass(slots=True, kw_only=True)
 class Running:
-    """Steps of control that are being run."""
+    """Running steps of control."""
 
     step: Callable[[Moment], Action]
     needs_force: bool
@@ -119,7 +118,7 @@ class LoopRunner:
         self._stop = threading.Event()
         self.phase = GripperPhase.OFF
         self.observer: Observer | None = None
-        """Called once a period of the command that runs; None without one."""
+        """Called once a period of the running command; None without one."""
         self._due_s = clock.monotonic()
         self._bus_loss = BusLossMonitor(servos, settings)
         self._cycles = 0
@@ -130,7 +129,7 @@ class LoopRunner:
         return self._timer.statistics()
 
     def request_stop(self) -> None:
-        """Let the running command end with GraspStopped; safe from any thread."""
+        """Stop the running command with GraspStopped; safe from any thread."""
         self._stop.set()
 
     def forget_stop(self) -> None:
@@ -138,14 +137,14 @@ class LoopRunner:
         self._stop.clear()
 
     def read(self) -> ServoFeedback | None:
-        """Read the feedback; None while a lost answer may still be passed over.
+        """Read the feedback; None while a lost answer is still tolerated.
 
         Raises
         ------
         BusTimeout, BusCorrupt
             When there was no feedback for ``bus_loss_s``, or none of one servo for three periods.
         BusUnreliable
-            When too large a share of the periods had none.
+            When too many periods had no feedback.
         """
         asked_s = self._clock.monotonic()
         try:
@@ -166,7 +165,7 @@ class LoopRunner:
         step
             One step of control.
         needs_force
-            True to insist on a fresh, valid force sample.
+            True to require a new, valid force sample.
 
         Raises
         ------
@@ -175,7 +174,7 @@ class LoopRunner:
         ForceSensorStale
             When the force is needed and its newest valid sample is too old.
         LimitExceeded
-            When a limit stands against the goals, the force is above its cap, or the loop stalled.
+            When the goals exceed a limit, the force is above its cap, or the loop stalled.
         """
         deadline_s = self._clock.monotonic()
         if deadline_s < self._due_s:
@@ -200,7 +199,7 @@ class LoopRunner:
     ) -> Running:
         """Return steps whose periods the caller runs, each with `period`; arguments as in `run`.
 
-        ``now_s`` is the monotonic time in s from which on the age of the force counts.
+        ``now_s``: monotonic time in s from which the age of the force counts.
         """
         self._bus_loss.start_counting()
         return Running(
@@ -212,10 +211,10 @@ class LoopRunner:
         )
 
     def period(self, running: Running) -> Cycle | None:
-        """Run one period and return it, None where an answer was lost.
+        """Run one period and return it; None if an answer was lost.
 
-        Raises what `run` raises, but for a stop and for lateness: the caller keeps the time. The
-        limits of servos and pads move by what the period begins late: that is the loop's own.
+        Raises as `run`, except for a stop and for lateness: the caller keeps the time. Limits of
+        silence of servos and pads are extended by the lateness of the period.
         """
         begin_s = self._clock.monotonic()
         late_s = max(0.0, begin_s - running.looked_s - self._settings.period_s)
@@ -226,7 +225,7 @@ class LoopRunner:
             state = self.read()
             if state is None:
                 self._bus_loss.stop_fingers(self.phase)
-        # Pads and CAN are supervised in each period, whether the servos answer or not.
+        # Pads and CAN are supervised in each period, also without answers of the servos.
         sample = self._sensor.latest_force()
         if sample is not None and sample.valid:
             running.fresh_s = max(running.fresh_s, sample.t_s)
@@ -280,11 +279,11 @@ class LoopRunner:
                 with self._servos.in_loop():
                     self._health.poll(state)
             except (BusTimeout, BusCorrupt):
-                # Feedback shows soon enough whether the bus is lost.
+                # The feedback soon shows whether the bus is lost.
                 self._timer.missed_reads += 1
 
     def _wait(self, deadline_s: float, *, answered: bool) -> float:
-        """Wait for the next period and return its start; a late one moves all that follow."""
+        """Wait for the next period and return its start; a late one delays all later ones."""
         timer, settings = self._timer, self._settings
         now_s = self._clock.monotonic()
         late_s = max(0.0, now_s - deadline_s)
@@ -297,8 +296,8 @@ class LoopRunner:
         if late_s > settings.stall_max_s:
             raise LimitExceeded(
                 f"the loop was {late_s:.3f} s late, stall_max_s is {settings.stall_max_s} s: the "
-                f"goals are frozen, the grip is kept; find out what stopped its process, or take "
-                f"slow work out of its observer and its process, then clear the fault"
+                f"goals are frozen, the grip is kept; find what stopped its process, or remove "
+                f"slow work from its observer and its process, then clear the fault"
             )
         if timer.overruns_in_row >= settings.overruns_max:
             raise LimitExceeded(
@@ -312,9 +311,9 @@ class LoopRunner:
 class BusLossMonitor:
     """Counter of the periods without feedback, in a row and among the last ones.
 
-    A first lost answer is passed over, in the second period in a row the stop goals are written,
-    after ``bus_loss_s`` the bus counts as lost. Periods that are lost here and there may add up to
-    the same time, as long as they are no larger share than ``feedback_loss_max_share``.
+    A first lost answer is tolerated. In the second period in a row the stop goals are written;
+    after ``bus_loss_s`` the bus counts as lost. Single lost periods are allowed up to a share of
+    ``feedback_loss_max_share``.
 
     Parameters
     ----------
@@ -328,8 +327,8 @@ class BusLossMonitor:
         self._since_s = 0.0
         self._in_row = 0
         self._one_sided = 0
-        # One loss of the bus that is just short enough, with the period in which it is noticed, is
-        # no larger share than the limit.
+        # One loss of the bus just below its limit, with the period of its detection, does not
+        # exceed the share.
         self._most_lost = max(
             _LEAST_LOST_PERIODS, ceil(settings.bus_loss_s / settings.period_s) + 1
         )
@@ -339,11 +338,11 @@ class BusLossMonitor:
         self._lost = 0
 
     def start_counting(self) -> None:
-        """Count the periods in a row anew: the servos were not asked for a while."""
+        """Restart the count of periods in a row: the servos were not read for a while."""
         self._in_row = self._one_sided = 0
 
     def wait_longer(self, late_s: float) -> None:
-        """Move the limit of a loss by a time in s in which the servos were not asked."""
+        """Extend the limit of a loss by a time in s without requests to the servos."""
         self._since_s += late_s
 
     def answered(self) -> None:
@@ -358,7 +357,7 @@ class BusLossMonitor:
         self._lost += lost
 
     def missed(self, error: BusTimeout | BusCorrupt, asked_s: float, now_s: float) -> None:
-        """Count a period in which an answer was lost, and its repetition too.
+        """Count a period with a lost answer and a lost repetition.
 
         Parameters
         ----------
@@ -370,9 +369,9 @@ class BusLossMonitor:
         Raises
         ------
         FingerSilent
-            In the third period in a row in which one servo is silent and the other one is not.
+            In the third period in a row with one silent and one answering servo.
         BusTimeout, BusCorrupt
-            When nothing was heard for ``bus_loss_s``.
+            When nothing was received for ``bus_loss_s``.
         BusUnreliable
             When too many of the last periods had no feedback.
         """
@@ -385,7 +384,7 @@ class BusLossMonitor:
         self._one_sided = self._one_sided + 1 if silent and living else 0
         if self._one_sided >= _ONE_SIDED_PERIODS:
             raise FingerSilent(
-                f"servo {silent[0]} is silent while servo {living[0]} answers: the living finger "
+                f"servo {silent[0]} is silent while servo {living[0]} answers: the other finger "
                 f"stands still, the part may still be gripped or have been dropped. Servo "
                 f"{silent[0]} may have lost its supply or be restarting: check both, and its cable "
                 f"({error})"
@@ -396,7 +395,7 @@ class BusLossMonitor:
                 f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "
                 f"written, the servos' own watchdog acts. {error}"
             ) from error
-        # A loss that lasts is one of the bus; the share is looked at when the next one begins.
+        # A lasting loss is a loss of the bus; the share is checked at the start of the next one.
         if self._in_row == 1 and self._lost > self._most_lost:
             lost, periods = self._lost, self._recent.maxlen
             self._recent.clear()

@@ -24,7 +24,7 @@ class RampSegment:
     smooth: bool = False
     """False for a straight line, True for half a cosine (no jump of the rate at the ends)."""
     level: int | None = None
-    """Index of the level that a hold belongs to; None while the force changes."""
+    """Index of the level of a hold; None while the force changes."""
 
     @property
     def rate_n_s(self) -> float:
@@ -158,10 +158,9 @@ class ForceRamp:
         return self._at(elapsed_s)[0].level
 
     def ended_at(self, elapsed_s: float, *, most_n: float = inf) -> "ForceRamp":
-        """Return a ramp that stays at the force of a time since the start: over, without a hold.
+        """Return a ramp that ends at the force of a time since the start, without a hold.
 
-        It stays at the level that is held then, or else at that which was next, and with no more
-        than ``most_n`` N.
+        Its level is the one held then, or else the next one, with at most ``most_n`` N.
         """
         segment, within_s = self._at(elapsed_s)
         following = self.segments[self.segments.index(segment) :]
@@ -171,9 +170,9 @@ class ForceRamp:
     def starting_from(self, force_n: float) -> "ForceRamp":
         """Return this ramp begun at a measured force, so that the set-point never jumps.
 
-        What the ramp would do before it passes ``force_n`` is left out; where the ramp starts
-        beyond ``force_n``, a straight line at its largest rate is put in front. A force beyond
-        the final one is approached the other way round: then only the end of the ramp is left.
+        The part of the ramp before ``force_n`` is omitted. If the ramp starts beyond ``force_n``, a
+        straight line at its largest rate comes first. For a force beyond the final one the line
+        goes back to the final force.
 
         Parameters
         ----------
@@ -207,7 +206,7 @@ class ForceRamp:
 
 def largest_ramp_n(settings: GripperSettings, linkage: Linkage) -> float:
     """Return the force in N up to which cap and current allow a ramp, at any opening."""
-    # A hair less than the whole current, which rounding would make too much.
+    # Slightly less than the whole current, because of rounding.
     current_a = (1.0 - 1e-9) * settings.current_max_a
     by_current_n = (
         path.force_band_n(current_a)[0] for path in end_transmissions(settings, linkage)
@@ -231,7 +230,7 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
             else ""
         )
         raise LimitExceeded(
-            f"the ramp asks for {largest_n} N, the limit is "
+            f"the ramp goes up to {largest_n} N, the limit is "
             f"{settings.grasp_force_limit_n:.2f} N{cap}"
         )
     if ramp.final_n < settings.contact_force_n:
@@ -251,9 +250,9 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
 
 
 class RampEnd:
-    """Request to end a ramp where it is, from any thread.
+    """Request to end a ramp at its present force, from any thread.
 
-    It counts during a grasp only: one that comes too late is not kept for the next.
+    It has an effect only during a grasp: a late request is not kept for the next one.
     """
 
     def __init__(self) -> None:
@@ -263,7 +262,7 @@ class RampEnd:
 
     @contextmanager
     def counting(self) -> Iterator[None]:
-        """Take requests from the beginning of a grasp to its end."""
+        """Accept requests from the beginning of a grasp to its end."""
         with self._lock:
             self._running, self._requested = True, False
         try:
@@ -273,13 +272,13 @@ class RampEnd:
                 self._running = self._requested = False
 
     def request(self) -> None:
-        """Ask for the end of the ramp of the grasp that runs; does nothing where none does."""
+        """Request the end of the running grasp's ramp; does nothing without a grasp."""
         with self._lock:
             self._requested = self._running
 
     @property
     def requested(self) -> bool:
-        """True when the ramp of the grasp that runs is to end."""
+        """True when the ramp of the running grasp must end."""
         return self._requested
 
 

@@ -280,16 +280,17 @@ def motion_currents_a(
 ) -> list[float]:
     """Return the current in A that moves each finger freely and presses with so many N at most.
 
-    Friction enters with a reserve for breaking away; LimitExceeded when the cap of the current
-    does not allow it.
+    Friction enters with a reserve for breaking away, as far as the cap of the current has one;
+    LimitExceeded when that does not even allow the friction.
     """
-    currents_a = [
-        force_n / path.n_per_a + _FRICTION_RESERVE * path.drive.breakaway_a for path in paths
-    ]
-    if max(currents_a) > settings.current_max_a:
+    least_a = max(path.loading_current_a(force_n) for path in paths)
+    if least_a > settings.current_max_a:
         raise LimitExceeded(
-            f"moving the fingers takes {max(currents_a):.3f} A, current_max_a is "
+            f"moving the fingers takes {least_a:.3f} A, current_max_a is "
             f"{settings.current_max_a} A: write at least that where servo and part bear it, or "
             "take friction out of the linkage"
         )
-    return currents_a
+    currents_a = [
+        force_n / path.n_per_a + _FRICTION_RESERVE * path.drive.breakaway_a for path in paths
+    ]
+    return [min(current_a, settings.current_max_a) for current_a in currents_a]

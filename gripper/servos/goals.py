@@ -332,8 +332,7 @@ def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) ->
 
 def overrun_rad(model: ServoModel, drive: DriveCharacteristic) -> float:
     """Return how far in rad beyond an opening its goal runs, so that friction stops no finger."""
-    breaking_a = STICTION**2 * drive.breakaway_a
-    return max(0.6 * OPENING_MARGIN_RAD, running_lead_rad(model, breaking_a, 0.0))
+    return max(0.6 * OPENING_MARGIN_RAD, closing_margin_rad(model, drive.most_breakaway_a))
 
 
 class GoalWriter:

@@ -1,4 +1,4 @@
-"""Force on the fingers as the gripper takes it: a sample, and the sensor that gives it."""
+"""Force on the fingers: a sample, and the interface of its sensor."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -15,25 +15,25 @@ class ForceSample:
     valid: bool = True
     """False when the value must not be used for control (saturated pad, too many bad taxels)."""
     reason: str = ""
-    """Why it is not valid; empty where it is."""
+    """Why it is not valid, or empty."""
     centre_m: tuple[float, float] | None = None
     """Centre of the grip force in the grip frame in m, along the fingers and across them: the mean
-    of both pads' centres; None where it is not known, or nothing touches."""
+    of both pads' centres; None if not known, or without a touch."""
     centre_noise_m: float = 0.0
     """Standard deviation of each coordinate of ``centre_m``, as ``noise_n`` is of the force."""
     lag_s: float = 0.02
-    """How much older than ``t_s`` the force is in the mean, in s: filters, transmission."""
+    """Mean age of the force at ``t_s`` in s: filters, transmission."""
     noise_n: float = 0.3
-    """Standard deviation of `grip_n` in N, on top of that of the samples before it."""
+    """Standard deviation of `grip_n` in N, in addition to that of the samples before it."""
     frame_s: float | None = None
-    """Monotonic time in s at which the newest whole frame was scanned: a second measurement; None
-    where the samples come from frames themselves."""
+    """Monotonic time in s of the scan of the newest whole frame, a second measurement; None if the
+    samples come from frames."""
     frame_n: tuple[float, float] = (0.0, 0.0)
     """Normal force on finger 0 and on finger 1 in N in that frame alone."""
 
     @property
     def measured_s(self) -> float:
-        """Monotonic time in s at which the force was as it is here."""
+        """Monotonic time in s to which the force belongs."""
         return self.t_s - self.lag_s
 
     @property

@@ -18,35 +18,35 @@ class GraspResult(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspOutcome:
-    """End of a grasp; the part is held unless the result is that there is none."""
+    """End of a grasp; the part is held unless no part was found."""
 
     result: GraspResult
     """The end."""
     contact_t_s: float | None = None
     contact_aperture_m: float | None = None
-    """When and where both pads touched; None without contact."""
+    """Time and opening of the contact of both pads; None without contact."""
     final_aperture_m: float
     """Opening at the end in m."""
     final_force_n: float = 0.0
-    """Grip force at the end in N, mean of the last samples: as many as their noise asks for, three
+    """Grip force at the end in N, mean of the last samples, their number by the noise: three
     frames; 0 without contact."""
     overshoot_n: float = 0.0
     """Largest mean of the last samples, as in ``final_force_n``, minus the end of the ramp in N, at
     least 0."""
     ended_early: bool = False
-    """Whether the ramp was ended on request, before its usual end: the force that was reached or
-    not is then the set-point at that time."""
+    """Whether a request ended the ramp early: the force to reach is then the set-point at that
+    time."""
     short: str = ""
-    """Why the ramp ended below its force, in words, where the fingers came to their smallest
-    opening before it: the part is too small or too soft, and held with less. Else empty."""
+    """Why the ramp ended below its force, as text, if the fingers reached their smallest opening
+    first: the part is too small or too soft, and held with less force. Else empty."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReleaseReport:
-    """End of a release: what was opened, and what could not be."""
+    """End of a release: the opened fingers, and the servos that could not be moved."""
 
     state: ServoFeedback
-    """Last feedback; of the servos that were opened alone."""
+    """Last feedback, only of the opened servos."""
     opened: tuple[int, ...]
     """IDs of the servos whose fingers are open."""
     left: tuple[ServoCondition, ...] = ()
@@ -60,9 +60,9 @@ class ReleaseReport:
         if not self.left:
             wider = ", ".join(map(str, self.wider))
             return (
-                f"the fingers are open, by what their servos report; the finger of servo {wider} "
-                f"was not moved, as it is said to stand wider open than the gripper opens. If it "
-                f"does not, check encoder, horn and zero_pulse of the servo"
+                f"the fingers are open according to their servos; the finger of servo {wider} was "
+                f"not moved, because it is reported as wider open than the gripper opens. If it is "
+                f"not, check encoder, horn and zero_pulse of the servo"
             )
         opened = ", ".join(map(str, self.opened))
         remedies = []

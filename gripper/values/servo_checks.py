@@ -1,4 +1,4 @@
-"""What checks of servos find: torque and errors, and registers against what they must hold."""
+"""Results of checks of servos: torque and errors, and registers against their requirements."""
 
 from dataclasses import dataclass
 from enum import IntFlag
@@ -23,12 +23,12 @@ def hardware_error_names(bits: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoCondition:
-    """Torque and errors of one servo, as read one by one: a silent servo hides no other."""
+    """Torque and errors of one servo, read separately from the others."""
 
     servo_id: int
     """The servo."""
     answers: bool = True
-    """False where it did not answer; its torque is then unknown, and the rest False and 0."""
+    """False if it did not answer; its torque is then unknown, and the rest False and 0."""
     torque_on: bool = False
     """Whether its torque is on."""
     error_bits: int = 0
@@ -36,7 +36,7 @@ class ServoCondition:
     shut_down: bool = False
     """Whether one of these errors keeps the torque off until a reboot (register 63)."""
     strayed: str = ""
-    """Why its position is not to be used until a reboot; empty where it is."""
+    """Why its position must not be used until a reboot, or empty."""
 
     @property
     def able(self) -> bool:

@@ -1,4 +1,4 @@
-"""States of servos and gripper, and one period of the force loop as an observer sees it."""
+"""States of servos and gripper, and one period of the force loop for observers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,8 +7,8 @@ from enum import Enum
 from gripper.values.force_sensor import ForceSample
 
 STANDING_M_S = 0.002
-"""Rate of the opening in m/s below which the fingers stand: one servo is one count of its velocity
-off, on links of 60 mm. [resolution]"""
+"""Rate of the opening in m/s below which the fingers stand: an error of one count of velocity of
+one servo, on links of 60 mm. [resolution]"""
 GRAIN_M = 1e-4
 """Resolution of the opening in m: a count of an encoder, on links of 60 mm. [resolution]"""
 _EMPTY_STANDING_M_S = 2.5 * STANDING_M_S
@@ -34,7 +34,7 @@ class GripperPhase(Enum):
 
     @property
     def moving(self) -> bool:
-        """True while the fingers are on their way, with nothing in their grip yet or any more."""
+        """True while the fingers move without a part in their grip."""
         return self in (
             GripperPhase.OPENING,
             GripperPhase.APPROACHING,
@@ -72,7 +72,7 @@ class ServoFeedback:
     """Feedback of the gripper, read in one transaction."""
 
     t_s: float
-    """Monotonic time at which the answers were there, in s."""
+    """Monotonic time of the received answers in s."""
     aperture_m: float
     """Opening between the pads in m."""
     aperture_velocity_m_s: float
@@ -102,10 +102,10 @@ def shows_nothing(
     Parameters
     ----------
     state, force
-        Newest feedback and force sample, None where there is none.
+        Newest feedback and force sample, or None.
     contact_force_n
-        Force in N from which on something is touched. The current counts while the fingers stand:
-        in motion it is what moves them.
+        Least force in N of a touch. The current counts only while the fingers stand: in motion it
+        moves them.
     """
     if state is None or force is None or not force.valid:
         return False
@@ -116,7 +116,7 @@ def shows_nothing(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cycle:
-    """One period of the loop, as its observer receives it after the goals were written."""
+    """One period of the loop; observers get it after the goals were written."""
 
     t_s: float
     """Monotonic time in s."""
@@ -127,12 +127,12 @@ class Cycle:
     goal_current_a: float
     """Mean magnitude of the goal currents in A."""
     force: ForceSample | None = None
-    """Newest force sample, None where there is none."""
+    """Newest force sample, or None."""
     setpoint_n: float = 0.0
-    """Force that is asked for in N; 0 while no force is controlled."""
+    """Force set-point in N; 0 while no force is controlled."""
     level: int | None = None
-    """Level of the ramp that is held, None while the force changes."""
+    """Held level of the ramp; None while the force changes."""
 
 
 Observer = Callable[[Cycle], None]
-"""Function called once a period, after the goals were written; what it raises ends the command."""
+"""Function called once a period, after the goals were written; its errors end the command."""

@@ -25,10 +25,10 @@ class Drift:
     """
 
     gains: tuple[float, ...] = (1.0,)
-    """Counts above rest are this many times those of the taught sensor, 0.2 to 5: one value for
-    each pad in the order of the layout, or a single one for all pads."""
+    """Counts above rest over those of the taught sensor, 0.2 to 5. One value for each pad in the
+    order of the layout, or a single one for all pads."""
     aperture_offset_m: float = 0.0
-    """The opening reads this much more than it did, in m, at most 0.1 either way."""
+    """Increase of the reading of the opening in m, at most 0.1 in both directions."""
 
     def __post_init__(self) -> None:
         low, high = _GAIN_RANGE
@@ -52,9 +52,9 @@ class Drift:
     def apply(self, grasp: Grasp) -> Grasp:
         """Return the grasp as a sensor with this drift would have recorded it.
 
-        Counts are scaled, rounded and clipped to full scale, the opening is moved. A self-zero is
-        left out: it is of before. Raises ValueError where the grasp has another number of pads than
-        there are gains.
+        Counts are scaled, rounded and clipped to full scale, and the opening is shifted. The copy
+        has no self-zero, because that was measured before the drift. Raises ValueError if the
+        numbers of pads and gains differ.
         """
         drifted = self._scaled(grasp, self._taxel_gains(grasp), self.aperture_offset_m)
         return replace(drifted, zero=None)
@@ -62,7 +62,7 @@ class Drift:
     def undo(self, grasp: Grasp) -> Grasp:
         """Return a grasp recorded under this drift as the taught sensor would have recorded it.
 
-        Counts that the full scale cut off stay cut off. Raises as `apply`.
+        Counts that were clipped at full scale stay clipped. Raises as `apply`.
         """
         return self._scaled(grasp, 1.0 / self._taxel_gains(grasp), -self.aperture_offset_m)
 
@@ -90,7 +90,7 @@ def shifted_levels(
     log_gain : () or (P,)
         Logarithm of the gain, common to the gripping pads or of each.
     offset_mm
-        How much more the opening reads, in mm.
+        Increase of the reading of the opening in mm.
     """
     factors = np.exp(-np.broadcast_to(log_gain, len(levels.maps)))
     return replace(
@@ -109,10 +109,10 @@ NO_DRIFT = Drift()
 
 
 def parse_drift(text: str) -> Drift:
-    """Return the drift that a text gives, as ``gain=0.7,aperture_mm=-4``; either may be left out.
+    """Return the drift of a text, for example ``gain=0.7,aperture_mm=-4``; both are optional.
 
-    Gains of single pads are divided by strokes: ``gain=0.7/0.9``. Raises ValueError, naming what is
-    accepted, for any other text and for values out of range.
+    Slashes separate the gains of single pads: ``gain=0.7/0.9``. Raises ValueError with the accepted
+    form for any other text, and for values out of range.
     """
     values: dict[str, tuple[float, ...]] = {}
     for part in text.split(","):

@@ -1,8 +1,9 @@
 """Grid of drifts: hypotheses of gain and opening since teaching, each with its weight.
 
 A self-zero gives the prior. A gauge multiplies the weights by the likelihood of its known object,
-blurred by how objects are placed. A grasp that nobody named multiplies them by its likelihood under
-any taught object or a new one, to a power: grasps share errors. An answer is the sum over the grid.
+blurred by the placing of objects. A grasp of an unnamed object multiplies them by its likelihood
+under any taught object or a new one, to a power, because grasps share errors. An answer is the sum
+over the grid.
 """
 
 from collections.abc import Mapping
@@ -23,23 +24,23 @@ _LOG_GAIN_STEP = 1 / 6
 _OFFSET_STEP_MM = 0.5
 """Largest step between two hypotheses of the opening's zero in mm."""
 _REACH = (8 / 3, 3.0)
-"""How far the hypotheses reach to either side, in standard deviations: of gain, of opening."""
+"""Range of the hypotheses on each side in standard deviations: of gain, of opening."""
 _POWER = 0.2
-"""Power of the likelihood of a grasp that nobody named."""
+"""Power of the likelihood of an unnamed grasp."""
 _KEPT = 0.99
-"""Share of what unnamed grasps have shown that is left after one more: drifts change."""
+"""Share of the evidence of unnamed grasps that one more keeps, because drifts change."""
 _PLACING_LOG_GAIN = 0.1
 """Standard deviation of the logarithm of the load of one object between placings."""
 _LIKELY = 0.9
-"""Probability from which on a drift is reported."""
+"""Least probability of a drift that is reported."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriftPrior:
-    """What is known of the drift since teaching before any object is grasped.
+    """Prior of the drift since teaching, before any object is grasped.
 
-    The default stands for another day. Two self-zeros, at teaching and today, narrow it. Raises
-    ValueError where a value is outside of its range.
+    The default is for another day. Two self-zeros, at teaching and today, narrow it. Raises
+    ValueError if a value is out of its range.
     """
 
     log_gain: float = 0.0
@@ -47,9 +48,9 @@ class DriftPrior:
     """Mean and standard deviation of the logarithm of the gain that all pads have in common."""
     offset_mm: float = 0.0
     offset_sd_mm: float = 3.0
-    """Mean and standard deviation of how much more the opening reads than at teaching, in mm."""
+    """Mean and standard deviation of the offset of the opening since teaching, in mm."""
     unchanged: float = 0.5
-    """Probability from 0 to 1 that gain and opening are exactly as they were taught."""
+    """Probability from 0 to 1 that gain and opening are exactly those of teaching."""
 
     def __post_init__(self) -> None:
         if not (0.0 < self.log_gain_sd <= 1.0 and 0.0 < self.offset_sd_mm <= 30.0):
@@ -71,32 +72,32 @@ class DriftGrid:
     """Weighted hypotheses of the drift since teaching: G gains, O offsets of the opening."""
 
     prior: DriftPrior = field(default_factory=DriftPrior)
-    """Before any grasp; it lays out the hypotheses."""
+    """Before any grasp; it defines the hypotheses."""
     zero: SelfZero | None = None
-    """Self-zero of the day that the prior comes from; None where there was none."""
+    """Self-zero of the day that gives the prior; None without one."""
     gauged: NDArray[np.float64] = field(default_factory=lambda: np.zeros(()))
     """(G, O) float64: log likelihood of the hypotheses by gauges."""
     followed: NDArray[np.float64] = field(default_factory=lambda: np.zeros(()))
-    """(G, O) float64: the same by grasps that nobody named."""
+    """(G, O) float64: the same by unnamed grasps."""
     n_gauged: int = 0
     n_followed: int = 0
-    """Number of gauges and of grasps that nobody named."""
+    """Number of gauges and of unnamed grasps."""
 
     @cached_property
     def log_gains(self) -> NDArray[np.float64]:
-        """(G,) float64: hypotheses of the logarithm of the gain that all pads have in common."""
+        """(G,) float64: hypotheses of the logarithm of the common gain of all pads."""
         prior = self.prior
         return _axis(prior.log_gain, prior.log_gain_sd * _REACH[0], _LOG_GAIN_STEP)
 
     @cached_property
     def offsets_mm(self) -> NDArray[np.float64]:
-        """(O,) float64: hypotheses of how much more the opening reads than at teaching, in mm."""
+        """(O,) float64: hypotheses of the offset of the opening since teaching, in mm."""
         return _axis(self.prior.offset_mm, self.prior.offset_sd_mm * _REACH[1], _OFFSET_STEP_MM)
 
     def log_weight(self, unchanged: float | None = None) -> NDArray[np.float64]:
-        """Return the logarithms of the weights of the hypotheses (G, O); they sum to 1.
+        """Return the logarithms of the weights of the hypotheses (G, O); the weights sum to 1.
 
-        ``unchanged`` stands in for that of the prior.
+        ``unchanged`` replaces that of the prior.
         """
         prior = self.prior
         share = prior.unchanged if unchanged is None else unchanged
@@ -131,16 +132,16 @@ class DriftGrid:
         return replace(self, gauged=self.gauged + found - found.max(), n_gauged=self.n_gauged + 1)
 
     def with_unnamed(self, log_likelihood: NDArray[np.float64]) -> Self:
-        """Return the grid after a grasp that nobody named; (G, O) or (G, 1), as `with_gauge`."""
+        """Return the grid after an unnamed grasp; (G, O) or (G, 1), as `with_gauge`."""
         followed = _KEPT * self.followed + _POWER * (log_likelihood - log_likelihood.max())
         return replace(self, followed=followed, n_followed=self.n_followed + 1)
 
     def without_unnamed(self) -> Self:
-        """Return the grid as it was before the grasps that nobody named."""
+        """Return the grid without the unnamed grasps."""
         return replace(self, followed=np.zeros(()), n_followed=0)
 
     def with_unnamed_kept(self) -> Self:
-        """Return the grid with what unnamed grasps have shown kept like a gauge."""
+        """Return the grid that keeps the evidence of unnamed grasps like a gauge."""
         if not self.n_followed:
             return self
         known = replace(self, gauged=self.gauged + self.followed, n_gauged=self.n_gauged + 1)
@@ -173,12 +174,12 @@ class DriftGrid:
 
     @property
     def unchanged(self) -> float:
-        """Probability that gain and opening are as they were taught."""
+        """Probability that gain and opening are those of teaching."""
         return float(self.weight[self._none])
 
     @property
     def values(self) -> dict[str, object]:
-        """The drift, how sure it is, and what it rests on, as plain data."""
+        """The drift, its uncertainty and the number of its grasps, as plain data."""
         return {
             **drift_values(self.drift),
             "aperture_sd_mm": 1e3 * self.offset_sd_m,
@@ -194,11 +195,11 @@ class DriftGrid:
 
     @property
     def _none(self) -> tuple[int, int]:
-        """Place of no drift."""
+        """Index of no drift."""
         return int(np.argmin(np.abs(self.log_gains))), int(np.argmin(np.abs(self.offsets_mm)))
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the grid before the grasps that nobody named as plain arrays."""
+        """Return the grid without the unnamed grasps as plain arrays."""
         prior = self.prior
         return {
             "drift_prior": np.array([getattr(prior, one.name) for one in fields(prior)]),
@@ -231,7 +232,7 @@ def _axis(mean: float, reach: float, step: float) -> NDArray[np.float64]:
 
 @runtime_checkable
 class DriftFollowing(Recognizer, Protocol):
-    """A recogniser that follows the drift by grasps that nobody named."""
+    """A recogniser that follows the drift by unnamed grasps."""
 
     @property
     def grid(self) -> DriftGrid:
@@ -241,4 +242,4 @@ class DriftFollowing(Recognizer, Protocol):
         """Return a copy with another estimate of the drift."""
 
     def follow(self, grasp: Grasp, /) -> Self:
-        """Return a copy after one more grasp, of whatever object."""
+        """Return a copy after one more grasp of any object."""

@@ -1,13 +1,13 @@
-"""Self-zero: what empty fingers that press on each other show of a hand, and what has changed.
+"""Self-zero: state of a hand, measured with empty fingers that press on each other.
 
-Both pads feel one force, foam on foam. Locally the pressure of the column (x, y) is
+Both pads carry one force, foam on foam. Locally the pressure of the column (x, y) is
 
     max(0, c + g_x x + g_y y)    with    c = K (z - a)
 
 at the opening a: K is the stiffness of both foams in series, z the opening at which the middles of
 the pads meet, g / K their tilt. The footprints give g, and c for each frame; its growth over the
-opening gives K and z. The encoders count in steps as large as half of the way: what is read is
-taken for what it is, the middle of a step.
+opening gives K and z. A step of the encoders is as large as half of the travel, so each reading is
+taken as the middle of a step.
 """
 
 from collections.abc import Sequence
@@ -23,32 +23,32 @@ from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
 from recognition.ramp.levels import Levels, stack_levels
 
 _REST_GAP_M = 1e-3
-"""Opening in m beyond that of the first load from which on the pads are taken to be untouched."""
+"""Opening in m beyond that of the first load from which the pads count as untouched."""
 _LEAST_FRAMES = 4
 """Fewest frames of rest, and of the ramp."""
 _TOP_SHARE = 0.7
-"""Share of the largest load from which on frames show which taxels answer."""
+"""Least share of the largest load of the frames that show dead taxels."""
 _NEWEST = 3
-"""Frames whose mean shows early whether a part is there."""
+"""Number of frames whose mean shows early whether a part is present."""
 _SURE_SIGMAS = 5.0
-"""How far beyond the noise that has to stand out, in standard deviations: some ten looks a ramp."""
+"""Standard deviations of the noise that a part must exceed, with about ten checks in a ramp."""
 _LEAST_FIT = 0.9
-"""Least share of the footprint's variance that pads on each other leave explained: a part between
-them makes another footprint."""
+"""Least share of the footprint's variance that two pads on each other explain: a part between them
+makes another footprint."""
 _DEAD_SHARE, _DEAD_SIGMAS = 0.25, 6.0
-"""Share of its neighbours' load below which a taxel counts as dead, where that stands out so far
-from the noise."""
+"""Largest share of its neighbours' load of a dead taxel, and standard deviations of the noise that
+the expected load must exceed."""
 _MIDDLES, _STIFFNESSES, _ZEROS = 400, 81, 161
 """Points of the tables and grids of the fit."""
 _LATE_MM = 0.03
-"""What an opening is off by beside the step of the encoders, in mm: foam that is not linear, frames
-that come after their opening."""
+"""Error of an opening in addition to the step of the encoders, in mm: non-linear foam, frames later
+than their opening."""
 _ALIKE = 5.0
-"""Frames in a row that repeat one error of the opening."""
+"""Number of successive frames with the same error of the opening."""
 _MODEL_SD_M = 5e-5
-"""Error of the opening in m by foam that is not linear, and by its edges; simulated pads."""
+"""Error of the opening in m by non-linear foam, and by its edges; simulated pads."""
 _MODEL_RATIO_SD, _MODEL_SCALE_SD, _MODEL_STIFFNESS_SD = 0.02, 0.03, 0.05
-"""The same of the logarithms: pads that are misaligned, friction that grows with the load."""
+"""The same of the logarithms, by misaligned pads, and by friction that grows with the load."""
 _TORQUE_SD = 0.05
 """Standard deviation of the logarithm of the torque of a servo for its current, between days and
 copies of one model; assumed."""
@@ -57,31 +57,31 @@ _FOAM_SD, _OTHER_FOAM_SD = 0.1, 0.8
 foams. The latter and `_OTHER_FOAM` are tuned on nine simulated cells whose foam has 1.2 to 2.4
 times the modulus: 0.5 to 0.8, and 0.5 to 0.95, name as many."""
 _OTHER_FOAM = 0.5
-"""Probability that the foam is another one than at teaching, before it is measured."""
+"""Probability before the measurement that the foam differs from that of teaching."""
 _FOAM_CAUTION = 0.25
-"""By so much of their value the odds of a new object grow on another foam. Tuned on thirty such
-cells: 0 to 0.75 name 98 to 95 % right and leave 94 to 97 % of new objects UNKNOWN."""
+"""Relative growth of the odds of a new object on another foam. Tuned on thirty of these cells: 0 to
+0.75 name 98 to 95 % right and leave 94 to 97 % of new objects UNKNOWN."""
 _SHOWN_SIGMAS = 2.0
-"""Standard deviations from which on a change of the foam is reported."""
+"""Least change of the foam that is reported, in standard deviations."""
 _DRAWN_SD_M, _DRAWN_RATIO_SD = 5e-5, 0.05
-"""The same of the opening in m, and of what the gains of the pads differ by, in virtual grasps of a
-drawing: each of them has errors of its own beside."""
+"""Standard deviations in virtual grasps of a drawing: of the opening in m, and of the ratio of the
+pads' gains. Each virtual grasp has further errors of its own."""
 _UNKNOWN_SD = 100.0
-"""The same of a logarithm of which nothing is known."""
+"""Standard deviation of an unknown logarithm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZeroMeasurement:
-    """Self-zero, and what the footprint of the pads on each other shows beside it."""
+    """Self-zero, and findings from the footprint of the pads on each other."""
 
     zero: SelfZero
-    """What is kept."""
+    """The part that is kept."""
     tilt_rad: tuple[float, float]
-    """How far the gap between the pads closes along the fingers and across, in rad."""
+    """Tilt of one pad relative to the other, along the fingers and across, in rad."""
     fit: float
     """Share of the footprint's variance that two plane pads on each other explain, at most 1."""
     dead: tuple[int, ...]
-    """Taxels, by their number, that feel nothing where their neighbours do."""
+    """Numbers of the taxels without load among loaded neighbours."""
 
     @property
     def pads_met(self) -> bool:
@@ -96,7 +96,7 @@ def measure_zero(
     *,
     step_m: float,
 ) -> ZeroMeasurement:
-    """Return what a ramp of the empty fingers on each other shows.
+    """Return the self-zero from a ramp of the empty fingers on each other.
 
     Parameters
     ----------
@@ -107,18 +107,18 @@ def measure_zero(
     gripping
         Numbers of the two pads in the layout.
     step_m
-        Step in which the opening is read, in m: of the encoders of both fingers.
+        Step of the reading of the opening in m, by the encoders of both fingers.
 
     Raises
     ------
     ValueError
-        Frames of rest or ramp are missing, or the pads felt nothing.
+        Frames of rest or ramp are missing, or a pad has no load.
     """
     pressing, before, rise = _risen(grasp, gripping)
     taxels = [grasp.pads.taxels_of(pad) for pad in gripping]
     load = np.stack([r.sum(axis=1) for r in rise])
     if np.any(load.mean(axis=1) <= 0.0):
-        raise ValueError("a pad has felt nothing while the fingers pressed on each other")
+        raise ValueError("a pad shows no load although the fingers pressed on each other")
     ratio, ratio_sd = _ratio(load)
     evened = [rise[0] / np.sqrt(ratio), rise[1] * np.sqrt(ratio)]
     footprint = _of_both(evened, alike=_alike(grasp.pads, gripping))
@@ -158,9 +158,9 @@ def measure_zero(
 
 
 def drawn_zero(opening_m: float = 0.0, opening_sd_m: float = _DRAWN_SD_M) -> SelfZero:
-    """Return the self-zero of a hand as grasps of a drawing have it, both in m.
+    """Return the self-zero for grasps of a drawing, from an opening and its deviation in m.
 
-    The pads feel alike; their counts for current and way, so their common gain, are unknown.
+    Both pads have the same gain. Counts for current and travel, and so the gain, are unknown.
     """
     return SelfZero(
         opening_m=opening_m,
@@ -175,9 +175,9 @@ def drawn_zero(opening_m: float = 0.0, opening_sd_m: float = _DRAWN_SD_M) -> Sel
 
 
 def common_zero(grasps: Sequence[Grasp]) -> SelfZero | None:
-    """Return the self-zero that taught grasps are brought to: the newest that was measured.
+    """Return the common self-zero of taught grasps: the newest measured one.
 
-    None where one of them has none: then the zero that they share is unknown.
+    None if one of them has none: then their common zero is unknown.
     """
     if any(grasp.zero is None for grasp in grasps):
         return None
@@ -185,9 +185,9 @@ def common_zero(grasps: Sequence[Grasp]) -> SelfZero | None:
 
 
 def shows_part(grasp: Grasp, gripping: tuple[int, int]) -> bool:
-    """Return whether the newest frames of a ramp that still goes on show a part between the pads.
+    """Return whether the newest frames of a running ramp show a part between the pads.
 
-    That is where another footprint than that of two pads stands out from the noise.
+    A part makes a footprint that differs from that of two pads by more than the noise.
     """
     try:
         _, before, rise = _risen(grasp, gripping)
@@ -201,7 +201,7 @@ def shows_part(grasp: Grasp, gripping: tuple[int, int]) -> bool:
     xy_m = grasp.pads.taxel_xy_m[grasp.pads.taxels_of(gripping[0])]
     gradient, middle = _gradient(spread, xy_m * 1e3)
     shown = np.maximum(middle + xy_m @ gradient * 1e3, 0.0)
-    # Noise of the mean, and how far its square over all taxels strays by chance.
+    # Noise of the mean, and the random variation of its square over all taxels.
     n_pads = 2 if alike else 1
     noise = float(np.concatenate([b.var(axis=0) for b in before]).mean()) / (n_pads * len(newest))
     chance = noise * (1.0 + _SURE_SIGMAS * np.sqrt(2.0 / spread.size))
@@ -210,10 +210,10 @@ def shows_part(grasp: Grasp, gripping: tuple[int, int]) -> bool:
 
 
 def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, ...], n_pads: int) -> Drift:
-    """Return the drift between two self-zeros that grasps of today are to be freed of.
+    """Return the drift between two self-zeros, to correct the grasps of today.
 
-    That is the zero of the opening, what the gains of the gripping pads differ by, and the
-    likeliest gain that they have in common; `prior_since` is what then is left.
+    It has the zero of the opening, the difference between the gains of the gripping pads, and their
+    likeliest common gain. `prior_since` is the remaining uncertainty.
     """
     common = _common(taught, today).log_gain
     apart = 0.5 * (today.log_gain_ratio - taught.log_gain_ratio)
@@ -229,9 +229,9 @@ def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, ...], n_pads: 
 def at_zero(
     levels: Levels, grasps: Sequence[Grasp], taught: SelfZero | None, gripping: tuple[int, ...]
 ) -> Levels:
-    """Return levels of grasps as they would be at the self-zero of teaching.
+    """Return levels of grasps, corrected to the self-zero of teaching.
 
-    Those of grasps without a self-zero stay as they are, and all where none was taught.
+    Levels of grasps without a self-zero are not changed. Without a taught one none are.
     """
     zeros = list(dict.fromkeys(grasp.zero for grasp in grasps))
     if taught is None or not set(zeros) - {None, taught}:
@@ -250,7 +250,7 @@ def at_zero(
 
 
 def prior_since(taught: SelfZero, today: SelfZero) -> DriftPrior:
-    """Return what is left unknown of the drift once `since` is undone."""
+    """Return the uncertainty of the drift after `since` is corrected."""
     offset_sd_m = float(np.hypot(taught.opening_sd_m, today.opening_sd_m))
     return DriftPrior(
         log_gain_sd=_common(taught, today).log_gain_sd, offset_sd_mm=offset_sd_m * 1e3
@@ -263,7 +263,7 @@ def foam_caution(taught: SelfZero, today: SelfZero) -> float:
 
 
 def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
-    """Return how many times as stiff the foam is as at teaching; None where no change is shown."""
+    """Return the stiffness of the foam over that of teaching; None without a clear change."""
     by_current, current_var, by_way, way_var = _shown(taught, today)
     log_ratio = by_way - by_current
     shown = log_ratio**2 > _SHOWN_SIGMAS**2 * (current_var + way_var)
@@ -272,18 +272,18 @@ def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Common:
-    """What grasps of today are freed of on both pads."""
+    """Correction of the grasps of today on both pads."""
 
     log_gain: float
     log_gain_sd: float
-    """Mean and standard deviation of the logarithm of the counts for each mm over those at
-    teaching: gain of the sensors times stiffness of the foam."""
+    """Mean and standard deviation of a logarithm: the counts for each mm over those at teaching.
+    These counts are the gain of the sensors times the stiffness of the foam."""
     other_foam: float
-    """Probability that the foam is another one."""
+    """Probability of another foam."""
 
 
 def _shown(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, float]:
-    """Return the changes of counts for current and of counts for the way since teaching.
+    """Return the changes since teaching of counts for current and of counts for travel.
 
     Each is a logarithm with its variance.
     """
@@ -294,16 +294,16 @@ def _shown(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, floa
 
 
 def _common(taught: SelfZero, today: SelfZero) -> _Common:
-    """Return what grasps are freed of: by the same foam and by another one, weighted.
+    """Return the correction of grasps: weighted between the same foam and another one.
 
-    A part that is pressed into foam of s times the modulus with s times the force makes the same
-    footprint with s times the counts. So counts are compared by the way, not by the force. Counts
-    for current show the gain but for the torque, counts for the way its product with the stiffness.
+    On foam of s times the modulus, a part with s times the force makes the same footprint with s
+    times the counts. So counts are compared by travel, not by force. Counts for current give the
+    gain, except for the torque. Counts for travel give the product of gain and stiffness.
     """
     by_current, current_var, by_way, way_var = _shown(taught, today)
     foam_var = np.array([_FOAM_SD, _OTHER_FOAM_SD]) ** 2
     apart_var = way_var + current_var + foam_var
-    other = _OTHER_FOAM if way_var < 1.0 else 1e-9  # without a way nothing is known of the foam
+    other = _OTHER_FOAM if way_var < 1.0 else 1e-9  # the foam is unknown without travel
     log_weight = np.log([1.0 - other, other]) - 0.5 * (
         np.log(apart_var) + (by_way - by_current) ** 2 / apart_var
     )
@@ -334,7 +334,7 @@ def _risen(
 ) -> tuple[NDArray[np.int64], list[NDArray[np.float64]], list[NDArray[np.float64]]]:
     """Return the frames of the ramp, and counts of each pad: of open fingers, and above them.
 
-    Raises ValueError where frames of rest or ramp are missing.
+    Raises ValueError if frames of rest or ramp are missing.
     """
     pressing = np.flatnonzero(grasp.force_n > 0.0)
     if len(pressing) < _LEAST_FRAMES:
@@ -353,12 +353,12 @@ def _risen(
 
 
 def _alike(pads: PadArray, gripping: tuple[int, int]) -> bool:
-    """Return whether both pads have as many rows and columns."""
+    """Return whether both pads have the same rows and columns."""
     return np.array_equal(*(pads.pad_shape[pad] for pad in gripping))
 
 
 def _of_both(rise: Sequence[NDArray[np.float64]], *, alike: bool) -> NDArray[np.float64]:
-    """Return the mean footprint of both pads; of pads that differ that of the first."""
+    """Return the mean footprint of both pads; if they differ, that of the first pad."""
     return 0.5 * (rise[0] + rise[1]) if alike else rise[0]
 
 
@@ -370,7 +370,7 @@ def _gradient(
     top = footprint[load >= _TOP_SHARE * load.max()].mean(axis=0)
 
     def plane(gradient: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return c at which the mean of the plane's pressures is as wanted."""
+        """Return c for the given mean of the plane's pressures."""
         lean = xy_mm @ gradient
         middle = np.linspace(-np.abs(lean).max(), np.abs(lean).max() + wanted.max(), _MIDDLES)
         mean = np.maximum(middle[:, None] + lean, 0.0).mean(axis=1)
@@ -390,14 +390,14 @@ def _gradient(
 def _meeting(
     middle: NDArray[np.float64], opening_mm: NDArray[np.float64], step_mm: float
 ) -> _Meeting:
-    """Return stiffness and zero by the middle's pressures and the openings read, both (n_frames,).
+    """Return stiffness and zero from the middle's pressures and the openings, both (n_frames,).
 
-    What is read lies within a step of the encoders, and frames come late by a little. Stiffness and
-    zero are hypotheses on a grid, all stiffnesses as likely by their logarithm.
+    Readings have the error of a step of the encoders, and frames are a little late. Stiffness and
+    zero are hypotheses on a grid, with a flat prior of the logarithm of the stiffness.
     """
     least = np.ptp(middle) / (np.ptp(opening_mm) + 2.0 * step_mm)
     log_k = np.log(max(least, 1e-6)) + np.linspace(-0.5, 1.0, _STIFFNESSES)
-    # The zero that each frame shows under each stiffness, up to what its step hides.
+    # The zero of each frame for each stiffness, known to one step of the encoders.
     shown_mm = opening_mm + middle / np.exp(log_k)[:, None]
     zero_mm = np.linspace(shown_mm.mean(axis=1).min(), shown_mm.mean(axis=1).max(), _ZEROS)
     beyond = np.abs(shown_mm[:, None, :] - zero_mm[:, None]) - 0.5 * step_mm
@@ -424,7 +424,7 @@ def _ratio(load: NDArray[np.float64]) -> tuple[float, float]:
 def _scale(load: NDArray[np.float64], current_a: NDArray[np.float64]) -> tuple[float, float]:
     """Return the logarithm of counts for each A, and its deviation, by the slope of the ramp.
 
-    Unknown where friction hides what the current grows by, as on a short lever.
+    Unknown if friction hides the growth of the current, for example on a short lever.
     """
     off_load, off_current = load - load.mean(), current_a - current_a.mean()
     a_count = float(off_load @ off_current / (off_load @ off_load))

@@ -45,6 +45,31 @@ def wilson_interval(successes: int, n: int) -> tuple[float, float]:
     return max(0.0, min(p, centre - half)), min(1.0, max(p, centre + half))
 
 
+def paired_difference(first: ArrayLike, second: ArrayLike) -> tuple[float, tuple[float, float]]:
+    """Return how much more often the second of two is right, and the 95 % interval of it.
+
+    By Wald's interval with half a grasp added to each cell (Agresti and Min 2005, Stat. Med.
+    24:729).
+
+    Parameters
+    ----------
+    first, second : (n,)
+        Whether each was right on the same n grasps.
+
+    Raises
+    ------
+    ValueError
+        The two differ in length, or there is no grasp.
+    """
+    a, b = np.asarray(first, dtype=np.bool_), np.asarray(second, dtype=np.bool_)
+    if a.shape != b.shape or a.ndim != 1 or len(a) == 0:
+        raise ValueError(f"{a.shape} and {b.shape} are no answers to the same grasps")
+    gained, lost = int((b & ~a).sum()), int((a & ~b).sum())
+    n, discordant, middle = len(a) + 2, gained + lost + 1, (gained - lost) / (len(a) + 2)
+    half = float(ndtri(0.975)) * float(np.sqrt(discordant - (gained - lost) ** 2 / n)) / n
+    return (gained - lost) / len(a), (max(-1.0, middle - half), min(1.0, middle + half))
+
+
 def expected_calibration_error(confidence: ArrayLike, correct: ArrayLike) -> float:
     """Return the mean gap between confidence and share of right answers over bins of confidence.
 

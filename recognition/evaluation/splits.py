@@ -1,5 +1,6 @@
 """Splits of grasps into those that teach and those that test."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -64,6 +65,30 @@ def series_parts(grasps: Sequence[Grasp]) -> list[TrainTest]:
         (tuple(g for g in grasps if not any(g is other for other in one)), tuple(one))
         for one in held_out
     ]
+
+
+def left_out_parts(
+    grasps: Sequence[Grasp], groups: Sequence[str], *, least: int = 3
+) -> list[TrainTest]:
+    """Return a part for each group, as a day or a cell: it tests, and all others teach.
+
+    Objects with fewer than ``least`` grasps left to teach neither teach nor test. Raises ValueError
+    where that leaves no part.
+    """
+    parts = []
+    for out in sorted(set(groups)):
+        taught = [g for g, group in zip(grasps, groups, strict=True) if group != out]
+        n_of = Counter(g.label for g in taught)
+        known = {label for label, n in n_of.items() if n >= least}
+        test = [g for g, group in zip(grasps, groups, strict=True) if group == out]
+        part = tuple(tuple(g for g in some if g.label in known) for some in (taught, test))
+        if all(part):
+            parts.append((part[0], part[1]))
+    if not parts:
+        raise ValueError(
+            f"{len(set(groups))} groups of grasps have no object in common: none can be left out"
+        )
+    return parts
 
 
 def parse_split(text: str, *, seed: int = 0) -> Split:

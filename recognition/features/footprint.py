@@ -9,24 +9,24 @@ from numpy.typing import NDArray
 from recognition.grasp import PadArray
 
 _NOISE_SIGMAS = 3.0
-"""Values up to as many standard deviations of their noise are taken as 0."""
+"""Values up to this number of standard deviations of their noise are set to 0."""
 _FLOOR = 0.004
-"""Values up to this share of full scale are taken as 0: one count of 255."""
+"""Values up to this share of full scale are set to 0: one count of 255."""
 _PROFILE_LENGTH = 20
-"""Largest values of a patch that its sharpness is described by."""
+"""Number of the largest values of a patch that describe its sharpness."""
 LOAD_FLOOR = 1e-2
 _PEAK_FLOOR = 1e-3
 """Added to loads and peaks before their logarithm, in full scales of a taxel."""
 _PEAK_SHARES = (0.1, 0.25, 0.5, 0.75)
 """Shares of the peak above which taxels are counted."""
 _PEAK_WIDTH = 0.1
-"""Width, as a share of the peak, over which a taxel goes from not counted to counted."""
+"""Width of the transition from not counted to counted, as a share of the peak."""
 _SCALE_SHARES = (0.01, 0.05, 0.15, 0.3)
 """Shares of full scale above which taxels are counted; the width is half of each."""
 _COUNT_FLOOR = 0.5
 """Added to numbers of taxels before their logarithm."""
 _LEAST_PITCH_MM = 0.1
-"""Distance between rows or columns below which they count as one: no pad has such taxels."""
+"""Distance between rows or columns below which they count as one, less than that of any pad."""
 _TAIL_FLOOR = 0.1
 """Added to the normalised fourth and sixth moments before their logarithm."""
 
@@ -58,15 +58,15 @@ def pad_grid(pads: PadArray, pad: int) -> PadGrid:
 class Footprint:
     """Patches of one pad, n grasps by K levels, described in logarithms and ratios.
 
-    Each array has the shape (n, K) or another one where noted.
+    Each array has the shape (n, K) unless noted.
     """
 
     log_load: NDArray[np.float64]
     log_peak: NDArray[np.float64]
     """Logarithm of the sum and the largest value, in full scales of a taxel."""
     log_extent: NDArray[np.float64]
-    """(n, K, 5): logarithm of the number of taxels that carry the load (inverse participation), and
-    that exceed 10, 25, 50 and 75 % of the peak."""
+    """(n, K, 5): logarithm of numbers of taxels: those that carry the load (inverse participation),
+    and those above 10, 25, 50 and 75 % of the peak."""
     log_pressed: NDArray[np.float64]
     """(n, K, 4): logarithm of the number of taxels above 1, 5, 15 and 30 % of full scale."""
     log_axes: NDArray[np.float64]
@@ -74,8 +74,8 @@ class Footprint:
     tails: NDArray[np.float64]
     """(n, K, 2): fourth and sixth radial moment against powers of the second, in logarithms."""
     harmonics: NDArray[np.float64]
-    """(n, K, 4): sizes of the third- and fourth-order moments that do not change in a turn of the
-    patch."""
+    """(n, K, 4): magnitudes of third- and fourth-order moments that are invariant under rotation.
+    """
     direction: NDArray[np.float64]
     """(n, K, 2): cosine and sine of twice the axis angle, weighted by the elongation."""
     centroid_mm: NDArray[np.float64]
@@ -83,12 +83,12 @@ class Footprint:
     profile: NDArray[np.float64]
     """(n, 20): root of the largest values at full load, in falling order, over the peak."""
     pressed: NDArray[np.float64]
-    """(n, K, n_taxels): the patches themselves, what may be noise set to 0."""
+    """(n, K, n_taxels): the patches themselves, with possible noise set to 0."""
     grid: PadGrid
 
 
 def pressed(maps: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `maps` (..., n_taxels) with all that may be noise set to 0; noise has shape (...)."""
+    """Return `maps` (..., n_taxels) with possible noise set to 0; noise has shape (...)."""
     limit = np.maximum(_NOISE_SIGMAS * noise, _FLOOR)[..., None]
     kept: NDArray[np.float64] = np.where(maps > limit, maps, 0.0)
     return kept
@@ -118,7 +118,7 @@ def describe_footprint(
     centroid = share @ grid.xy_mm
     dx = grid.xy_mm[:, 0] - centroid[..., 0, None]
     dy = grid.xy_mm[:, 1] - centroid[..., 1, None]
-    # A patch is never thinner than a taxel: its own width enters the moments.
+    # A patch is never thinner than a taxel, so the taxel's width is added to the moments.
     own_x, own_y = grid.pitch_mm**2 / 4
     xx = (share * dx * dx).sum(axis=-1) + own_x
     yy = (share * dy * dy).sum(axis=-1) + own_y
@@ -207,7 +207,7 @@ def _side_by_side(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def _soft_count(values: NDArray[np.float64], level: float, width: float) -> NDArray[np.float64]:
-    """Return the number of values above a level; those within half a width of it count in part."""
+    """Return the number of values above a level; within half a width of it they count in part."""
     counted: NDArray[np.float64] = np.clip((values - level) / width + 0.5, 0.0, 1.0).sum(axis=-1)
     return counted
 

@@ -26,8 +26,7 @@ from recognition.features.patch import harmonic_features, profile_features
 from recognition.ramp.levels import Levels
 
 FEATURE_VERSION = 11
-"""Changes with every change of a feature, or of what is learnt from it: models of another version
-are refused."""
+"""Version of the features and of their use in a model. Models of another version are refused."""
 
 
 @unique
@@ -51,13 +50,13 @@ class FeatureGroup:
     views: frozenset[FeatureView] = frozenset(FeatureView)
     """The recognisers whose vectors contain the group."""
     beside_opening: bool = True
-    """Whether it is for vectors with the opening, too."""
+    """Whether vectors with the opening contain it, too."""
 
 
 FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
     # Size and form of the pressed patch, unchanged when it moves or turns on the pad.
     FeatureGroup(name="patch", features=lambda _, pads: patch_features(pads)),
-    # Where the patch lies on the pad, and how it is turned.
+    # Position of the patch on the pad, and its rotation.
     FeatureGroup(
         name="pose",
         features=lambda _, pads: pose_features(pads),
@@ -73,7 +72,7 @@ FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
         features=lambda _, pads: profile_features(pads),
         views=frozenset({FeatureView.FORCE_RAMP}),
     ),
-    # The patch close up. The opening leaves too little open for it to add anything there.
+    # Details of the patch. With the opening they add nothing.
     FeatureGroup(
         name="harmonics",
         features=lambda _, pads: harmonic_features(pads),
@@ -81,7 +80,7 @@ FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
         beside_opening=False,
     ),
 )
-"""All features by touch, in the order in which they stand in a vector."""
+"""All features by touch, in their order in a vector."""
 
 
 def check_version(arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -89,7 +88,7 @@ def check_version(arrays: Mapping[str, NDArray[Any]]) -> None:
     version = int(arrays["feature_version"])
     if version != FEATURE_VERSION:
         raise ValueError(
-            f"the model has features of version {version}, here is {FEATURE_VERSION}: train again"
+            f"the model has features of version {version}, not {FEATURE_VERSION}: train again"
         )
 
 
@@ -101,9 +100,9 @@ def touch_features(
     Parameters
     ----------
     view
-        Which groups are wanted.
+        The recogniser that uses the groups.
     opening
-        Whether features of the opening stand beside them.
+        Whether the vector also has features of the opening.
     """
     footprints = [
         describe_footprint(maps, levels.noise[..., pad], grid)
@@ -122,6 +121,6 @@ def touch_features(
 def features_of(
     levels: Levels, grids: Sequence[PadGrid], view: FeatureView, *, opening: bool
 ) -> NDArray[np.float64]:
-    """Return `touch_features`; with ``opening`` those of the opening follow, NaN where unknown."""
+    """Return `touch_features`; with ``opening`` those of the opening follow, NaN if unknown."""
     touch = touch_features(levels, grids, view, opening=opening)
     return np.concatenate([touch, aperture_features(levels)], axis=1) if opening else touch

@@ -1,4 +1,4 @@
-"""Features of growth: how patch and load change along the ramp."""
+"""Features of growth: change of patch and load along the ramp."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from recognition.features.footprint import LOAD_FLOOR, Footprint
 from recognition.ramp.levels import Levels
 
 _TIME_FLOOR_S = 0.05
-"""Added to times before their logarithm, in s: differences within it hardly count."""
+"""Added to times before their logarithm, in s, so that smaller differences hardly count."""
 
 
 def growth_features(levels: Levels, footprints: Sequence[Footprint]) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """Features of each pad's patch: load profiles, circular harmonics.
 
-Constants without another source were chosen on the grasps that teach, of 36 recorded objects
+Constants without another source were chosen on the teaching grasps of 36 recorded objects
 (docs/explanations/recogniser.md).
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from recognition.features.footprint import Footprint, PadGrid
 
 _LEAST_LOAD = 0.01
-"""Least load in full scales of a taxel that the shares of a profile are divided by."""
+"""Least divisor of the shares of a profile, in full scales of a taxel."""
 
 _HARMONIC_LEVELS = (1, 4)
 """Levels of `recognition.ramp.levels.LOAD_FRACTIONS` for the harmonics: 0.5 and 1."""
@@ -22,20 +22,20 @@ _WIDTHS_MM = (2.0, 3.4, 5.4)
 _CRESTS = (1, 2, 3, 4)
 """Numbers of crests of the waves around a centre."""
 _MARGIN_MM = 6.8
-"""Centres lie as far beyond the pad in mm: there the rim of a patch answers."""
+"""Margin of the centres around the pad in mm, for the responses of the rim of a patch."""
 _PATCHES_AT_ONCE = 64
-"""Patches at a time: their answers stay in the processor's cache."""
+"""Number of patches at a time, so that their responses fit into the processor's cache."""
 _MIN_LOAD = 1e-3
-"""Least load in full scales of a taxel that a density is divided by."""
+"""Least divisor of a density, in full scales of a taxel."""
 _PEAK_FLOOR_PER_MM = 1.3e-3
 _ENERGY_FLOOR = 2e-4
-"""Added to the strongest answer in 1/mm and to the energy before their logarithms."""
+"""Added to the strongest response in 1/mm and to the energy before their logarithms."""
 
 
 def profile_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
     """Return (n, F): roots of the shares of load per row and column at full load, of each pad.
 
-    Once as the patch lies on the pad, once centred on the patch.
+    Once in place on the pad, once centred on the patch.
     """
     parts: list[NDArray[np.float64]] = []
     for footprint in footprints:
@@ -48,7 +48,7 @@ def profile_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
 
 
 def _centred(share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shift each row so that its centre of mass comes to the middle; linear between neighbours."""
+    """Shift each row so that its centre of mass is in the middle; linear between neighbours."""
     n, length = share.shape
     reach = (length + 1) // 3 + 1
     centre = share @ np.arange(length) / np.maximum(share.sum(axis=1), 1e-9)
@@ -64,15 +64,14 @@ def _centred(share: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def harmonic_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
-    """Return (n, F): logarithms of energy and strongest answer of each circular harmonic.
+    """Return (n, F): logarithms of energy and strongest response of each circular harmonic.
 
-    A circular harmonic is a bump, or a wave with a number of crests around a centre, under a
-    Gaussian window (Freeman and Adelson, "The design and use of steerable filters", 1991). Laid
-    over each place of the pad it answers the more, the more the pressure there looks like it.
-    Strongest answer and energy do not change when the patch moves or turns, if taxels are fine
-    enough, and need no centre of the patch, which the rim of the pad may have cut off. The
-    filtered quantity is the root of the density of load, of unit energy, so that no gain changes
-    the features.
+    A circular harmonic is a bump under a Gaussian window, or a wave with a number of crests around
+    its centre (Freeman and Adelson, "The design and use of steerable filters", 1991). Its response
+    at a place of the pad is the correlation with the pressure there. With fine taxels, strongest
+    response and energy do not change when the patch moves or turns. They do not need the centre of
+    the patch, which the rim of the pad may cut off. The filtered quantity is the root of the
+    density of load, with unit energy, so that a gain does not change the features.
     """
     return np.concatenate([_harmonics_of(footprint) for footprint in footprints], axis=1)
 
@@ -92,13 +91,13 @@ def _harmonics_of(footprint: Footprint) -> NDArray[np.float64]:
 
 
 def _squared_answers(root: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
-    """Return (n, widths, harmonics, places): squared answers to roots of density (n, *shape)."""
+    """Return (n, widths, harmonics, places): squared responses to roots of density (n, *shape)."""
     rows_mm = grid.xy_mm[:, 0].reshape(grid.shape).mean(axis=1)
     columns_mm = grid.xy_mm[:, 1].reshape(grid.shape).mean(axis=0)
     along = _windows(rows_mm, float(grid.pitch_mm[0]))
     across = _windows(columns_mm, float(grid.pitch_mm[1]))
     n_widths, n_powers = along.shape[:2]
-    # Powers of x and y under the window first, as both are windows of one axis; then harmonics.
+    # Powers of x and y under the window first, because both are windows of one axis.
     moments = along.reshape(n_widths, -1, len(rows_mm)) @ (
         root[:, None] @ np.swapaxes(across.reshape(n_widths, -1, len(columns_mm)), 1, 2)
     )

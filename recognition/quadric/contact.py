@@ -1,7 +1,7 @@
 """Contact patch of a pad: baseline, noise, connected loaded taxels.
 
-Heights are counts by default. They stay in counts on purpose: in the paper's numbers (smallest
-eigenvalue of the order of 1e-3, largest of 1e2) the height of the surface is read in 8-bit counts.
+Heights are counts by default, because the paper's surface has heights in 8-bit counts. Its numbers
+show this: the smallest eigenvalue is of the order of 1e-3, the largest of 1e2.
 """
 
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from recognition.errors import ContactError
 from recognition.grasp import Grasp, PadArray, keep_array
 
 MIN_QUIET_FRAMES = 3
-"""Fewer frames before contact than this do not make a baseline of each taxel."""
+"""Fewest frames before contact for a baseline of each taxel."""
 _QUANTISATION_COUNTS = 0.289
 """Standard deviation of rounding to whole counts: 1 / sqrt(12)."""
 _MAD_TO_SD = 1.4826
 """Standard deviation over median absolute deviation of a normal distribution."""
 _QUIET_SIGMAS = 5.0
-"""Standard deviations of a pad's total by which it may exceed its least value before contact."""
+"""Largest excess of a pad's total over its least value before contact, in standard deviations."""
 _QUIET_SCALE = 0.002
-"""The same as a share of one taxel's full scale, beside the noise."""
+"""The same as a share of one taxel's full scale, added to the noise."""
 _LEAST_HEIGHT = 0.004
 """Least height of a loaded taxel as a share of full scale: one count of 255."""
 _NEIGHBOURS = np.ones((3, 3), dtype=np.int64)
-"""Taxels that touch, also over a corner, are connected."""
+"""Neighbours, also over a corner, are connected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,8 +39,8 @@ class Baseline:
     noise_counts: NDArray[np.float64]
     """(n_pads,) float64: robust standard deviation of one taxel in one frame, for each pad."""
     quiet_frames: NDArray[np.int64]
-    """(n_pads,) int64: frames before contact that the baseline rests on; 0 where there were too few
-    and the median of the pad's first frame stands in for all its taxels."""
+    """(n_pads,) int64: frames before contact that give the baseline. It is 0 if there are too few;
+    the median of the pad's first frame is then used for all its taxels."""
 
     def __post_init__(self) -> None:
         for name in ("counts", "noise_counts", "quiet_frames"):
@@ -60,11 +60,11 @@ def robust_noise(values: ArrayLike) -> float:
 def estimate_baseline(grasp: Grasp) -> Baseline:
     """Return baseline and noise of each pad from the frames of one grasp; the last is kept.
 
-    Frames before contact are those at the start during which a pad's total stays within the
-    noise of its least value among them. Where the commanded force is known they end before it rises
-    above 0: the noise of a whole pad hides the first taxels that are touched. The noise is that of
-    the differences between frames, which the slow rise of a ramp hardly touches; with one frame it
-    is the spread over the pad.
+    Frames before contact are the first ones, while a pad's total stays within the noise of its
+    least value among them. A known commanded force ends them before it rises above 0, because the
+    noise of a whole pad hides the first touched taxels. The noise is that of the differences
+    between frames, which the slow rise of a ramp hardly changes. With one frame it is the spread
+    over the pad.
 
     Parameters
     ----------
@@ -101,8 +101,8 @@ def _quiet_frames(total: NDArray[np.float64], limit: float) -> int:
     least = np.minimum.accumulate(total)
     loud = np.flatnonzero(total - least > limit)
     n_quiet = int(loud[0]) if len(loud) else len(total)
-    # a ramp that is steeper than the noise shows in its first step; the last quiet frame may
-    # already have the object in it, so it is given up where contact follows
+    # A ramp that is steeper than the noise shows in its first step. The last quiet frame may
+    # already show the object, so it is left out before a contact.
     return n_quiet - 1 if len(loud) and n_quiet > MIN_QUIET_FRAMES else n_quiet
 
 
@@ -116,7 +116,7 @@ def noise_threshold(
     noise_counts
         Standard deviation of one taxel in one frame.
     n_averaged
-        Frames that the height is the mean of.
+        Number of averaged frames.
     adc_max
         Full scale; the threshold is never below 0.4 % of it (one count of 255).
     sigmas
@@ -130,19 +130,19 @@ def main_patch(
 ) -> NDArray[np.int64]:
     """Return the taxels of the most loaded patch of a pad, indices among all, ascending.
 
-    Raises ContactError where no taxel exceeds the threshold; the message names the largest height.
+    Raises ContactError if no taxel exceeds the threshold; the message names the largest height.
 
     Parameters
     ----------
     height : (n_taxels,) float64
         Baseline-corrected counts of all taxels.
     pads, pad
-        Where the taxels are, and which pad.
+        Positions of the taxels, and number of the pad.
     threshold
-        Taxels above it are loaded; those that touch, also over a corner, make one patch.
+        Taxels above it are loaded; neighbours, also over a corner, make one patch.
     rim
-        Rings of taxels around each patch that are taken along with the height that they have: they
-        show where the contact ends; without them small contacts have no surface.
+        Rings of taxels around each patch that are added with their own heights. They show the end
+        of the contact; without them small contacts have no surface.
     """
     taxels = pads.taxels_of(pad)
     grid = height[taxels].reshape(pads.pad_shape[pad])

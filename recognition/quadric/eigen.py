@@ -1,8 +1,8 @@
 """The paper's feature: the smallest eigenvalue of a property matrix, batched.
 
-"Smallest" is read in two ways from the paper's numbers; each is here under its own name. The solver
-is LAPACK's symmetric QR through ``numpy.linalg.eigvalsh``: its error is of the order of
-eps * max|lambda|, so relative to min|lambda| about 2e-11 on a spectrum from 1e-3 to 1e2.
+The paper's numbers allow two readings of "smallest"; each has its own name here. The solver is
+LAPACK's symmetric QR in ``numpy.linalg.eigvalsh``. Its error is of the order of eps * max|lambda|.
+On a spectrum from 1e-3 to 1e2 this is about 2e-11 relative to min|lambda|.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _EPS = float(np.finfo(np.float64).eps)
 
 
 class Reading(StrEnum):
-    """Which eigenvalue is meant by "the smallest"."""
+    """Readings of "the smallest eigenvalue"."""
 
     SMALLEST_MAGNITUDE = "smallest_magnitude"
     """min|lambda|: "of order 1e-3, the largest 1e2", last when sorted by falling magnitude."""
@@ -32,8 +32,8 @@ class SmallestEigenvalue:
     """(...) float64: in the unit of the matrix; never below the floor of rounding in the readings
     that are magnitudes."""
     degenerate: NDArray[np.bool_]
-    """(...) bool: true where the value is rounding noise: its magnitude is not above n * eps *
-    max|lambda|, n the size of the matrix, so that the matrix may as well be singular."""
+    """(...) bool: true if the value is rounding noise, so the matrix may be singular. Its magnitude
+    is then not above n * eps * max|lambda|, n the size of the matrix."""
 
 
 def eigenvalues(Q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -51,7 +51,7 @@ def smallest_eigenvalue(
     Q : (..., 4, 4)
         Symmetric matrices.
     reading
-        Which one is meant; the paper's numbers fit the smallest magnitude alone.
+        Kind of the smallest; the paper's numbers fit only the smallest magnitude.
     """
     values = eigenvalues(Q)
     n = values.shape[-1]

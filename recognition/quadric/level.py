@@ -1,7 +1,8 @@
 """Level of a grasp: the paper's one number, the smallest eigenvalue of its surface at a force.
 
-The number is close to j^2 over the fitted peak height in counts. It moves with the grip force, so
-it is comparable only at equal force: near the end of the ramp, at one force, or along its steps.
+The number is close to j^2 over the fitted peak height in counts. It changes with the grip force, so
+levels are comparable only at equal force. This is near the end of the ramp, at one force, or along
+its steps.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,18 +25,18 @@ class LevelSettings:
     """Settings of a level."""
 
     force_n: float | None = None
-    """Grip force in N to take it at; None: near the full force of the ramp. Grasps without a record
-    of the force are taken near their full load."""
+    """Grip force in N of the level; None: near the full force of the ramp. Grasps without recorded
+    forces are used near their full load."""
     tolerance: float = 0.1
-    """Frames count as near a force, or load, within this part of it."""
+    """Largest relative difference of frames near a force or load."""
     sigmas: float = 4.0
     """Threshold of a loaded taxel in standard deviations of the noise."""
     peak_share: float = 0.4
-    """Least height of a loaded taxel as a part of the pad's largest. Without it the threshold falls
-    as more frames are averaged, and taxels at the edge of the patch come and go with what is left
-    of the noise, the fitted surface with them."""
+    """Least height of a loaded taxel as a share of the pad's largest. Without it the threshold
+    falls with the number of averaged frames. Taxels at the edge of the patch then appear and
+    disappear with the remaining noise and change the fitted surface."""
     rim: int = 1
-    """Rings of unloaded taxels that the fit takes along."""
+    """Rings of unloaded taxels that the fit includes."""
     reading: Reading = Reading.SMALLEST_MAGNITUDE
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -48,7 +49,7 @@ class LevelSettings:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        """Rebuild from `to_arrays`; KeyError if an array is missing."""
         values = {one.name: arrays[one.name].item() for one in fields(cls)}
         force_n = None if np.isnan(values["force_n"]) else values["force_n"]
         return cls(**values | {"force_n": force_n, "reading": Reading(values["reading"])})
@@ -57,28 +58,28 @@ class LevelSettings:
 DEFAULT_LEVEL = LevelSettings()
 """The settings of the recogniser `level_check`."""
 FULL_SCALE_COUNTS = 255.0
-"""Heights are fitted in counts of an 8-bit converter, the paper's, whatever the pads' own."""
+"""Full scale of the fitted heights: counts of the paper's 8-bit converter, for pads of any kind."""
 
 _PRIOR_GRASPS = 4.0
 """Weight, in grasps, of the pooled spread against an object's own."""
 _LEAST_SPREAD = 0.02
-"""Least standard deviation of a level's logarithm, however alike the taught grasps are."""
+"""Least standard deviation of a level's logarithm, also for very similar taught grasps."""
 _DEFAULT_SPREAD = 0.08
-"""Pooled spread where every object was grasped once: the noise of the paper's levels."""
+"""Pooled spread with one grasp of every object: the noise of the paper's levels."""
 _LEAST_SHARE = 0.05
-"""Part of the first pad's load below which the second counts as untouched."""
+"""Least load of a touched second pad, as a share of the first pad's."""
 _DRAWS = 12
-"""Disturbances by noise from which its effect on a level is taken."""
+"""Number of random disturbances that show the effect of noise on a level."""
 _NOISE_GRASPS = 30
-"""About as many taught grasps are disturbed; more would change the result by little."""
+"""About the number of disturbed taught grasps; more would change the result little."""
 
 
 def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
     """Return the one or two pads that hold the object, the most loaded one first.
 
     The second is the counterpart of the first: the same place in the other half of the list of pads
-    if that has the same shape (finger 0, then finger 1), else the most loaded other pad. Raises
-    ContactError where no pad is loaded.
+    (finger 0, then finger 1). If its shape differs, it is the most loaded other pad. Raises
+    ContactError if no pad is loaded.
 
     Parameters
     ----------
@@ -102,12 +103,12 @@ def gripping_pads(load: ArrayLike, pads: PadArray) -> tuple[int, ...]:
 def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int64]:
     """Return the frames of a ramp near a share, from 0 to 1, of its full force.
 
-    By the commanded force where it is known; else by the total load, smoothed over three frames,
-    between its least and its largest value. Never empty: the nearest frame is always in it.
+    It uses the commanded force if known. Else it uses the total load between its least and its
+    largest value, smoothed over three frames. The nearest frame is always included.
     """
     known = np.isfinite(grasp.force_n)
     if known.any():
-        # frames without a force are infinitely far
+        # Frames without a force are infinitely far.
         reached = np.where(known, grasp.force_n, np.inf) / max(
             float(np.max(grasp.force_n[known])), 1e-9
         )
@@ -172,7 +173,7 @@ def _level_at(
 def grip_surfaces(
     grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL
 ) -> tuple[NDArray[np.float64], ...]:
-    """Return the surface of each gripping pad that carries one, the most loaded pad first.
+    """Return the surface of each gripping pad that has one, the most loaded pad first.
 
     Surfaces are property matrices (4, 4), see `recognition.quadric.quadric`. Raises ContactError or
     QuadricError as `grip_level`.
@@ -184,11 +185,10 @@ def grip_surfaces(
 def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
     """Return the smallest eigenvalue of one grasp.
 
-    Frames near the force are averaged (the noise filter before the surface), the loaded patch of
+    Frames near the force are averaged (the noise filter before the surface). The loaded patch of
     each gripping pad is fitted in the form (7), and the eigenvalues of the pads are averaged,
-    geometrically where they are magnitudes. Raises ContactError where no pad is touched, or the
-    ramp never came near ``settings.force_n``. Raises QuadricError where no gripping pad carries a
-    surface.
+    magnitudes geometrically. Raises ContactError if no pad is touched, or the ramp never came near
+    ``settings.force_n``. Raises QuadricError if no gripping pad has a surface.
     """
     frames = frames_at(grasp, settings.force_n, settings)
     return _level_at(grasp, frames, settings)
@@ -197,7 +197,7 @@ def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
 def frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> NDArray[np.int64]:
     """Return the frames near a force in N, near the full force for None.
 
-    Raises ContactError where the ramp never came near it.
+    Raises ContactError if the ramp never came near it.
     """
     known = np.isfinite(grasp.force_n)
     if force_n is None or not known.any():
@@ -223,12 +223,12 @@ def ramp_levels(
     shares
         Parts of the full force, each above 0 and up to 1.
     settings
-        How each value is taken; ``force_n`` has no part in it.
+        Settings of each value; ``force_n`` has no effect.
 
     Returns
     -------
     (n_shares,) float64
-        NaN where there was no contact yet, or no surface to be fitted.
+        NaN without a contact, or without a surface.
     """
     if not all(0.0 < share <= 1.0 for share in shares):
         raise ContactError(f"shares of the force are {list(shares)}, each must be above 0, up to 1")
@@ -238,12 +238,12 @@ def ramp_levels(
         try:
             values[index] = _level_at(grasp, frames, settings)
         except (ContactError, QuadricError):
-            values[index] = np.nan  # documented: this step of the ramp has no level
+            values[index] = np.nan  # this step of the ramp has no level
     return values
 
 
 def common_force_n(grasps: Sequence[Grasp]) -> float | None:
-    """Return the largest force in N that every grasp reached, None where one is not recorded."""
+    """Return the largest force in N that every grasp reached, None if one is not recorded."""
     reached = [
         float(np.max(g.force_n, initial=-np.inf, where=np.isfinite(g.force_n))) for g in grasps
     ]
@@ -252,11 +252,10 @@ def common_force_n(grasps: Sequence[Grasp]) -> float | None:
 
 
 def averaged_noise(grasp: Grasp, settings: LevelSettings) -> float:
-    """Return the noise of a taxel's height in the frames that the level is taken from.
+    """Return the noise of a taxel's mean height in the frames of the level.
 
-    Of their mean, that is, less the baseline. It is a standard deviation in counts of 255, the
-    median over the pads. Raises ContactError where the ramp never came near the force of the
-    settings.
+    The baseline is subtracted. The noise is a standard deviation in counts of 255, the median over
+    the pads. Raises ContactError if the ramp never came near the force of the settings.
     """
     n_frames = len(frames_at(grasp, settings.force_n, settings))
     baseline = estimate_baseline(grasp)
@@ -266,10 +265,10 @@ def averaged_noise(grasp: Grasp, settings: LevelSettings) -> float:
 
 
 def level_noise_per_count(grasp: Grasp, settings: LevelSettings, rng: np.random.Generator) -> float:
-    """Return the part of the level by which noise moves it, for each count of `averaged_noise`.
+    """Return the relative change of the level by noise, for each count of `averaged_noise`.
 
-    The averaged frames are disturbed a dozen times by as much noise as they have, and the surface
-    is found anew, its patch too. Raises ContactError or QuadricError where they carry none.
+    The averaged frames are disturbed a dozen times by their own amount of noise. Patch and surface
+    are then computed again. Raises ContactError or QuadricError without a surface.
     """
     noise = averaged_noise(grasp, settings)
     counts = noise * grasp.pads.adc_max / FULL_SCALE_COUNTS
@@ -282,8 +281,8 @@ def level_noise_per_count(grasp: Grasp, settings: LevelSettings, rng: np.random.
 def usual_noise(grasps: Sequence[Grasp], settings: LevelSettings) -> tuple[float, float]:
     """Return median `averaged_noise` and the root mean square of `level_noise_per_count`.
 
-    About `_NOISE_GRASPS` of the grasps, evenly taken, are used. Those without a surface are left
-    out; both are 0 where all are.
+    About `_NOISE_GRASPS` of the grasps, evenly selected, are used. Those without a surface are left
+    out; both values are 0 if no grasp has one.
     """
     found, rng = [], np.random.default_rng(0)
     for grasp in grasps[:: -(-len(grasps) // _NOISE_GRASPS)]:
@@ -291,18 +290,18 @@ def usual_noise(grasps: Sequence[Grasp], settings: LevelSettings) -> tuple[float
             per_count = level_noise_per_count(grasp, settings, rng)
             found.append((averaged_noise(grasp, settings), per_count))
         except (ContactError, QuadricError):
-            continue  # documented: without a surface there is no level
+            continue  # without a surface there is no level
     if not found:
         return 0.0, 0.0
     counts, per_count = np.array(found).T
-    # A patch that changes is rare, and moves the level most: a median would leave it out.
+    # A changed patch is rare, but changes the level most: a median would ignore it.
     return float(np.median(counts)), float(np.sqrt(np.mean(per_count**2)))
 
 
 def log_statistics(
     values: Sequence[NDArray[np.float64]],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and spread of log|level|; each spread is drawn towards the pooled one."""
+    """Return mean and spread of log|level|; each spread is shrunk towards the pooled one."""
     logs = [np.log(np.abs(one)) for one in values]
     counts = np.array([len(one) for one in logs])
     mean = np.array([one.mean() if len(one) else np.nan for one in logs])
@@ -310,14 +309,14 @@ def log_statistics(
     freedom = np.maximum(counts - 1, 0)
     pooled = float(squares.sum() / freedom.sum()) if freedom.sum() else _DEFAULT_SPREAD**2
     variance = (squares + _PRIOR_GRASPS * pooled) / (freedom + _PRIOR_GRASPS)
-    # the mean itself is known from a few grasps only
+    # Few grasps give the mean with an error.
     variance = variance * (1.0 + 1.0 / np.maximum(counts, 1))
     spread = np.sqrt(np.maximum(variance, _LEAST_SPREAD**2))
     return mean, np.where(counts > 0, spread, np.nan)
 
 
 def level_or_none(grasp: Grasp, settings: LevelSettings) -> float | None:
-    """Return the level of a grasp, None where it carries no surface."""
+    """Return the level of a grasp, None if it has no surface."""
     try:
         value = grip_level(grasp, settings)
     except (ContactError, QuadricError):

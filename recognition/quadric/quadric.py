@@ -9,9 +9,9 @@ P = (x, y, z, 1) and the scale fixed by 2 j = -1::
         | g h j  k  |
 
 so that k is the fitted height at the origin, in the unit of the heights. Homogeneous
-transformations and the congruence that carries a quadric along (paper eq. (2)) are batched: leading
-dimensions are broadcast, the last two hold one 4x4 matrix. Angles are in rad; lengths are in the
-unit of the quadric's coordinates.
+transformations and the congruence of a quadric (paper eq. (2)) are batched: leading dimensions are
+broadcast, the last two have one 4x4 matrix. Angles are in rad; lengths are in the unit of the
+quadric's coordinates.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ J = -0.5
 _MAX_CONDITION = 1e6
 """Largest condition number of the design matrix of a fit, in centred and scaled coordinates."""
 MIN_POINTS = 7
-"""Six unknowns and one point to judge the fit by."""
+"""Fewest points of a fit: six unknowns and one more."""
 
 
 def _identities(shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -69,7 +69,7 @@ def rotation_xyz(angle_rad: ArrayLike) -> NDArray[np.float64]:
 
 
 def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Carry quadrics along with the points, P' = M P: Q' = M^-T Q M^-1 (paper eq. (2)).
+    """Transform quadrics with the points, P' = M P: Q' = M^-T Q M^-1 (paper eq. (2)).
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np
     Returns
     -------
     (..., 4, 4) float64
-        Exactly symmetric. Rank and signature are those of ``Q``; the eigenvalues are only where
-        M is orthogonal, that is for a rotation about the origin.
+        Exactly symmetric. Rank and signature are those of ``Q``. The eigenvalues are those of ``Q``
+        only if M is orthogonal, so for a rotation about the origin.
     """
     out: NDArray[np.float64] = np.swapaxes(M_inv, -1, -2) @ Q @ M_inv
     return 0.5 * (out + np.swapaxes(out, -1, -2))
@@ -100,8 +100,8 @@ def height_field_matrix(
 def fit_height_field(xy_m: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fit the height field by linear least squares.
 
-    Raises QuadricError for fewer than 7 points, or points that do not span the six unknowns: all on
-    one line, on two parallel rows, or on any other conic.
+    Raises QuadricError for fewer than 7 points, or points that do not determine the six unknowns:
+    on one line, on two parallel rows, or on any other conic.
 
     Parameters
     ----------
@@ -113,8 +113,8 @@ def fit_height_field(xy_m: NDArray[np.float64], height: NDArray[np.float64]) -> 
     Returns
     -------
     (4, 4) float64
-        Form (7). x and y count from the centroid of the points, in their root mean square distance
-        from it; z is the height.
+        Form (7). x and y are measured from the centroid of the points, in units of their root mean
+        square distance from it; z is the height.
     """
     n = len(xy_m)
     if n < MIN_POINTS:
@@ -123,7 +123,7 @@ def fit_height_field(xy_m: NDArray[np.float64], height: NDArray[np.float64]) -> 
     centre = share @ xy_m
     scale = float(np.sqrt(share @ np.sum((xy_m - centre) ** 2, axis=1)))
     if not scale > 0:
-        raise QuadricError(f"all {n} points are at one place")
+        raise QuadricError(f"all {n} points have one position")
     x, y = ((xy_m - centre) / scale).T
     root = np.sqrt(share)
     design = np.stack([x * x, y * y, 2 * x * y, 2 * x, 2 * y, np.ones_like(x)], axis=1)

@@ -1,8 +1,8 @@
 """Levels, thresholds and windows: the decision of the paper's Algorithm 1.
 
-Each object has a band of values. Between neighbouring bands lies a window (A, B, C, ... in the
-paper's Fig. 4), with the threshold at its middle. Where bands overlap, the window is closed and
-no object is named in it.
+Each object has a band of values. Between neighbouring bands is a window (A, B, C, ... in the
+paper's Fig. 4), with the threshold at its middle. If bands overlap, the window is closed and
+gives no name.
 """
 
 from collections.abc import Sequence
@@ -15,24 +15,24 @@ from recognition.errors import TrajectoryError
 from recognition.grasp import keep_array
 
 NOISE_SHARE = 0.08
-"""Share of a level by which bands are widened: the noise that the paper gives for levels, 8 %."""
+"""Widening of bands as a share of the level: the paper's noise of levels, 8 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelBands:
-    """Bands of the taught objects and what lies between them."""
+    """Bands of the taught objects, and thresholds and windows between them."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    """(n_objects,) float64: band of each object; NaN where an object has no level."""
+    """(n_objects,) float64: band of each object; NaN if an object has no level."""
     order: NDArray[np.int64]
-    """(n_levels,) int64: objects that have a level, by the middle of their band, ascending."""
+    """(n_levels,) int64: objects with a level, by the middle of their band, ascending."""
     threshold: NDArray[np.float64]
     """(n_levels - 1,) float64: middle between the bands of neighbours in ``order``."""
     window: NDArray[np.float64]
-    """(n_levels - 1,) float64: gap between them; closed where it is not above 0."""
+    """(n_levels - 1,) float64: gap between them; closed if it is not above 0."""
     margin: float
-    """Part of its edge by which a band reaches into open space."""
+    """Share of its edge by which a band is extended into open space."""
 
     def __post_init__(self) -> None:
         for name in ("low", "high", "order", "threshold", "window"):
@@ -48,7 +48,7 @@ class LevelBands:
         )
 
     def distance(self, value: float) -> NDArray[np.float64]:
-        """Return how far a value is outside each band, (n_objects,); 0 inside, NaN: no level."""
+        """Return the distance of a value from each band, (n_objects,); 0 inside, NaN: no level."""
         return np.maximum(np.maximum(self.low - value, value - self.high), 0.0)
 
     def reach(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -61,12 +61,12 @@ class LevelBands:
 def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE) -> LevelBands:
     """Turn the values of each object into bands, thresholds and windows.
 
-    Raises TrajectoryError where no object has a level, or the margin is out of range.
+    Raises TrajectoryError if no object has a level, or the margin is out of range.
 
     Parameters
     ----------
     values
-        For each object its values, any number; NaN is left out. An object without any has no level
+        Any number of values for each object; NaN is left out. An object without values has no level
         and is never named.
     margin
         See `LevelBands`.
@@ -84,8 +84,8 @@ def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE)
     order = order[np.isfinite(low[order])]
     if not len(order):
         raise TrajectoryError(
-            f"none of {len(values)} objects has a level: no grasp pressed enough taxels around "
-            "each other for a surface, which takes pads of at least 3 x 3"
+            f"no object of {len(values)} has a level: no grasp pressed enough neighbouring taxels "
+            "for a surface, which needs pads of at least 3 x 3"
         )
     return _levels(low, high, order, margin)
 
@@ -93,7 +93,7 @@ def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE)
 def _levels(
     low: NDArray[np.float64], high: NDArray[np.float64], order: NDArray[np.int64], margin: float
 ) -> LevelBands:
-    """Return what lies between bands."""
+    """Return thresholds and windows between bands."""
     below, above = order[:-1], order[1:]
     return LevelBands(
         low=low,
@@ -106,22 +106,22 @@ def _levels(
 
 
 def with_noise(levels: LevelBands, noise_share: float) -> LevelBands:
-    """Adjust bands and windows to the noise seen, as the paper's windows A to D are to be.
+    """Adjust bands and windows to the measured noise, like the paper's windows A to D.
 
-    Raises TrajectoryError where ``noise_share`` is not from 0 below 1.
+    Raises TrajectoryError if ``noise_share`` is not from 0 below 1.
 
     Parameters
     ----------
     levels
         Bands without noise.
     noise_share
-        Part of its value by which a level is uncertain now.
+        Present relative uncertainty of a level.
 
     Returns
     -------
     LevelBands
-        Every band reaches that much further, every window is as much narrower, and closed where
-        nothing is left of it. The margin grows to the noise where that is larger.
+        Bands are wider and windows narrower by this amount; a window may be closed. The margin is
+        at least the noise.
     """
     if not 0.0 <= noise_share < 1.0:
         raise TrajectoryError(f"noise_share is {noise_share}, must be from 0 below 1")
@@ -133,8 +133,8 @@ def with_noise(levels: LevelBands, noise_share: float) -> LevelBands:
 def check_level(levels: LevelBands, value: float) -> int | None:
     """Return the object whose band contains a value.
 
-    Inside one band it is that object, inside several (a closed window) none. Between bands it is
-    the object on whose side of the threshold the value lies, as far as that band reaches.
+    Inside one band it is that object, inside several (a closed window) none. Between bands the
+    threshold decides, within the extended bands.
 
     Returns
     -------

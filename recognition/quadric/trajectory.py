@@ -1,8 +1,8 @@
 """The training of the paper's Algorithm 1: taught quadrics are swept through poses.
 
-Values stand in the order of the printed loops (scale, translation, rotation, the last innermost).
-What the printed text leaves open is a setting with a default. `recognition.quadric.thresholds`
-names a level by the values that are found.
+Values are in the order of the printed loops (scale, translation, rotation, the last innermost).
+Open points of the printed text are settings with defaults. `recognition.quadric.thresholds` names a
+level by these values.
 """
 
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ class SweepSettings:
     angle_rad: NDArray[np.float64] = field(default_factory=lambda: _grid(0.0, 2 * np.pi, 17))
     """(n_angle,) float64: rotation about x, y and z: 0 to 2 pi in steps of pi/8, both ends."""
     reading: Reading = Reading.SMALLEST_MAGNITUDE
-    """Which eigenvalue is followed."""
+    """Kind of the smallest eigenvalue."""
 
     def __post_init__(self) -> None:
         for name in ("scale", "translation", "angle_rad"):
@@ -73,7 +73,7 @@ class Trajectory:
 def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
     """Return the smallest eigenvalues over the training loops of Algorithm 1.
 
-    Raises TrajectoryError where ``D`` is not a list of 4x4 matrices.
+    Raises TrajectoryError if ``D`` is not a list of 4x4 matrices.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> Traj
     """
     if D.ndim != 3 or D.shape[1:] != (4, 4):
         raise TrajectoryError(f"taught quadrics have shape {D.shape}, expected (n_objects, 4, 4)")
-    # M = T R S: a point is scaled first, then rotated, then translated; one loop variable of the
-    # printed text stands for x and y, one for all three angles.
+    # M = T R S: a point is scaled first, then rotated, then translated. The printed text has one
+    # loop variable for x and y, and one for all three angles.
     shift, turn = settings.translation[:, None], settings.angle_rad[:, None]
     back = translation(np.hstack([-shift, -shift, np.zeros_like(shift)]))[:, None]
     turned = np.swapaxes(rotation_xyz(np.repeat(turn, 3, axis=1)), -1, -2)

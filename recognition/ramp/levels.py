@@ -16,15 +16,14 @@ LOAD_FRACTIONS = (0.3, 0.5, 0.7, 0.85, 1.0)
 
 TIME_FRACTIONS = tuple(np.linspace(0.0, 1.0, 9)[1:].tolist())
 """Moments at which the load is taken, as shares of the time from the touch to the end. Under a
-commanded force all of them are the end: the time is then that of the command, and shows nothing of
-the object."""
+commanded force all of them are the end, because the time then depends only on the command."""
 
 _FINAL_FRACTION = 0.125
 """Share of the frames from the touch on, the last ones, whose mean is the full load."""
 
 _LEAST_WIDTH = 5
-"""Fewest frames whose mean is a level of a commanded ramp, which may be over in a dozen: of two,
-noise costs touch alone six of 100 names. Chosen on the simulated cell, among 2 to 6."""
+"""Fewest frames whose mean is a level of a commanded ramp, which may have only a dozen. With two
+frames noise costs six of 100 names by touch alone. Chosen on the simulated cell, among 2 to 6."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,12 +34,12 @@ class Levels:
     """tuple of (n, K, n_taxels_of_pad) float64: mean rise at each level per gripping pad, as a
     fraction of the full scale."""
     noise: NDArray[np.float64]
-    """(n, K, P) float64: standard deviation that noise leaves on each value of `maps`."""
+    """(n, K, P) float64: standard deviation of each value of `maps` by noise."""
     aperture_mm: NDArray[np.float64]
-    """(n, K) float64: opening at each level in mm; NaN where unknown."""
+    """(n, K) float64: opening at each level in mm; NaN if unknown."""
     touch_aperture_mm: NDArray[np.float64]
-    """(n, P) float64: opening where each pad is first touched, in mm; where a cell stopped at the
-    contact, that of both."""
+    """(n, P) float64: opening at the first touch of each pad in mm. If a cell stopped at the
+    contact, this is the opening of both."""
     timed_load: NDArray[np.float64]
     """(n, P, 8) float64: sum of the rise at `TIME_FRACTIONS`, as a fraction of one taxel's full
     scale."""
@@ -50,10 +49,10 @@ class Levels:
     """(n, K) float64: time from the second touch to each level in s; 0 under a commanded
     force."""
     touch_delay_s: NDArray[np.float64]
-    """(n,) float64: time from the touch of the first pad to that of the second, negative for the
-    reverse, in s; 0 where a cell stopped at the contact."""
+    """(n,) float64: time from the touch of the first pad to that of the second in s, negative for
+    the reverse; 0 if a cell stopped at the contact."""
     force_n: NDArray[np.float64]
-    """(n,) float64: commanded force at the end in N; NaN where unknown."""
+    """(n,) float64: commanded force at the end in N; NaN if unknown."""
     touched: NDArray[np.bool_]
     """(n,) bool: whether two gripping pads were touched, or the only one."""
 
@@ -73,14 +72,14 @@ def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
 
 
 def stack_levels(parts: Sequence[Levels]) -> Levels:
-    """Return grasps that were reduced one by one as one `Levels`."""
+    """Return one `Levels` from several."""
     return _of_fields(parts, np.concatenate)
 
 
 def _of_fields(
     parts: Sequence[Levels], join: Callable[[list[NDArray[Any]]], NDArray[Any]]
 ) -> Levels:
-    """Return levels whose arrays are joined from those of the parts."""
+    """Return levels with the joined arrays of the parts."""
     names = [one.name for one in fields(Levels) if one.name != "maps"]
     maps = zip(*(part.maps for part in parts), strict=True)
     return Levels(
@@ -127,7 +126,7 @@ def _reduce(grasp: Grasp, ramp: Ramp) -> Levels:
 def _weights(
     progress: NDArray[np.float64], fraction: float, width: int, last: int
 ) -> NDArray[np.float64]:
-    """Return weights of the frames, summing to 1, whose mean is the state at a load fraction."""
+    """Return weights of the frames, with sum 1, for the mean state at a load fraction."""
     n = len(progress)
     weights = np.zeros(n)
     if fraction >= 1.0:
@@ -146,7 +145,7 @@ def _weights(
 
 
 def _known(aperture_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fill single unknown openings from their neighbours; all NaN stays so."""
+    """Fill single unknown openings from their neighbours; all NaN stays NaN."""
     good = np.isfinite(aperture_m)
     if good.all() or not good.any():
         return aperture_m

@@ -19,27 +19,27 @@ from recognition.ramp.samples import (
 
 # Chosen on recorded grasps, within the part that teaches (docs/explanations/recogniser.md).
 _TOUCH_FRACTION = 0.06
-"""Share of a pad's largest load at which it counts as touched."""
+"""Least share of its largest load of a touched pad."""
 _TOUCH_SIGMAS = 4.0
 """The least load of a touch, in standard deviations of a pad's load at rest."""
 _TOUCH_SCALE = 0.005
 """The least load of a touch, as a share of one taxel's full scale."""
 _SMOOTHING_FRACTION = 0.06
-"""Share of the frames of a grasp that a running mean spans; more would blur the ramp."""
+"""Span of a running mean as a share of the frames of a grasp; more would blur the ramp."""
 _MAX_SMOOTHING_FRAMES = 15
 """Longest span of that running mean in frames."""
 _GRIPPING_SHARE = 0.1
-"""Least rise of a third pad that grips, and of further ones, as a share of the largest."""
+"""Least rise of a third gripping pad and of further ones, as a share of the largest rise."""
 _GRIPPING_SIGMAS = 8.0
-"""The same in standard deviations of the pad's load at rest: the highest of its noise are three."""
+"""The same in standard deviations of the pad's load at rest: its noise reaches three at most."""
 _HELD_SHARE = 0.95
-"""Share of the highest load that the ramp holds at its end: below lies creep, or the release."""
+"""Least share of the highest load at the end of the ramp: less is creep, or the release."""
 _HELD_FRAMES = 3
-"""Most frames of the running mean of the load in which its end is looked for."""
+"""Longest running mean of the load in frames for the end of the ramp."""
 _OPENED_M = 0.5e-3
-"""Least way of the fingers after the ramp that shows their opening, in m: creep closes them."""
+"""Least motion in m that counts as an opening after the ramp: creep closes the fingers."""
 _QUIET_SHARE = 0.02
-"""Share of the rise of a pad's total up to which frames before the touch count as untouched."""
+"""Largest share of the rise of a pad's total in untouched frames before the touch."""
 _LEAST_FRAMES = 2 * QUIET_FRAMES
 """Fewest frames of a grasp: rest and load, and enough of rest for its noise."""
 
@@ -51,8 +51,8 @@ class Rest:
     pads: PadArray
     """The pads that were taught."""
     gripping: tuple[int, ...]
-    """tuple of int: the pads that rise under load, in the order of the layout: the one or two that
-    rise most, and those that rise by a tenth of the largest."""
+    """tuple of int: the pads that rise under load, in the order of the layout. They are the one or
+    two with the largest rise, and those with at least a tenth of it."""
     counts: NDArray[np.float64]
     """(n_taxels,) float64: reading of each untouched taxel in counts."""
     noise_counts: NDArray[np.float64]
@@ -89,7 +89,7 @@ class Rest:
             raise ValueError(f"pads {rest.gripping} grip, there are 0 to {rest.pads.n_pads - 1}")
         largest = float(np.abs(np.concatenate([rest.counts, rest.noise_counts])).max())
         if not largest <= rest.pads.adc_max:
-            raise ValueError(f"untouched pads read {largest:g}, beyond {rest.pads.adc_max}")
+            raise ValueError(f"untouched pads read {largest:g}, above {rest.pads.adc_max}")
         return rest
 
 
@@ -105,8 +105,8 @@ class Ramp:
     load: NDArray[np.float64]
     """(n_frames, n_gripping) float64: sum of the rise of each pad in counts."""
     touch: NDArray[np.int64]
-    """(n_gripping,) int64: first frame of the lasting touch of each pad; n_frames where it was
-    never touched."""
+    """(n_gripping,) int64: first frame of the lasting touch of each pad; n_frames without a touch.
+    """
     smoothing: int
     """int: number of frames that a running mean may span without blurring the ramp."""
 
@@ -117,26 +117,26 @@ class Ramp:
 
     @property
     def start(self) -> int:
-        """First frame in which two pads are touched; the last frame where that never was."""
+        """First frame in which two pads are touched; the last frame if this never happens."""
         return min(self._second_touch, len(self.load) - 1)
 
     @property
     def _second_touch(self) -> int:
-        """First frame of the second touch, or of the only pad's; n_frames where it never came."""
+        """First frame of the second touch, or of the only pad's; n_frames without one."""
         return int(np.sort(self.touch)[:2][-1])
 
 
 def learn_rest(grasps: Sequence[Grasp], *, most_pads: int | None = None) -> Rest:
-    """Return the rest of the pads, and which of them grip, from grasps.
+    """Return the rest of the pads, and the gripping pads, from grasps.
 
-    Raises ValueError where there is no grasp, they come from different pads, or are too short.
+    Raises ValueError without grasps, or if they come from different pads or are too short.
 
     Parameters
     ----------
     grasps
         Of one hand.
     most_pads
-        Most pads that grip; None for all that rise under load.
+        Most gripping pads; None for all that rise under load.
     """
     if not grasps:
         raise ValueError("no grasps to learn from")
@@ -169,8 +169,8 @@ def learn_rest(grasps: Sequence[Grasp], *, most_pads: int | None = None) -> Rest
 def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
     """Return the ramp of a grasp: its rise above rest and the lasting touch of each gripping pad.
 
-    The rest is taken from the grasp's own first frames, which follows a drift, except where the
-    pads are already loaded in them: then the taught rest serves. Raises ValueError for other pads.
+    The rest is taken from the grasp's own first frames, so it follows a drift. If the pads are
+    already loaded there, the taught rest is used. Raises ValueError for other pads.
     """
     rest.check(grasp.pads)
     n = grasp.n_frames
@@ -209,11 +209,11 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
 def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
     """Return a grasp without the frames after its ramp, and its ramp.
 
-    A ramp is the rise of the load, and the time for which the fingers hold what they have reached.
-    Where the commanded force is known, it ends with the last frame of the largest command.
-    Otherwise it ends with the last frame near the highest load if the fingers have opened since;
-    where the opening is unknown the load alone counts. Under fingers that stay, a soft object
-    relaxes: that belongs to the ramp. Raises ValueError for other pads.
+    A ramp is the rise of the load, and the time for which the fingers hold the reached load.
+    If the commanded force is known, it ends with the last frame of the largest command.
+    Otherwise it ends with the last frame near the highest load if the fingers have opened since.
+    If the opening is unknown, the load alone decides. The relaxation of a soft object under resting
+    fingers is a part of the ramp. Raises ValueError for other pads.
     """
     ramp, n = find_ramp(grasp, rest), grasp.n_frames
     if not ramp.touched:
@@ -224,7 +224,7 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
         width = min(_HELD_FRAMES, ramp.smoothing)
         total = uniform_filter1d(ramp.load.sum(axis=1), width, mode="nearest")
         highest = float(total.max())
-        # Where the rest lies above all frames, no load shows the end.
+        # If the rest is above all frames, no load shows the end.
         end = int(np.flatnonzero(total >= _HELD_SHARE * highest)[-1]) + 1 if highest > 0.0 else n
         if grasp.aperture_m[-1] - grasp.aperture_m[end - 1] < _OPENED_M:
             end = n
@@ -243,14 +243,14 @@ def _own_rest(
 ) -> NDArray[np.float64]:
     if starts_loaded(counts, taught, stuck):
         return taught
-    # Every frame as low as the first ones is untouched: more of them, less noise.
+    # All frames as low as the first ones are untouched; more frames reduce the noise.
     totals = counts[:, ~stuck].sum(axis=1)
     limit = float(totals[:QUIET_FRAMES].max())
     above = np.flatnonzero(totals > limit + _QUIET_SHARE * (float(totals.max()) - limit))
     end = max(QUIET_FRAMES, int(above[0]) - 1 if len(above) else QUIET_FRAMES)
     change: NDArray[np.float64] = counts[:end].mean(axis=0) - taught
     common = float(change[~stuck].mean())
-    # A taxel's own change counts as far as noise does not explain it.
+    # The own change of a taxel counts only beyond the noise.
     own = change - common
     explained = noise**2 / end
     share = max(0.0, 1.0 - explained / max(float((own[~stuck] ** 2).mean()), 1e-12))

@@ -11,15 +11,14 @@ from recognition.ramp.ramp import Rest
 from recognition.ramp.samples import QUIET_FRAMES
 
 _SMOOTHING_FRAMES = 5
-"""Span of the running mean in frames: enough that single noisy frames reach no level."""
+"""Span of the running mean in frames, so that single noisy frames do not reach a level."""
 
 
 def load_so_far(grasp: Grasp, rest: Rest) -> NDArray[np.float64]:
     """Return the load in counts at each frame, (n_frames,), from that frame and earlier ones.
 
-    The load is the total of the gripping pads above the first frames of the grasp, as a running
-    mean; minus infinity in those first frames. Raises ValueError for pads other than the taught
-    ones.
+    The load is the running mean of the gripping pads' total above the first frames of the grasp. In
+    these first frames it is minus infinity. Raises ValueError for pads other than the taught ones.
     """
     rest.check(grasp.pads)
     total = grasp.counts[:, _taxels(rest)].sum(axis=1, dtype=np.float64)

@@ -1,11 +1,10 @@
-"""Samples that no load explains: spikes of single frames, and taxels that are stuck."""
+"""Invalid samples: spikes of single frames, and stuck taxels."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 QUIET_FRAMES = 3
-"""Frames at the start of a grasp in which the pads are taken as untouched, if their load is
-small."""
+"""Frames at the start of a grasp in which the pads count as untouched, if their load is small."""
 
 _STARTS_TOUCHED = 0.25
 """Share of a pad's largest load above which its first frames count as loaded."""
@@ -14,14 +13,14 @@ _SPIKE_SHARE = 0.2
 """Share of full scale by which a spike exceeds both neighbouring frames; a ramp rises by less."""
 
 _STUCK_SHARE = 0.02
-"""Share of full scale by which a stuck taxel at least differs from its rest."""
+"""Least difference of a stuck taxel from its rest, as a share of full scale."""
 
 _STUCK_SIGMAS = 6.0
-"""The same in standard deviations of the noise: noise alone never reaches it."""
+"""The same in standard deviations of the noise, more than noise alone reaches."""
 
 
 def without_spikes(counts: NDArray[np.float64], adc_max: int) -> NDArray[np.float64]:
-    """Replace samples that exceed the frames before and after by far with the mean of these.
+    """Replace spikes with the mean of the frames before and after.
 
     Parameters
     ----------
@@ -49,7 +48,7 @@ def stuck_taxels(
     counts : (n_frames, n_taxels)
         Readings of one pad.
     taught : (n_taxels,)
-        Their reading in counts when they were untouched, from teaching.
+        Untouched reading of each taxel in counts, from teaching.
     noise
         Standard deviation of one sample in counts.
     """
@@ -59,7 +58,7 @@ def stuck_taxels(
     limit = max(_STUCK_SIGMAS * noise, _STUCK_SHARE * adc_max)
     stuck: NDArray[np.bool_] = still & (change > limit)
     if stuck.any():
-        # A load that is held all the time does not change either: then the others show none.
+        # A constant load does not change either. It shows as no load on the other taxels.
         _, largest = _first_and_largest(counts, taught, stuck)
         if largest < limit or starts_loaded(counts, taught, stuck):
             stuck[:] = False
@@ -69,7 +68,7 @@ def stuck_taxels(
 def starts_loaded(
     counts: NDArray[np.float64], taught: NDArray[np.float64], stuck: NDArray[np.bool_]
 ) -> bool:
-    """Return whether the first frames of a pad are loaded already, or there are too few frames."""
+    """Return whether a pad is loaded in its first frames, or has too few frames."""
     first, largest = _first_and_largest(counts, taught, stuck)
     return len(counts) < 2 * QUIET_FRAMES or first > _STARTS_TOUCHED * largest
 
@@ -79,7 +78,7 @@ def _first_and_largest(
 ) -> tuple[float, float]:
     """Return the load of the first frames and the largest one, in counts of all taxels."""
     start = counts[:QUIET_FRAMES].mean(axis=0) - taught
-    # A drift moves all taxels, an object presses some: what most share is no load.
+    # A drift changes all taxels, an object presses some: a common change is not a load.
     totals = (counts - taught - float(np.median(start)))[:, ~stuck].sum(axis=1)
     return float(totals[:QUIET_FRAMES].mean()), float(totals.max())
 

@@ -1,9 +1,9 @@
 """Recognisers by name: the default, a plain reference, the paper's method, and comparators.
 
-Each is one entry in `RECOGNIZERS`: name, module, and what makes its trainer. `force_ramp` is the
-default, `shrinkage_lda` a plain discriminant to compare with, `level_check` the paper's method;
-`comparators` holds methods that the paper names and plain choices of today. `early_classifiers`
-teaches recognisers that answer already during the ramp.
+Each is one entry in `RECOGNIZERS`: name, module, and maker of its trainer. `force_ramp` is the
+default, `shrinkage_lda` a plain discriminant for comparison, `level_check` the paper's method.
+`comparators` has methods that the paper names, and plain present ones. `early_classifiers`
+teaches recognisers that answer during the ramp.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from recognition.recognizer import Trainer
 
 DEFAULT_TRAINER = "force_ramp"
-"""The recogniser that is taught where no other is asked for."""
+"""The recogniser that is taught by default."""
 
 _METHODS = "recognition.recognizers.comparators.methods"
 """Module of the comparators."""
@@ -32,14 +32,14 @@ RECOGNIZERS: Mapping[str, str] = MappingProxyType(
         "raw_neighbours": f"{_METHODS}:RawNeighbours.trainer",
     }
 )
-"""All kinds of recogniser by name, in the order of tables: the module of trainer and recogniser,
-imported when a trainer is made, and what makes one in it when called with ``use_aperture``."""
+"""All kinds of recogniser by name, in the order of tables. The value is the module of trainer and
+recogniser, imported for the first trainer, and a callable in it that takes ``use_aperture``."""
 
 TRAINERS = ("force_ramp", "level_check", "shrinkage_lda")
-"""Names of the kinds that are compared where none is asked for."""
+"""Names of the kinds that are compared by default."""
 
 COMPARATORS = tuple(name for name in RECOGNIZERS if name not in TRAINERS)
-"""Names of those that are used only where they are asked for; some are taught by scikit-learn."""
+"""Names of those that are used only on request; some are taught by scikit-learn."""
 
 
 def trainer_names() -> tuple[str, ...]:
@@ -47,18 +47,9 @@ def trainer_names() -> tuple[str, ...]:
     return tuple(RECOGNIZERS)
 
 
-def recognizer_module(name: str) -> str:
-    """Return the module of the trainer and recogniser of that name; raises ValueError."""
-    return _place(name).partition(":")[0]
-
-
 def make_trainer(name: str = DEFAULT_TRAINER, *, use_aperture: bool = True) -> "Trainer":
     """Return the trainer of that name. Raises ValueError, listing the names, for an unknown one."""
-    trainer: Trainer = resolve_name(_place(name))(use_aperture=use_aperture)
-    return trainer
-
-
-def _place(name: str) -> str:
     if name not in RECOGNIZERS:
         raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(RECOGNIZERS)}")
-    return RECOGNIZERS[name]
+    trainer: Trainer = resolve_name(RECOGNIZERS[name])(use_aperture=use_aperture)
+    return trainer

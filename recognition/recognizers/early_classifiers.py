@@ -1,4 +1,4 @@
-"""Early classifiers: recognisers for ramps cut short, for a decision while the ramp still runs."""
+"""Early classifiers: recognisers for shortened ramps, for a decision while the ramp still runs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,11 +17,11 @@ from recognition.statistics.array_record import without_prefix
 from recognition.statistics.fusion import StopRule, fuse
 
 _SHARES = (0.5, 0.75)
-"""Parts of the usual full load at which a ramp is checked before its end. At a quarter intervals
-of the size hold it too seldom, at the usual noise in 77 % of grasps instead of 90 %."""
+"""Parts of the usual full load at which a ramp is checked before its end. At a quarter, intervals
+of the size contain it too rarely: at the usual noise in 77 % of grasps instead of 90 %."""
 _MOST_UNKNOWN = 0.02
-"""Largest probability of an untaught object with which a ramp ends: that of the end of a sequence
-let up to 3 % more of them pass (docs/decisions/0010-unknown-never-ends-a-ramp.md)."""
+"""Largest probability of an untaught object with which a ramp ends. With that of a sequence up to
+3 % more of them got a name (docs/decisions/0010-unknown-never-ends-a-ramp.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ class EarlyClassifiers:
         return replace(self, recognizers=early)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all that was learnt as plain arrays."""
+        """Return the taught recognisers as plain arrays."""
         arrays: dict[str, NDArray[Any]] = {"load_counts": self.load_counts}
         arrays |= {f"rest.{name}": array for name, array in self.rest.to_arrays().items()}
         for number, early in enumerate(self.recognizers):
@@ -62,9 +62,9 @@ class EarlyClassifiers:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], kind: type[Recognizer]) -> Self:
-        """Rebuild from `to_arrays`, of the kind of recogniser that was taught.
+        """Rebuild from `to_arrays`, for one kind of recogniser.
 
-        Raises KeyError or ValueError where an array is missing or does not fit.
+        Raises KeyError or ValueError if an array is missing or does not fit.
         """
         return cls(
             rest=Rest.from_arrays(without_prefix(arrays, "rest.")),
@@ -77,16 +77,16 @@ class EarlyClassifiers:
 
 
 class EarlyDecider:
-    """Decides on one ramp while it runs: asks an early classifier at each load.
+    """Decides on one ramp while it runs, with an early classifier at each load.
 
     Parameters
     ----------
     earlier
-        Posteriors of the earlier grasps of the same object: they count with this one.
+        Posteriors of the earlier grasps of the same object, used together with this one.
     rule
-        When the evidence suffices, see `StopRule.suffices`; an untaught object has to be less
-        likely than that asks for. A ramp is never ended for an untaught object, nor for one that
-        would be named only because it is the last grasp.
+        Rule for sufficient evidence, see `StopRule.suffices`; the limit of an untaught object is
+        lower here. An untaught object never ends a ramp. An object whose name would be given only
+        because this is the last grasp does not end one either.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class EarlyDecider:
         self.answer: Posterior | None = None
         """Posterior of this grasp alone at the check that satisfied the rule; None until then."""
         self.error: Exception | None = None
-        """What a check has raised: a ramp goes on through it, as nothing may fail in its loop."""
+        """Error of a check. The ramp continues, because an error must not stop the force loop."""
 
     def add_frame(self, counts: NDArray[np.uint16], so_far: Callable[[], Grasp]) -> bool:
         """Take the next frame; return whether the evidence suffices with it, for the first time.
@@ -111,7 +111,7 @@ class EarlyDecider:
         counts : (n_taxels,) uint16
             The frame.
         so_far
-            Gives the grasp with at least all frames up to this one; asked at a check only.
+            Returns the grasp with at least all frames up to this one; called only at a check.
         """
         self._seen += 1
         load = self._load.push(counts)
@@ -125,14 +125,14 @@ class EarlyDecider:
             try:
                 posterior = classifier.posterior(so_far().first_frames(self._seen))
             except RecognitionError:
-                # What cannot be judged yet decides nothing: the ramp goes on.
+                # Without a result the ramp continues.
                 continue
             except Exception as error:
                 self.error = error
                 continue
             fused = fuse([*self._earlier, posterior])
             sure = self._rule.suffices(fused) and fused.unknown <= _MOST_UNKNOWN
-            # A drawn size is compared with the sharpest one that is measured: of a whole ramp.
+            # A drawn size is compared with the most accurate measured one: of a whole ramp.
             if sure and not posterior.drawn_m:
                 self.answer = posterior
                 return True
@@ -144,9 +144,9 @@ def teach_early(
 ) -> EarlyClassifiers:
     """Return early classifiers, taught with the grasps that taught whole ramps of these labels.
 
-    Each recogniser calibrates its probabilities on ramps cut like those that it will meet; ramps
-    that end below its load serve whole. A load at which the cut ramps do not suffice to teach,
-    because in the noise too few of them show a touch, is not checked.
+    Each recogniser calibrates its probabilities on ramps cut at its load; ramps that end below this
+    load are used whole. If too few of the cut ramps show a touch in the noise, that load is not
+    checked.
     """
     rest = learn_rest(grasps)
     loads = [load_so_far(g, rest) for g in grasps]

@@ -1,7 +1,7 @@
 """Recogniser `level_check`, the paper's method: one scalar per grasp against taught levels.
 
-It is the reference that the paper sets, not the cell's best: the scalar is close to the inverse of
-the fitted peak height, so objects that press alike are confused whatever their shape.
+It is the paper's reference, not the best of the cell. The scalar is close to the inverse of the
+fitted peak height, so objects of any shape with similar pressure are confused.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ _OF_LABELS = ("mean", "spread", "low", "high")
 _NUMBERS = ("margin", "noise_counts", "noise_per_count")
 """Fields of the recogniser: an array with a value for each label, and single numbers."""
 _BAND_SIGMAS = 2.0
-"""Standard deviations of the noise beyond the taught one by which bands are widened."""
+"""Bands are widened by this number of standard deviations of the noise beyond the taught one."""
 _FLATTEN = 0.01
 """Share of the uniform distribution in each posterior: one scalar is never certain."""
 
@@ -45,22 +45,22 @@ class LevelCheckRecognizer:
     labels: tuple[str, ...]
     """The taught objects, sorted."""
     pads: PadArray
-    """The pads that they were taught on."""
+    """The pads of the teaching."""
     settings: LevelSettings
-    """How the level of a grasp is taken."""
+    """Settings of the level of a grasp."""
     mean: NDArray[np.float64]
     spread: NDArray[np.float64]
     """(n_labels,) float64: mean and standard deviation of the natural logarithm of the level's
-    magnitude; NaN for an object none of whose taught grasps carried a surface."""
+    magnitude; NaN for an object if all its taught grasps had no surface."""
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     """(n_labels,) float64: least and largest taught level; NaN likewise."""
     margin: float
-    """Part of its edge by which a level's band reaches into open space."""
+    """Share of its edge by which a level's band is extended into open space."""
     noise_counts: float
     """Noise of the taught grasps, see `recognition.quadric.level.averaged_noise`."""
     noise_per_count: float
-    """Part of a level by which noise moves it, for each count."""
+    """Relative change of a level by noise, for each count."""
 
     def __post_init__(self) -> None:
         for name in _OF_LABELS:
@@ -75,7 +75,7 @@ class LevelCheckRecognizer:
         return find_thresholds(bands, margin=self.margin)
 
     def level(self, grasp: Grasp) -> float | None:
-        """Return the smallest eigenvalue of a grasp, None where it carries no surface.
+        """Return the smallest eigenvalue of a grasp, None if it has no surface.
 
         Raises ValueError for pads other than the taught ones.
         """
@@ -83,15 +83,15 @@ class LevelCheckRecognizer:
             raise ValueError(
                 f"the grasp comes from {grasp.pads.n_pads} pads with {grasp.pads.n_taxels} taxels "
                 f"up to {grasp.pads.adc_max}; taught were {self.pads.n_pads} with "
-                f"{self.pads.n_taxels} up to {self.pads.adc_max}, or other places; teach again"
+                f"{self.pads.n_taxels} up to {self.pads.adc_max}, or other positions; teach again"
             )
         return level_or_none(grasp, self.settings)
 
     def more_noise(self, grasp: Grasp) -> float:
-        """Return the share of its level by which a grasp is noisier than the taught ones.
+        """Return the additional noise of a grasp over the taught ones, as a share of its level.
 
-        It is a standard deviation, 0 where the grasp has no more noise than those. Raises
-        ContactError where the ramp never came near the force that levels are taken at.
+        It is a standard deviation, 0 without additional noise. Raises ContactError if the ramp
+        never came near the force of the levels.
         """
         counts = averaged_noise(grasp, self.settings)
         return self.noise_per_count * float(np.sqrt(max(counts**2 - self.noise_counts**2, 0.0)))
@@ -108,9 +108,9 @@ class LevelCheckRecognizer:
     def posterior(self, grasp: Grasp) -> Posterior:
         """Return the posterior of a grasp by its level; see `recognition.recognizer.Recognizer`.
 
-        ``unknown`` is 0 inside a band, 1/2 at the edge of its margin and goes to 1 beyond; a grasp
+        ``unknown`` is 0 inside a band, 1/2 at the edge of its margin and goes to 1 beyond. A grasp
         without a surface, or with too much noise, gives a uniform posterior and unknown 1. In a
-        closed window the probability is shared. More noise than taught widens spreads and bands.
+        closed window the probability is shared. Additional noise widens spreads and bands.
         """
         value = self.level(grasp)
         more = 0.0 if value is None else self.more_noise(grasp)
@@ -131,12 +131,12 @@ class LevelCheckRecognizer:
         )
 
     def _adjusted(self, more_noise: float) -> LevelBands | None:
-        """Return the bands for a grasp; None where nothing would be outside of them."""
+        """Return the bands for a grasp; None if they would cover everything."""
         share = _BAND_SIGMAS * more_noise
         return with_noise(self.levels, share) if share < 1.0 else None
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all that was learnt as plain arrays."""
+        """Return the taught levels as plain arrays."""
         return {
             "level_check_version": np.array(_VERSION),
             "labels": np.array(self.labels, dtype=np.str_),
@@ -147,7 +147,7 @@ class LevelCheckRecognizer:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
+        """Rebuild from `to_arrays`. Raises ValueError that names a missing or wrong array."""
         try:
             version = int(arrays["level_check_version"])
             if version != _VERSION:
@@ -183,14 +183,14 @@ class LevelCheckTrainer:
     """Teaches the levels."""
 
     settings: LevelSettings = DEFAULT_LEVEL
-    """How the level of a grasp is taken. Without a force of its own it is taken at the largest
-    force that every taught grasp reached, because levels compare at equal force only; where forces
-    are not recorded, near the full load."""
+    """Settings of the level of a grasp. The default force is the largest one that every taught
+    grasp reached, because levels compare at equal force only. Without recorded forces the level is
+    taken near the full load."""
     margin: float = 0.08
-    """Part of its edge by which a level's band reaches into open space, above 0, below 1."""
+    """Share of its edge by which a level's band is extended into open space, above 0, below 1."""
     name: ClassVar[str] = NAME
     use_aperture: bool = False
-    """Taken as by every trainer of this package; the paper's method has no place for the opening,
+    """Accepted like by every trainer of this package. The paper's method does not use the opening,
     so both values teach the same and `uses_aperture` is always False."""
 
     def __post_init__(self) -> None:
@@ -205,9 +205,9 @@ class LevelCheckTrainer:
     def fit(self, grasps: Sequence[Grasp]) -> LevelCheckRecognizer:
         """Teach the level of each label.
 
-        An object none of whose grasps carries a surface stays among the labels without a level.
-        Raises ValueError where there is no grasp, one without a label, grasps from different pads,
-        or no grasp with a surface at all.
+        An object without a surface in any grasp keeps its label without a level. Raises ValueError
+        without grasps, for a grasp without a label, grasps from different pads, or if no grasp has
+        a surface.
         """
         if not grasps:
             raise ValueError(f"{NAME}: no grasps to learn from")

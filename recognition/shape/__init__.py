@@ -1,7 +1,7 @@
-"""Shape and size of what was pressed: surfaces fitted in a model of the foam, with intervals.
+"""Shape and size of a pressed object: surfaces fitted in a model of the foam, with intervals.
 
-`answer` is the entry: it reduces a grasp to pressed pads, fits all kinds of shape under all
-possible foams (`search`, `fit`, `residuals`, `models`, `foam`), and weighs them; `fusion` joins
-several grasps of one object; `foam_fit` calibrates the foam on a gauge. Constants without another
-source were chosen on simulated and recorded pads (docs/explanations/shape-and-size.md).
+`answer` is the entry. It reduces a grasp to pressed pads, fits all kinds of shape under all
+possible foams (`search`, `fit`, `residuals`, `models`, `foam`), and weights them. `fusion` joins
+several grasps of one object, and `foam_fit` calibrates the foam on a gauge. Constants without
+another source were chosen on simulated and recorded pads (docs/explanations/shape-and-size.md).
 """

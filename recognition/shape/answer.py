@@ -1,4 +1,4 @@
-"""Shape and size of what was grasped, with probabilities, also of an object never taught."""
+"""Shape and size of a grasped object, with probabilities, also of an object never taught."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,12 +15,12 @@ from recognition.shape.residuals import PadUncertainty
 from recognition.shape.search import all_fits
 
 UNCLEAR = "unclear"
-"""The answer where no kind of shape is likely enough, or none fits."""
+"""The answer if no kind of shape is likely enough, or none fits."""
 
 _MIN_PROBABILITY = 0.5
-"""Least probability of the likeliest kind with which it is the answer."""
+"""Least probability of a kind as the answer."""
 _MAX_MISFIT = 3.0
-"""Largest squared residual per degree of freedom of the best kind with which it is the answer."""
+"""Largest squared residual per degree of freedom of a kind as the answer."""
 _90_PERCENT = 1.645
 """Half width of a 90 % interval of a normal distribution in standard deviations."""
 
@@ -32,9 +32,9 @@ class Thickness:
     size_m: float
     low_m: float
     high_m: float
-    """The thickness in m, and the interval that holds it with 90 % probability."""
+    """The thickness in m, and its 90 % interval."""
     n_grasps: int = 1
-    """Grasps that met it."""
+    """Number of grasps with this thickness."""
 
     def __str__(self) -> str:
         return f"{1e3 * self.size_m:.1f} mm ({1e3 * self.low_m:.1f} to {1e3 * self.high_m:.1f})"
@@ -55,32 +55,32 @@ class ShapeAnswer:
     kind: str
     """``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell`` or `UNCLEAR`."""
     probability: Mapping[str, float]
-    """Probability of each kind, given that it is one of them."""
+    """Probability of each kind, given that the object is one of them."""
     size_m: float
     low_m: float
     high_m: float
-    """Thickness along the closing axis in m (the diameter of what is round), and the interval that
-    holds it with 90 % probability, over all kinds."""
+    """Thickness along the closing axis in m (the diameter of a round object), and its 90 %
+    interval, over all kinds."""
     dimensions_m: Mapping[str, float]
     """Dimensions of the likeliest kind in m by their names, without interval."""
     misfit: float
-    """Squared residual of the best kind per degree of freedom: 1 where it fits within the noise;
-    the median of several grasps."""
+    """Squared residual of the best kind per degree of freedom: 1 if it fits within the noise; the
+    median of several grasps."""
     thicknesses: tuple[Thickness, ...]
-    """All thicknesses that several grasps met, thinnest first; the one that most grasps met is
-    `size_m`. One grasp meets one."""
+    """All thicknesses of several grasps, thinnest first; the most frequent one is `size_m`. One
+    grasp has one."""
     evidence: tuple[KindEvidence, ...] = field(default=(), repr=False, compare=False)
     """Evidence of this grasp for each hypothesis, for `recognition.shape.fusion`; empty for several
     grasps."""
 
     @property
     def n_grasps(self) -> int:
-        """Number of grasps that the answer rests on."""
+        """Number of grasps in the answer."""
         return sum(thickness.n_grasps for thickness in self.thicknesses)
 
     @property
     def likeliest(self) -> str:
-        """The likeliest kind, also where it is too unlikely for an answer."""
+        """The likeliest kind, even if it is too unlikely for an answer."""
         return max(self.probability, key=lambda kind: self.probability[kind])
 
     def __str__(self) -> str:
@@ -139,14 +139,14 @@ def joint_answer(
     log_prior: Sequence[float] | None = None,
     least_misfit: float = 0.0,
 ) -> ShapeAnswer:
-    """Return the answer that fits of all kinds give together.
+    """Return the joint answer of the fits of all kinds.
 
     Parameters
     ----------
     fits
-        Of all kinds, to the same data; several of one kind are of several possible foams.
+        Of all kinds, to the same data; several of one kind are for several possible foams.
     log_prior
-        Logarithm of how likely each is beforehand; equal by default.
+        Logarithm of the prior probability of each; equal by default.
     least_misfit
         See `PadUncertainty.misfit`.
     """
@@ -211,5 +211,5 @@ def mixed(
 
 
 def clear_kind(kind: str, probability: float, misfit: float) -> str:
-    """Return the likeliest kind, or `UNCLEAR` where it is too unlikely or does not fit."""
+    """Return the likeliest kind, or `UNCLEAR` if it is too unlikely or does not fit."""
     return kind if probability >= _MIN_PROBABILITY and misfit <= _MAX_MISFIT else UNCLEAR

@@ -1,14 +1,13 @@
 """Fit of one kind of shape to pressed pads: least squares through the foam, with known noise.
 
-Fitted together are size and form, the pose in the plane of the pads, the depth at each level of
-the load, and what is not known exactly of foam, sensor and opening. All have a prior; the marginal
-likelihood (Laplace's approximation) then compares kinds with different numbers of parameters.
+The parameters are size and form, the pose in the plane of the pads, the depth at each level of the
+load, and uncertain values of foam, sensor and opening. All have a prior. The marginal likelihood
+(Laplace's approximation) then compares kinds with different numbers of parameters.
 
-For the fusion of several grasps, a fit becomes `KindEvidence`: position, turn, depths and the form
-beyond the thickness are integrated out, each with its prior. The rest depends on the logarithm of
-the half thickness and on what all grasps of a cell have in common: foam, gain, spread and the zero
-of the opening. Their priors are divided out, so that several grasps can be multiplied and each
-prior counted once.
+For the fusion of several grasps, a fit becomes `KindEvidence`. Position, turn, depths and the form
+beyond the thickness are integrated out, each with its prior. Two parts remain: the logarithm of the
+half thickness, and the common values of a cell's grasps (foam, gain, spread, zero of the opening).
+Their priors are divided out, so that several grasps can be multiplied and each prior counts once.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,9 +24,9 @@ from recognition.shape.residuals import FOAM, PadUncertainty, ShapeProblem
 Array = NDArray[np.float64]
 
 _STEPS, _TRIALS = 18, 6
-"""Most steps of Levenberg-Marquardt, and most dampings that are tried in one step."""
+"""Most steps of Levenberg-Marquardt, and most dampings in one step."""
 _ENOUGH = 0.05
-"""Fall of the cost, a sum of squares over variances, below which the fit has converged."""
+"""Largest decrease of the cost, a sum of squares over variances, of a converged fit."""
 _LONGEST = 1.0
 """Longest step of one parameter, in its unit (logarithms, mm, rad)."""
 _DAMPING, _LEAST_DAMPING = 1e-2, 1e-6
@@ -41,7 +40,7 @@ class Linearisation:
     """Residuals and their normal equations at some parameters."""
 
     residuals: Array
-    """(n_data,) float64: over their standard deviations."""
+    """(n_data,) float64: residuals over their standard deviations."""
     normal: Array
     gradient: Array
     """(n, n) and (n,) float64: J^T J and J^T r, J the Jacobian of the residuals."""
@@ -66,9 +65,8 @@ def minimise(
 ) -> tuple[Array, float, Linearisation]:
     """Minimise squared residuals and a prior of ``mean`` and ``sd`` (n,) by Levenberg-Marquardt.
 
-    ``linearise`` gives residuals and normal equations; ``longest`` is the longest step of one
-    parameter, in its unit. Returns the best parameters, the sum of squares, and the
-    linearisation there.
+    ``linearise`` returns residuals and normal equations; ``longest`` is the longest step of one
+    parameter, in its unit. Returns the best parameters, the sum of squares, and the linearisation.
     """
 
     def cost_of(theta: Array, here: Linearisation) -> float:
@@ -101,19 +99,19 @@ def minimise(
 def misfit_of(
     squared: NDArray[np.float64], informative: NDArray[np.bool_], n_determined: float
 ) -> float:
-    """Return the squared residual per degree of freedom: 1 where the noise explains it.
+    """Return the squared residual per degree of freedom: 1 if the noise explains it.
 
-    Untouched taxels fit any shape. On pads with little noise they would hide that none fits, so it
-    is that of the informative data where that is larger.
+    Untouched taxels fit any shape. On pads with little noise they would hide a bad fit, so the
+    value of the informative data is used if it is larger.
 
     Parameters
     ----------
     squared : (n_data,)
         Squared residuals over their variances.
     informative : (n_data,)
-        Which of them depend on a shape: see `PressedPads.informative`.
+        Whether each depends on a shape: see `PressedPads.informative`.
     n_determined
-        How many parameters the data determine, see `n_determined`.
+        Number of parameters that the data determine, see `n_determined`.
     """
     overall = float(squared.sum()) / max(1.0, len(squared) - n_determined)
     by_shape = float(squared[informative].sum()) / max(1.0, int(informative.sum()) - n_determined)
@@ -121,7 +119,7 @@ def misfit_of(
 
 
 def n_determined(normal: NDArray[np.float64], prior_sd: NDArray[np.float64]) -> float:
-    """Return how many parameters the data determine, rather than the prior.
+    """Return the number of parameters that the data determine, not the prior.
 
     Parameters
     ----------
@@ -135,7 +133,7 @@ def n_determined(normal: NDArray[np.float64], prior_sd: NDArray[np.float64]) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShapeFit:
-    """One kind of shape, fitted."""
+    """Fit of one kind of shape."""
 
     model: ShapeModel
     """The kind."""
@@ -154,7 +152,7 @@ class ShapeFit:
     misfit: float
     """Squared residual per degree of freedom, see `recognition.shape.fit`."""
     n_shared: int
-    """Number of the last parameters, which all grasps of a cell have in common."""
+    """Number of the last parameters, which are common to all grasps of a cell."""
 
     @property
     def half_m(self) -> float:
@@ -162,9 +160,9 @@ class ShapeFit:
         return 1e-3 * float(np.exp(self.theta[0]))
 
     def at_scale(self, scale: float) -> "ShapeFit":
-        """Return the fit where the variances of the data are ``scale`` times as large.
+        """Return the fit with ``scale`` times the variances of the data.
 
-        One Gauss-Newton step: with a larger scale the prior counts for more.
+        It is one Gauss-Newton step: with a larger scale the prior has more weight.
         """
         away = self.prior_sd**-2 * (self.theta - self.prior_mean)
         step = -np.linalg.solve(self._precision(scale), self.gradient / scale + away)
@@ -176,12 +174,12 @@ class ShapeFit:
         )
 
     def log_evidence(self, scale: float = 1.0) -> float:
-        """Return the log marginal likelihood up to what is the same for all kinds.
+        """Return the log marginal likelihood up to a term that is common to all kinds.
 
         Parameters
         ----------
         scale
-            Factor on the variances of the data: above 1 where no kind fits within the noise.
+            Factor on the variances of the data: above 1 if no kind fits within the noise.
         """
         away = (self.theta - self.prior_mean) / self.prior_sd
         _, volume = np.linalg.slogdet(self._precision(scale))
@@ -219,9 +217,9 @@ def fit_shape(
     foam, uncertainty
         Foam and sensor, and the uncertainty of both.
     near
-        A fit of the same kind to the same data under another foam: to start from.
+        Start: a fit of the same kind to the same data under another foam.
     pads_of
-        A fit of another kind to the same data under this foam: to start foam and depths from.
+        Start of foam and depths: a fit of another kind to the same data under this foam.
     """
     problem = ShapeProblem(model, data, foam, uncertainty or PadUncertainty())
     starts = problem.starts() if near is None else near.theta[None]
@@ -231,7 +229,7 @@ def fit_shape(
         starts[1, -n_pads:] = pads_of.theta[-n_pads:]
     first = (problem.residuals(starts) ** 2).sum(axis=1) if len(starts) > 1 else np.zeros(1)
     if model.turns:
-        # A turn has no preferred value: its prior only bounds it, around where it starts.
+        # A turn has no preferred value: its prior only bounds it around its start.
         problem.mean[problem.pose + 2] = starts[int(np.argmin(first)), problem.pose + 2]
     theta, _, found = minimise(
         lambda theta: Linearisation.of(*problem.around(theta)),
@@ -277,14 +275,14 @@ class KindEvidence:
     prior_sd: Array
     """(m,) float64: the prior of s."""
     log_prior: float
-    """Logarithm of how likely the hypothesis is before anything is gripped."""
+    """Logarithm of the prior probability of the hypothesis."""
     log_half_mm: float
     """The likeliest logarithm of the half thickness in mm, by this grasp alone."""
     dimensions_m: Mapping[str, float]
     """Dimensions in m by their names, by this grasp alone; the thickness is the first."""
 
     def scattered(self, sd_m: float) -> "KindEvidence":
-        """Return the same with a further error of the thickness in m in this grasp alone."""
+        """Return the same with a further error of the thickness in m, only of this grasp."""
         sd = sd_m / (2e-3 * np.exp(self.log_half_mm))
         column = self.precision[0]
         weight = float(column[0]) + sd**-2
@@ -297,7 +295,7 @@ class KindEvidence:
         )
 
     def tempered(self, share: float) -> "KindEvidence":
-        """Return the same, counting as a ``share`` of a grasp."""
+        """Return the same with the weight of a ``share`` of a grasp."""
         return replace(
             self,
             level=share * self.level,
@@ -307,7 +305,7 @@ class KindEvidence:
 
 
 def evidence_of(fit: ShapeFit, scale: float, log_prior: float = 0.0) -> KindEvidence:
-    """Return the evidence of a fit, the variances of its data ``scale`` times as large."""
+    """Return the evidence of a fit, with ``scale`` times the variances of its data."""
     n = len(fit.theta)
     kept = np.r_[0, n - fit.n_shared : n]
     gone = np.setdiff1d(np.arange(n), kept)

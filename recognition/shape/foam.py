@@ -1,19 +1,19 @@
 """Forward model of two opposing foam pads: from height maps and depths to counts.
 
-The foam is a bed of columns side by side. A column that is pressed in to the strain e carries the
-pressure E e (1 + d (e / (1 - e))^2), beyond a largest strain along the tangent. On its way through
+The foam is a bed of columns side by side. At the strain e a column has the pressure
+E e (1 + d (e / (1 - e))^2), beyond a largest strain along the tangent. On its way through
 the sheet the pressure spreads as a Gaussian, mirrored at the rims of the pad, so that no force is
-lost. A taxel that carries F newtons reads the share 1 - exp(-0.449 gain F) of the full scale:
+lost. With F newtons a taxel reads the share 1 - exp(-0.449 gain F) of the full scale:
 equation (11) of the paper under constant current, inverted. A linear sensor reads gain F over the
 force of its full scale.
 
-Columns may push their neighbours in: between separate columns and an elastic body. A surface point
-gives way under its own column and under the pressure around it: with ``sideways`` = m its
-displacement is (1 - m) q + m G q, where q is how far each column is closed and G a mean over the
-surroundings, weighted by a Gaussian. At m = 0 columns are separate. In wave numbers the compliance
-(1 - m) + m exp(-k^2 s^2 / 2) falls as that of an elastic layer does. Where a rigid surface touches,
-the displacement is the wanted one; elsewhere q is 0. That is solved by projected steps with
-momentum (Nesterov's), from the solution for separate columns or from a given one.
+Columns may push their neighbours in. This is between separate columns and an elastic body. A
+surface point yields under its own column and under the pressure around it. With ``sideways`` = m
+its displacement is (1 - m) q + m G q: q is the closing of each column, and G a Gaussian mean over
+the surroundings. At m = 0 columns are separate. In wave numbers the compliance
+(1 - m) + m exp(-k^2 s^2 / 2) decreases like that of an elastic layer. Under a rigid surface the
+displacement is given; elsewhere q is 0. The solver uses projected steps with momentum (Nesterov's),
+from the solution for separate columns or from a given one.
 """
 
 from dataclasses import dataclass
@@ -33,16 +33,16 @@ Array = NDArray[np.floating[Any]]
 DECAY_PER_N = 0.449
 """Decay of a taxel's resistance over its force in 1/N, equation (11) of the paper."""
 CELL_M = 0.5e-3
-"""Longest side in m of a cell of the grid on which pressures are worked out."""
+"""Longest side in m of a cell of the pressure grid."""
 
 
 def neighbours(points_m: Array, width_m: float) -> Array:
-    """Return the weights (n, n) with which evenly spaced points push each other along one axis.
+    """Return the weights (n, n) of the push between evenly spaced points along one axis.
 
     Parameters
     ----------
     points_m : (n,)
-        Where they are in m.
+        Their positions in m.
     width_m
         Standard deviation of the Gaussian in m.
     """
@@ -61,12 +61,12 @@ def closed_columns_m(
     steps: int,
     start_m: Array | None = None,
 ) -> Array:
-    """Return how far columns are closed under a rigid surface.
+    """Return the closing of columns under a rigid surface.
 
     Parameters
     ----------
     wanted_m : (..., n_x, n_y)
-        How far the surface reaches below the untouched foam in m; negative where there is a gap.
+        Depth of the surface below the untouched foam in m; negative for a gap.
     covered
         Share of each cell that it covers, broadcast against ``wanted_m``.
     sideways
@@ -74,14 +74,14 @@ def closed_columns_m(
     pushes : (n_x, n_x), (n_y, n_y)
         `neighbours` along both axes.
     steps
-        Number of steps; 0 gives the columns as they are at the start.
+        Number of steps; 0 returns the start.
     start_m : (..., n_x, n_y)
-        Where to start.
+        Start of the closing in m.
 
     Returns
     -------
     closed_m : (..., n_x, n_y)
-        Closing of the columns in m, not negative; what it does is ``covered`` times as much.
+        Closing of the columns in m, not negative; its effect is multiplied by ``covered``.
     """
     along, across = pushes
     closed = np.maximum(wanted_m, 0.0) if start_m is None else start_m
@@ -101,7 +101,7 @@ def closed_columns_m(
 class FoamModel:
     """Foam of the pads and the sensor below it.
 
-    Raises ValueError where a value is not finite or out of its range.
+    Raises ValueError if a value is not finite or out of its range.
     """
 
     thickness_m: float = 3e-3
@@ -111,18 +111,17 @@ class FoamModel:
     densification: float = 0.5
     """d: at a strain of one half the secant modulus is 1 + d times the modulus."""
     limit_strain: float = 0.9
-    """From here on the law goes on along its tangent."""
+    """Strain from which the law continues along its tangent."""
     spread_m: float = 1.5e-3
-    """Standard deviation in m by which the pressure spreads."""
+    """Standard deviation of the spread of the pressure in m."""
     gain: float = 1.0
-    """Factor on the force that a taxel feels; 1 is equation (11), or the force of the full scale.
-    """
+    """Factor on the force on a taxel; 1 is equation (11), or the force of the full scale."""
     aperture_offset_m: float = 0.0
-    """What is added to the true opening when it is measured, in m."""
+    """Offset of the measured opening in m: measured less true."""
     full_scale_n: float | None = None
     """Force on a taxel in N at which a linear sensor reads its full scale; None: equation (11)."""
     sideways: float = 0.0
-    """Share, from 0 to below 1, of the give of a point that pressure around it causes."""
+    """Share, from 0 to below 1, of a point's displacement by the pressure around it."""
     sideways_m: float = 1.2e-3
     """Standard deviation in m of the weights with which it does."""
 
@@ -146,7 +145,7 @@ class FoamModel:
     def relative_pressure(
         self, indentation_m: NDArray[np.floating[Any]], stiffening: ArrayLike = 1.0
     ) -> NDArray[np.floating[Any]]:
-        """Return pressure over modulus of columns, elementwise; 0 where nothing is pressed in.
+        """Return pressure over modulus of columns, elementwise; 0 without indentation.
 
         ``stiffening`` is a factor on the densification, broadcast against ``indentation_m``.
         """
@@ -169,21 +168,21 @@ class FoamModel:
         return -np.expm1(-DECAY_PER_N * felt_n)
 
     def as_dict(self) -> dict[str, float]:
-        """Return all values that are set by their names, units in the names."""
+        """Return all set values by their names, with units in the names."""
         values = {name: getattr(self, name) for name in self.__slots__}
         return {name: float(value) for name, value in values.items() if value is not None}
 
 
 class PadBed:
-    """One pad: a fine grid over it, and how pressure on the grid reaches the taxels.
+    """One pad: a fine grid over it, and the transfer of pressure from the grid to the taxels.
 
-    Raises ContactError where the taxels do not lie on a regular grid of at least 2 x 2: their
-    pressure shows no shape.
+    Raises ContactError if the taxels are not on a regular grid of at least 2 x 2: their pressure
+    shows no shape.
 
     Parameters
     ----------
     pads, pad
-        The pad; its taxels lie on a regular grid, row-major.
+        The pad; its taxels are on a regular grid, row-major.
     spread_m
         See `FoamModel`.
     cell_m
@@ -211,7 +210,7 @@ class PadBed:
         )
         if not regular:
             raise ContactError(
-                f"pad {pad}: its {rows} x {columns} taxels lie on no regular grid of 2 x 2 or more"
+                f"pad {pad}: its {rows} x {columns} taxels form no grid of 2 x 2 or more"
             )
         x, self.along = _shares(tuple(x_m.tolist()), spread_m, cell_m)
         y, self.across = _shares(tuple(y_m.tolist()), spread_m, cell_m)
@@ -223,7 +222,7 @@ class PadBed:
         """Area of a cell in m²."""
 
     def same_points_as(self, other: "PadBed") -> bool:
-        """Return whether both have their cells at the same points of their pads' planes."""
+        """Return whether both have cells at the same points of their pads' planes."""
         return np.array_equal(self.x_m, other.x_m) and np.array_equal(self.y_m, other.y_m)
 
     def cropped(self, centre_xy_m: NDArray[np.float64], half_m: ArrayLike) -> "PadBed":
@@ -250,7 +249,7 @@ class PadBed:
 def _shares(
     places_m: tuple[float, ...], spread_m: float, cell_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return cell centres (n,) in m and the share (n_taxels, n) of each that a taxel gets."""
+    """Return cell centres (n,) in m and the share (n_taxels, n) of each cell for each taxel."""
     centres_m = np.array(places_m)
     pitch_m = float(abs(centres_m[1] - centres_m[0]))
     low_m = float(centres_m.min()) - 0.5 * pitch_m

@@ -1,10 +1,10 @@
 """Foam calibration: stiffness of the foam and gain of the sensor from grasps of a known shape.
 
-One grasp shows how deep a known surface was pressed in (from the opening), with which force (the
-commanded one), and the readings of the taxels. Fitted together over all grasps are modulus, gain,
-spread of the pressure, how fast the foam stiffens and the offset of the opening; for each grasp
-its pose in the plane of the pads and the depth at each level of the load. Gauss-Newton steps with
-damping, priors on everything. How far columns push each other in is chosen from a few values.
+One grasp gives the depth of a known surface (from the opening), the commanded force, and the
+readings of the taxels. Common parameters of all grasps are modulus, gain, spread of the pressure,
+stiffening of the foam and the offset of the opening. Each grasp has its pose in the plane of the
+pads and the depth at each level of the load. The fit uses Gauss-Newton steps with damping, and
+priors on all parameters. The push between columns is chosen from a few values.
 """
 
 from collections.abc import Sequence
@@ -24,40 +24,40 @@ from recognition.shape.pressed_pads import PressedPads, reduce_to_pads
 Array = NDArray[np.float64]
 
 GLOBALS = ("modulus", "gain", "spread", "aperture", "stiffening")
-"""What is common to all grasps, in the order of `FoamFit.sd`."""
+"""Parameters that are common to all grasps, in the order of `FoamFit.sd`."""
 
 SIDEWAYS = (0.0, 0.4, 0.7)
-"""None, some, much: that which explains the grasps best is taken (`FoamModel.sideways`)."""
+"""No, some, much push between columns; the best fit is used (`FoamModel.sideways`)."""
 
 _PRIOR_SD = np.array([1.0, 1.0, 0.3, 2.0, 1.0])
 """Standard deviations of the priors of `GLOBALS`: logarithms, the opening in mm."""
 _GAIN_SD_WITHOUT_FORCE = 0.02
-"""That of the log gain where no force is commanded: only modulus times gain shows then."""
+"""That of the log gain without a commanded force: only modulus times gain is known then."""
 _POSE_SD = np.array([1.5, 1.5, 1.25])
-"""The same of the pose of a grasp about its start: x and y in mm, turn in rad."""
+"""The same for the pose of a grasp about its start: x and y in mm, turn in rad."""
 _DEPTH_MM, _DEPTH_SD_MM = 1.2, 1.0
 """Mean and standard deviation of the prior of a depth in mm."""
 _STEP = 1e-3
 """Step of the numerical derivative, in the unit of each parameter."""
 _STEPS, _TRIALS = 25, 5
-"""Most Gauss-Newton steps, and most dampings that are tried in one."""
+"""Most Gauss-Newton steps, and most dampings in one step."""
 _LONGEST = 0.7
 """Longest step of one parameter, in its unit."""
 _COLUMN_STEPS = 8
-"""Steps in which the closing of columns that push each other in is solved."""
+"""Number of steps of the solver for columns that push each other in."""
 _APERTURE_JITTER_M = 0.08e-3
 """Standard deviation in m of the opening at one level."""
 _FORCE_SD, _FORCE_FLOOR_N = 0.06, 0.15
 """Standard deviation of the commanded force, as a share of it and in N."""
 _CELL_M = 0.75e-3
-"""Longest side in m of a cell of the grid on which pressures are worked out."""
+"""Longest side in m of a cell of the pressure grid."""
 _TRIAL_DEPTHS_MM = np.linspace(0.05, 2.7, 12)
-"""Depths in mm among which those of the levels are interpolated at the start."""
+"""Depths in mm for the interpolation of the levels' depths at the start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoamFit:
-    """Foam and sensor as calibrated on the gauge."""
+    """Foam and sensor after the calibration on the gauge."""
 
     foam: FoamModel
     """Foam and sensor."""
@@ -65,13 +65,12 @@ class FoamFit:
     """(5,) float64: standard deviation of log modulus, log gain, log spread, of the offset in mm,
     and of log densification."""
     misfit: float
-    """Squared residual per degree of freedom: 1 where the model fits within the noise; see
+    """Squared residual per degree of freedom: 1 if the model fits within the noise; see
     `recognition.shape.fit`."""
     opening_sd_m: float
-    """By how much the zero of the opening differed from grasp to grasp: standard deviation in m; 0
-    without openings."""
+    """Standard deviation of the zero of the opening between grasps in m; 0 without openings."""
     n_grasps: int
-    """Number of grasps that it rests on."""
+    """Number of grasps in the fit."""
 
 
 def fit_foam(grasps: Sequence[Grasp], drawing: Drawing, start: FoamModel | None = None) -> FoamFit:
@@ -82,7 +81,7 @@ def fit_foam(grasps: Sequence[Grasp], drawing: Drawing, start: FoamModel | None 
     grasps
         At least two, at different poses or forces.
     start
-        The foam as expected beforehand.
+        Prior mean of the foam.
 
     Raises
     ------
@@ -122,7 +121,7 @@ class _Fit:
         knows_force = all(np.isfinite(d.force_n) and d.force_n > 0.0 for d in data)
         common_sd = _PRIOR_SD.copy()
         if not knows_force:
-            # Without a force only the product of modulus and gain shows.
+            # Without a force only the product of modulus and gain is known.
             common_sd[1] = _GAIN_SD_WITHOUT_FORCE
         own_sd = np.concatenate([_POSE_SD, np.full(self.n_levels, _DEPTH_SD_MM)])
         self.sd = np.concatenate([common_sd, np.tile(own_sd, len(data))])
@@ -144,7 +143,7 @@ class _Fit:
         best = min(range(len(fits)), key=lambda number: fits[number][0])
         fit, theta = fits[best][1], found[best]
         if fit.misfit > 1.0:
-            # The prior counts for more where the law explains less.
+            # With a larger misfit the prior has more weight.
             self.foam, self.scale = replace(self.foam, sideways=fit.foam.sideways), fit.misfit
             again = self._minimise(theta)[2]
             fit = replace(again, misfit=max(fit.misfit, again.misfit))
@@ -177,7 +176,7 @@ class _Fit:
         return cost, theta, fit
 
     def _opening_sd_m(self, each: Sequence[Array]) -> float:
-        """Return how far openings are off in single grasps, beyond the zero of all."""
+        """Return the error of openings in single grasps, beyond the common zero."""
         squared = 0.0
         for data, residuals in zip(self.data, each, strict=True):
             if np.isfinite(data.aperture_m).all():
@@ -230,7 +229,7 @@ class _Fit:
         return PadBed(self.pads, self.pad, spread_m, cell_m=_CELL_M)
 
     def _reach(self, i: int, own: Array, bed: PadBed) -> tuple[Array, float]:
-        """Return how far the surface lies below its top in m, and the thickness in m."""
+        """Return the depth of the surface below its top in m, and the thickness in m."""
         near, far = posed(
             self.drawing,
             bed.x_m,
@@ -297,7 +296,7 @@ class _Fit:
         return residuals
 
     def _linearise(self, theta: Array) -> Linearisation:
-        """Return what all grasps show together; each has parameters of its own."""
+        """Return the linearisation of all grasps; each has its own parameters, too."""
         n_common = len(GLOBALS)
         common = theta[:n_common]
         bed = self._bed(common)

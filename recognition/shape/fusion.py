@@ -1,10 +1,10 @@
 """Fusion of shape and size over several grasps of one object.
 
-What the grasps of a cell share (foam, gain, spread, zero of the opening) is one set of unknowns for
-all of them, so that its error does not average out; noise and pose are new in each grasp and do.
-Objects of revolution are equally thick in all poses. A `flat` or `oval` may show several
-thicknesses, as a bar of 10 mm by 16 mm does: grasps are split at the widest gap between their
-thicknesses as long as two of them explain the grasps better than one.
+Foam, gain, spread and zero of the opening are common unknowns of the grasps of a cell, so their
+error does not average out. Noise and pose are new in each grasp and do average out. Objects of
+revolution have one thickness in all poses. A `flat` or `oval` may have several, for example a bar
+of 10 mm by 16 mm. Grasps are split at the widest gap between their thicknesses while two
+thicknesses explain them better than one.
 """
 
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from recognition.shape.fit import KindEvidence
 from recognition.statistics.fusion import independent_share
 
 SHAPE_DEPENDENCE = 0.5
-"""How far grasps repeat each other's errors; see `fuse_shapes`."""
+"""Correlation of the errors of several grasps; see `fuse_shapes`."""
 
 PLACING_M = 0.1e-3
-"""Standard deviation in m of what one object's thickness varies by from grasp to grasp."""
+"""Standard deviation in m of one object's thickness from grasp to grasp."""
 
 _DISTINCT_M = 0.2e-3
-"""The same where thicknesses are separated: an error of the opening makes no second one."""
+"""The same for the split of thicknesses, so that an error of the opening makes no second one."""
 
 _SEVERAL_THICKNESSES = frozenset({"flat", "oval"})
-"""Kinds that may be differently thick in different poses."""
+"""Kinds that may have different thicknesses in different poses."""
 _LOG_ODDS_OF_ANOTHER = float(np.log(20.0))
 """Prior log odds against one more thickness of an object."""
 _LOG_MM = float(np.log(1e-3))
@@ -34,7 +34,7 @@ _LOG_MM = float(np.log(1e-3))
 
 Array = NDArray[np.float64]
 Faces = tuple[tuple[int, ...], ...]
-"""Numbers of the grasps that met one thickness each."""
+"""Numbers of the grasps of each thickness."""
 
 
 def fuse_shapes(
@@ -45,16 +45,16 @@ def fuse_shapes(
 ) -> ShapeAnswer:
     """Return shape and size from several grasps of one object; the order does not matter.
 
-    Raises ValueError where there is no answer, one was fused already, or they were read with
-    different `PadUncertainty`.
+    Raises ValueError without an answer, if one was already fused, or if they have different
+    `PadUncertainty`.
 
     Parameters
     ----------
     answers
-        Of single grasps, read with one `PadUncertainty`; one alone comes back as it is.
+        Of single grasps with one `PadUncertainty`; a single answer is returned unchanged.
     dependence
-        All grasps weigh as if n were n / (1 + (n - 1) dependence) independent ones: what the model
-        of foam and objects leaves out is much the same in all.
+        n grasps have the weight of n / (1 + (n - 1) dependence) independent ones, because the
+        errors of the model of foam and objects are similar in all.
     placing_m
         Standard deviation in m of the thickness from grasp to grasp.
     """
@@ -85,7 +85,7 @@ def fuse_shapes(
         )
         for number, face in enumerate(faces)
     ]
-    # The faces are in the order of their thickness: of equally often met ones the thinnest.
+    # The faces are in the order of their thickness: of equally frequent ones the thinnest.
     main = max(range(len(faces)), key=lambda number: len(faces[number]))
     kind, seen = hypotheses[best][0].kind, thicknesses[main]
     misfit = float(np.median([answer.misfit for answer in answers]))
@@ -153,7 +153,7 @@ def _joint(items: Sequence[KindEvidence], faces: Faces) -> tuple[float, Array, A
 
 
 def _dimensions_m(of_face: Sequence[KindEvidence], size_m: float) -> dict[str, float]:
-    """Return the median of all dimensions, the thickness being known better than by that."""
+    """Return the median of all dimensions, except the thickness, which is known better."""
     names = list(of_face[0].dimensions_m)
     found = {
         name: float(np.median([item.dimensions_m[name] for item in of_face])) for name in names

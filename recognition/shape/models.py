@@ -1,8 +1,8 @@
 """Kinds of shape that can be fitted to pressed pads, with their priors, and drawn objects.
 
 Every kind is symmetric about the plane between the pads and 2 h thick along the closing axis. A
-model gives, over a grid in the plane of the pads, how far its surface lies below its highest point
-and which share of each cell it covers. In its own frame u runs along the object, v across it.
+model gives two values over a grid in the plane of the pads. They are the depth of its surface below
+its highest point, and its share of each cell. In its own frame u is along the object, v across it.
 """
 
 import math
@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 
 
 class Drawing(Protocol):
-    """A rigid object as it is drawn: two surfaces over the plane of the pads.
+    """A drawn rigid object: two surfaces over the plane of the pads.
 
-    x runs along its own long axis, z along the closing axis.
+    x is along its own long axis, z along the closing axis.
     """
 
     @property
     def roll_step_rad(self) -> float:
-        """Rolls in which it rests between the pads: multiples of this in rad; 0 allows any."""
+        """Step in rad of the rolls in which it rests between the pads; 0 allows any."""
 
     def heights(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return its reach in m towards both pads at points of its own frame, -inf beside it."""
+        """Return its reach in m towards both pads at points of its own frame, -inf outside it."""
 
 
 def posed(
@@ -47,7 +47,7 @@ def posed(
     x_m, y_m
         Points, broadcast against each other.
     at_m
-        Where the object's centre is in the plane in m.
+        Position of the object's centre in the plane in m.
     rotation_rad, roll_rad
         Turns about the closing axis and about the object's own long axis in rad.
     """
@@ -57,7 +57,7 @@ def posed(
 
 
 def resting_roll_rad(drawing: Drawing, roll_rad: float) -> float:
-    """Return the roll in rad onto the nearest side that the object rests on."""
+    """Return the roll in rad to the nearest side on which the object rests."""
     step_rad = drawing.roll_step_rad
     return step_rad * round(roll_rad / step_rad) if step_rad else roll_rad
 
@@ -67,7 +67,7 @@ Surface = tuple[Array, Array]
 """Depth below the highest point in m; share from 0 to 1 of the cell that is covered."""
 
 _BESIDE_M = 1.0
-"""Depth in m beside an object, where nothing presses: far more than any foam."""
+"""Depth in m outside an object, without pressure: much more than any foam."""
 _LOG_HALF_MM = (float(np.log(7.0)), 0.9)
 """Mean and standard deviation of the prior of the logarithm of half a thickness in mm."""
 _FLAT_UNIT_M = 5e-3
@@ -79,21 +79,21 @@ class ShapeModel:
     """One kind of shape."""
 
     kind: str
-    """What it is called in an answer."""
+    """Its name in an answer."""
     mean: tuple[float, ...]
     sd: tuple[float, ...]
     """Prior, normal: of the logarithm of h in mm, then of the shape's own parameters."""
     turns: bool
-    """Whether a turn about the closing axis changes what the pads see."""
+    """Whether a turn about the closing axis changes the footprint."""
     surface: Callable[[Array, Array, Array, Array, float], Surface]
-    """From h in m (B, 1, 1), own parameters (B, n, 1, 1), u and v in m (B, n_x, n_y) and the length
-    of a cell in m to the surface."""
+    """Returns the surface. Arguments: h in m (B, 1, 1), own parameters (B, n, 1, 1), u and v in m
+    (B, n_x, n_y) and the length of a cell in m."""
     dimensions_m: Callable[[float, Array], dict[str, float]]
-    """From h in m and own parameters (n,) to dimensions in m by their names; those of
-    `simulator.world.shape_files` where there are such."""
+    """Returns dimensions in m by their names from h in m and own parameters (n,). Names are those
+    of `simulator.world.shape_files` if they exist there."""
     starts: Callable[[float, float, float], tuple[tuple[float, ...], ...]]
-    """From h, half length and half width of the pressed patch in m to own parameters from which a
-    fit may start."""
+    """Returns own parameters for the start of a fit, from h, half length and half width of the
+    pressed patch in m."""
 
     @property
     def n_own(self) -> int:
@@ -102,7 +102,7 @@ class ShapeModel:
 
 
 def _covered(half_m: Array, at_m: Array, cell_m: float) -> Array:
-    """Return the share of cells, at a distance from the middle, that lie within a half length."""
+    """Return the covered share of cells at a distance from the middle, for a half length."""
     share: Array = np.clip((half_m - np.abs(at_m)) / cell_m + 0.5, 0.0, 1.0)
     return share
 
@@ -198,7 +198,7 @@ SHAPE_MODELS: Mapping[str, ShapeModel] = MappingProxyType(
         model.kind: model
         for model in (
             _model("sphere", _sphere),
-            # length over diameter: from a little more than a ball on
+            # length over diameter: a little more than that of a ball, or larger
             _model("oval", _oval, ((0.5, 0.35),)),
             _model("cylinder", _cylinder, ((0.9, 0.6),)),
             # length and width over 10 mm

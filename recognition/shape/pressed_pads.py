@@ -1,4 +1,4 @@
-"""Pressed pads: a grasp reduced to the data that shapes are fitted to, at levels of the load."""
+"""Pressed pads: a grasp reduced to the data for the fit of shapes, at levels of the load."""
 
 from dataclasses import dataclass
 
@@ -18,16 +18,16 @@ SPREAD_STEP = 0.1
 """Logarithm of the factor between neighbouring spreads of `PressedPads`."""
 
 SPREAD_STEPS = 10
-"""Spreads on either side of the expected one."""
+"""Number of spreads on each side of the expected one."""
 
 _WINDOW_M = 13e-3
-"""Largest half width in m of the part of a pad on which pressures are worked out."""
+"""Largest half width in m of the computed part of a pad."""
 _BESIDE_M = 3.5e-3
-"""Width in m of the unloaded rim of that part, beside two standard deviations of the load."""
+"""Width in m of the unloaded rim of that part, beyond two standard deviations of the load."""
 _CELL_M = 0.75e-3
-"""Longest side in m of a cell of the grid on which pressures are worked out."""
+"""Longest side in m of a cell of the pressure grid."""
 _TOUCHED_SHARE = 0.25
-"""Share of the largest reading from which taxels count for centre and spread of the load."""
+"""Least share of the largest reading of taxels in centre and spread of the load."""
 _TOUCHED_SD = 3.0
 """The same in standard deviations."""
 _MODEL_SHARE = 0.02
@@ -35,23 +35,23 @@ _MODEL_SHARE = 0.02
 _MODEL_FLOOR = 0.0015
 """Error of the model as a share of full scale."""
 _TAXEL_SHARE = 0.04
-"""Error of a taxel's gain: a share of its reading, the same at all levels."""
+"""Error of a taxel's gain as a share of its reading, equal at all levels."""
 _LEVEL_SHARE = 0.015
-"""Error of a reading at one level: a share of it."""
+"""Error of a reading at one level as a share of it."""
 _PRESSED_SD = 3.0
-"""Standard deviations from which a taxel counts as pressed."""
+"""Least reading of a pressed taxel in standard deviations."""
 _SAME_PLACE_M = 1e-4
-"""Difference in m up to which taxels of facing pads are at the same place."""
+"""Largest difference in m between positions of facing taxels."""
 _MIN_QUIET = 4
 """Fewest frames before the touch that correct the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PressedPads:
-    """Both pads of one grasp, laid on each other, at some levels of the load; K levels."""
+    """Combined data of both pads of one grasp, at K levels of the load."""
 
     bed: PadBed
-    """The pad, cropped to what can be pressed."""
+    """The pad, cropped to the area that can be pressed."""
     along: NDArray[np.float32]
     """(S, rows, n_x) float32: """
     across: NDArray[np.float32]
@@ -60,19 +60,18 @@ class PressedPads:
     share: NDArray[np.float64]
     """(K, n_taxels) float64: mean rise of both pads' taxels as a share of the full scale."""
     sd: NDArray[np.float64]
-    """(K, n_taxels) float64: standard deviation of each: noise, and what the model is not better
-    than."""
+    """(K, n_taxels) float64: standard deviation of each by noise and the error of the model."""
     pressed: NDArray[np.bool_]
-    """(n_taxels,) bool: taxels that stand out of the noise at the last level: only these show how a
-    shape fits."""
+    """(n_taxels,) bool: taxels above the noise at the last level; only these show the fit of a
+    shape."""
     whitener: NDArray[np.float64]
-    """(n_taxels, K, K) float64: turns the deviations of one taxel at all levels into independent
-    ones of variance 1: beside noise a taxel has errors that grow with its load, its gain and what
-    no model explains."""
+    """(n_taxels, K, K) float64: transforms the deviations of one taxel at all levels into
+    independent ones of variance 1. Besides noise a taxel has errors that grow with its load: those
+    of its gain and of the model."""
     aperture_m: NDArray[np.float64]
-    """(K,) float64: opening in m; NaN where unknown."""
+    """(K,) float64: opening in m; NaN if unknown."""
     force_n: float
-    """Commanded force at the last level in N; NaN where unknown."""
+    """Commanded force at the last level in N; NaN if unknown."""
     centre_m: NDArray[np.float64]
     """(2,) float64: centroid of the load in the pads' plane."""
     spread_m2: NDArray[np.float64]
@@ -81,7 +80,7 @@ class PressedPads:
     def informative(self, n_data: int) -> NDArray[np.bool_]:
         """Return which of ``n_data`` residuals depend on a shape: not those of untouched taxels.
 
-        Residuals are ordered taxel by taxel, in each by level; others follow.
+        Residuals are ordered by taxel, then by level; others follow.
         """
         found = np.ones(n_data, dtype=bool)
         levels = np.repeat(self.pressed, len(self.share))
@@ -92,9 +91,8 @@ class PressedPads:
 def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> PressedPads:
     """Return a grasp reduced to pressed pads.
 
-    Raises ContactError where a pad was not touched, the pads do not face each other taxel by taxel,
-    or their taxels lie on no regular grid. Raises ValueError where the grasp does not come from the
-    pads of ``rest``.
+    Raises ContactError if a pad was not touched, the pads do not face each other taxel by taxel, or
+    have no regular grid. Raises ValueError if the grasp does not come from the pads of ``rest``.
 
     Parameters
     ----------
@@ -117,7 +115,7 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> P
     maps -= rest_share[:, None]
     noise = np.hypot(levels.noise[0, chosen], rest_sd)
     totals = maps.sum(axis=2)
-    # Both pads carry the same force: what differs is their gain.
+    # Both pads carry the same force, so a difference is that of their gains.
     gain = totals.sum(axis=1)
     if not np.all(gain > 0.0):
         raise ContactError("a pad carries no load at the end of the ramp")
@@ -154,7 +152,7 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> P
 
 
 def _facing_pads(pads: PadArray, rest: Rest) -> int:
-    """Return the first of the two gripping pads; ContactError where they do not face each other."""
+    """Return the first of the two gripping pads; ContactError if they do not face each other."""
     if len(rest.gripping) != 2:
         raise ContactError(f"{len(rest.gripping)} pads grip; size and shape need two")
     first, second = rest.gripping
@@ -194,7 +192,7 @@ def _whitener(share: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray
 
 
 def _remaining_rest(ramp: Ramp, adc_max: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the rest that frames before the touch still show, and its noise (2,).
+    """Return the remaining rest in frames before the touch, and its noise (2,).
 
     Both are shares of the full scale; the first has the shape (2, n_taxels).
     """
@@ -208,7 +206,7 @@ def _remaining_rest(ramp: Ramp, adc_max: int) -> tuple[NDArray[np.float64], NDAr
 def _mirrored(maps: NDArray[np.float64], shape: NDArray[np.int64]) -> bool:
     """Return whether the second pad counts its columns from the other side.
 
-    Facing pads see one contact: whichever order makes their readings (2, n_taxels) more alike.
+    Facing pads have one contact, so the order with the more similar readings (2, n_taxels) is true.
     """
     one, two = (m.reshape(shape) for m in maps)
     return float((one * two[:, ::-1]).sum()) > float((one * two).sum())

@@ -18,13 +18,13 @@ FOAM = ("modulus", "gain", "spread", "stiffening", "bend", "aperture")
 """The last parameters of every fit: logarithms of factors, then mm of opening."""
 
 _FINE = np.float32
-"""Type of the fields: half the time of float64, and its rounding is far below the noise."""
+"""Type of the fields: half the time of float64; its rounding is far below the noise."""
 _STEP = 2e-3
 """Step of the numerical derivative, in the unit of each parameter."""
 _STEPS = 8
-"""Steps in which the closing of columns that push each other in is solved."""
+"""Number of steps of the solver for columns that push each other in."""
 _FEW_STEPS = 4
-"""The same from a solution for parameters near by."""
+"""The same from a solution for similar parameters."""
 _POSITION_SD_MM = 1.5
 """Standard deviation of the prior of the position in mm, about the centre of the load."""
 _TURN_SD = float(np.sqrt(np.pi / 2.0))
@@ -32,9 +32,9 @@ _TURN_SD = float(np.sqrt(np.pi / 2.0))
 _DEPTH_MM, _DEPTH_SD_MM = 1.2, 1.0
 """Mean and standard deviation of the prior of a depth in mm."""
 _FORCE_FLOOR_N = 0.15
-"""Standard deviation of the commanded force in N, beside its share."""
+"""Standard deviation of the commanded force in N, in addition to its share."""
 _START_DEPTHS_MM = np.array([0.1, 0.4, 0.8, 1.2, 1.6, 2.0, 2.5])
-"""Depths in mm among which those of the levels are interpolated at the start."""
+"""Depths in mm for the interpolation of the levels' depths at the start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,17 +49,17 @@ class PadUncertainty:
     bend: float = 0.02
     """Standard deviation of the logarithm of an exponent of the reading: 0 follows the law."""
     aperture_m: float = 0.2e-3
-    """Standard deviation in m of the opening, the same over one grasp."""
+    """Standard deviation in m of the opening, constant in one grasp."""
     aperture_jitter_m: float = 0.06e-3
     """Standard deviation in m of the opening at one level."""
     force: float = 0.06
     """Relative standard deviation of the commanded force."""
     other_foams: float = 1.0
-    """Factor on how far pads may be from what is known of them where they are not as known
-    (`recognition.shape.search`): 1 without a calibration, less with one."""
+    """Factor on the deviations of other foams from the known one (`recognition.shape.search`): 1
+    without a calibration, less with one."""
     misfit: float = 0.0
-    """Squared residual per degree of freedom that these pads left on a known shape, 0 where none
-    was tried: no other shape is expected to fit better."""
+    """Squared residual per degree of freedom of these pads on a known shape, 0 without one. No
+    other shape is expected to fit better."""
 
 
 class ShapeProblem:
@@ -111,9 +111,9 @@ class ShapeProblem:
         self._cell_m = float(abs(cells[1] - cells[0])) if len(cells) > 1 else 1e-3
 
     def start_m(self, theta: Array) -> Fine | None:
-        """Return how far the columns are closed (K, n_x, n_y) in m, to start others from.
+        """Return the closing of the columns (K, n_x, n_y) in m as a start for others.
 
-        None where columns are separate: then nothing has to be sought.
+        None for separate columns, which need no search.
         """
         if not self.foam.sideways:
             return None
@@ -124,7 +124,7 @@ class ShapeProblem:
         return closed_m
 
     def _wanted(self, theta: Array, depths: slice) -> tuple[Fine, Fine]:
-        """Return how far the surface reaches into the foam in m, and the covered share."""
+        """Return the depth of the surface in the foam in m, and the covered share."""
         model = self.model
         at = theta[:, :, None, None].astype(_FINE)
         h_m = 1e-3 * np.exp(at[:, 0])
@@ -145,7 +145,7 @@ class ShapeProblem:
         theta : (B, n)
             Parameters.
         depths
-            Of which of the depths; by default of all.
+            Selected depths; all by default.
         """
         closed_m, covered = self._closed(theta, depths or slice(self.depth, self.rest))
         pressure = self._relative_pressure(closed_m, covered, theta)
@@ -154,7 +154,7 @@ class ShapeProblem:
     def _closed(
         self, theta: Array, depths: slice, start_m: Fine | None = None
     ) -> tuple[Fine, Fine]:
-        """Return how far columns are closed in m (B, K, n_x, n_y), and the covered share."""
+        """Return the closing of columns in m (B, K, n_x, n_y), and the covered share."""
         closed_m, covered = self._wanted(theta, depths)
         if self.foam.sideways:
             closed_m = closed_columns_m(
@@ -175,19 +175,19 @@ class ShapeProblem:
         return pressure
 
     def _on_taxels(self, pressure: Fine, theta: Array) -> Fine:
-        """Return what of pressures (B, K, n_x, n_y) reaches the taxels, (B, K, n_taxels)."""
+        """Return the pressure on the taxels (B, K, n_taxels) from (B, K, n_x, n_y)."""
         along, across = self._spread(theta[:, self.rest + 2])
         forces = along[:, None] @ (pressure @ across.transpose(0, 2, 1)[:, None])
         return forces.reshape(*forces.shape[:2], -1)
 
     def _scaled(self, on_taxels: Fine, theta: Array) -> Array:
-        """Return forces in N from pressures over the modulus that reach the taxels."""
+        """Return forces in N from pressures on the taxels over the modulus."""
         scale_n = self.data.bed.cell_area_m2 * self.foam.modulus_pa * np.exp(theta[:, self.rest])
         forces_n: Array = on_taxels * scale_n[:, None, None]
         return forces_n
 
     def _spread(self, log_factor: Array) -> tuple[Fine, Fine]:
-        """Return what takes pressure to taxels, between the spreads that were worked out."""
+        """Return the transfer of pressure to taxels, interpolated between computed spreads."""
         place = np.clip(log_factor / SPREAD_STEP + SPREAD_STEPS, 0.0, 2 * SPREAD_STEPS - 1e-9)
         below = place.astype(np.int64)
         share = (place - below)[:, None, None].astype(_FINE)
@@ -200,7 +200,7 @@ class ShapeProblem:
     def residuals(self, theta: Array, force_n: Array | None = None) -> Array:
         """Return residuals (B, n_data) of the data over their standard deviations.
 
-        ``force_n`` are the `forces_n` of the parameters, where they are known already.
+        ``force_n`` are the `forces_n` of the parameters, if already computed.
         """
         data, uncertainty = self.data, self.uncertainty
         force_n = self.forces_n(theta) if force_n is None else force_n
@@ -230,11 +230,11 @@ class ShapeProblem:
     def _shifted_forces_n(self, shifted: Array) -> Array:
         """Return forces (1 + n, K, n_taxels) in N, of parameters and of each of them shifted.
 
-        As `forces_n` does, but what a parameter does not change is not worked out again: a depth
-        changes one level, and only size, form and pose change the surface.
+        As `forces_n`, but without repeated work: a depth changes one level, and only size, form and
+        pose change the surface.
         """
         surfaces = shifted[: self.depth + 1].copy()
-        # Each depth moves its own level, so that one more surface shows all of them.
+        # Each depth changes its own level, so one more surface is enough for all of them.
         surfaces = np.concatenate([surfaces, surfaces[:1]])
         levels = range(self.depth, self.rest)
         surfaces[-1, levels] = shifted[range(self.depth + 1, self.rest + 1), levels]
@@ -264,7 +264,7 @@ class ShapeProblem:
         else:
             halves_mm = [3.0, 7.0, 15.0]
         variances, axes = np.linalg.eigh(data.spread_m2)
-        # An evenly loaded stretch of half length a has the variance a^2 / 3.
+        # An evenly loaded line of half length a has the variance a^2 / 3.
         wide_m, long_m = np.sqrt(3.0 * np.maximum(variances - self.foam.spread_m**2, 4e-7))
         turn = float(np.arctan2(axes[1, 1], axes[0, 1]))
         turns = turn + np.pi * np.array([0.0, 0.5, 0.25, -0.25]) if model.turns else [0.0]

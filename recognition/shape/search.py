@@ -1,15 +1,14 @@
-"""Search over kinds of shape and possible foams: which fits are worth their time.
+"""Search over kinds of shape and possible foams, without fits that are not worth their time.
 
-No pad follows the law of `recognition.shape.foam` exactly, and a foam is often known as little more
-than a guess. So every kind of shape is fitted under several foams, and the answers are weighted by
-how well each explains the grasp: the foam as it is known, separate columns of another stiffness,
-and columns that push each other in nearly as an elastic body does.
+No pad follows the law of `recognition.shape.foam` exactly, and a foam is often not known well. So
+every kind of shape is fitted under several foams. These are the known foam, separate columns of
+another stiffness, and columns that push each other in, nearly like an elastic body. The answers are
+weighted by their fit to the grasp.
 
-The foam as it is known comes first. Where the two likeliest kinds gain nothing by another foam, the
-known one is it, and the other foams are not tried. Nor is a kind tried again under a further foam
-that was far from the others under the last one. What is not tried keeps its place with the
-parameters of the last fit, at which its evidence is a lower bound: grasps are fused hypothesis by
-hypothesis.
+The known foam is first. If the two likeliest kinds gain nothing by another foam, no other foam is
+tried. A kind that was much less likely under the last foam is not tried under a further one. It
+keeps the parameters of its last fit, at which its evidence is a lower bound. Grasps are fused for
+each hypothesis, so each needs a value.
 """
 
 import math
@@ -25,24 +24,24 @@ from recognition.shape.pressed_pads import PressedPads
 from recognition.shape.residuals import PadUncertainty, ShapeProblem
 
 _KNOWN_PROBABILITY = 0.5
-"""Prior probability that the foam is as it is known."""
+"""Prior probability of the known foam."""
 _SIDEWAYS = 0.7
 """`FoamModel.sideways` of columns that push each other in."""
 _DEPTH_SD_M = 0.25e-3
-"""Standard deviation in m of the depth of both pads together under a foam that is not known."""
+"""Standard deviation in m of the depth of both pads together under an unknown foam."""
 _LOOSE = {"modulus": 1.5, "gain": 0.2, "spread": 0.35, "stiffening": 1.5, "bend": 0.12}
-"""Uncertainty of a foam that is not known, see `PadUncertainty`."""
+"""Uncertainty of an unknown foam, see `PadUncertainty`."""
 _FAR = 12.0
-"""A kind whose logarithmic evidence is so much less is not fitted under a further foam."""
+"""Deficit of the logarithmic evidence from which a kind is not fitted under a further foam."""
 _SURE = 3.0
-"""By so much the known foam must be the likelier one for others not to be tried."""
+"""Least excess of the logarithmic evidence of the known foam with which others are not tried."""
 _N_PROBED = 2
-"""Likeliest kinds that are tried under a second foam before all others are."""
+"""Number of the likeliest kinds that are tried first under a second foam."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PossibleFoam:
-    """One way the pads may be."""
+    """One possible foam of the pads."""
 
     foam: FoamModel
     uncertainty: PadUncertainty
@@ -51,7 +50,7 @@ class PossibleFoam:
 
 
 def possible_foams(foam: FoamModel, uncertainty: PadUncertainty) -> tuple[PossibleFoam, ...]:
-    """Return what the pads may be, the known foam first; probabilities sum to 1."""
+    """Return the possible foams, the known one first; probabilities sum to 1."""
     wider = {
         name: max(getattr(uncertainty, name), sd * uncertainty.other_foams)
         for name, sd in _LOOSE.items()
@@ -77,10 +76,9 @@ Fits = dict[str, ShapeFit]
 def all_fits(
     data: PressedPads, foam: FoamModel, uncertainty: PadUncertainty
 ) -> tuple[list[ShapeFit], list[float]]:
-    """Return fits of all kinds under all possible foams, and how likely each is beforehand.
+    """Return fits of all kinds under all possible foams, and logarithms of prior probabilities.
 
-    The order is the same for all grasps: foam by foam, in each all kinds. The second list holds
-    logarithms of probabilities.
+    The order is the same for all grasps: all kinds for each foam.
     """
     known, *others = possible_foams(foam, uncertainty)
     last: Fits = {
@@ -143,7 +141,7 @@ def _evidence(fits: Mapping[str, ShapeFit], uncertainty: PadUncertainty) -> dict
 
 
 def _far(last: Mapping[str, ShapeFit], uncertainty: PadUncertainty) -> frozenset[str]:
-    """Return the kinds that are too unlikely under the last foam to be worth another one."""
+    """Return the kinds that are too unlikely under the last foam for a further one."""
     evidence = _evidence(last, uncertainty)
     best = max(evidence.values())
     return frozenset(kind for kind, value in evidence.items() if value < best - _FAR)

@@ -1,4 +1,4 @@
-"""Records of arrays, which a model keeps under the names of their fields."""
+"""Records of arrays, stored in a model under the names of their fields."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArrayRecord:
-    """A record all of whose fields are arrays."""
+    """A record that has only arrays as fields."""
 
     def to_arrays(self, prefix: str = "") -> dict[str, NDArray[Any]]:
         """Return the fields under names that begin with the prefix."""
@@ -17,7 +17,7 @@ class ArrayRecord:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str = "") -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        """Rebuild from `to_arrays`; KeyError if an array is missing."""
         return cls(**{one.name: arrays[prefix + one.name] for one in fields(cls)})
 
 

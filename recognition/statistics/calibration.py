@@ -6,29 +6,29 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
 KNOWN_KEPT = 0.97
-"""Share of grasps of taught objects that plain recognisers are to keep below even odds."""
+"""Share of grasps of taught objects that plain recognisers keep below even odds."""
 
 UNIFORM_SHARE = 0.002
-"""Share of the uniform distribution in each posterior: no taught object is ever impossible."""
+"""Share of the uniform distribution in each posterior, so that no taught object is impossible."""
 
 _LOG_TEMPERATURES = (-3.0, 7.0)
 """Range of the logarithm of the temperature that is searched."""
 _N_TEMPERATURES = 41
-"""Temperatures that are tried before the search is refined: the loss may have several minima."""
+"""Temperatures tried before the search is refined, because the loss may have several minima."""
 
 
 _USUAL_TEMPERATURE = 2.0
-"""Temperature that is expected before any grasp: features repeat each other, so that log odds as
-computed are too large."""
+"""Temperature that is expected before any grasp: features repeat each other, so the computed log
+odds are too large."""
 _TEMPERATURE_SD = 0.5
-"""Standard deviation of the logarithm of that expectation: it holds where held-out grasps are few,
-or all of them are right, which would make any answer certain."""
+"""Standard deviation of the logarithm of that expectation. It decides if held-out grasps are few or
+all right; without it every answer would be certain."""
 
 
 def blocked_folds(classes: NDArray[np.int64], n_folds: int) -> list[NDArray[np.bool_]]:
     """Return for each fold a mask of the rows held out: one run in time of each class.
 
-    Rows of one class must stand in the order of time. Classes with too few rows keep at least one
+    Rows of one class must be in the order of time. Classes with too few rows keep at least one
     of them outside of every fold.
     """
     n = len(classes)
@@ -59,7 +59,7 @@ def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> 
 
 
 def kept_temperature(array: NDArray[np.float64]) -> float:
-    """Return a temperature that a model keeps. Raises ValueError for one that none is fitted to."""
+    """Return the temperature of a model file. Raises ValueError if it is out of range."""
     temperature, largest = float(array), np.exp(2.0 * _LOG_TEMPERATURES[1])
     if not 1.0 / largest < temperature < largest:
         raise ValueError(f"temperature is {temperature:g}, beyond 1/{largest:.0f} to {largest:.0f}")

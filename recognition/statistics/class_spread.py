@@ -1,4 +1,4 @@
-"""Class spread: a covariance for each class, between its own grasps and what all classes share."""
+"""Class spread: a covariance for each class, between that of its grasps and the shared one."""
 
 from dataclasses import dataclass
 
@@ -10,14 +10,14 @@ from recognition.statistics.array_record import ArrayRecord
 _PRIOR_GRASPS = 15.0
 """Weight of the shared covariance in that of a class, in grasps."""
 _PAIRS = 1 << 14
-"""Pairs of a point and a class that are taken at a time: more would not fit into the caches."""
+"""Pairs of a point and a class that are computed at once: more would not fit into the caches."""
 _MOST_AXES = 48
-"""Axes that are taken into account, those that separate best: more cost time and memory."""
+"""Number of axes, those that separate best: more cost time and memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClassSpread(ArrayRecord):
-    """Covariances of C classes in a space where the one that all share is the identity."""
+    """Covariances of C classes in a space where the shared covariance is the identity."""
 
     centres: NDArray[np.float64]
     """(C, k) float64: the classes along the first k axes."""
@@ -53,7 +53,7 @@ def fit_class_spread(
     """Return the spread of points z (n, r) with classes (n,) about their centres (C, r)."""
     centres = centres[:, :_MOST_AXES]
     off = z[:, : centres.shape[1]] - centres[classes]
-    # Taught grasps lie closer to their centre than others will; only the form counts here.
+    # Taught grasps are closer to their centre than later ones; only the form counts here.
     off = off / max(float(np.sqrt((off**2).mean())), 1e-6)
     shared = _PRIOR_GRASPS * np.eye(centres.shape[1])
     covariance = np.stack(

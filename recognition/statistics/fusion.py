@@ -28,12 +28,12 @@ def independent_share(n_grasps: int, dependence: float) -> float:
 
 
 MAX_UNKNOWN = 0.1
-"""Largest probability of an untaught object with which a ramp or a sequence ends before its time:
-novelty shows later than which of the taught objects it is (docs/explanations/sequences.md)."""
+"""Largest probability of an untaught object with which a ramp or a sequence ends early: novelty
+shows later than the name of a taught object (docs/explanations/sequences.md)."""
 _MIN_UNKNOWN = 0.95
-"""Probability of an untaught object from which a sequence ends before its time."""
+"""Least probability of an untaught object with which a sequence ends early."""
 _MAX_UNKNOWN_LOGIT = 4.0
-"""Largest log odds of an untaught object that one grasp contributes, either way: 1.8 and 98.2 %."""
+"""Largest magnitude of the log odds of an untaught object from one grasp: 1.8 and 98.2 %."""
 
 
 @unique
@@ -52,7 +52,7 @@ class Decision:
     kind: DecisionKind
     """Decided, unknown object, or one more grasp."""
     label: str
-    """The object where decided, ``UNKNOWN`` where unknown, the likeliest so far otherwise."""
+    """The object if decided, ``UNKNOWN`` if unknown, otherwise the likeliest so far."""
     probability: float
     """Probability that `label` is right."""
 
@@ -64,14 +64,14 @@ class StopRule:
     Raises
     ------
     ValueError
-        A value is outside of its range.
+        A value is out of its range.
     """
 
     error_rate: float = 0.01
-    """A label is given as soon as the probability that it is wrong, if the object was taught, is at
-    most this, and that of an untaught object at most `MAX_UNKNOWN`."""
+    """Largest probability of a wrong label, given a taught object, that ends a sequence. That of an
+    untaught object must be at most `MAX_UNKNOWN`."""
     max_grasps: int = 5
-    """Number of grasps after which the answer must be given: `Posterior.name`."""
+    """Number of grasps after which the answer is given: `Posterior.name`."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.error_rate < 1.0:
@@ -80,7 +80,7 @@ class StopRule:
             raise ValueError(f"max_grasps is {self.max_grasps}, must be at least 1")
 
     def suffices(self, fused: Posterior) -> bool:
-        """Return whether a taught object is sure enough to end a ramp or a sequence early."""
+        """Return whether a taught object is certain enough to end a ramp or a sequence early."""
         sure = 1.0 - float(fused.probability.max()) <= self.error_rate
         return sure and fused.unknown <= MAX_UNKNOWN and fused.name != UNKNOWN
 
@@ -88,11 +88,11 @@ class StopRule:
 def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) -> Posterior:
     """Fuse the posteriors of several grasps of one object.
 
-    Log posteriors over the uniform prior are summed, so that the prior counts once, and the sum is
-    tempered as if n grasps were n / (1 + (n - 1) dependence) independent ones. Without a
-    `dependence` it is the mean of those of the posteriors. Grasps that contradict each other make
-    an untaught object likelier. The order does not matter; one posterior alone comes back
-    with its order of labels, slightly flattened.
+    Log posteriors over the uniform prior are summed, so that the prior counts once. The sum is
+    tempered: n grasps count as n / (1 + (n - 1) dependence) independent ones. The default
+    `dependence` is the mean of those of the posteriors. Grasps that contradict each other make
+    an untaught object likelier. The order does not matter. One posterior alone is returned
+    slightly flattened.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) ->
 def decide(posteriors: Sequence[Posterior], rule: StopRule) -> Decision:
     """Return the decision after the grasps so far: the object, an untaught one, or one more grasp.
 
-    Raises ValueError where there is no posterior or the labels differ.
+    Raises ValueError without a posterior, or if the labels differ.
     """
     fused = fuse(posteriors)
     best = float(fused.probability.max())

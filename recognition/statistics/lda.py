@@ -10,9 +10,9 @@ from scipy.sparse import csr_array
 from recognition.statistics.array_record import ArrayRecord
 
 _RANK_TOLERANCE = 1e-9
-"""Singular values of the means below this share of the largest one span no axis."""
+"""Singular values of the means below this share of the largest one are 0."""
 _SPREAD_FLOOR = 1e-2
-"""Least unit of a feature, as a share of its deviation over all grasps: rounding is no
+"""Least unit of a feature, as a share of its deviation over all grasps: rounding must not count as
 variation."""
 _DIAGONAL_FLOOR = 1e-9
 """Added to the diagonal of the covariance, in squared units of the features, for its
@@ -21,7 +21,7 @@ factorisation."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LinearDiscriminant(ArrayRecord):
-    """Gaussian classes with one covariance, seen in the space that separates them."""
+    """Gaussian classes with one covariance, in the space that separates them."""
 
     mean: NDArray[np.float64]
     scale: NDArray[np.float64]
@@ -70,8 +70,8 @@ def fit_lda(
     """Fit a linear discriminant to labelled rows.
 
     The covariance is shrunken by the oracle approximating shrinkage (Chen et al. 2010, eq. 23),
-    which falls with the number of rows. Raises ValueError where there are no more rows than
-    classes, or a class has none.
+    which falls with the number of rows. Raises ValueError unless there are more rows than classes
+    and each class has a row.
 
     Parameters
     ----------
@@ -86,23 +86,23 @@ def fit_lda(
     target : (F,)
         Diagonal of the target; None for the identity.
     nuisance : (m, F)
-        Deviations that the rows do not show; the mean of their squares adds to the covariance.
+        Further deviations; the mean of their squares is added to the covariance.
     least_unit
-        Deviation added to that of each feature in its unit, in the feature's own: what few rows do
-        not show to vary is known no better.
+        Deviation added to that of each feature, in its unit: few rows may show too little
+        variation.
     most_axes
-        The most axes r of several classes, those that separate best; None for all.
+        The most axes r of several classes: those that separate best; None for all.
     """
     n, n_features = features.shape
     count = np.bincount(classes, minlength=n_classes).astype(np.float64)
     if n <= n_classes or np.any(count == 0):
         raise ValueError(
-            f"{n} grasps of {n_classes} objects do not show how grasps of one object vary: "
+            f"{n} grasps of {n_classes} objects do not show the variation of one object: "
             "teach each object at least three times"
         )
     members = csr_array((np.ones(n), (classes, np.arange(n))), shape=(n_classes, n))
     means = (members @ features) / count[:, None]
-    # All grasps of many objects are large: no copy of them but this one.
+    # The features of all grasps need much memory: this is the only copy.
     within = features - means[classes]
     mean = means.mean(axis=0)
     freedom = float(n - n_classes)
@@ -122,10 +122,10 @@ def fit_lda(
     lower = np.tril(cho_factor(covariance, lower=True)[0])
     whitening = solve_triangular(lower, np.eye(n_features), lower=True).T
     if n_classes == 1:
-        # One class has nothing to separate from: the whole whitened space shows how far a grasp is.
+        # One class has nothing to separate from: distances are those in the whole whitened space.
         projection, centres = whitening, np.zeros((1, n_features))
     else:
-        # The means span a few axes of the whitened space: these separate the classes.
+        # The means span a few axes of the whitened space, which separate the classes.
         offsets = (means - mean) / scale
         _, spread, axes = np.linalg.svd(offsets @ whitening, full_matrices=False)
         rank = int(np.sum(spread > _RANK_TOLERANCE * max(float(spread[0]), 1e-300)))

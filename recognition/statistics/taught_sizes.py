@@ -1,4 +1,4 @@
-"""Sizes of the taught grasps: how far the size of a grasp lies from those of an object."""
+"""Sizes of the taught grasps, and the distance of a grasp's size from those of an object."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,18 @@ from recognition.statistics.lda import squared_distances
 
 _PRIOR_MM = (0.5, 0.2)
 """Expected distance in mm of a grasp from the nearest one of the same object: of the opening under
-the full load, which depends on the force, and of that at the first touch."""
+full load, which depends on the force, and of the opening at the first touch."""
 _PRIOR_GRASPS = 4.0
-"""Weight of that expectation, in grasps: the units come from the grasps where there are more."""
+"""Weight of that expectation, in grasps; with more grasps these decide."""
 _LEAST_UNIT_MM = 1e-6
-"""Least usual distance in mm of a model that is read: the expectation gives far more."""
+"""Least usual distance in mm in a model file: the expectation gives much more."""
 _WITHOUT_LARGEST = 2.0
-"""About how many times the mean square of these distances is that of all but the largest of each
-object, where neighbours lie at random. Of few grasps of a box the only one on another side lies
-millimetres from all others, and as a usual distance would hide that other objects differ."""
+"""Mean square of these distances over that without the largest one of each object, about, for
+random neighbours. With few grasps of a box, the only one on another side is millimetres from the
+others. As a usual distance it would hide differences between objects."""
 _OUTER_SHARE = 0.1
-"""Share of the grasps of an object, the loneliest, near which a size is new all the same: of many
-grasps, as of a drawing on all foams that may be, some lie where another object does."""
+"""Share of the grasps of an object, the most isolated, that are left out. Of many grasps, for
+example of a drawing on all possible foams, some have the size of another object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,8 +29,8 @@ class TaughtSizes(ArrayRecord):
     """Sizes of the taught grasps."""
 
     mm: NDArray[np.float64]
-    """(n, k) float64: sizes without outliers, as of `recognition.features.aperture.sizes_mm`; k is
-    0 where the opening is not used, and nothing is far from any size then."""
+    """(n, k) float64: sizes without outliers, of `recognition.features.aperture.sizes_mm`. If the
+    opening is not used, k is 0 and all distances are 0."""
     classes: NDArray[np.int64]
     """(n,) int64: object of each, ascending."""
     unit_mm: NDArray[np.float64]
@@ -62,9 +62,9 @@ class TaughtSizes(ArrayRecord):
 
 
 def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> TaughtSizes:
-    """Return the sizes (n, k) of grasps with classes (n,), of which each has at least two.
+    """Return the sizes (n, k) of grasps with classes (n,), at least two of each class.
 
-    The units are root mean squares of the usual distances, drawn towards the expected ones.
+    The units are root mean squares of the usual distances, shrunk towards the expected ones.
     """
     usual_mm2 = []
     for c in np.unique(classes):
@@ -80,7 +80,7 @@ def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> Taug
 
 
 def _inner(sizes: NDArray[np.float64], members: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the rows of one object without the loneliest of its sizes (n, k), `_OUTER_SHARE`."""
+    """Return the rows of one object without its most isolated sizes (n, k), `_OUTER_SHARE`."""
     rows = np.flatnonzero(members)
     n_outer = int(_OUTER_SHARE * len(rows))
     to_others = np.sort(squared_distances(sizes[rows], sizes[rows]), axis=1)

@@ -1,1 +1,1 @@
-"""Simulated sensor boards that are no CANopen node, with the physics of their pads."""
+"""Simulated sensor boards without CANopen, and the physics of their pads."""

@@ -1,20 +1,19 @@
-"""A FlexiTac board on its serial line: frames without end, with the faults of line and firmware."""
+"""A FlexiTac board on its serial line: continuous frames, with faults of line and firmware."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from simulator.boards.resistive import Counts, ResistivePads
+from simulator.boards.site import BoardSite, SerialBoard
 from simulator.clock import ROUNDING_S
 
-_BYTE_S = 10.0 / 2_000_000
-"""Time in s of a byte on the line: 2 Mbit/s, 8N1."""
+_BAUD_RATE = 2_000_000
+"""Line rate in bit/s."""
 _RATE_HZ = (90.0, 110.0)
 """Range of the rates of boards in Hz."""
 _JITTER = 0.03
 """Standard deviation of a period over its mean. [assumed]"""
-_KEPT_BYTES = 65536
-"""Bytes that wait for a host; older ones are lost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,102 +26,42 @@ class FlexiTacSettings:
     rows_along: bool = False
     """Whether the rows of a board follow each other along the finger; else across it."""
 
+    def serial_boards(self, site: BoardSite) -> tuple[SerialBoard, ...]:
+        """Return both boards."""
+        pads = ResistivePads(site.world, site.layout, site.taxel_faults, seed=site.seed)
+        return tuple(FlexiTacBoard(finger, pads, self, site) for finger in (0, 1))
 
-@dataclass(slots=True, kw_only=True)
-class BoardFaults:
-    """Fault knobs of the boards, by finger where they meet one board."""
-
-    unplugged: set[int] = field(default_factory=set)
-    """Boards whose cable is out."""
-    silent: set[int] = field(default_factory=set)
-    """Boards that send nothing."""
-    frozen: set[int] = field(default_factory=set)
-    """Boards that send their last frame again and again."""
-    repeated: float = 0.0
-    lost_byte: float = 0.0
-    torn: float = 0.0
-    """Share of the frames that repeat the one before, lack one byte, or end in the middle."""
-    late_s: float = 0.0
-    """Time in s by which the bytes of frames come late."""
-    rows: int = 0
-    """Rows of the matrix that the firmware sends, 0 for the right ones: another profile."""
-    marked: set[int] = field(default_factory=set)
-    """Boards whose samples hold AA 55 at one place for ever, as a static load may make it."""
+    def can_device(self, _site: BoardSite) -> None:
+        """Return None: the boards are on serial lines."""
 
 
-class FlexiTacBoard:
-    """One board behind a serial port; implements what `simulator.servo.bus` has for its line."""
+class FlexiTacBoard(SerialBoard):
+    """One board: continuous frames."""
 
     def __init__(
-        self,
-        finger: int,
-        pads: ResistivePads,
-        taxels: slice,
-        settings: FlexiTacSettings,
-        faults: BoardFaults,
-        *,
-        seed: int,
-        start_s: float,
+        self, finger: int, pads: ResistivePads, settings: FlexiTacSettings, site: BoardSite
     ) -> None:
-        self._finger, self._pads, self._taxels = finger, pads, taxels
-        self._settings, self.knobs = settings, faults
-        self._rng = np.random.default_rng([seed, 3 + finger])
+        super().__init__(finger, site, baud_rate=_BAUD_RATE)
+        self._pads, self._settings, self.knobs = pads, settings, site.faults
+        self._taxels = site.layout.taxels_of(site.layout.gripping_pads[finger])
+        self._rng = np.random.default_rng([site.seed, 3 + finger])
         self._period_s = 1.0 / self._rng.uniform(*_RATE_HZ)
-        self._due_s = start_s + self._rng.uniform(0.0, self._period_s)
-        self._sent: list[tuple[float, bytes]] = []
+        self._due_s = site.start_s + self._rng.uniform(0.0, self._period_s)
         self._last = b""
-        self.baudrate = 0
-        """Line rate that the host has set; a USB device does not care."""
-
-    @property
-    def faults(self) -> "FlexiTacBoard":
-        """Faults of the line; see `unplugged`."""
-        return self
-
-    @property
-    def unplugged(self) -> bool:
-        """Whether its cable is out."""
-        return self._finger in self.knobs.unplugged
-
-    def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
-        """Ignore what the host sends: there are no commands."""
 
     def advance_to(self, now_s: float) -> None:
-        """Scan and send the frames that are due."""
+        """Scan and send the due frames."""
         if self._due_s < now_s - 10.0 * self._period_s:
             self._due_s = now_s
         while self._due_s <= now_s + ROUNDING_S:
             self._send(self._due_s)
             self._due_s += self._period_s * max(0.5, 1.0 + _JITTER * self._rng.standard_normal())
 
-    def transmit(self, now_s: float) -> bytes:
-        """Return the bytes that have reached the host by ``now_s``."""
-        data = bytearray()
-        while self._sent:
-            begin_s, frame = self._sent[0]
-            n = int((now_s + ROUNDING_S - begin_s) / _BYTE_S)
-            if n <= 0:
-                break
-            data += frame[:n]
-            if n < len(frame):
-                self._sent[0] = (begin_s + n * _BYTE_S, frame[n:])
-                break
-            del self._sent[0]
-        return b"" if self.unplugged else bytes(data[-_KEPT_BYTES:])
-
-    def next_event_s(self) -> float | None:
-        """Return when the next bytes reach the host."""
-        return self._sent[0][0] + _BYTE_S if self._sent else None
-
-    def drop_pending(self) -> None:
-        """Forget bytes under way."""
-        self._sent.clear()
-
     def _send(self, now_s: float) -> None:
         knobs, chance = self.knobs, self._rng.random(3)
-        if self._finger in knobs.silent:
+        if self.line in knobs.silent:
             return
-        again = self._finger in knobs.frozen or chance[0] < knobs.repeated
+        again = self.line in knobs.frozen or chance[0] < knobs.repeated
         if not (again and self._last):
             self._last = self._frame(self._pads.scan()[self._taxels])
         frame = self._last
@@ -131,8 +70,7 @@ class FlexiTacBoard:
             frame = frame[:place] + frame[place + 1 :]
         if chance[2] < knobs.torn:
             frame = frame[: len(frame) // 2]
-        self._sent.append((now_s + knobs.late_s, frame))
-        del self._sent[: -_KEPT_BYTES // len(self._last)]
+        self.send(frame, now_s + knobs.late_s)
 
     def _frame(self, counts: Counts) -> bytes:
         size = self._settings
@@ -142,6 +80,6 @@ class FlexiTacBoard:
         if self.knobs.rows:
             matrix = np.resize(matrix, (self.knobs.rows, size.columns))
         data = bytearray(matrix.astype(np.uint8).tobytes())
-        if self._finger in self.knobs.marked:
+        if self.line in self.knobs.marked:
             data[100:102] = b"\xaa\x55"
         return b"\xaa\x55" + bytes(data)

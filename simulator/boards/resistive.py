@@ -1,7 +1,7 @@
-"""Resistive matrices on both fingers: from forces to counts, as open boards read them.
+"""Resistive matrices on both fingers: from forces to counts, as on open-hardware boards.
 
-Conductance grows with the force and forgets it slowly. Currents take ways through the other taxels
-of a row and a column, and the divider is compressive long before its converter is at its end.
+Conductance grows with the force and falls with hysteresis. Some current flows through other taxels
+of the row and column. The divider compresses the signal far below full scale.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ Counts = NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResistiveLaw:
-    """Physics of a matrix. All figures are assumed: nobody publishes them."""
+    """Physics of a matrix. All values are assumptions: no published data exist."""
 
     half_n: float = 2.0
     """Force in N on a taxel at which its conductance is that of the divider."""
@@ -28,7 +28,7 @@ class ResistiveLaw:
     """Share by which the conductance stays above that of a force that falls."""
     row_share: float = 0.25
     column_share: float = 0.15
-    """Share of the mean conductance of its row and of its column that a taxel shows as well."""
+    """Share of the mean conductance of its row and of its column that is added to a taxel."""
     gain: float = 1.25
     """Full scale of the divider over that of the converter."""
     rest_counts: tuple[float, float] = (40.0, 160.0)
@@ -38,7 +38,7 @@ class ResistiveLaw:
 
 
 class ResistivePads:
-    """The matrices of both fingers, read by converters of 10 bit that hand out 8."""
+    """The matrices of both fingers, read by 10-bit converters that return 8 bits."""
 
     def __init__(
         self,

@@ -1,18 +1,16 @@
 """uSkin boards on CAN, and the physics of their pads: silicone over magnets and sensors."""
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.can.faults import ControlUnitFaults
+from simulator.boards.site import BoardSite, SerialBoard
 from simulator.can.node import SendBurst
 from simulator.clock import ROUNDING_S
 from simulator.errors import SimulatorStateError
-from simulator.world.world import PhysicalWorld
-from tactile.layout import TaxelLayout
 
 _START = bytes((7, 0))
 _PERIOD_S = 0.01
@@ -33,7 +31,7 @@ class UskinBoard:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UskinSettings:
-    """Two boards on one bus, and the physics of their pads. Its figures are assumed."""
+    """Two boards on one bus, and the physics of their pads; all values are assumptions."""
 
     boards: tuple[UskinBoard, UskinBoard]
     """The boards of finger 0 and finger 1."""
@@ -42,9 +40,9 @@ class UskinSettings:
     counts_per_n: float = 3000.0
     """Counts of z of a taxel for a small force."""
     limit_n: float = 12.0
-    """Force in N near which the silicone meets its ground."""
+    """Force in N at which the silicone is compressed to its base."""
     crosstalk: float = 0.12
-    """Share of its force that each neighbour of a taxel shows as well."""
+    """Share of a taxel's force that each neighbour shows too."""
     hysteresis: float = 0.06
     """Share by which a taxel stays above a force that falls."""
     noise_counts: float = 12.0
@@ -52,52 +50,36 @@ class UskinSettings:
     drift_counts_s: float = 5.0
     """Drift of z of a pad: 1,000 counts in some minutes."""
 
+    def serial_boards(self, _site: BoardSite) -> tuple[SerialBoard, ...]:
+        """Return an empty tuple: the boards are on CAN."""
+        return ()
 
-@dataclass(slots=True, kw_only=True)
-class UskinFaults:
-    """Fault knobs of the boards, by finger where they meet one board."""
-
-    silent: set[int] = field(default_factory=set)
-    """Boards whose plug is out."""
-    low_supply: set[int] = field(default_factory=set)
-    """Boards that restart again and again, and wait for their start."""
-    doubled: set[int] = field(default_factory=set)
-    """Boards beside which another one has the same address."""
-    drift_counts_s: float = 0.0
-    """Further drift of all taxels."""
+    def can_device(self, site: BoardSite) -> "SimulatedUskin":
+        """Return both boards."""
+        return SimulatedUskin(self, site)
 
 
 class SimulatedUskin:
     """Two boards; implements `simulator.can.link.CanDevice`."""
 
-    def __init__(
-        self,
-        world: PhysicalWorld,
-        layout: TaxelLayout,
-        settings: UskinSettings,
-        faults: UskinFaults,
-        taxel_faults: ControlUnitFaults,
-        *,
-        seed: int,
-        start_s: float,
-    ) -> None:
-        self._world, self._layout, self._settings = world, layout, settings
-        self._faults, self._taxel_faults = faults, taxel_faults
-        self._rng = np.random.default_rng([seed, 5])
+    def __init__(self, settings: UskinSettings, site: BoardSite) -> None:
+        self._world, self._layout, self._settings = site.world, site.layout, settings
+        self._faults, self._taxel_faults = site.uskin, site.taxel_faults
+        self._rng = np.random.default_rng([site.seed, 5])
         self._send: SendBurst | None = None
         self._due_s = [inf, inf]
         self._drift = self._rng.uniform(0.5, 1.5, 2) * settings.drift_counts_s
-        self._drifted = np.zeros(layout.n_taxels)
-        self._rest = _REST[2] + self._rng.normal(0.0, _SPREAD_COUNTS, layout.n_taxels)
-        self._felt_n = np.zeros(layout.n_taxels)
-        self._now_s = start_s
+        self._drifted = np.zeros(site.layout.n_taxels)
+        self._rest = _REST[2] + self._rng.normal(0.0, _SPREAD_COUNTS, site.layout.n_taxels)
+        self._felt_n = np.zeros(site.layout.n_taxels)
+        self._now_s = site.start_s
 
     def connect(self, send: SendBurst) -> None:
         """Plug the boards in."""
         self._send = send
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
-        """Start the board whose start this is."""
+        """Start the board that has this start message."""
         for finger, board in enumerate(self._settings.boards):
             if (can_id, data) == (board.start_id, _START):
                 self._due_s[finger] = now_s + self._rng.uniform(0.2, 1.0) * _PERIOD_S
@@ -133,7 +115,7 @@ class SimulatedUskin:
                 self._send(now_s, can_id, [struct.pack(">BHHH", 0, int(x), int(y), one)])
 
     def _scan(self, finger: int) -> NDArray[np.uint16]:
-        """Return z of all taxels (n_taxels,); drift goes on with the board that is read."""
+        """Return z of all taxels (n_taxels,); each scan advances the drift of its board."""
         law, pad = self._settings, self._layout.gripping_pads[finger]
         taxels = self._layout.taxels_of(pad)
         self._drifted[taxels] += (self._drift[finger] + self._faults.drift_counts_s) * _PERIOD_S

@@ -24,9 +24,9 @@ from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary as od
 
 EMCY_WINDOW = 0xFF01
-"""EMCY code: a burst was cut short, it does not fit into the synchronous window (0x1007)."""
+"""EMCY code: a burst was cut off, because it does not fit into the synchronous window (0x1007)."""
 EMCY_OVERRUN = 0xFF02
-"""EMCY code: a SYNC came while the burst before it was still being sent; it was passed over."""
+"""EMCY code: a SYNC came during the previous burst and was skipped."""
 REGISTER_GENERIC = 0x01
 REGISTER_MANUFACTURER = 0x80
 """Bits of the error register 0x1001 (CiA 301, 7.5.2.2)."""
@@ -35,11 +35,11 @@ _OPERATIONAL, _STOPPED = "OPERATIONAL", "STOPPED"
 _CHANGES_OF_STATE = tuple(
     NMT_COMMANDS[state] for state in ("OPERATIONAL", "STOPPED", "PRE-OPERATIONAL")
 )
-"""NMT commands that canopen's node carries out itself."""
+"""NMT commands that the node of canopen carries out."""
 _WORST_BITS = 135
 """Longest message of 8 data bytes on the wire in bits, all stuff bits included (ISO 11898-1)."""
 _MAX_HISTORY = 8
-"""Error codes that object 0x1003 keeps: its sub-indices in the EDS."""
+"""Most error codes in object 0x1003: its sub-indices in the EDS."""
 _FORCE_OBJECTS = frozenset(
     (
         od.FORCE_MESSAGE,
@@ -49,7 +49,7 @@ _FORCE_OBJECTS = frozenset(
         od.TPDO2_MAPPING,
     )
 )
-"""What the minor revision 1 of the unit brought."""
+"""Objects added in minor revision 1 of the unit."""
 _ON_EACH_SYNC, _MOST_SYNCS = 1, 240
 """Transmission type of a PDO (0x1800:02): after each SYNC, up to after each 240th (CiA 301)."""
 
@@ -61,17 +61,17 @@ class ControlUnitSettings:
     node_id: int = 5
     """1 to 127."""
     bitrate: int = 1_000_000
-    """Bit rate in bit/s that its CAN controller is set to."""
+    """Bit rate of its CAN controller in bit/s."""
     serial_number: int = 1
     """Object 0x1018:04."""
     identity: Mapping[int, int] = field(default_factory=dict)
-    """Other sub-indices of 0x1018 that differ from the EDS, to stand for a wrong device."""
+    """Sub-indices of 0x1018 that differ from the EDS, to simulate a wrong device."""
     boards: tuple[int, int] = (1, 2)
     """Object 0x2103: serial numbers of the pads' boards on finger 0 and finger 1."""
     boot_s: float = 0.02
     """Time in s from power-on or reset to the boot-up message."""
     force_messages: bool = True
-    """False for an older unit, of minor revision 0, which has none."""
+    """False: an older unit of minor revision 0, without force messages."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.node_id <= 127:
@@ -119,7 +119,7 @@ class SimulatedControlUnit(CanopenDevice):
         return str(self._node.nmt.state)
 
     def next_event_s(self) -> float:
-        """Return when the unit next sends something by itself, in s; infinity for never."""
+        """Return the time in s of the unit's next own message; infinity: never."""
         return min(super().next_event_s(), self._force_due_s)
 
     def advance(self, now_s: float) -> None:
@@ -150,12 +150,12 @@ class SimulatedControlUnit(CanopenDevice):
             self._time_forces()
 
     def command(self, state: str, now_s: float) -> None:
-        """Take the NMT command for a state, named as in ``canopen.nmt.NMT_COMMANDS``."""
+        """Carry out the NMT command for a state named in ``canopen.nmt.NMT_COMMANDS``."""
         command = bytes((NMT_COMMANDS[state], self.settings.node_id))
         self.receive(od.COB_NMT, command, now_s)
 
     def emergency(self, code: int, *, register: int = REGISTER_GENERIC) -> None:
-        """Report an error: EMCY, error register and history; code 0 reports that all are gone.
+        """Report an error: EMCY, error register and history; code 0: all errors are cleared.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class SimulatedControlUnit(CanopenDevice):
             self._node.emcy.send(code, dictionary.error_register)
 
     def power_cycle(self) -> None:
-        """Lose power and come back: all values at their defaults, one boot-up after the boot."""
+        """Switch the power off and on: all values are defaults; boot-up after the boot."""
         self._reset(everything=True)
 
     def _boards(self) -> tuple[int, int]:
@@ -206,7 +206,7 @@ class SimulatedControlUnit(CanopenDevice):
             self._time_forces()
 
     def _take_settings(self) -> None:
-        """Take over what the dictionary holds: after each SDO request and change of state."""
+        """Apply the values of the dictionary, after each SDO request and change of state."""
         dictionary = self.dictionary
         self._sync_id = dictionary.sync_cob_id
         self._sync_kind = dictionary.number(od.TPDO1_PARAMETER, 2)
@@ -215,7 +215,7 @@ class SimulatedControlUnit(CanopenDevice):
         self._force_id = dictionary.pdo_cob_id(2) if self.settings.force_messages else None
 
     def _time_forces(self) -> None:
-        """Begin, go on with or end the event timer of the force messages."""
+        """Start, continue or stop the event timer of the force messages."""
         self._take_settings()
         period_s = 0.0
         if self.settings.force_messages and self.state == _OPERATIONAL:
@@ -225,7 +225,7 @@ class SimulatedControlUnit(CanopenDevice):
             self._force_due_s = self._network.now_s + period_s if period_s else math.inf
 
     def _send_force(self, due_s: float) -> None:
-        """Scan the gripping pads and send their force, unless the last one still waits."""
+        """Scan the gripping pads and send their force, unless the last message still waits."""
         can_id = self._force_id
         if can_id is None or self.faults.dead or self.faults.forces_off:
             return
@@ -244,7 +244,7 @@ class SimulatedControlUnit(CanopenDevice):
             self._force_end_s = self.send(due_s, can_id, messages)
 
     def _disturbed(self, message: bytes) -> list[bytes]:
-        """Return what the faults leave of a force message, with one that they held back."""
+        """Return a force message with its faults, and a message that they delayed."""
         faults = self.faults
         shares = (faults.forces_lost, faults.forces_twice, faults.forces_swapped)
         if not any(shares) and self._held_force is None:
@@ -290,7 +290,7 @@ class SimulatedControlUnit(CanopenDevice):
             self._burst_end_s = self._send(now_s + self.faults.late_s, self._frame_id, messages)
 
     def _passed_over(self, code: int) -> None:
-        """Mark the next frame, and send an EMCY once for what goes wrong again and again."""
+        """Mark the next frame, and send one EMCY for a repeated error."""
         self.scanner.overrun = True
         if code not in self.dictionary.errors:
             self.emergency(code, register=REGISTER_MANUFACTURER)

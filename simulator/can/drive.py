@@ -2,7 +2,7 @@
 
 This module adds to `simulator.can.node` the state machine, profile position with its handshake,
 homing to a limit switch, quick stop, following error.
-What else a drive can do (PDOs, other modes, units of its own) is left out.
+Other functions of drives (PDOs, further modes, user units) are left out.
 """
 
 import math
@@ -28,10 +28,10 @@ _SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4,
 _START_BIT, _HALT_BIT, _RESET_BIT = 0x10, 0x100, 0x80
 """Bits of the controlword (CiA 402-2)."""
 _SPECIFIER, _UPLOADED, _EXPEDITED = 0xE0, 0x40, 0x03
-"""First byte of an SDO answer: bits of the specifier, an object that is read, within the answer and
-with its size (CiA 301, 7.2.4.3.6)."""
+"""First byte of an SDO answer: bits of the specifier, upload, expedited with size (CiA 301,
+7.2.4.3.6)."""
 _STANDING = 100.0
-"""Speed of the mechanism in increments/s up to which it stands."""
+"""Largest speed in increments/s of a mechanism that counts as standing."""
 _POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 """States in which the motor has current."""
 
@@ -43,9 +43,9 @@ class DriveMount:
     node_id: int
     """CANopen node-ID."""
     increments: float
-    """Increments in one m or rad of the axis; negative where it counts the other way."""
+    """Increments per m or rad of the axis; negative: it counts in the other direction."""
     absolute: bool = False
-    """Whether its encoder shows the true position at once, without homing."""
+    """Whether its encoder has the true position without homing."""
     start: float
     low_switch: float
     high_switch: float
@@ -62,15 +62,15 @@ class SimulatedDrive(CanopenDevice):
         self.motion = ProfileMotion(mount.increments * mount.start, *ends)
         """Set-point and mechanism."""
         self.dead = False
-        """Fault knob: it neither hears nor sends anything; its motion goes on."""
+        """Fault knob: it receives and sends nothing; its motion goes on."""
         self.forced_switch = 0
         """Fault knob: -1 or 1 for a limit switch that is always active."""
         self.slipped = 0.0
-        """Fault knob: so much in m or rad the axis is off what the encoder shows."""
+        """Fault knob: offset of the axis from the encoder's position in m or rad."""
         self.misread = 0.0
-        """Fault knob: so much in m or rad the encoder shows too much."""
+        """Fault knob: offset of the encoder's reading in m or rad."""
         self.answer_bytes: int | None = None
-        """Fault knob: each object that is read has so many bytes; None: as many as it has."""
+        """Fault knob: number of bytes in the answer to each read; None: the correct number."""
         super().__init__(mount.node_id, od.of_node(mount.node_id), start_s)
         self._node.add_read_callback(self._read)
         self._node.add_write_callback(self._write)
@@ -98,7 +98,7 @@ class SimulatedDrive(CanopenDevice):
 
     @property
     def moving(self) -> bool:
-        """Whether the set-point moves, or the mechanism is not there yet."""
+        """Whether the set-point moves, or the mechanism has not reached it."""
         return not self._stands or abs(self.motion.actual_speed) > _STANDING
 
     @property
@@ -152,7 +152,7 @@ class SimulatedDrive(CanopenDevice):
             self._abort_connection()
 
     def power_cycle(self) -> None:
-        """Lose power and come back: set-up and position are lost, the axis stays where it is."""
+        """Switch the power off and on: set-up and position are lost, the axis does not move."""
         self._node.nmt.stop_heartbeat()
         self._node.data_store.clear()
         self.state = State.NOT_READY_TO_SWITCH_ON
@@ -258,7 +258,7 @@ class SimulatedDrive(CanopenDevice):
             self.state = State.OPERATION_ENABLED
 
     def _abort_connection(self) -> None:
-        """Do what 6007h asks for when the host is lost or has stopped the node (CiA 402-2)."""
+        """Carry out the option of 6007h when the host is lost or stopped the node (CiA 402-2)."""
         stops = self._number(od.ABORT_CONNECTION) == od.STOP_WHEN_HOST_IS_LOST
         if stops and self.state is State.OPERATION_ENABLED:
             self._quick_stop()
@@ -325,7 +325,7 @@ class SimulatedDrive(CanopenDevice):
             self.fail(od.FOLLOWING_ERROR_CODE)
 
     def _home(self, method: int) -> None:
-        """Go on with homing: to the switch, off it slowly, home is where it lets go."""
+        """Continue homing: to the switch, then slowly back; home is where the switch opens."""
         motion = self.motion
         if method == HomingMethod.HERE or self._braking_at_home:
             self._found_home()

@@ -12,14 +12,14 @@ from simulator.errors import SimulatorSettingsError
 from tactile.source import ForceMessage
 
 _EMPTY_MESSAGES = 50
-"""Messages of the empty pads that are kept to be shown again."""
+"""Number of stored messages of the empty pads, for their repetition."""
 _SWAP_S = 1.5e-4
-"""Delay in s of a swapped message: longer than the one after it takes at 1 Mbit/s (135 us)."""
+"""Delay in s of a swapped message: longer than its successor takes at 1 Mbit/s (135 us)."""
 
 
 @dataclass(slots=True, kw_only=True)
 class CanLinkFaults:
-    """Knobs of the way between the control unit and the host."""
+    """Knobs of the link between the control unit and the host."""
 
     drop_rate: float = 0.0
     duplicate_rate: float = 0.0
@@ -27,34 +27,33 @@ class CanLinkFaults:
     corrupt_rate: float = 0.0
     truncate_rate: float = 0.0
     """Probability from 0 to 1 that a message to the host is lost, comes twice, comes after its
-    successor, has one bit turned after the CAN checksum, or has fewer bytes than its length code
-    (as an adapter on a serial line makes them)."""
+    successor, has one bit flipped after the CRC check, or has fewer bytes than its length code
+    (as by an adapter on a serial line)."""
     wrong_dlc_rate: float = 0.0
-    """Probability that a message comes with fewer bytes and a length code that fits them."""
+    """Probability that a message has fewer bytes, with a matching length code."""
     drop_next: int = 0
-    """So many of the next messages to the host are lost."""
+    """Number of next messages to the host that are lost."""
     delay_s: float = 0.0
-    """Messages to the host come so much later, in s."""
+    """Delay of messages to the host in s."""
     flood_hz: float = 0.0
-    """Messages with an unknown identifier and random content that come every second."""
+    """Rate in Hz of messages with an unknown identifier and random content."""
     error_passive: bool = False
     bus_off: bool = False
-    """The host's CAN controller reports that state with an error frame, once each time it is
-    switched on (and the way back from error-passive); while it is bus-off nothing passes in either
-    direction."""
+    """States of the host's CAN controller. It reports each begin of a state, and the end of
+    error-passive, by an error frame; while it is bus-off no message passes."""
     unplugged: bool = False
     """The host's adapter is gone: sending and receiving fail."""
     bitrate: int = 0
-    """Bit rate in bit/s of the bus in the place of the settings' one, 0 for that; a host that is
-    set to another one hears and reaches nobody."""
+    """Bit rate of the bus in bit/s, 0: that of the settings. A host with another bit rate has no
+    communication."""
 
     @property
     def disturbs(self) -> bool:
-        """Whether messages to the host are to be looked at one by one."""
+        """Whether messages to the host must be handled one by one."""
         return any(getattr(self, name) for name in ("drop_next", "delay_s", "bus_off", *_RATES))
 
     def check(self) -> None:
-        """Refuse impossible values; the bus calls it when a fault is in use."""
+        """Refuse impossible values; the bus calls it while a fault is active."""
         for name in _RATES:
             rate = getattr(self, name)
             if not 0.0 <= rate <= 1.0:
@@ -74,11 +73,11 @@ class ControlUnitFaults:
     """Knobs inside the control unit."""
 
     dead: bool = False
-    """The unit neither hears nor sends anything; it comes back where it stopped."""
+    """The unit receives and sends nothing; afterwards it continues where it stopped."""
     heartbeat_off: bool = False
     """The heartbeat stops, all else goes on."""
     frozen: bool = False
-    """The converter returns its last scan for ever; counter and checksum are valid."""
+    """The converter always returns its last scan; counter and checksum are valid."""
     converter_fault: bool = False
     """The self-test of the converter fails: a bit in the status of the frames."""
     stuck_counts: dict[int, int] = field(default_factory=dict)
@@ -90,47 +89,46 @@ class ControlUnitFaults:
     gain: float = 1.0
     """Factor on all taxels before the offset."""
     late_s: float = 0.0
-    """The burst of a frame begins so long after its SYNC, in s."""
+    """Delay in s of the burst of a frame after its SYNC."""
     mounted: dict[str, NDArray[np.int64]] = field(default_factory=dict)
-    """Orders of the taxels (n_taxels,) by name: how pads sit otherwise than the layout has them.
-    The sample that is sent at a place is that of the taxel named there."""
+    """Orders of the taxels (n_taxels,) by name, for pads mounted differently from the layout. Each
+    element is the taxel whose sample is sent at that place."""
     noisy_taxels: dict[int, float] = field(default_factory=dict)
     """Standard deviation in counts of further noise on taxels."""
     pads_swapped: bool = False
-    """The connectors of the two fingers are exchanged: each half of a scan stands where the other
-    belongs."""
+    """The connectors of the two fingers are exchanged: so are the halves of a scan."""
     forces_off: bool = False
     """No force messages any more; frames go on."""
     forces_lost: float = 0.0
     forces_twice: float = 0.0
     forces_swapped: float = 0.0
-    """Share from 0 to 1 of the force messages, evenly, that are lost, come twice, or come after the
-    next one."""
+    """Share from 0 to 1 of the force messages, evenly spaced, that are lost, come twice, or come
+    after the next message."""
     forces_again_s: float = 0.0
-    """Each force message comes once more so long later, in s; 0: it does not."""
+    """Time in s after which each force message is repeated; 0: not repeated."""
     forces_late_s: float = 0.0
-    """Force messages come so long after their scan, in s."""
+    """Delay in s of force messages after their scan."""
     forces_each: float = 1.0
-    """Only each so many-th force message is made; the counter counts those that are."""
+    """Only each n-th force message is made; the counter counts only these."""
     force_gain: float = 1.0
     force_offset_n: float = 0.0
-    """Factor on the forces in the messages, as of a table of other pads; N added to each."""
+    """Factor on the forces in the messages, as by a table of other pads; offset in N."""
     spoiled_each: float = 1.0
-    """These two spoil only each so many-th force message."""
+    """Factor and offset change only each n-th force message."""
     pads_empty: bool = False
     """The force messages are those of the empty pads, with new counters."""
     centres_stuck: bool = False
     centres_off: bool = False
-    """The centre in the messages stays as it is; there is none."""
+    """The centre in the messages does not move; messages have no centre."""
     centre_shift_taxels: float = 0.0
-    """Pitches of the taxels by which the centre in the messages is shifted along the fingers."""
+    """Shift of the centre in the messages along the fingers in taxel pitches."""
     _n_spoiled: int = 0
     _empty_pads: deque[ForceMessage] = field(default_factory=lambda: deque(maxlen=_EMPTY_MESSAGES))
     _centre_taxels: tuple[float, float] | None = None
     _rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:
-        """Return converted counts (n_taxels,) with these faults; IndexError for no taxel."""
+        """Return counts (n_taxels,) with these faults; IndexError for an invalid taxel index."""
         for order in self.mounted.values():
             counts = counts[order]
         if self.pads_swapped:
@@ -183,7 +181,7 @@ class Disturber:
     rng: np.random.Generator
 
     def pass_on(self, t_s: float, data: bytes) -> Iterable[tuple[float, int, bytes]]:
-        """Return what becomes of one message: any number of (arrival in s, length code, data)."""
+        """Return the results of one message: any number of (arrival in s, length code, data)."""
         faults = self.faults
         faults.check()
         if faults.bus_off:

@@ -1,6 +1,6 @@
-"""The way between the control unit and the host's CAN adapter: wire time, faults, capture.
+"""The link between the control unit and the host's CAN adapter: wire time, faults, capture.
 
-`simulator.can.memory_bus` puts python-can's interface on it, `simulator.can.slcan` the serial one.
+`simulator.can.memory_bus` adds python-can's interface, `simulator.can.slcan` the serial one.
 """
 
 import bisect
@@ -22,18 +22,18 @@ from simulator.can.wire import Burst, CanWire
 from simulator.errors import SimulatorStateError
 
 Capture = Callable[[float, int, bytes], None]
-"""Takes time in s, identifier and data of each message that has gone over the wire."""
+"""Takes time in s, identifier and data of each message on the wire."""
 
 _ERROR_CONTROLLER, _ERROR_BUS_OFF = 0x04, 0x40
-"""Classes of error frames as SocketCAN has them in the identifier (linux/can/error.h)."""
+"""Classes of error frames in the identifier, as in SocketCAN (linux/can/error.h)."""
 _CONTROLLER_PASSIVE, _CONTROLLER_ACTIVE = 0x30, 0x40
-"""States of the controller in data byte 1 of such a frame."""
+"""States of the controller in data byte 1 of an error frame."""
 _ARRIVAL_S = attrgetter("timestamp")
 """Time in s at which a message arrives."""
 _FLOOD_ID = 0x6FF
-"""Identifier of flooding messages: an SDO request to node 127, which no unit here is."""
+"""Identifier of flooding messages: an SDO request to the unused node 127."""
 _INBOX_LIMIT = 100_000
-"""Messages that the adapter's memory holds: half a minute of frames at 50 Hz."""
+"""Most messages in the adapter's memory: half a minute of frames at 50 Hz."""
 
 
 class _Sender(Enum):
@@ -45,7 +45,7 @@ class _Sender(Enum):
 
 
 class CanDevice(Protocol):
-    """A device as the bus on which it is needs it."""
+    """A device on a bus."""
 
     def connect(self, send: SendBurst) -> None:
         """Plug the device in."""
@@ -63,8 +63,8 @@ class CanDevice(Protocol):
 class CanLink:
     """One device, one wire, and the host's adapter.
 
-    What the host sends reaches the device at once and in order, so it goes first on the wire. What
-    the device sends arrives when its last bit is through.
+    Messages of the host reach the device at once and in order, so they go first on the wire.
+    Messages of the device arrive with their last bit.
     """
 
     def __init__(
@@ -76,10 +76,10 @@ class CanLink:
         seed: int = 0,
     ) -> None:
         self.capture: list[Capture] = []
-        """Called with each message that goes over the wire, lost ones included, in its order."""
+        """Called with each message on the wire in order, also with lost messages."""
         self.faults = faults or CanLinkFaults()
         self.lost = 0
-        """Messages that nobody fetched until the adapter's memory was full."""
+        """Number of messages lost because the adapter's memory was full."""
         self._device = device
         self._bitrate = bitrate
         self._wire = CanWire(bitrate)
@@ -90,7 +90,7 @@ class CanLink:
         device.connect(self._deliver)
 
     def deaf(self, bitrate: int) -> bool:
-        """Return whether a host that is set to this bit rate hears and reaches nobody."""
+        """Return whether a host with this bit rate has no communication."""
         return bitrate != (self.faults.bitrate or self._bitrate)
 
     def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
@@ -130,19 +130,19 @@ class CanLink:
             self._transmit(now_s)
 
     def next_event_s(self) -> float:
-        """Return when something arrives or the device next sends by itself; infinity for never."""
+        """Return the time of the next arrival or own message of the device; infinity: never."""
         next_s = min(self._device.next_event_s(), self._flood_due_s, self._wire.next_end_s())
         return min(next_s, self._inbox[0].timestamp) if self._inbox else next_s
 
     def clear(self, now_s: float = math.inf) -> None:
-        """Forget what came until ``now_s`` s and was not fetched, as an adapter that is closed."""
+        """Drop messages that arrived until ``now_s`` s, as by closing the adapter."""
         self._transmit(now_s)
         self._inbox.clear()
 
     def _deliver(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
-        """Let the device's messages wait for the wire; returns when the last is through, in s.
+        """Queue the device's messages for the wire; returns the end time of the last one in s.
 
-        Messages that are more urgent and come later may still put that off.
+        Later messages with a higher priority may still delay it.
         """
         if len(self._inbox) + self._wire.n_waiting > _INBOX_LIMIT:
             self.lost += len(burst)
@@ -151,7 +151,7 @@ class CanLink:
         return self._wire.end_s(ready_s, can_id)
 
     def _transmit(self, now_s: float) -> None:
-        """Put what the wire has carried until ``now_s`` s into the inbox, with the faults."""
+        """Move messages sent until ``now_s`` s into the inbox, with the faults."""
         inbox = self._inbox
         for ends_s, (_, can_id, _, _, sender), messages in self._wire.take(now_s):
             for through_s, data in zip(ends_s, messages, strict=True) if self.capture else ():
@@ -177,7 +177,7 @@ class CanLink:
     def _disturbed(
         self, ends_s: Sequence[float], can_id: int, messages: Sequence[bytes]
     ) -> Iterator[can.Message]:
-        """Yield what arrives of messages that are through at these times, with the faults."""
+        """Yield the arrivals of messages that were sent at these times, with the faults."""
         for through_s, data in zip(ends_s, messages, strict=True):
             for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
                 yield can.Message(arrival_s, can_id, False, dlc=code, data=changed)
@@ -209,7 +209,7 @@ class CanLink:
 
 
 class CanDevices:
-    """The devices on the bus as one: those of the cell, and those that join them."""
+    """The devices on the bus as one device: those of the cell, and added ones."""
 
     def __init__(self, *devices: CanDevice) -> None:
         self._devices = list(devices)
@@ -222,14 +222,14 @@ class CanDevices:
             device.connect(send)
 
     def add(self, device: CanDevice) -> Callable[[], None]:
-        """Let another device join; returns the function that takes it off the bus again."""
+        """Add a device; returns the function that removes it from the bus."""
         if self._send is not None:
             device.connect(self._send)
         self._devices.append(device)
         return lambda: self._devices.remove(device)
 
     def send(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
-        """Send messages of no device; returns when the last is through, in s.
+        """Send messages without a device; returns the end time of the last one in s.
 
         Raises SimulatorStateError if no bus is connected.
         """

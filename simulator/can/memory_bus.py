@@ -13,13 +13,13 @@ from simulator.errors import SimulatorStateError
 class InMemoryCanBus(can.BusABC):
     """The host's end of the bus, with the interface of python-can.
 
-    Waiting in ``recv`` moves the clock. What is sent reaches the device before ``send`` returns.
-    Messages carry as time stamp the time at which they were through the wire, in s of the clock.
+    Waiting in ``recv`` advances the clock. A message reaches the device before ``send`` returns.
+    The time stamp of a message is the end of its transmission, in s of the clock.
 
     Parameters
     ----------
     host_bitrate
-        What the host's adapter is set to, by default the same; with another one nothing passes.
+        Bit rate of the host's adapter, by default that of the bus; with another one nothing passes.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class InMemoryCanBus(can.BusABC):
         self._host_bitrate = bitrate if host_bitrate is None else host_bitrate
         self._link = CanLink(device, bitrate=bitrate, faults=faults, seed=seed)
         self.capture = self._link.capture
-        """Hooks that are called with each message on the wire, lost ones included, in order."""
+        """Hooks that are called with each message on the wire in order, also with lost ones."""
         self.faults = self._link.faults
         """Knobs of the link."""
         self.clock = clock
@@ -68,9 +68,9 @@ class InMemoryCanBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next message, or None when none comes within ``timeout`` s.
 
-        Waiting moves the clock; with None it moves until something comes. Raises
-        can.CanOperationError if the adapter is unplugged or the bus was shut down. Raises
-        SimulatorStateError if it shall wait without limit on a bus on which nothing will ever come.
+        Waiting advances the clock, with None until a message comes. Raises can.CanOperationError if
+        the adapter is unplugged or the bus was shut down. Raises SimulatorStateError for a wait
+        without limit on a bus without any future message.
         """
         clock, link = self.clock, self._link
         now_s = clock.monotonic()
@@ -92,7 +92,7 @@ class InMemoryCanBus(can.BusABC):
             next_s = min(link.next_event_s(), deadline_s)
             if math.isinf(next_s):
                 raise SimulatorStateError(
-                    "recv() without a time-out on a bus on which nothing will ever come"
+                    "recv() without a time-out on a bus without any future message; give a time-out"
                 )
             clock.advance_to(next_s)
             now_s, looked = clock.monotonic(), False
@@ -108,7 +108,7 @@ class InMemoryCanBus(can.BusABC):
         return messages if self._filters is None else list(filter(self._matches_filters, messages))
 
     def flush(self) -> None:
-        """Let what waits for the wire go out, for those who capture it; the host forgets it."""
+        """Send all waiting messages, for captures; the host drops them."""
         self._link.clear()
 
     def shutdown(self) -> None:
@@ -120,7 +120,7 @@ class InMemoryCanBus(can.BusABC):
     def _check_open(self) -> None:
         if self._is_shutdown:
             raise can.CanOperationError("the bus was shut down: open a new one")
-        # As with the interfaces of the system: an adapter that is back does not help an open bus.
+        # As with the interfaces of the system: an open bus stays broken when the adapter is back.
         self._lost |= self._link.faults.unplugged
         if self._lost:
             raise can.CanOperationError("the CAN adapter is gone: plug it in and open it again")

@@ -1,7 +1,7 @@
-"""The control unit's side of its bytes: frames and force messages it sends, objects it is sent.
+"""The control unit's codec: frames and force messages that it sends, objects that it receives.
 
-Written from docs/reference/control-unit.md, apart from the driver's codec: where one of the two is
-wrong, the other refuses its bytes. Pure.
+Pure functions, written from docs/reference/control-unit.md and separate from the driver's codec: an
+error in one of them shows as a disagreement.
 """
 
 import struct
@@ -16,23 +16,23 @@ from tactile.source import ForceMessage
 
 MESSAGE_BYTES = 8
 FORCE_COUNTERS = 16
-"""Force messages until a counter comes again."""
+"""Number of different counters of force messages."""
 TABLE_NODES = 129
 """Forces in the table of one pad, at even steps from 0 counts to full scale."""
 
 _TRAILER_BYTES = 5
 """Counter, status and CRC at the end of a burst."""
 _SHORT_BURST = 64
-"""Messages that the six bits of a header of one byte number."""
+"""Most messages of a burst with one-byte headers: six bits for the number."""
 _TABLE_STEP_N = 0.0005
 _ZERO_STEPS = 60_000
 """Steps of a zero in the full scale of the counts."""
 _FAILING = 0xFFFF
-"""Zero of a taxel that does not measure."""
+"""Zero of a failing taxel."""
 _FORCE_STEPS_N, _CENTRE_STEPS_TAXELS = 500, 16
 """Steps of a force in 1 N, and of a centre in one pitch of the taxels."""
 _NOWHERE = -128
-"""Centre of a force that is none."""
+"""Centre of a zero force."""
 
 
 class DamagedObject(ValueError):
@@ -41,14 +41,14 @@ class DamagedObject(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class BurstFormat:
-    """The cut of a scan into the messages of one burst, as object 2101h shows it."""
+    """The division of a scan into the messages of one burst, as in object 2101h."""
 
     n_taxels: int
     sample_bytes: int
 
     @property
     def header_bytes(self) -> int:
-        """One where six bits number the messages, else two."""
+        """One if six bits are enough for the number of messages, else two."""
         return 1 if self._content_bytes <= _SHORT_BURST * (MESSAGE_BYTES - 1) else 2
 
     @property
@@ -80,7 +80,7 @@ class BurstFormat:
 
 
 def force_bytes(message: ForceMessage) -> bytes:
-    """Return a force message; what does not fit stays at the end of its range."""
+    """Return a force message; values are limited to their range."""
     along, across = (
         (_NOWHERE, _NOWHERE)
         if message.centre_taxels is None

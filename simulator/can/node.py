@@ -14,7 +14,7 @@ from canopen.sdo.server import SdoServer
 from simulator.errors import SimulatorStateError
 
 RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
-"""NMT commands that canopen's node does not carry out."""
+"""NMT commands that the node of canopen does not carry out."""
 
 UNKNOWN_COMMAND = 0x0504_0001
 """SDO abort code (CiA 301, 7.2.4.3.17): command specifier that is unknown, or out of its turn."""
@@ -23,17 +23,17 @@ _ABORTED = 0x80
 _ABORT, _INITIATE = struct.Struct("<BHBL"), struct.Struct("<BHB")
 """An SDO abort, and the head of a request: command, index, sub-index, and the abort code."""
 _SDO_BYTES = 8
-# What the server refuses is an abort to the client, and no error of the simulator.
+# A refusal of the server is an abort for the client, not an error of the simulator.
 logging.getLogger(SdoServer.__module__).setLevel(logging.CRITICAL)
 
 SendBurst = Callable[[float, int, list[bytes]], float]
-"""Takes the time in s at which messages are ready, their identifier and their data; sends them one
-after the other and returns when the last one is through, in s."""
+"""Takes the time in s at which messages are ready, their identifier and their data. Sends them in
+sequence and returns the end time of the last one in s."""
 
 
 @dataclass(slots=True, eq=False)
 class _PeriodicTask:
-    """A message that is sent again and again; canopen's heartbeat producer holds one."""
+    """A periodic message; canopen's heartbeat producer has one."""
 
     network: "DeviceNetwork"
     can_id: int
@@ -42,18 +42,18 @@ class _PeriodicTask:
     due_s: float
 
     def update(self, data: Sequence[int]) -> None:
-        """Send other data from the next time on."""
+        """Change the data from the next message on."""
         self.data = bytes(data)
 
     def stop(self) -> None:
-        """Send no more."""
+        """Stop sending."""
         self.network.remove(self)
 
 
 class DeviceNetwork:
     """The network of one canopen LocalNode in the time of the simulation: no bus, no thread.
 
-    Takes the messages of the node and keeps its periodic ones. It has those methods of
+    Takes the messages of the node and keeps its periodic ones. It has the methods of
     ``canopen.Network`` that a LocalNode calls.
 
     Parameters
@@ -71,13 +71,13 @@ class DeviceNetwork:
         """Present time in s; set by the owner."""
 
     def subscribe(self, can_id: int, callback: Callable[..., Any]) -> None:
-        """Do nothing: the owner hands messages to the node itself, by the rules of NMT."""
+        """Do nothing: the owner passes messages to the node by the rules of NMT."""
 
     def unsubscribe(self, can_id: int, callback: Callable[..., Any] | None = None) -> None:
         """Do nothing, see `subscribe`."""
 
     def send_message(self, can_id: int, data: Sequence[int], remote: bool = False) -> None:
-        """Send a message now; remote frames are not what this device sends."""
+        """Send a message now; this device sends no remote frames."""
         self._send(self.now_s, can_id, bytes(data))
 
     def send_periodic(
@@ -90,7 +90,7 @@ class DeviceNetwork:
         return task
 
     def remove(self, task: "_PeriodicTask") -> None:
-        """Send a message no more."""
+        """Remove a periodic message."""
         self._tasks.remove(task)
         self._find_next()
 
@@ -127,20 +127,20 @@ class CanopenDevice:
 
     @property
     def send(self) -> SendBurst:
-        """What puts its messages on the bus; SimulatorStateError before `connect`."""
+        """Function that sends its messages; SimulatorStateError before `connect`."""
         if self._send is None:
             raise SimulatorStateError("the device is not connected to a bus: connect() first")
         return self._send
 
     def _serve(self, request: bytes) -> None:
-        """Answer one SDO request; a message that is not of 8 bytes is none."""
+        """Answer one SDO request; messages without 8 bytes are ignored."""
         sdo = self._node.sdo
         if len(request) != _SDO_BYTES:
             return
         try:
             sdo.on_request(sdo.rx_cobid, bytearray(request), self._network.now_s)
         except struct.error:
-            # Its abort names the object of the last transfer, and there was none.
+            # Its abort has the object of the last transfer, but there was no transfer.
             _, index, subindex = _INITIATE.unpack_from(request)
             abort = _ABORT.pack(_ABORTED, index, subindex, UNKNOWN_COMMAND)
             self._network.send_message(sdo.tx_cobid, abort)

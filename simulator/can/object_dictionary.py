@@ -1,8 +1,8 @@
 """The control unit's object dictionary: its EDS, filled.
 
-canopen's LocalNode keeps the values and serves them by SDO. What it leaves open is done here:
-values that live elsewhere in the unit, limits from the EDS, sub-indices of plain variables, and the
-rules of CiA 301 on which object may be written when.
+canopen's LocalNode keeps the values and serves them by SDO. This module adds values from other
+parts of the unit, limits from the EDS, sub-indices of plain variables, and the rules of CiA 301 for
+writes.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,9 +30,10 @@ NO_DATA = 0x0800_0024
 _COB_ID_BITS = 0x7FF
 """Bits of a COB-ID entry that are the identifier of 11 bits."""
 _FRAME_BIT_AND_COB_ID = 0x3FFF_FFFF
-"""A COB-ID entry without its two top bits: zero beside 11 bits, or the identifier is of 29 bits."""
+"""A COB-ID entry without its two top bits; other bits than the lowest 11 mean a 29-bit identifier.
+"""
 _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x181, 0x57F
-"""Identifiers that PDOs have in the pre-defined connection set."""
+"""Range of PDO identifiers in the pre-defined connection set."""
 _EDS_FULL_SCALE = 255
 """Full scale in counts for which the thresholds of the EDS are given."""
 _COMMUNICATION_PROFILE = range(0x1000, 0x2000)
@@ -48,7 +49,7 @@ _FORCE_FIELDS = {
     5: slice(6, 7),
     6: slice(7, 8),
 }
-"""Bytes of a force message that the sub-indices of object 0x2140 are."""
+"""Bytes of a force message for the sub-indices of object 0x2140."""
 
 
 class UnitDictionary:
@@ -63,9 +64,9 @@ class UnitDictionary:
     identity
         Other sub-indices of 0x1018 that differ from the EDS.
     boards
-        Returns object 0x2103: the serial numbers of the pads' boards as they are plugged in.
+        Returns object 0x2103: the serial numbers of the pads' present boards.
     missing
-        Objects of the EDS that an older unit does not have.
+        Objects of the EDS that are missing in an older unit.
     """
 
     def __init__(
@@ -121,7 +122,7 @@ class UnitDictionary:
     def pretend(
         self, index: int, subindex: int, value: int | str | bytes | None
     ) -> int | str | bytes | None:
-        """Let a constant read as another value; returns what it was, None for the EDS's own."""
+        """Replace the value of a constant; returns the previous value, None: that of the EDS."""
         before = self._constants.get((index, subindex))
         if value is None:
             self._constants.pop((index, subindex), None)
@@ -149,7 +150,7 @@ class UnitDictionary:
         return self.number(unit_od.SYNC_COB_ID) & _COB_ID_BITS
 
     def pdo_cob_id(self, pdo: int) -> int | None:
-        """Return the identifier of TPDO ``pdo`` (1, 2), None while it is switched off."""
+        """Return the identifier of TPDO ``pdo`` (1, 2); None while it is off."""
         value = self.number(_TPDO_PARAMETERS[pdo - 1], 1)
         return None if value & unit_od.PDO_INVALID else value & _COB_ID_BITS
 
@@ -226,7 +227,7 @@ class UnitDictionary:
             raise canopen.SdoAbortedError(VALUE_RANGE)
 
     def _check_mapping(self, pdo: int, subindex: int, value: int) -> None:
-        """Let the fixed mapping be written again, in the order of CiA 301, but not changed."""
+        """Accept writes of the fixed mapping in the order of CiA 301; refuse changes."""
         mapping: Any = self._node.object_dictionary[_TPDO_MAPPINGS[pdo]]
         if not self.number(_TPDO_PARAMETERS[pdo], 1) & unit_od.PDO_INVALID:
             raise canopen.SdoAbortedError(WRONG_STATE)

@@ -1,11 +1,11 @@
 """The control unit's sum of the force on its gripping pads, from one scan to one force message.
 
-A scan's counts are taken above the zero that the host has written; a taxel that is touched counts
-with the force of the host's table, the others with nothing, or their noise would drown the force of
-a light touch. Touched is where the mean over the last scans, smoothed over the 3 x 3 neighbours, is
-above the threshold, or above a share of it here and on the taxel that faces this one, and until it
-is back at the zero; so no single scan decides, and what the taxel has of noise enters the force
-once, unclipped.
+The counts of a scan are relative to the zero from the host. A touched taxel adds the force of the
+host's table; other taxels add nothing, because their noise would hide a light touch. For the
+decision the mean over the last scans is smoothed over the 3 x 3 neighbours. A taxel becomes touched
+above the threshold, or if it and the facing taxel are above a share of it. It stays touched until
+the mean is back at zero. So a single scan never decides, and noise enters the force once,
+unclipped.
 """
 
 from collections.abc import Callable
@@ -25,20 +25,20 @@ from tactile.layout import TaxelLayout
 from tactile.source import ForceMessage, ForceStatus
 
 _MEAN_SCANS = 4
-"""Scans of the running mean that decides what is touched: 12 ms at 333 scans a second."""
+"""Scans in the running mean that decides about touch: 12 ms at 333 scans per second."""
 _KERNEL = (2.0, 1.0)
 """Weights of a taxel and of each neighbour in each direction of the 3 x 3 mean (binomial)."""
 _KERNEL_SUM = 16.0
-"""Sum of all nine; at a border too, or the few taxels there would be touched by their noise."""
+"""Sum of all nine, also at a border: with a smaller sum noise would count as touch there."""
 _FACING_SHARE = 0.7
-"""Share of the threshold from which on a taxel and the one that faces it are touched together:
-noise does not lift both as often as it lifts one above the whole of it."""
+"""Share of the threshold for a taxel and its facing taxel together: noise exceeds it on both less
+often than it exceeds the whole threshold on one."""
 
 _NODES = np.arange(TABLE_NODES)
 
 
 def _smoothing(rows: int, columns: int) -> NDArray[np.float64]:
-    """Return the matrix (n, n) that sums each taxel's 3 x 3 neighbours; beyond a pad is nothing."""
+    """Return the matrix (n, n) that sums each taxel's 3 x 3 neighbours on its pad."""
     near, beside = _KERNEL
 
     def band(n: int) -> NDArray[np.float64]:
@@ -63,7 +63,7 @@ class PadForces:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to what a unit is after power-on: no table, no zero."""
+        """Restore the state after power-on: no table, no zero."""
         self._table_n: NDArray[np.float64] | None = None
         self._zero_counts: NDArray[np.float64] | None = None
         self._touch_counts = 0.0
@@ -71,11 +71,11 @@ class PadForces:
         self._mean = np.zeros(len(self._place))
 
     def take_table(self, data: bytes) -> None:
-        """Take object 0x2141; DamagedObject for a damaged one, then the table before it stays."""
+        """Take object 0x2141; DamagedObject if it is damaged, the old table then stays."""
         self._table_n = read_table(data)
 
     def take_zero(self, data: bytes) -> None:
-        """Take object 0x2142; DamagedObject for a damaged one, then the zero before it stays."""
+        """Take object 0x2142; DamagedObject if it is damaged, the old zero then stays."""
         decoded = read_zero(data, len(self._place), self._adc_max)
         self._touch_counts, self._zero_counts, self._bad = decoded
         self._active = np.zeros(len(self._place), dtype=np.bool_)
@@ -95,7 +95,7 @@ class PadForces:
         counts : (n,) uint16
             Scan of both gripping pads, finger 0 first.
         status
-            What the unit says of this scan.
+            Status of this scan.
         spoil
             Applies the faults of forces and centres.
         """
@@ -140,7 +140,7 @@ class PadForces:
         node = tared * ((TABLE_NODES - 1) / self._adc_max)
         n = self._n_first
         for table_n, part in zip(tables_n, (slice(None, n), slice(n, None)), strict=True):
-            # Below zero the table goes on as its first piece, so that noise averages out.
+            # Below zero the table continues with its first segment, so that noise averages out.
             below_n = np.minimum(node[part], 0.0) * (table_n[1] - table_n[0])
             force_n[part] = np.interp(node[part], _NODES, table_n) + below_n
         return np.where(touched, force_n, 0.0)

@@ -3,7 +3,7 @@
 import math
 
 FOLLOWING_TIME_CONSTANT_S = 0.004
-"""Time constant in s with which the mechanism follows the set-point; an assumption."""
+"""Time constant in s of the mechanism behind the set-point; an assumption."""
 
 
 class ProfileMotion:
@@ -12,9 +12,9 @@ class ProfileMotion:
     Parameters
     ----------
     position
-        Where the mechanism is at the start, in increments of the machine.
+        Position of the mechanism at the start in increments.
     low, high
-        Where the limit switches are.
+        Positions of the limit switches.
     """
 
     def __init__(self, position: float, low: float, high: float) -> None:
@@ -22,16 +22,16 @@ class ProfileMotion:
         self.speed = self.actual_speed = 0.0
         """Set-point and mechanism: place in increments, velocity in increments/s."""
         self.blocked = False
-        """Whether something holds the mechanism."""
+        """Whether the mechanism is blocked."""
         self.braking = 0.0
-        """Deceleration in increments/s² of a stop that is under way; 0 without one."""
+        """Deceleration in increments/s² of a running stop; 0: no stop."""
         self._goal: float | None = None
         self._limits = (0.0, 0.0)
         self._switches = (low, high)
 
     @property
     def resting(self) -> bool:
-        """Whether the set-point stands still with nowhere to go."""
+        """Whether the set-point is at its goal."""
         return self._goal is None and self.speed == 0.0
 
     def switches(self, forced: int) -> tuple[bool, bool]:
@@ -52,7 +52,7 @@ class ProfileMotion:
         self._goal, self.braking = None, deceleration
 
     def freeze(self) -> None:
-        """Stand at once where the mechanism is: the power stage is off."""
+        """Stop at once at the mechanism's position: the power stage is off."""
         self.demand, self.speed, self._goal, self.braking = self.actual, 0.0, None, 0.0
 
     def step(self, dt_s: float) -> None:

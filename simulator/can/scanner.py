@@ -15,7 +15,7 @@ from tactile.unit.object_dictionary import UnitTareResult
 
 
 class ScannedWorld(Protocol):
-    """The world as a scanner needs it."""
+    """The world for a scanner."""
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels at this moment; counts (n_taxels,)."""
@@ -26,7 +26,7 @@ class ScannedWorld(Protocol):
 
 @dataclass(slots=True)
 class _Tare:
-    """A tare that is being taken: what it needs, and the scans so far."""
+    """A running tare: its parameters, and the scans so far."""
 
     frames_wanted: int
     touch_counts: int
@@ -42,7 +42,7 @@ class Scanner:
         self._layout = layout
         self._faults = faults
         self.format = BurstFormat(layout.n_taxels, layout.sample_bytes)
-        """How scans are cut into messages."""
+        """Division of scans into messages."""
         self.forces = PadForces(layout)
         """The sum of the force on the gripping pads."""
         self._grip = np.concatenate(
@@ -51,13 +51,13 @@ class Scanner:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to what a unit is after power-on: no zero, no frame, counter at 0."""
+        """Restore the state after power-on: no zero, no frame, counter at 0."""
         self.counter = 0xFFFF
         """Number of the last scan, modulo 65536."""
         self.read_counter = 0
-        """Number of the scan that `last_frame` last returned."""
+        """Number of the scan in the last result of `last_frame`."""
         self.overrun = self.force_overrun = False
-        """Whether the status of the next message shows that the one before was not sent in time."""
+        """Whether the status of the next message reports that the previous one was late."""
         self.last_force = bytes(MESSAGE_BYTES)
         """The last force message."""
         self.forces.reset()
@@ -111,9 +111,9 @@ class Scanner:
         return self.last_force
 
     def last_frame(self) -> bytes | None:
-        """Return the samples of the last frame as they go over the bus, None before the first.
+        """Return the samples of the last frame in bus format; None before the first frame.
 
-        Scans go on while the samples are uploaded: ``read_counter`` stays at this frame's.
+        Scans continue during the upload: ``read_counter`` stays at this frame's number.
         """
         if self._counts is None:
             return None
@@ -121,13 +121,13 @@ class Scanner:
         return self.format.samples(self._counts)
 
     def start_tare(self, n_frames: int, touch_counts: int, spread_counts: int) -> None:
-        """Take a zero from the next ``n_frames`` scans, unless they are touched or uneven."""
+        """Take a zero from the next ``n_frames`` scans, unless they show touch or noise."""
         self._tare = _Tare(n_frames, touch_counts, spread_counts, [])
         self.tare_result = UnitTareResult.RUNNING
         self.tare_largest = 0
 
     def clear_tare(self) -> None:
-        """Go back to raw counts."""
+        """Remove the tare: counts are raw again."""
         self._tare = None
         self._offsets = None
         self.tare_result = UnitTareResult.NONE

@@ -1,7 +1,7 @@
-"""A serial CAN adapter: the LAWICEL (slcan) ASCII protocol in front of the simulated bus.
+"""A serial CAN adapter: the LAWICEL (slcan) ASCII protocol for the simulated bus.
 
 Written from the manual of the LAWICEL CANUSB. Commands end with CR; CR acknowledges, BEL refuses.
-The adapter has no loop and no port of its own: bytes in, bytes out, time as an argument.
+The adapter has no loop and no port: bytes in, bytes out, time as an argument.
 """
 
 import string
@@ -13,11 +13,11 @@ from simulator.can.link import CanLink
 BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 """Bit rate by the digit of the command S."""
 OUTPUT_LIMIT = 1 << 18
-"""Bytes that wait for a client that does not read; what comes then is lost (flag 0x01)."""
+"""Most bytes that wait for a client; further bytes are lost (flag 0x01)."""
 
 _OK, _REFUSED = b"\r", b"\a"
 _LINE_LIMIT = 32
-"""Longest command in characters: T, 8 of the identifier, 1 of the length, 16 of data, and room."""
+"""Longest command in characters: T, 8 of the identifier, 1 of the length, 16 of data, reserve."""
 _VERSION = b"V1013\r"
 """Answer to V: hardware version 1.0, software version 1.3."""
 _SERIAL = b"NSIM1\r"
@@ -25,7 +25,7 @@ _SERIAL = b"NSIM1\r"
 _FLAG_QUEUE_FULL, _FLAG_PASSIVE, _FLAG_BUS_ERROR = 0x01, 0x20, 0x80
 """Bits of the answer to F."""
 _TIME_WRAP_MS = 60_000
-"""Time stamps begin anew after so many ms."""
+"""Time stamps wrap around after this time in ms."""
 _HEX_DIGITS = frozenset(string.hexdigits)
 _STANDARD_ID_MAX, _EXTENDED_ID_MAX = 0x7FF, 0x1FFF_FFFF
 """Largest identifiers of 11 and of 29 bits."""
@@ -39,8 +39,7 @@ class SlcanAdapter:
     Parameters
     ----------
     bitrate
-        Bit rate in bit/s that it is set to at first; with another one than that of the bus it hears
-        and reaches nobody.
+        Initial bit rate in bit/s; if it differs from that of the bus there is no communication.
     """
 
     def __init__(self, link: CanLink, *, bitrate: int) -> None:
@@ -61,17 +60,17 @@ class SlcanAdapter:
         Parameters
         ----------
         sent_after_s
-            Earliest time in s at which the client may have sent them, where an endpoint cannot
-            date them better: commands that waited there are spread evenly between then and now, a
-            single one to the middle. So two SYNCs, read at once or not, are at least half as far
-            apart as they were sent, however the simulator stalls, and a burst of 7.5 ms ends before
-            the next SYNC that comes after 18 ms. None = ``now_s``.
+            Earliest time in s at which the client may have sent them, if the exact time is not
+            known. Waiting commands are spread evenly between that time and now, a single one to the
+            middle. So the distance of two SYNCs is at least half of the true one, also when the
+            simulator stalls. A burst of 7.5 ms then ends before the next SYNC after 18 ms. None:
+            ``now_s``.
         """
         self._input += data
         *lines, rest = self._input.split(b"\r")
         self._input = rest
         if lines and self._passing_over:
-            del lines[0]  # the end of a line that was refused for its length
+            del lines[0]  # the end of a line that was too long
             self._passing_over = False
         since_s = now_s if sent_after_s is None else min(sent_after_s, now_s)
         for number, line in enumerate(lines, start=1):
@@ -97,11 +96,11 @@ class SlcanAdapter:
         return output
 
     def put_back(self, data: bytes) -> None:
-        """Take bytes back that could not be written; they come first the next time."""
+        """Take back bytes that could not be written; the next call sends them first."""
         self._output[0:0] = data
 
     def next_event_s(self) -> float:
-        """Return when the next bytes for the client may be due, infinity for never."""
+        """Return the earliest time of the next bytes for the client; infinity: never."""
         return self._link.next_event_s()
 
     def reset(self) -> None:
@@ -157,7 +156,7 @@ class SlcanAdapter:
                 return _REFUSED
             self._stamps = rest == "1"
         elif name == "s":
-            # Bit timing registers: which rate they make depends on the clock of the controller.
+            # Bit timing registers: their rate depends on the clock of the controller.
             self._chosen = self._bitrate
         return _OK
 

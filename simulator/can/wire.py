@@ -1,4 +1,4 @@
-"""The CAN wire: the time that a message occupies it."""
+"""The CAN wire: transmission times of messages."""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -14,11 +14,11 @@ _STUFFABLE_BITS = 34
 _FIXED_BITS = 13
 """Delimiters, acknowledge, end of frame and interframe space, in bits."""
 _EXTENDED_BITS = 20
-"""Bits that an identifier of 29 bits adds: 18 of its own, SRR and r1."""
+"""Additional bits of a 29-bit identifier: 18 of the identifier, SRR and r1."""
 _STUFF_PER_BIT = 2.8 / (_STUFFABLE_BITS + 64)
 """Stuff bits per bit of random content: 2.8 in a message of 8 bytes (mean of the exact count)."""
 _STUFF_PER_QUIET_BYTE = 9.1 / 7
-"""Stuff bits that a byte of 0x00 or 0xFF adds: 9.1 in a message with 7 of them (as above)."""
+"""Stuff bits of a byte of 0x00 or 0xFF: 9.1 in a message with 7 of them (as above)."""
 
 
 def _mean_bits(n_bytes: int, quiet_bytes: int) -> float:
@@ -31,12 +31,12 @@ _MEAN_BITS = tuple(tuple(_mean_bits(n, quiet) for quiet in range(n + 1)) for n i
 
 
 def mean_bits(data: bytes) -> float:
-    """Return the bits that a data frame of this content takes in the mean.
+    """Return the mean number of bits of a data frame with this content.
 
-    Stuffing is counted as for random bits (113.8 bits for 8 bytes), plus what bytes of 0x00 and
-    0xFF cost: an untouched skin loads the bus more than a touched one (122.9 bits for a header and
-    7 such bytes). Within 3 % of the mean of the exact count (ISO 11898-1), at a fiftieth of its
-    cost.
+    Stuffing is counted as for random bits (113.8 bits for 8 bytes), plus that of bytes 0x00 and
+    0xFF. So untouched pads load the bus more than touched ones (122.9 bits for a header and 7 bytes
+    of 0x00). The result is within 3 % of the mean of the exact count (ISO 11898-1), at a fiftieth
+    of its computing time.
     """
     (length_s,) = _Queued(Burst(0.0, 0, (data,), False, None), 1.0).lengths_s
     return length_s
@@ -46,7 +46,7 @@ class Burst(NamedTuple):
     """Messages of one identifier that wait for the wire together."""
 
     ready_s: float
-    """Time in s from which on their controller offers them."""
+    """Time in s at which they are ready to send."""
     can_id: int
     messages: Sequence[bytes]
     extended: bool

@@ -22,7 +22,7 @@ def _drive(target: Target) -> SimulatedDrive:
     axis = _axis(target)
     if isinstance(axis, SimulatedDrive):
         return axis
-    raise SimulatorSettingsError("this fault is one of a drive, and the axis is a servo")
+    raise SimulatorSettingsError("this fault is for drives, but the axis is a servo")
 
 
 def _blocked(target: Target) -> Effect:
@@ -71,10 +71,10 @@ def _second_node(target: Target) -> Effect:
 # fmt: off
 AXIS = (
     FaultEntry("axisN.following_error", FaultKind.STUCK,
-               "something holds the axis: it does not follow its set-point, a servo stalls",
+               "the axis is blocked: it does not follow its set-point, a servo stalls",
                _blocked, "axis_blocked"),
     FaultEntry("axisN.silence", FaultKind.OFF,
-               "its drive or servo neither hears nor sends anything; its motion goes on", _silence,
+               "its drive or servo receives and sends nothing; its motion goes on", _silence,
                "axis_silent"),
     FaultEntry("axisN.limit_switch", FaultKind.STUCK,
                "the negative (-1) or positive (1) limit switch of its drive is active",
@@ -86,7 +86,7 @@ AXIS = (
     moment_fault("axisN.reboot", FaultKind.REBOOT,
                  "its drive or servo restarts: torque off, set-up and position lost", _reboot),
     FaultEntry("axisN.misread", FaultKind.WRONG,
-               "the encoder of its drive reads so much more from one moment to the next",
+               "the reading of its drive's encoder suddenly grows by this value",
                lambda target: Effect(undo=turned(_drive(target), "misread", target.number)),
                "axis_position", Number("m or rad", -100.0, 100.0, default=5.0), check=_drive),
     moment_fault("axisN.nmt", FaultKind.OFF,
@@ -97,12 +97,12 @@ AXIS = (
                "another drive with the same node-ID joins the bus", _second_node, "axis_second",
                check=_drive),
     FaultEntry("axisN.wrong_length", FaultKind.WRONG,
-               "its drive answers with so many bytes for each object that is read",
+               "its drive answers each read with this number of bytes",
                lambda target: Effect(
                    undo=turned(_drive(target), "answer_bytes", int(target.number))),
                "axis_answers", Number("bytes", 1, 4, default=1, whole=True), check=_drive),
     moment_fault("axisN.slip", FaultKind.WRONG,
-                 "a coupling slips by so much, which no encoder shows", _slip,
+                 "a coupling slips by this value, which no encoder shows", _slip,
                  Number("m or rad", -1.0, 1.0, default=0.001)),
 )
 # fmt: on

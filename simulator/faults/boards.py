@@ -18,7 +18,7 @@ from simulator.faults.entry import (
 )
 
 _FINGER = Number("finger", 0, 1, default=0, whole=True)
-"""Finger whose board is meant."""
+"""Finger of the board."""
 
 
 def _check(target: Target) -> None:
@@ -36,7 +36,7 @@ def _unplugged(target: Target) -> Effect:
 
 
 def _swapped(target: Target) -> Effect:
-    """Exchange two neighbouring rows of a pad, as in a connector that is soldered wrongly."""
+    """Exchange two neighbouring rows of a pad, as by a wrongly soldered connector."""
     layout, finger = target.devices.settings.layout, int(target.number)
     order = np.arange(layout.n_taxels)
     pad = layout.gripping_pads[finger]
@@ -74,27 +74,27 @@ def _number(
 
 # fmt: off
 BOARD = (
-    FaultEntry("board.unplugged", FaultKind.UNPLUGGED, "the cable of this finger's board is out",
+    FaultEntry("board.unplugged", FaultKind.UNPLUGGED, "this finger's board is unplugged",
                _unplugged, "board_plug", _FINGER, check=_check),
     _of_finger("board.off", FaultKind.OFF, "the board of this finger sends nothing", "silent"),
-    _of_finger("board.frozen", FaultKind.STUCK, "the board of this finger sends one frame for ever",
+    _of_finger("board.frozen", FaultKind.STUCK, "the board of this finger always sends one frame",
                "frozen"),
     _of_finger("board.marked", FaultKind.WRONG,
-               "the samples of this finger's board hold a header at one place for ever", "marked"),
+               "the samples of this finger's board always contain a header at one place", "marked"),
     _number("repeated", FaultKind.WRONG, "frames of both boards repeat the one before", "repeated"),
     _number("lost_byte", FaultKind.INTERMITTENT, "frames of both boards lack one byte",
             "lost_byte"),
     _number("torn", FaultKind.INTERMITTENT, "frames of both boards end in the middle", "torn"),
     _number("late", FaultKind.DELAYED, "frames of both boards come late", "late_s",
             value=Number("s", 0.0, 1.0, default=0.05)),
-    _number("rows", FaultKind.WRONG, "both boards send so many rows: firmware of another profile",
+    _number("rows", FaultKind.WRONG, "both boards send this number of rows: another profile",
             "rows", value=Number("rows", 1, 64, default=16, whole=True), read=int),
     FaultEntry("board.rows_swapped", FaultKind.WRONG,
                "two neighbouring rows of this finger's pad are exchanged", _swapped, "board_rows",
                _FINGER, check=_check),
     _of_finger("uskin.off", FaultKind.UNPLUGGED, "this finger's board is unplugged", "silent"),
     _of_finger("uskin.low_supply", FaultKind.REBOOT,
-               "this finger's board restarts for want of supply, and waits for its start",
+               "this finger's board restarts at low supply and waits for its start",
                "low_supply"),
     _of_finger("uskin.doubled", FaultKind.WRONG,
                "another board has the address of this finger's board", "doubled"),

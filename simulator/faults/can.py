@@ -26,7 +26,7 @@ from tactile.layout import PadMount, taxel_order
 from tactile.unit import object_dictionary
 
 _BURST_PERIOD_S = 0.5
-"""Period in s of the bursts of ``can.intermittent``: a loose contact that comes and goes."""
+"""Period in s of the bursts of ``can.intermittent``: a loose contact."""
 _SHORT_EMERGENCY = b"\x10\x81\x01"
 """The first three of the eight bytes of an EMCY: code 0x8110 (CAN overrun), error register."""
 
@@ -80,11 +80,11 @@ CAN = (
                "all messages to the host are lost in this share of each half second", _bursts,
                "drop_rate", Number("share", 0.0, 1.0, default=0.2)),
     moment_fault("can.lose_next", FaultKind.INTERMITTENT,
-                 "so many of the next messages to the host are lost", _lose_next,
+                 "this number of messages to the host is lost", _lose_next,
                  Number("messages", 1, 100_000, default=1, whole=True)),
     _share("can.duplicate", FaultKind.WRONG, "messages come twice", "duplicate_rate"),
     _share("can.swapped", FaultKind.WRONG, "messages come after their successor", "swap_rate"),
-    _share("can.garbage", FaultKind.GARBAGE, "one bit turns behind the CRC", "corrupt_rate"),
+    _share("can.garbage", FaultKind.GARBAGE, "one bit flips after the CRC check", "corrupt_rate"),
     _share("can.short", FaultKind.GARBAGE, "fewer bytes than the length code", "truncate_rate"),
     _share("can.wrong_dlc", FaultKind.WRONG, "messages of another length", "wrong_dlc_rate"),
     knob_fault("can.delayed", FaultKind.DELAYED, "messages to the host come late", "can", "delay_s",
@@ -92,7 +92,7 @@ CAN = (
     knob_fault("can.flood", FaultKind.GARBAGE,
                "messages of an unknown identifier with random content fill the bus", "can",
                "flood_hz", value=_hertz(8000.0)),
-    knob_fault("can.unknown_id", FaultKind.WRONG, "now and then a message of an unknown identifier",
+    knob_fault("can.unknown_id", FaultKind.WRONG, "messages of an unknown identifier at this rate",
                "can", "flood_hz", value=_hertz(20.0)),
     moment_fault("can.short_emergency", FaultKind.WRONG,
                  "an emergency message of three bytes instead of eight", _short_emergency),
@@ -101,10 +101,10 @@ CAN = (
     knob_fault("can.off", FaultKind.OFF, "the host's controller is bus-off: nothing passes", "can",
                "bus_off"),
     FaultEntry("can.bit_rate", FaultKind.WRONG,
-               "the control unit and its bus have this bit rate, whatever the config says",
+               "the control unit and its bus have this bit rate instead of the config's",
                _other_bit_rate, "bitrate",
                Number("bit/s", 10_000, 1_000_000, default=500_000, whole=True)),
-    FaultEntry("can.unplugged", FaultKind.UNPLUGGED, "the host's adapter is gone",
+    FaultEntry("can.unplugged", FaultKind.UNPLUGGED, "the host's adapter is unplugged",
                unplugging("can"), "can_plug"),
 )
 # fmt: on
@@ -118,7 +118,7 @@ _IDENTITY = {
     "taxels": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS),
     "pads": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS),
 }
-"""Names that ``unit.wrong`` takes, and the object that each of them changes."""
+"""Names for ``unit.wrong``, and the object of each name."""
 _LAYOUT_HASH = (object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH)
 _PAD = Number("pad", 0, 1000, default=0, whole=True)
 """Number of a pad in the layout."""
@@ -133,11 +133,11 @@ def _check_identity(target: Target) -> None:
             f"unit.wrong takes one of {', '.join(_IDENTITY)} and a number; got {name!r}"
         )
     if not 0 <= number < 2**32:
-        raise SimulatorSettingsError(f"unit.wrong: {number} is no number of 32 bits")
+        raise SimulatorSettingsError(f"unit.wrong: {number} does not fit into 32 bits")
 
 
 def _pretending(target: Target, place: tuple[int, int], value: int | str) -> Effect:
-    """Let an object of the unit's dictionary read as another value."""
+    """Replace the value of an object of the unit's dictionary."""
     dictionary = target.devices.unit.dictionary
     before = dictionary.pretend(*place, value)
     return Effect(undo=lambda: dictionary.pretend(*place, before))
@@ -150,20 +150,21 @@ def _some_taxels(target: Target) -> list[int]:
 
 
 def _stuck(target: Target, taxels: Iterable[int], counts: int) -> Effect:
-    """Let taxels read the same counts for ever; those that are stuck already stay so."""
+    """Set taxels to constant counts; taxels that are already stuck stay so."""
     faults = target.devices.faults.unit
     stuck = faults.stuck_counts | dict.fromkeys(taxels, counts)
     return Effect(undo=turned(faults, "stuck_counts", stuck))
 
 
 def _chosen_taxels(target: Target) -> tuple[range, int]:
-    """Return the taxels that ``taxels.stuck_at`` names, and their counts."""
+    """Return the taxels of ``taxels.stuck_at``, and their counts."""
     name, counts = target.setting
     layout = target.devices.settings.layout
     match = _TAXELS.fullmatch(name)
     if match is None:
         raise SimulatorSettingsError(
-            f"taxels.stuck_at takes one taxel or a range, as 3:200 or 3-5:200; got {name!r:.40}"
+            "taxels.stuck_at takes one taxel or a range, for example 3:200 or 3-5:200; got "
+            f"{name!r:.40}"
         )
     first, last = int(match[1]), int(match[2] or match[1])
     if not (first <= last < layout.n_taxels and 0 <= counts <= layout.adc_max):
@@ -174,7 +175,7 @@ def _chosen_taxels(target: Target) -> tuple[range, int]:
 
 
 def _taxels_of_pad(target: Target) -> range:
-    """Return the taxels of the pad that is the value; refuses one that the layout does not have."""
+    """Return the taxels of the pad in the value; refuses a pad that is not in the layout."""
     layout = target.devices.settings.layout
     if target.number >= layout.n_pads:
         raise SimulatorSettingsError(f"pad {target.number:g}: pads are 0 to {layout.n_pads - 1}")
@@ -182,7 +183,7 @@ def _taxels_of_pad(target: Target) -> range:
 
 
 def _noisy_pad(target: Target) -> tuple[range, int]:
-    """Return the taxels of the pad that ``taxels.noisy`` names, and the noise in counts."""
+    """Return the taxels of the pad of ``taxels.noisy``, and the noise in counts."""
     name, counts = target.setting
     layout = target.devices.settings.layout
     if not (name.isdecimal() and int(name) < layout.n_pads and 0 <= counts <= layout.adc_max):
@@ -201,7 +202,7 @@ def _noisy(target: Target) -> Effect:
 
 
 def _mirrored(*, rows: bool = False, columns: bool = False) -> Apply:
-    """Return what turns a pad on its finger: rows, columns or both run the other way."""
+    """Return an effect that mirrors the rows, the columns or both of a pad."""
 
     def apply(target: Target) -> Effect:
         pad, mounted = int(target.number), target.devices.faults.unit.mounted
@@ -215,31 +216,31 @@ def _mirrored(*, rows: bool = False, columns: bool = False) -> Apply:
 
 # fmt: off
 UNIT = (
-    knob_fault("unit.off", FaultKind.OFF, "the control unit neither hears nor sends anything",
+    knob_fault("unit.off", FaultKind.OFF, "the control unit receives and sends nothing",
                "unit", "dead"),
     knob_fault("unit.heartbeat_off", FaultKind.OFF, "the heartbeat stops, all else goes on", "unit",
                "heartbeat_off"),
     knob_fault("unit.stuck", FaultKind.STUCK,
-               "valid frames with the counts of the last scan for ever", "unit", "frozen"),
+               "valid frames, always with the counts of the last scan", "unit", "frozen"),
     knob_fault("unit.converter_fault", FaultKind.WRONG,
                "the converter fails its self-test, and the status of each frame shows it", "unit",
                "converter_fault"),
     knob_fault("unit.slow", FaultKind.SLOW, "the burst of a frame begins late after its SYNC",
                "unit", "late_s", value=Number("s", 0.0, 1.0, default=0.008)),
-    moment_fault("unit.reboot", FaultKind.REBOOT, "the unit loses its supply and boots anew",
+    moment_fault("unit.reboot", FaultKind.REBOOT, "the unit loses its supply and reboots",
                  lambda target: target.devices.unit.power_cycle()),
     moment_fault("unit.emergency", FaultKind.WRONG, "the unit reports an error (EMCY)",
                  lambda target: target.devices.unit.emergency(int(target.number)),
                  Number("code", 0, 0xFFFF, default=0x5000, whole=True)),
     moment_fault("unit.pre_operational", FaultKind.OFF,
-                 "the unit falls back to pre-operational, as on another master's command",
+                 "the unit changes to pre-operational, as by a command of another master",
                  lambda target: target.devices.unit.command("PRE-OPERATIONAL", target.now_s)),
     FaultEntry("unit.wrong", FaultKind.WRONG,
-               "the unit is another one (vendor, product, revision, serial, taxels, pads)",
+               "the unit differs (vendor, product, revision, serial, taxels, pads)",
                lambda target: _pretending(target, _IDENTITY[target.setting[0]], target.setting[1]),
                "identity", Setting(unit="name:number", default="serial:99"), check=_check_identity),
     FaultEntry("unit.other_layout", FaultKind.WRONG,
-               "the unit has taxels of a layout that nobody knows (object 2100h:3)",
+               "the unit has an unknown taxel layout (object 2100h:3)",
                lambda target: _pretending(target, _LAYOUT_HASH, "0" * 16), "layout_hash"),
     FaultEntry("unit.second_node", FaultKind.WRONG,
                "another unit with the same node id joins the bus",
@@ -257,25 +258,25 @@ UNIT = (
     knob_fault("unit.forces_swapped", FaultKind.WRONG,
                "force messages come after the next one", "unit", "forces_swapped", value=SHARE),
     knob_fault("unit.forces_again", FaultKind.WRONG,
-               "each force message comes once more, so long later", "unit", "forces_again_s",
+               "each force message comes again after this time", "unit", "forces_again_s",
                value=Number("s", 0.0, 1.0, default=0.03)),
     knob_fault("unit.forces_late", FaultKind.DELAYED, "force messages come late", "unit",
                "forces_late_s", value=Number("s", 0.0, 1.0, default=0.02)),
     knob_fault("unit.forces_each", FaultKind.SLOW,
-               "only each so many-th force message is made, none is missing by the counter", "unit",
+               "only each n-th force message is made; the counter shows no gap", "unit",
                "forces_each", value=Number("messages", 1, 100, default=15, whole=True)),
     knob_fault("unit.force_gain", FaultKind.WRONG,
-               "force messages show so many times the force, as by a table of other pads", "unit",
+               "factor on the force in force messages, as by a table of other pads", "unit",
                "force_gain", value=Number("factor", -100.0, 100.0, default=1.6)),
-    knob_fault("unit.force_offset", FaultKind.WRONG, "force messages show so much more", "unit",
+    knob_fault("unit.force_offset", FaultKind.WRONG, "offset of the force messages", "unit",
                "force_offset_n", value=Number("N", -60.0, 60.0, default=-2.0)),
     knob_fault("unit.spoiled_each", FaultKind.INTERMITTENT,
-               "unit.force_gain and unit.force_offset spoil only each so many-th force message",
+               "unit.force_gain and unit.force_offset change only each n-th force message",
                "unit", "spoiled_each", value=Number("messages", 1, 100, default=3, whole=True)),
-    knob_fault("unit.pads_empty", FaultKind.STUCK, "force messages of the empty pads once more",
+    knob_fault("unit.pads_empty", FaultKind.STUCK, "force messages repeat those of empty pads",
                "unit", "pads_empty"),
     knob_fault("unit.centres_stuck", FaultKind.STUCK,
-               "the centre of force in the messages stays where it is", "unit", "centres_stuck"),
+               "the centre of force in the messages does not move", "unit", "centres_stuck"),
     knob_fault("unit.centres_off", FaultKind.OFF, "force messages without a centre of force",
                "unit", "centres_off"),
     knob_fault("unit.centre_shift", FaultKind.WRONG,
@@ -288,7 +289,7 @@ TAXELS = (
                lambda target: _stuck(target, _some_taxels(target), target.adc_max),
                "stuck_counts", SHARE),
     FaultEntry("taxels.stuck_at", FaultKind.STUCK,
-               "one taxel, or a range of them, reads these counts (0 for dead ones)",
+               "one taxel, or a range, reads these counts (0: dead)",
                lambda target: _stuck(target, *_chosen_taxels(target)), "stuck_counts",
                Setting(unit="taxel:counts", default="0:0"), check=_chosen_taxels),
     FaultEntry("taxels.off", FaultKind.OFF, "this share of the taxels reads 0",
@@ -297,24 +298,24 @@ TAXELS = (
     FaultEntry("taxels.saturated", FaultKind.STUCK, "all taxels of this pad read full scale",
                lambda target: _stuck(target, _taxels_of_pad(target), target.adc_max),
                "stuck_counts", _PAD, check=_taxels_of_pad),
-    FaultEntry("taxels.rows_mirrored", FaultKind.WRONG, "the rows of this pad run the other way",
+    FaultEntry("taxels.rows_mirrored", FaultKind.WRONG, "the rows of this pad are mirrored",
                _mirrored(rows=True), "rows_mirrored", _PAD, check=_taxels_of_pad),
     FaultEntry("taxels.columns_mirrored", FaultKind.WRONG,
-               "the columns of this pad run the other way", _mirrored(columns=True),
+               "the columns of this pad are mirrored", _mirrored(columns=True),
                "columns_mirrored", _PAD, check=_taxels_of_pad),
-    FaultEntry("taxels.turned", FaultKind.WRONG, "this pad sits turned by 180 degrees",
+    FaultEntry("taxels.turned", FaultKind.WRONG, "this pad is turned by 180 degrees",
                _mirrored(rows=True, columns=True), "turned", _PAD, check=_taxels_of_pad),
     FaultEntry("taxels.noisy", FaultKind.WRONG,
-               "a pad has further noise of so many counts (standard deviation)", _noisy,
+               "a pad has this additional noise in counts (standard deviation)", _noisy,
                "noisy_taxels", Setting(unit="pad:counts", default="0:30"), check=_noisy_pad),
     FaultEntry("taxels.force_gain", FaultKind.WRONG,
-               "each taxel feels so many times its force: the law of other foam",
+               "factor on the force of each taxel: the law of other foam",
                lambda target: Effect(
                    undo=turned(target.devices.physical, "force_gain", target.number)),
                "force_gain", Number("factor", 0.0, 100.0, default=0.8)),
-    knob_fault("taxels.offset", FaultKind.WRONG, "so many counts come on top of each taxel", "unit",
+    knob_fault("taxels.offset", FaultKind.WRONG, "counts added to each taxel", "unit",
                "offset_counts", value=Number("counts", -65_535.0, 65_535.0, default=20.0)),
-    knob_fault("taxels.gain", FaultKind.WRONG, "each taxel reads so many times its counts", "unit",
+    knob_fault("taxels.gain", FaultKind.WRONG, "factor on the counts of each taxel", "unit",
                "gain", value=Number("factor", 0.0, 100.0, default=0.5)),
 )
 # fmt: on

@@ -33,9 +33,9 @@ class Number:
     high: float
     """Its range."""
     default: float
-    """What holds where the text names none."""
+    """Default value."""
     whole: bool = False
-    """Whether it is an integer; it may be written as hexadecimal then."""
+    """Whether it is an integer, which may be hexadecimal."""
 
     @property
     def text(self) -> str:
@@ -45,7 +45,7 @@ class Number:
         return f"{self.unit}, {self.low:g} to {self.high:g}, default {self.default:g}"
 
     def read(self, name: str, text: str) -> float:
-        """Return the number that a text stands for. Raises SimulatorSettingsError."""
+        """Return the number of a text. Raises SimulatorSettingsError."""
         value = math.nan
         try:
             if self.whole:
@@ -64,12 +64,12 @@ class Number:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """A value that is a name and a whole number, as ``current_limit:100``."""
+    """A value of a name and a whole number, for example ``current_limit:100``."""
 
     unit: str
-    """What the name and the number are."""
+    """Meaning of name and number."""
     default: str
-    """What holds where the text names none."""
+    """Default value."""
 
     @property
     def text(self) -> str:
@@ -83,43 +83,43 @@ class Setting:
             return item, int(number, 0)
         except ValueError:
             raise SimulatorSettingsError(
-                f"fault {name} takes {self.unit}, as {self.default}; got {text!r:.40}"
+                f"fault {name} takes {self.unit}, for example {self.default}; got {text!r:.40}"
             ) from None
 
 
 FaultValue = float | tuple[str, int] | None
-"""Number, name and number, or nothing, as the entry of the fault wants it."""
+"""Number, name and number, or None, by the entry of the fault."""
 
 Undo = Callable[[], object]
-"""Takes back what a fault has done."""
+"""Undoes a fault."""
 
 
 Plug = Callable[[], Undo]
-"""Pulls a cable and returns what plugs it in again."""
+"""Unplugs a cable and returns the function that plugs it in again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """A fault at work on a cell."""
+    """Effect of an active fault."""
 
     undo: Undo
-    """Takes back what the fault has done."""
+    """Undoes the fault."""
     act: Callable[[float], None] | None = None
-    """Called with the time in s as often as the world moves on, for faults that go on happening."""
+    """Called with the time in s at each step of the world, for faults that change over time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """Cell, servo and value to which a fault is applied."""
+    """Cell, servo and value of a fault."""
 
     devices: CellDevices
     """The simulated cell."""
     plugs: Mapping[str, Plug]
     """Its cables by name: ``can`` and ``servos``."""
     servo: int
-    """Position of the servo or axis in the settings, for faults of one of them."""
+    """Position of the servo or axis in the settings, for its faults."""
     value: FaultValue
-    """The value, checked."""
+    """The checked value."""
     now_s: float
 
     @property
@@ -131,14 +131,14 @@ class Target:
     def number(self) -> float:
         """The value of a fault whose value is a number."""
         if not isinstance(self.value, float):
-            raise SimulatorSettingsError(f"the value {self.value!r} is no number")
+            raise SimulatorSettingsError(f"the value {self.value!r} is not a number")
         return self.value
 
     @property
     def setting(self) -> tuple[str, int]:
         """The value of a fault whose value is a setting."""
         if not isinstance(self.value, tuple):
-            raise SimulatorSettingsError(f"the value {self.value!r} is no setting")
+            raise SimulatorSettingsError(f"the value {self.value!r} is not a name and a number")
         return self.value
 
 
@@ -150,23 +150,22 @@ class FaultEntry:
     """``component.fault``; ``servoN`` stands for servo1, servo2, ... in the order of the config,
     ``axisN`` for its axes."""
     kind: FaultKind
-    """What it does to the component."""
+    """Effect on the component."""
     meaning: str
-    """One line."""
+    """Description, one line."""
     apply: Callable[[Target], Effect]
     """Begins the fault on a target."""
     knob: str = ""
-    """Faults of one knob of a component (and of one servo) exclude each other at the same time."""
+    """Faults with the same knob of a component (and servo) cannot overlap in time."""
     value: Number | Setting | None = None
-    """What may stand behind ``=``; None for nothing."""
+    """Value after ``=``; None: no value."""
     moment: bool = False
-    """Whether it happens and is over, so that it has no end."""
+    """Whether the fault is momentary, without an end."""
     check: Callable[[Target], object] | None = None
-    """Refuses what does not fit the cell, with SimulatorSettingsError, before anything is changed.
-    """
+    """Refuses values that do not fit the cell, with SimulatorSettingsError, before any change."""
 
     def turns_knob_of(self, other: "FaultEntry") -> bool:
-        """Whether both turn the same knob; ``servos`` and ``servoN`` are one component."""
+        """Whether both use the same knob; ``servos`` and ``servoN`` are one component."""
         one, two = (entry.name.partition(".")[0].rstrip("sN") for entry in (self, other))
         return bool(self.knob) and (one, self.knob) == (two, other.knob)
 
@@ -174,29 +173,29 @@ class FaultEntry:
 Apply = Callable[[Target], Effect]
 
 SHARE = Number("share", 0.0, 1.0, default=0.05)
-"""Share of the traffic, or of the taxels, that a fault meets."""
+"""Share of the traffic, or of the taxels, with the fault."""
 
 
 def turned(owner: object, name: str, value: object) -> Undo:
-    """Turn one knob and return what turns it back."""
+    """Set a knob and return the function that restores it."""
     before = getattr(owner, name)
     setattr(owner, name, value)
     return lambda: setattr(owner, name, before)
 
 
 def nothing() -> None:
-    """Take nothing back: the undo of a fault that is over as it happens."""
+    """Do nothing: the undo of a momentary fault."""
 
 
 def turning(part: str, knob: str, position: Callable[[Target], object]) -> Apply:
-    """Return what turns a knob of one part of the cell to a position while a fault lasts."""
+    """Return an effect that sets a knob of one part of the cell while a fault is active."""
     return lambda target: Effect(
         undo=turned(getattr(target.devices.faults, part), knob, position(target))
     )
 
 
 def lasting(begin: Callable[[Target], object], end: Callable[[Target], object]) -> Apply:
-    """Return what begins something, and ends it again as it is undone."""
+    """Return an effect with a function for its begin and one for its end."""
 
     def apply(target: Target) -> Effect:
         begin(target)
@@ -206,7 +205,7 @@ def lasting(begin: Callable[[Target], object], end: Callable[[Target], object]) 
 
 
 def unplugging(plug: str) -> Apply:
-    """Return what pulls a cable: ``can`` or ``servos``."""
+    """Return an effect that unplugs a cable: ``can`` or ``servos``."""
     return lambda target: Effect(undo=target.plugs[plug]())
 
 
@@ -219,7 +218,7 @@ def moment_fault(
     *,
     check: Callable[[Target], object] | None = None,
 ) -> FaultEntry:
-    """Return a fault that is over as it happens."""
+    """Return a momentary fault."""
 
     def apply(target: Target) -> Effect:
         act(target)
@@ -237,7 +236,7 @@ def knob_fault(
     *,
     value: Number | None = None,
 ) -> FaultEntry:
-    """Return a fault that turns one knob of a part of the cell: to its number, or on without one.
+    """Return a fault that sets one knob of a part of the cell: to its number, else to on.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The vocabulary of faults, and the injector that begins and ends them on a simulated cell.
 
-A text such as ``can.loss=0.05@2s`` or ``servo1.reboot@contact+0.5s`` names a fault, its value and
-when it begins; `simulator.faults.text` has the form. Nothing here can reach real hardware.
+A text such as ``can.loss=0.05@2s`` or ``servo1.reboot@contact+0.5s`` has the fault, its value and
+its start; `simulator.faults.text` has the form. Faults never reach real hardware.
 """
 
 import math
@@ -25,26 +25,24 @@ from simulator.faults.text import FaultEvent, FaultMoment, FaultText, parse_faul
 VOCABULARY: dict[str, FaultEntry] = {
     entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *BOARD, *SERVOS, *SERVO, *AXIS, *OBJECT)
 }
-"""Every fault that there is by its name; ``servoN`` and ``axisN`` stand for each servo and axis of
-the config."""
+"""All faults by name; ``servoN`` and ``axisN`` stand for each servo and axis of the config."""
 
 CONTACT_N = 0.5
-"""Force in N on both pads that is the event ``contact``: a little less than a gripper takes for
-one, for a first touch may be long before."""
+"""Force in N on both pads at the event ``contact``: a little below the contact force of grippers,
+because the first touch may be much earlier."""
 MOVING_RAD_S = 0.02
-"""Speed of a servo in rad/s that is the event ``moving``: about 1 mm/s at the pads."""
+"""Speed of a servo in rad/s at the event ``moving``: about 1 mm/s at the pads."""
 _NUMBERED = re.compile(r"(servo|axis)([1-9][0-9]?)\.(.+)")
 _EACH = ("servoN", "axisN")
-"""Begins of names that stand for each servo, and for each axis, of the config."""
+"""First parts of names that stand for each servo, and for each axis, of the config."""
 
 
 def check_fault(
     text: str, n_servos: int = 2, n_axes: int = 0
 ) -> tuple[FaultText, FaultEntry, int, FaultValue]:
-    """Return the parts of a text, its entry, the position of the device it names, and its value.
+    """Return the parts of a text, its entry, the position of its device, and its value.
 
-    Raises SimulatorSettingsError if the text has no such form, or name, value or moment are not in
-    the vocabulary.
+    Raises SimulatorSettingsError if the form of the text, its name, value or moment is wrong.
     """
     parsed = parse_fault(text)
     name, servo = parsed.name, 0
@@ -55,7 +53,7 @@ def check_fault(
     entry = VOCABULARY.get(name)
     if entry is None:
         near = get_close_matches(name, VOCABULARY, n=1)
-        meant = f"is {near[0].replace('N.', f'{servo + 1}.')} meant? " if near else ""
+        meant = f"did you mean {near[0].replace('N.', f'{servo + 1}.')}? " if near else ""
         raise SimulatorSettingsError(
             f"there is no fault {parsed.name!r}; {meant}`tactile-cell simulate --list-faults` "
             "lists all"
@@ -65,17 +63,17 @@ def check_fault(
     if name.startswith("servoN") and servo >= n_servos:
         raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_servos} servos")
     if entry.moment and parsed.end:
-        raise SimulatorSettingsError(f"fault {parsed.name} is over as it happens: it has no end")
+        raise SimulatorSettingsError(f"fault {parsed.name} is momentary: leave out its end")
     if entry.value is None:
         if parsed.value is not None:
-            raise SimulatorSettingsError(f"fault {parsed.name} takes no value")
+            raise SimulatorSettingsError(f"fault {parsed.name} takes no value: leave it out")
         return parsed, entry, servo, None
     written = str(entry.value.default) if parsed.value is None else parsed.value
     return parsed, entry, servo, entry.value.read(parsed.name, written)
 
 
 class InjectedFault:
-    """A fault on a cell: waiting for its moment, there, or over."""
+    """An injected fault: waiting, active, or over."""
 
     def __init__(self, injector: "FaultInjector", text: str, injected_s: float) -> None:
         self._injector = injector
@@ -83,26 +81,26 @@ class InjectedFault:
         parsed, self.entry, self.servo, self._value = check_fault(
             text, len(devices.settings.servos), len(devices.axes)
         )
-        """What it is, and position of the servo or axis that it names."""
+        """Entry of the vocabulary, and position of the servo or axis."""
         self.text = parsed.text
-        """As it was injected."""
+        """Text of the injection."""
         self.began_s: float | None = None
         self.ended_s: float | None = None
-        """Time of the cell in s at which it began and was undone; None before."""
+        """Time of the cell in s at which it began and ended; None before."""
         self.window = (
             _due(parsed.start, injected_s) if parsed.start else (None, injected_s),
             _due(parsed.end, injected_s) if parsed.end else (None, math.inf),
         )
-        """When it begins and ends: an event and the time after it, or no event and the time."""
+        """Start and end: an event and the time after it, or no event and a time."""
 
     @property
     def value(self) -> float:
-        """Its value where that is a number, else NaN."""
+        """Its value if that is a number, else NaN."""
         return self._value if isinstance(self._value, float) else math.nan
 
     @property
     def over(self) -> bool:
-        """Whether it has ended or, as a moment, has happened."""
+        """Whether it has ended; a momentary fault ends at once."""
         return self.ended_s is not None
 
     @property
@@ -112,17 +110,17 @@ class InjectedFault:
         return event is None and due_s <= self._injector.now_s
 
     def clear(self) -> None:
-        """Undo it, or let it never begin; clearing again changes nothing."""
+        """End the fault, or cancel it before its start; a second call has no effect."""
         self._injector.end(self)
 
     def target(self, devices: CellDevices, plugs: Mapping[str, Plug], now_s: float) -> Target:
-        """Return where and with which value it is applied."""
+        """Return cell, device and value for the fault."""
         return Target(
             devices=devices, plugs=plugs, servo=self.servo, value=self._value, now_s=now_s
         )
 
     def meets(self, other: "InjectedFault") -> bool:
-        """Return whether both turn the same knob and may do so at the same time."""
+        """Return whether both use the same knob and may overlap in time."""
         if not self.entry.turns_knob_of(other.entry):
             return False
         if self.entry.name.startswith(_EACH) and other.entry.name.startswith(_EACH):
@@ -137,13 +135,13 @@ class InjectedFault:
 
 
 class FaultInjector:
-    """Begins and ends faults at their moments; `advance` is called as the world moves on.
+    """Begins and ends faults at their times; each step of the world calls `advance`.
 
     Parameters
     ----------
     plugs
-        Cables of the cell: ``can``, ``servos``, ``board0``, ``board1``; by default those of buses
-        in memory, which are knobs of the devices.
+        Cables of the cell: ``can``, ``servos``, ``board0``, ``board1``; by default knobs of the
+        devices, for buses in memory.
     """
 
     def __init__(
@@ -163,21 +161,20 @@ class FaultInjector:
 
     @property
     def faults(self) -> tuple[InjectedFault, ...]:
-        """Faults that are there or wait for their moment."""
+        """Active and waiting faults."""
         return (*self._effects, *self._pending)
 
     def inject(self, text: str) -> InjectedFault:
-        """Inject a fault; without a start it begins before this returns.
+        """Inject a fault; without a start it begins at once.
 
-        Raises SimulatorSettingsError if the text is no fault of the vocabulary, or its value does
-        not fit this cell. Raises SimulatorStateError if a fault on the same knob is there at that
-        time.
+        Raises SimulatorSettingsError if the fault is unknown, or its value does not fit this cell.
+        Raises SimulatorStateError if another fault uses the same knob at that time.
         """
         fault = self._checked(text)
         for other in self.faults:
             if fault.meets(other):
                 raise SimulatorStateError(
-                    f"{other.text} is injected and turns the same knob as {fault.text}: "
+                    f"{other.text} is injected and uses the same knob as {fault.text}: "
                     "clear it first, or give both a start and an end"
                 )
         self._seen_s[fault] = {}
@@ -188,7 +185,7 @@ class FaultInjector:
         return fault
 
     def kinds(self) -> dict[str, FaultEntry]:
-        """Return the faults that fit this cell by their names, each servo and axis for itself."""
+        """Return the possible faults of this cell by name, for each servo and axis."""
         devices, found = self.devices, {}
         for entry in VOCABULARY.values():
             each = {"servoN": len(devices.settings.servos), "axisN": len(devices.axes)}
@@ -207,9 +204,9 @@ class FaultInjector:
         return fault
 
     def clear(self, text: str) -> int:
-        """End the faults with this text, or those of this name; returns how many they were.
+        """End the faults with this text or name; returns their number.
 
-        Raises SimulatorStateError if there is none.
+        Raises SimulatorStateError if no fault matches.
         """
         wanted = text.strip()
         found = [
@@ -219,7 +216,7 @@ class FaultInjector:
         ]
         if not found:
             there = ", ".join(fault.text for fault in self.faults) or "none"
-            raise SimulatorStateError(f"no fault {wanted!r} is injected; there is {there}")
+            raise SimulatorStateError(f"no fault {wanted!r} is injected; injected faults: {there}")
         for fault in found:
             self.end(fault)
         return len(found)
@@ -230,7 +227,7 @@ class FaultInjector:
             self.end(fault)
 
     def end(self, fault: InjectedFault) -> None:
-        """End a fault, or let it never begin; one that is over stays as it is."""
+        """End a fault, or cancel it before its start; no effect if it is over."""
         if fault.over:
             return
         effect = self._effects.pop(fault, None)
@@ -242,7 +239,7 @@ class FaultInjector:
         del self._seen_s[fault]
 
     def advance(self, now_s: float) -> None:
-        """Begin, continue and end the faults that are due at ``now_s`` s."""
+        """Begin, continue and end the due faults at ``now_s`` s."""
         self.now_s = now_s
         if not self._pending and not self._effects:
             return

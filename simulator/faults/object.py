@@ -11,9 +11,9 @@ from simulator.faults.entry import (
 )
 
 _SLIDE_M = 1e-4
-"""Way in m by which a sliding part moves at once: its forces are worked out anew each time."""
+"""Step in m of a sliding part: its forces are computed again for each step."""
 _SWELLING_M_S = 0.02
-"""Speed in m/s at which something trapped grows: slower than fingers close in an approach."""
+"""Growth of a trapped object in m/s: slower than the approach of the fingers."""
 
 
 def _slips(target: Target) -> Effect:
@@ -41,13 +41,13 @@ def _trapped(target: Target) -> Effect:
 
 # fmt: off
 OBJECT = (
-    moment_fault("object.gone", FaultKind.OFF, "the part is taken out of the fingers",
+    moment_fault("object.gone", FaultKind.OFF, "the part is removed from the fingers",
                  lambda target: target.devices.physical.remove()),
     FaultEntry("object.slips", FaultKind.WRONG,
                "the part slides along the pads until it has left them", _slips, "slips",
                Number("mm/s", 0.1, 1000.0, default=20.0)),
     FaultEntry("object.trapped", FaultKind.WRONG,
-               "something trapped beside the part grows by so much at 20 mm/s and pushes back",
+               "a trapped object beside the part grows by this value at 20 mm/s and pushes back",
                _trapped, "trapped", Number("mm", 0.0, 10.0, default=3.0)),
 )
 # fmt: on

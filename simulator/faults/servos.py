@@ -24,13 +24,13 @@ from simulator.servo.firmware import ServoCore, WatchdogStop
 from simulator.servo.motor import ServoMotor
 
 _LATE = Number("s", 0.0, 1.0, default=0.04)
-"""How late an answer comes in s."""
+"""Delay of an answer in s."""
 _SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M,55.3,M,,*75\r\n"
-"""What a GPS receiver sends again and again (NMEA 0183)."""
+"""Periodic message of a GPS receiver (NMEA 0183)."""
 _REPORT = "reported_offset_raw"
-"""Knob of a servo's position: counts that it reports more than it goes by itself."""
+"""Knob of a servo: counts added to the reported position, but not to that of its control loop."""
 _BOOT_APART_S = 0.003
-"""Time in s by which servos on one supply boot one after the other; an assumption."""
+"""Time in s between the boots of servos on one supply; an assumption."""
 _BURST_BYTES = 40
 """Bytes of a burst of noise: 0.4 ms at 1 Mbit/s."""
 
@@ -107,7 +107,7 @@ def _turns(target: Target) -> Effect:
 
 
 def _remount(target: Target, sign: int) -> None:
-    """Put the horn of a servo on so many pulses farther open, or back."""
+    """Mount the horn of a servo farther open by the value in pulses, or undo it."""
     off_rad = sign * target.number * _motor(target).model.rad_per_pulse
     target.devices.mechanics.remount(target.servo, off_rad=off_rad)
 
@@ -136,7 +136,7 @@ def _check_register(target: Target) -> None:
     name, number = target.setting
     register = REGISTERS.get(name)
     if register is None or register.address >= EEPROM_END:
-        raise SimulatorSettingsError(f"{name!r} is no EEPROM register, as current_limit is")
+        raise SimulatorSettingsError(f"{name!r} is not an EEPROM register such as current_limit")
     if register.writable:
         registers = _core(target).registers
         before = registers.get(name)
@@ -175,11 +175,11 @@ def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
 # fmt: off
 SERVOS = (
     _share("servos.loss", FaultKind.INTERMITTENT, "answers are lost", "drop"),
-    moment_fault("servos.lose_next", FaultKind.INTERMITTENT, "so many of the next answers are lost",
+    moment_fault("servos.lose_next", FaultKind.INTERMITTENT, "this number of answers is lost",
                  _lose_next, Number("answers", 1, 100_000, default=1, whole=True)),
     _share("servos.lost_requests", FaultKind.INTERMITTENT, "requests are lost", "lose_request"),
-    _share("servos.corrupt", FaultKind.GARBAGE, "one bit of an answer turns", "bit_flip"),
-    _share("servos.corrupt_requests", FaultKind.GARBAGE, "one bit of a request turns",
+    _share("servos.corrupt", FaultKind.GARBAGE, "one bit of an answer flips", "bit_flip"),
+    _share("servos.corrupt_requests", FaultKind.GARBAGE, "one bit of a request flips",
            "corrupt_request"),
     _share("servos.duplicate", FaultKind.WRONG, "answers come twice", "duplicate"),
     _share("servos.garbage", FaultKind.GARBAGE, "noise comes before an answer", "garbage"),
@@ -188,21 +188,22 @@ SERVOS = (
     FaultEntry("servos.delayed", FaultKind.DELAYED, "all answers come late",
                lambda target: _late(target, None), "delay", _LATE),
     FaultEntry("servos.fragmented", FaultKind.SLOW,
-               "answers come in pieces of so many bytes, 2 ms apart",
+               "answers come in pieces of this size, 2 ms apart",
                turning("servo_wire", "fragment_bytes", lambda target: int(target.number)),
                "fragment_bytes", Number("bytes", 1, 1000, default=8, whole=True)),
-    knob_fault("servos.repeated", FaultKind.WRONG, "each answer comes again so much later",
+    knob_fault("servos.repeated", FaultKind.WRONG, "each answer comes again after this time",
                "servo_wire", "repeat_s", value=Number("s", 1e-4, 1.0, default=0.0095)),
     knob_fault("servos.lagging", FaultKind.WRONG,
-               "each answer is the servo's answer to the request of its kind before", "servo_wire",
+               "each answer belongs to the previous request of its kind", "servo_wire",
                "lag"),
-    _chatter("servos.chatter", "another device sends a byte so often, into answers too", b"\xa5",
-             0.001),
-    _chatter("servos.bursts", "it sends 40 bytes so often", bytes(range(0xA5, 0xA5 + _BURST_BYTES)),
-             0.01),
-    _chatter("servos.sentences", "it sends a sentence of NMEA 0183 so often", _SENTENCE, 0.03),
-    FaultEntry("servos.off", FaultKind.OFF, "no servo hears or answers", _all_silent, "silent"),
-    knob_fault("servos.echo", FaultKind.WRONG, "the host hears its own bytes", "servo_wire",
+    _chatter("servos.chatter", "another device sends a byte with this period, also into answers",
+             b"\xa5", 0.001),
+    _chatter("servos.bursts", "another device sends 40 bytes with this period",
+             bytes(range(0xA5, 0xA5 + _BURST_BYTES)), 0.01),
+    _chatter("servos.sentences", "another device sends NMEA 0183 sentences with this period",
+             _SENTENCE, 0.03),
+    FaultEntry("servos.off", FaultKind.OFF, "all servos are silent", _all_silent, "silent"),
+    knob_fault("servos.echo", FaultKind.WRONG, "the host receives its own bytes", "servo_wire",
                "echo"),
     moment_fault("servos.cold", FaultKind.WRONG,
                  "all have this temperature: friction is up by 2.5 % for each K below 25 degC, "
@@ -213,7 +214,7 @@ SERVOS = (
 
 SERVO = (
     FaultEntry("servoN.off", FaultKind.OFF,
-               "the servo neither hears nor answers; its torque stays as it is",
+               "the servo receives and answers nothing; its torque stays",
                lambda target: _silence(target, [_id(target)]), "silent"),
     FaultEntry("servoN.slow", FaultKind.SLOW, "its answers come late",
                lambda target: _late(target, frozenset({_id(target)})), "delay", _LATE),
@@ -221,24 +222,24 @@ SERVO = (
                  "it reboots by itself: torque off, RAM at its defaults",
                  lambda target: _core(target).boot(target.now_s)),
     moment_fault("servoN.factory", FaultKind.WRONG,
-                 "it is as it left the factory: ID 1, 57600 bit/s, position mode, return delay of "
-                 "500 us; with another one like it both answer at once", _factory),
+                 "it has its factory settings: ID 1, 57600 bit/s, position mode, return delay of "
+                 "500 us; two of these servos answer at the same time", _factory),
     moment_fault("servoN.overload", FaultKind.OFF,
                  "its overload protection latches and switches the torque off",
                  lambda target: _motor(target).overload()),
     FaultEntry("servoN.overheat", FaultKind.WRONG,
-               "its inside has this temperature, and cools down slowly",
+               "its internal temperature has this value, and falls slowly",
                _turned_motor("temperature_c"), "temperature",
                Number("degC", -20.0, 150.0, default=90.0)),
     FaultEntry("servoN.friction", FaultKind.WRONG,
-               "its friction without load is so many times that of its kind",
+               "factor on its friction without load",
                _turned_motor("friction_factor"), "friction",
                Number("times", 0.2, 5.0, default=1.5)),
     FaultEntry("servoN.kt", FaultKind.WRONG,
-               "torque and back-EMF of its motor are so many times those of its kind",
+               "factor on torque and back-EMF of its motor",
                _turned_motor("kt_factor"), "kt", Number("times", 0.5, 2.0, default=0.8)),
     FaultEntry("servoN.wear", FaultKind.WRONG,
-               "each turn of the output adds this share to its friction; what has worn stays so",
+               "each turn of the output adds this share to its friction; the wear stays",
                _turned_motor("wear_per_turn"), "wear", Number("share", 0.0, 1.0, default=0.01)),
     FaultEntry("servoN.supply", FaultKind.WRONG, "its supply has this voltage",
                _turned_motor("voltage_v"), "supply", Number("V", 0.0, 30.0, default=6.0)),
@@ -247,31 +248,31 @@ SERVO = (
                lambda target: Effect(
                    undo=turned(_core(target), "injected_error", int(target.number))),
                "error", Number("bits", 1, 63, default=16, whole=True)),
-    FaultEntry("servoN.stuck", FaultKind.STUCK, "its encoder reports the same angle for ever",
+    FaultEntry("servoN.stuck", FaultKind.STUCK, "its encoder always reports the same angle",
                _stuck, "stuck"),
     moment_fault("servoN.jump", FaultKind.WRONG,
-                 "its encoder reports so much more from one moment to the next",
+                 "the angle of its encoder suddenly grows by this value",
                  _jump, Number("rad", -6.3, 6.3, default=0.5)),
     FaultEntry("servoN.turn", FaultKind.WRONG,
-               "it reports its position so many turns off, and follows its goals as before",
+               "its reported position is off by this number of turns; it still follows its goals",
                _turns, "report", Number("turns", -10, 10, default=1, whole=True)),
     FaultEntry("servoN.drift", FaultKind.WRONG,
-               "the position that it reports drifts away, and it follows its goals as before",
+               "its reported position drifts at this rate; it still follows its goals",
                _drift, "report", Number("rad/s", -6.3, 6.3, default=0.1)),
     FaultEntry("servoN.turned", FaultKind.WRONG,
-               "it sits the other way round than gripper.servos[].direction has it",
+               "it is mounted in the opposite direction of gripper.servos[].direction",
                lasting(_turn_round, _turn_round), "turned"),
     FaultEntry("servoN.horn", FaultKind.WRONG,
-               "its horn sits so many pulses farther open than gripper.servos[].zero_pulse has it",
+               "its horn is this number of pulses farther open than gripper.servos[].zero_pulse",
                lasting(lambda target: _remount(target, 1), lambda target: _remount(target, -1)),
                "horn", Number("pulses", -1000, 1000, default=100, whole=True)),
     FaultEntry("servoN.watchdog_off", FaultKind.WRONG,
-               "its bus watchdog trips and the motor goes on (330 size)",
+               "its bus watchdog trips, but the motor goes on (330 size)",
                lambda target: Effect(
                    undo=turned(_core(target), "watchdog_stop", WatchdogStop.KEEPS_TURNING)),
                "watchdog"),
     FaultEntry("servoN.wrong", FaultKind.WRONG,
-               "an EEPROM register differs from what the config asks for", _wrong, "eeprom",
+               "an EEPROM register differs from the config", _wrong, "eeprom",
                Setting(unit="register:number", default="current_limit:100"), check=_check_register),
 )
 # fmt: on

@@ -8,7 +8,7 @@ from simulator.errors import SimulatorSettingsError
 
 FORM = "COMPONENT.FAULT[=VALUE][@START[..END]]"
 LONGEST_TEXT = 200
-"""Most characters of a text."""
+"""Most characters of a fault."""
 _LATEST_S = 86_400.0
 """Longest time in s before a start or an end: a day."""
 _TIME = re.compile(r"(?:(contact|moving)\+)?(\d{1,7}(?:\.\d{1,9})?)(ms|s)|(contact|moving)")
@@ -25,7 +25,7 @@ class FaultEvent(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultMoment:
-    """A moment: so long after the first such event that follows the injection."""
+    """A moment: a time after the first event of this kind since the injection."""
 
     event: FaultEvent
     """The event; INJECTED is the injection itself."""
@@ -38,18 +38,18 @@ class FaultText:
     """A fault as it was written."""
 
     text: str
-    """All of it."""
+    """The whole text."""
     name: str
     """``component.fault``."""
     value: str | None
-    """What stands behind ``=``, None where nothing does."""
+    """Text after ``=``; None without a value."""
     start: FaultMoment | None
     end: FaultMoment | None
-    """When it begins and ends; None for at once and never."""
+    """Start and end; None: at once, and never."""
 
 
 def parse_fault(text: str) -> FaultText:
-    """Take a text apart; the name and the value are not looked at.
+    """Split a text into its parts; name and value are not checked.
 
     Raises SimulatorSettingsError if it does not have the form of a fault.
     """
@@ -66,7 +66,7 @@ def parse_fault(text: str) -> FaultText:
     if start and end and start.event is end.event and end.offset_s <= start.offset_s:
         raise SimulatorSettingsError(f"fault {text!r} ends before it begins")
     if equals and not value:
-        raise SimulatorSettingsError(f"fault {text!r} has no value behind its '='")
+        raise SimulatorSettingsError(f"fault {text!r} has no value after its '='")
     return FaultText(
         text=stripped, name=name, value=value if equals else None, start=start, end=end
     )
@@ -76,7 +76,7 @@ def _when(text: str, when: str) -> FaultMoment:
     match = _TIME.fullmatch(when)
     if match is None:
         raise SimulatorSettingsError(
-            f"fault {text!r}: {when!r} is no moment; write 2s, 250ms, contact, contact+0.5s, "
+            f"fault {text!r}: {when!r} is not a time; write 2s, 250ms, contact, contact+0.5s, "
             "moving or moving+20ms"
         )
     event, number, unit, alone = match.groups()

@@ -1,5 +1,5 @@
 """The simulated cell as a process in real time, for clients in other processes.
 
-`process` runs it; `terminals` are its buses as pseudo-terminals; `requests` are carried out for
-clients of its Unix socket (`socket_server`).
+`process` runs the cell; `terminals` are its buses as pseudo-terminals; `requests` carries out
+requests of clients at its Unix socket (`socket_server`); `hands` are commands for persons.
 """

@@ -1,4 +1,4 @@
-"""Hands of a person at a simulated cell, by words: `open finger 0`, `press finger0.inner tip`."""
+"""A person's hands at a simulated cell, as commands: `open finger 0`, `press finger0.inner tip`."""
 
 from collections.abc import Callable
 from inspect import signature
@@ -7,45 +7,45 @@ from typing import Any
 from simulator.errors import SimulatorSettingsError
 
 HELP = """\
-look                    where the fingers are, what is between them
+look                    show the fingers and the part between them
 close                   close both fingers by hand until they touch something
 open [finger N]         open both fingers, or finger 0 or 1, as far as they go
 half                    open both fingers half way
-block MM                hold a block of so many mm between the pads, close the fingers on it
+block MM                hold a block of MM mm between the pads, close the fingers on it
 part [NAME]             hold a part between the open pads: ball, box, cylinder, dumbbell, oval
 press PAD [PLACE ...]   press a pad with a fingertip: in the middle, or at tip, base, left, right,
                         as you look at the pad with the tip upwards; on a tip pad: left, right,
                         inside (towards the other finger), outside
 load PAD GRAMS          lay a weight on the middle of a pad
-lift                    take fingertip or weight away
-empty                   take everything out of the fingers and off the pads
+lift                    remove the fingertip or weight
+empty                   remove everything from the fingers and pads
 disconnect servo N      pull the plug of a servo; servo 1 drives finger 0, servo 2 finger 1
 connect servo N         plug it in again
 help                    this list
-A hand moves limp fingers only: it yields to a motor with torque."""
-"""What a person can do, one thing a line."""
+A hand moves only fingers whose motor has no torque."""
+"""Help text: one command on each line."""
 
 _FILLERS = frozenset({"and", "at", "edge", "finger", "g", "mm", "near", "of", "on", "servo", "the"})
-"""Words that may be left out."""
+"""Optional words."""
 _WIDE_M = 1.0
 """Half opening in m beyond every end stop."""
 _LOOK_S = 0.02
-"""Time in s between two looks whether a finger still moves."""
+"""Time in s between two checks whether a finger still moves."""
 _REACTION_S = 0.3
-"""Time in s until the frames of the control unit show a new weight or fingertip, and only it."""
+"""Time in s until the frames of the control unit show only the new weight or fingertip."""
 _GRAVITY_N_G = 9.80665e-3
 """Weight of a gram in N."""
 
 
 class Hands:
-    """Does what a person does at the cell, by words, and returns when it is done.
+    """Carries out commands of a person at the cell, and returns at their end.
 
     Parameters
     ----------
     ask
         Sends a request of `simulator.realtime.requests` and returns the reply.
     sleep
-        Lets so many seconds pass.
+        Waits for a time in s.
     """
 
     def __init__(
@@ -68,16 +68,16 @@ class Hands:
         }
 
     def do(self, text: str) -> str:
-        """Do what a text says; returns what it looks like then.
+        """Carry out a command; return the new state as text.
 
-        Raises SimulatorSettingsError for what nobody can do, and what the requests raise.
+        Raises SimulatorSettingsError for an unknown command, and errors of the requests.
         """
         word, *values = [one for one in text.split() if one not in _FILLERS] or ["help"]
         if word == "help":
             state = self._state
             return f"{HELP}\nHere: fingers on {state['linkage']}; pads {', '.join(state['pads'])}"
         none_such = SimulatorSettingsError(
-            f"{text!r:.60} is nothing that a hand does: `help` prints what is"
+            f"{text!r:.60} is not a command: `help` lists all commands"
         )
         try:
             act = self._acts[word]
@@ -110,7 +110,7 @@ class Hands:
         return self._ask({"state": True})
 
     def _move(self, half_opening_m: float, *fingers: int) -> None:
-        """Move fingers, by default all, and wait until they are left."""
+        """Move fingers, by default all, and wait for the end of the motion."""
         servos = [finger + 1 for finger in fingers] or range(1, 1 + self._state["servos"])
         self._ask({"hand": {str(servo): half_opening_m for servo in servos}})
         while self._state["moved_by_hand"]:

@@ -24,22 +24,22 @@ from simulator.settings import SimulatorSettings
 from simulator.world.world import STEP_S
 
 PIECE_S = 0.02
-"""Longest stretch in s that the world catches up between two looks at the clients."""
+"""Longest time in s that the world advances before clients are served again."""
 FORGIVEN_S = 0.25
-"""A stall longer than this in s is left out instead of caught up."""
+"""Longest stall in s that is made up; a longer stall is skipped."""
 POWERED_BEFORE_S = 0.1
-"""The devices have had power for so long in s when clients can connect: they have booted."""
+"""Power-on time in s before clients can connect: the devices have booted by then."""
 
 Announce = Callable[[dict[str, Any]], None]
 
 
 class RealTimeCell:
-    """World, devices and endpoints of a cell in real time; its owner has the loop and the time.
+    """World, devices and endpoints of a cell in real time; its owner has the loop and the clock.
 
     Parameters
     ----------
     folder
-        Where the links to the terminals and the socket are made.
+        Folder for the links to the terminals, and for the socket.
     """
 
     def __init__(self, settings: SimulatorSettings, folder: Path, now_s: float) -> None:
@@ -130,18 +130,18 @@ class RealTimeCell:
         return [*ptys, *self._server.filenos()]
 
     def step(self, now_s: float, readable: list[int]) -> float:
-        """Let the time pass and serve the clients; return when to come again at the latest, in s.
+        """Advance the time and serve the clients; return the latest time of the next call in s.
 
         Parameters
         ----------
         readable
-            Those of `descriptors` that have input.
+            Items of `descriptors` with input.
         """
         if now_s - self._world_s > FORGIVEN_S:
             self._world_s = now_s - PIECE_S
             self.devices.world.skip_to(self._world_s)
         self._world_s = min(now_s, self._world_s + PIECE_S)
-        # First what clients sent while this process did not run: it came before now.
+        # First the bytes that clients sent while this process did not run: they came before now.
         due_s = [pty.poll(now_s) for pty in self._ptys]
         self.devices.advance_to(self._world_s)
         self.injector.advance(self._world_s)
@@ -149,7 +149,7 @@ class RealTimeCell:
         return min([self._world_s + STEP_S, *(due for due in due_s if due is not None)])
 
     def close(self) -> None:
-        """Give terminals, links and socket back; closing again changes nothing."""
+        """Remove terminals, links and socket; a second call has no effect."""
         self._server.close()
         for pty in reversed(self._ptys):
             pty.close()
@@ -168,7 +168,7 @@ def serve(
     folder: Path | None = None,
     until_parent_ends: bool = False,
 ) -> None:
-    """Run a simulated cell until SIGTERM or SIGINT, in the main thread of a process of its own.
+    """Run a simulated cell until SIGTERM or SIGINT, in the main thread of a separate process.
 
     Raises EndpointError if terminals or socket cannot be made.
 
@@ -181,10 +181,10 @@ def serve(
         they move), ``board_ports`` (of sensor boards, by finger), ``positioner_socket``, ``pid``,
         and ``config``, which is None here.
     folder
-        Where links to the terminals and the socket are made; by default a temporary folder, which
-        is removed at the end.
+        Folder for the links to the terminals, and for the socket; by default a temporary folder,
+        which is removed at the end.
     until_parent_ends
-        Also end when the process that started this one is gone.
+        Also end when the parent process ends.
     """
     parent = os.getppid()
     with ExitStack() as stack:
@@ -203,7 +203,7 @@ def serve(
 
 @contextmanager
 def _signals() -> Iterator[list[int]]:
-    """Collect SIGTERM and SIGINT in a list; give the handlers back at the end."""
+    """Collect SIGTERM and SIGINT in a list; restore the handlers at the end."""
     received: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:

@@ -19,9 +19,9 @@ _POSE_FIELDS = tuple(entry.name for entry in fields(ObjectPose))
 _FARTHEST = 100.0
 """Largest coordinate or angle of a pose in m or rad: far beyond any cell, and safe to square."""
 _MOST_OBJECTS = 2000
-"""Objects that can be placed by a name."""
+"""Most named objects."""
 _NEAR_EDGE = 0.7
-"""Distance of a fingertip at an edge from the middle of the pad, over that of the edge."""
+"""Position of a fingertip at an edge: share of the way from the middle of the pad to the edge."""
 
 
 class CellRequests:
@@ -29,9 +29,9 @@ class CellRequests:
 
     Requests and their replies:
 
-    - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest; the
-      label ``nothing`` takes the object away. With ``"offset": {"x_m": ..}`` this object and all
-      later ones are placed so far beside their poses
+    - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, its resting pose; the label
+      ``nothing`` removes the object. ``"offset": {"x_m": ..}`` is added to the poses of this object
+      and of all later ones
     - ``{"define": label, "shape": text}``: ``{"objects": [..]}``, with another name for a shape
     - ``{"remove": true}``: ``{"removed": true}``
     - ``{"press": "finger0.inner", "at": ["tip", "left"], "force_n": 2.0}``: ``{"pressed": pad}``, a
@@ -39,13 +39,13 @@ class CellRequests:
       outside as `simulator.realtime.hands` has them; ``{"lift": true}``: ``{"lifted": true}``
     - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
     - ``{"hand": {"1": 0.02, "2": 0}}``: a person moves the fingers of these servos, without torque,
-      to half openings in m: ``{"moving": true}``; "state" shows when they are left
-    - ``{"state": true}``: what is placed and pressed, the names of objects, the offset of their
+      to half openings in m: ``{"moving": true}``; "state" shows the end of the motion
+    - ``{"state": true}``: placed object, pressed pad, the names of objects, the offset of their
       poses, forces, opening, half openings, number of servos, kind of the linkage, names of the
       pads, frames left, axes, faults
     - ``{"kinds": true}``: ``{"kinds": [..]}``, the faults that fit the cell: name, kind, meaning,
       value (null for none), and whether it is a moment, without an end
-    - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
+    - ``{"inject": "can.loss=0.05@2s"}``: the same object; see `simulator.faults.injector`
     - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
     """
 
@@ -70,13 +70,13 @@ class CellRequests:
     def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out one request.
 
-        Raises SimulatorSettingsError or SimulatorStateError if it cannot be carried out; nothing
-        has changed then.
+        Raises SimulatorSettingsError or SimulatorStateError, without any change, if it cannot be
+        carried out.
         """
         named = [name for name in self._requests if name in request]
         if len(named) != 1:
             raise SimulatorSettingsError(
-                f"a request names one of {', '.join(self._requests)}; got {', '.join(request)}"
+                f"a request needs one of {', '.join(self._requests)}; got {', '.join(request)}"
             )
         return self._requests[named[0]](request)
 
@@ -99,14 +99,14 @@ class CellRequests:
         if not isinstance(name, str) or name in (*self._devices.settings.objects, NOTHING, ""):
             raise SimulatorSettingsError(f"{name!r:.60} cannot be defined: take another name")
         if len(world.objects) >= _MOST_OBJECTS and name not in world.objects:
-            raise SimulatorSettingsError(f"{_MOST_OBJECTS} objects are defined, the limit")
+            raise SimulatorSettingsError(f"the limit of {_MOST_OBJECTS} objects is reached")
         if not isinstance(shape, MeshShape):
             shape = world.shape(self._label(shape))
         world.objects[name] = shape
         return {"objects": list(world.objects)}
 
     def _label(self, label: Any) -> str:
-        """Return the name or text of a shape; files are read for nobody."""
+        """Return the name or text of a shape; names of files are refused."""
         if not isinstance(label, str):
             raise SimulatorSettingsError(f"a shape is a name or text, got {label!r:.40}")
         if label.startswith("mesh:") and label not in self._devices.physical.objects:
@@ -146,7 +146,7 @@ class CellRequests:
     def _hand(self, request: dict[str, Any]) -> dict[str, Any]:
         wanted = request["hand"]
         if not isinstance(wanted, dict) or not wanted:
-            raise SimulatorSettingsError('hand takes an object, as {"1": 0.02}: servo, m')
+            raise SimulatorSettingsError('hand takes an object such as {"1": 0.02}: servo, m')
         _ = self._devices.physical
         servos = {
             str(number): number for number in range(1, 1 + len(self._devices.settings.servos))
@@ -221,7 +221,7 @@ def _pose(wanted: Any) -> ObjectPose:
 
 
 def _place_on(pad: Pad, places: Any) -> tuple[float, float]:
-    """Return the place on a pad in its plane in m that words name, as ``["tip", "left"]``."""
+    """Return the position on a pad in m for words such as ``["tip", "left"]``."""
     to_tip, inside = np.eye(3)[0], np.eye(3)[2]
     face = inside if pad.face == "tip" else pad.normal
     # Finger 1's frame is left-handed.

@@ -1,4 +1,4 @@
-"""The server of the positioner's Unix socket: JSON lines, bounded, without a loop of its own."""
+"""The server of the positioner's Unix socket: JSON lines of limited length, without own loop."""
 
 import json
 import os
@@ -12,7 +12,7 @@ from simulator.errors import EndpointError, SimulatorError
 LINE_LIMIT = 65536
 """Longest request in bytes; a client that sends more is disconnected."""
 CLIENT_LIMIT = 8
-"""Most clients at a time; one more is disconnected at once."""
+"""Most clients at a time; a further client is disconnected at once."""
 
 Handler = Callable[[dict[str, Any]], dict[str, Any]]
 """Carries out one request and returns the reply; a SimulatorError becomes an error reply."""
@@ -27,14 +27,13 @@ class _Client:
 class PositionerServer:
     """Serves requests of other processes on this machine.
 
-    A request is one JSON object on a line; the reply is one too, ``{"error": text}`` when the
-    request was refused. The socket can be used by its owner only. Raises EndpointError if the
-    socket cannot be made.
+    Request and reply are JSON objects, each on one line; a refusal is ``{"error": text}``. Only the
+    owner can use the socket. Raises EndpointError if the socket cannot be created.
 
     Parameters
     ----------
     path
-        Where the socket is made; a socket that is there already is replaced.
+        Path of the socket; an existing socket is replaced.
     """
 
     def __init__(self, path: Path, handle: Handler) -> None:
@@ -57,7 +56,7 @@ class PositionerServer:
         return [self._listener.fileno(), *self._clients]
 
     def poll(self, readable: list[int]) -> None:
-        """Serve what is ready among the descriptors; never waits."""
+        """Serve the ready descriptors; never waits."""
         for descriptor in readable:
             if descriptor == self._listener.fileno():
                 self._accept()
@@ -65,7 +64,7 @@ class PositionerServer:
                 self._serve(self._clients[descriptor])
 
     def close(self) -> None:
-        """Disconnect everybody and remove the socket; closing again changes nothing."""
+        """Disconnect all clients and remove the socket; a second call has no effect."""
         for client in list(self._clients.values()):
             self._drop(client)
         if self._listener.fileno() >= 0:
@@ -111,7 +110,7 @@ class PositionerServer:
         try:
             request = json.loads(line)
         except (ValueError, RecursionError) as error:
-            return _line({"error": f"the request is no JSON: {error}"})
+            return _line({"error": f"the request is not valid JSON: {error}"})
         if not isinstance(request, dict):
             return _line({"error": "a request is a JSON object"})
         try:

@@ -1,7 +1,7 @@
-"""Pseudo-terminals that lead to simulated adapters: the servo bus and the serial CAN adapter.
+"""Pseudo-terminals of simulated adapters: the servo bus and the serial CAN adapter.
 
-Neither has a loop of its own: its owner waits until the descriptor is readable or the next event is
-due, and calls ``poll``.
+They have no loop: the owner waits until the descriptor is readable or the next event is due, and
+calls ``poll``.
 """
 
 import fcntl
@@ -17,31 +17,31 @@ from simulator.errors import EndpointError, SimulatorStateError
 from simulator.servo.bus import SerialDevice
 
 _READ_SIZE = 4096
-"""Most bytes that are read of a client at once."""
+"""Most bytes per read from a client."""
 _BAUD_BY_CONSTANT: dict[int, int] = {
     value: int(name[1:])
     for name, value in vars(termios).items()
     if name.startswith("B") and name[1:].isdigit() and int(name[1:]) > 0
 }
-"""Line rate in baud of termios' constants, as B115200."""
+"""Line rate in baud of constants of termios such as B115200."""
 _OUTPUT_SPEED = 5
-"""Position of the output speed in what `termios.tcgetattr` returns."""
+"""Position of the output speed in the result of `termios.tcgetattr`."""
 _SPEED_IN_NUMBERS = 0o10000
-"""BOTHER of asm-generic/termbits.h: the rate stands as a number in the newer structure."""
+"""BOTHER of asm-generic/termbits.h: the structure termios2 has the rate as a number."""
 _TCGETS2 = 0x802C542A
-"""Request that reads that structure (asm-generic/ioctls.h)."""
+"""Request that reads termios2 (asm-generic/ioctls.h)."""
 _TERMIOS2 = struct.Struct("=4IB19s2I")
-"""That structure: four flags, line discipline, 19 control characters, input and output speed."""
+"""Structure termios2: four flags, line discipline, 19 control characters, both speeds."""
 
 
 class Terminal:
-    """One pseudo-terminal behind a stable link; it may go and come back under a new name.
+    """One pseudo-terminal with a stable link; it may be removed and come back with a new name.
 
     Parameters
     ----------
     link_path
-        Symbolic link that always names the current terminal; None makes none. An existing symbolic
-        link is replaced, anything else is an EndpointError.
+        Symbolic link to the current terminal; None: no link. An existing symbolic link is replaced;
+        any other existing file is an EndpointError.
     """
 
     def __init__(self, what: str, link_path: Path | None) -> None:
@@ -53,24 +53,24 @@ class Terminal:
 
     @property
     def path(self) -> str:
-        """Path that a client opens: the link, or the terminal itself without one."""
+        """Path for clients: the link, or the terminal itself without a link."""
         return self._name if self._link is None else str(self._link)
 
     @property
     def plugged_in(self) -> bool:
-        """Whether the terminal is there."""
+        """Whether the terminal exists."""
         return self.master_fd >= 0
 
     def fileno(self) -> int:
-        """Return the descriptor to wait on, SimulatorStateError while there is none."""
+        """Return the descriptor to wait on; SimulatorStateError while unplugged."""
         if not self.plugged_in:
             raise SimulatorStateError(f"{self._what} is unplugged and has no descriptor")
         return self.master_fd
 
     def open(self) -> None:
-        """Make the terminal and let the link name it; EndpointError where that is refused."""
+        """Create the terminal and its link; EndpointError if the system refuses."""
         try:
-            # The own end of the client's side stays open: else the terminal fails between clients.
+            # The client's side is kept open here too: else the terminal fails between clients.
             self.master_fd, self.slave_fd = os.openpty()
             os.set_blocking(self.master_fd, False)
             tty.setraw(self.slave_fd)
@@ -81,12 +81,12 @@ class Terminal:
             raise EndpointError(f"no terminal for {self._what}: {error}") from error
 
     def plug_in(self) -> None:
-        """Make a terminal, under a new name after `unplug`, and let the link name it."""
+        """Create a terminal, after `unplug` with a new name, and its link."""
         if not self.plugged_in:
             self.open()
 
     def unplug(self) -> Callable[[], None]:
-        """Take the terminal away; a client that has it open gets input/output errors.
+        """Remove the terminal; a client with an open terminal gets input/output errors.
 
         Returns `plug_in`.
         """
@@ -95,10 +95,10 @@ class Terminal:
         return self.plug_in
 
     def _forget(self) -> None:
-        """Drop what is under way: the adapter has lost its supply."""
+        """Drop bytes in transit: the adapter has lost its supply."""
 
     def close(self) -> None:
-        """Take terminal and link away; closing again changes nothing."""
+        """Remove terminal and link; a second call has no effect."""
         for descriptor in (self.master_fd, self.slave_fd):
             if descriptor >= 0:
                 os.close(descriptor)
@@ -108,7 +108,7 @@ class Terminal:
             link.unlink()
 
     def read(self, size: int) -> bytes:
-        """Return up to ``size`` bytes of the client, none where there are none."""
+        """Return up to ``size`` bytes of the client; empty without input."""
         try:
             return os.read(self.master_fd, size)
         except BlockingIOError:
@@ -146,7 +146,7 @@ class ServoPty(Terminal):
 
     @property
     def client_baudrate(self) -> int:
-        """Line rate in baud that the client has set, by a constant or as a number; 0 = hung up."""
+        """Line rate in baud set by the client, as constant or number; 0: hung up."""
         speed = termios.tcgetattr(self.slave_fd)[_OUTPUT_SPEED]
         if speed == _SPEED_IN_NUMBERS:
             raw = fcntl.ioctl(self.slave_fd, _TCGETS2, bytes(_TERMIOS2.size))
@@ -154,10 +154,10 @@ class ServoPty(Terminal):
         return _BAUD_BY_CONSTANT.get(speed, 0)
 
     def poll(self, now_s: float) -> float | None:
-        """Move bytes both ways without waiting; return when the next ones are due, None if never.
+        """Transfer bytes both ways without waiting; return the time of the next bytes, or None.
 
-        Bytes that are found may have waited since the last call. An owner that stalls polls before
-        it advances the servos, so that no watchdog trips over a packet that was there in time.
+        Bytes may have waited since the last call. After a stall the owner polls before it advances
+        the servos, so that no watchdog trips although a packet came in time.
         """
         if not self.plugged_in:
             return None
@@ -179,12 +179,12 @@ class ServoPty(Terminal):
 
 
 class BoardPty(ServoPty):
-    """The host's end of a sensor board, which goes on sending where nobody takes its bytes."""
+    """The host's end of a sensor board, which also sends without a reader."""
 
     what = "the sensor board"
 
     def poll(self, now_s: float) -> float | None:
-        """Move bytes as `ServoPty`; what does not fit into the terminal is lost."""
+        """Transfer bytes as `ServoPty`; bytes that do not fit into the terminal are lost."""
         super().poll(now_s)
         self._unsent = b""
         return self._device.next_event_s() if self.plugged_in else None
@@ -200,7 +200,7 @@ class SlcanPty(Terminal):
         self.plug_in()
 
     def poll(self, now_s: float) -> float:
-        """Move bytes both ways without waiting; return when the next ones are due, in s."""
+        """Transfer bytes both ways without waiting; return the time of the next bytes in s."""
         if self.plugged_in:
             self._move(now_s)
         else:

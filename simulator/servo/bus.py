@@ -1,7 +1,7 @@
-"""The servos on their half-duplex bus: who hears what, who answers, and when.
+"""The servos on their half-duplex bus: reception, answers and their times.
 
-Wire time is ten bits a byte; an answer starts after the instruction has passed and the servo's
-return delay is over, and servos that answer one after the other wait for each other.
+A byte takes ten bits on the wire. An answer starts after the instruction and the servo's return
+delay. In a group read each servo waits for the answers before its own.
 """
 
 import functools
@@ -53,7 +53,7 @@ class ServoBusDevice:
             raise SimulatorSettingsError(f"baudrate is positive, got {baudrate}")
         self.servos = tuple(servos)
         self.baudrate = baudrate
-        """Line rate of the host in baud; an endpoint sets it to what the client chose."""
+        """Line rate of the host in baud; an endpoint sets it to the client's rate."""
         self.faults = WireFaults()
         self._parser = PacketParser()
         self._line_free_s = float("-inf")
@@ -62,7 +62,7 @@ class ServoBusDevice:
         self._chatter_s: float | None = None
 
     def advance_to(self, now_s: float) -> None:
-        """Let watchdogs and protections act; call it once a step of the mechanics."""
+        """Run watchdogs and protections; call it once for each step of the mechanics."""
         for servo in self.servos:
             servo.core.supervise(now_s)
 
@@ -72,8 +72,8 @@ class ServoBusDevice:
         Parameters
         ----------
         sent_after_s
-            Earliest time in s at which the host may have sent them, where an endpoint cannot date
-            them better: a watchdog that ran out since then was fed in time. None = ``now_s``.
+            Earliest time in s at which the host may have sent them, if the exact time is not known:
+            a watchdog that expired since then was fed in time. None: ``now_s``.
         """
         faults = self.faults
         if faults.unplugged:
@@ -106,7 +106,7 @@ class ServoBusDevice:
         return next_s if due_s is None else min(due_s, next_s)
 
     def drop_pending(self) -> None:
-        """Forget bytes under way and half a packet, as an adapter does that loses its supply."""
+        """Drop bytes in transit and incomplete packets, as by an adapter without supply."""
         self._queue.clear()
         self._parser.reset()
 
@@ -187,7 +187,7 @@ class ServoBusDevice:
         hearing: Iterable[SimulatedServo],
         now_s: float,
     ) -> None:
-        """Let servos answer one after the other; the first that does not ends the chain."""
+        """Let servos answer in sequence; the first silent servo ends the chain."""
         by_id = {servo.servo_id: servo for servo in hearing}
         for servo_id, address, size in requests:
             servo = by_id.get(servo_id)
@@ -213,7 +213,7 @@ class ServoBusDevice:
             self._send_at(end_s + late_s, data)
 
     def _hear_chatter(self, until_s: float) -> None:
-        """Let the host hear what another device has sent by a time."""
+        """Deliver the bytes of another device until a time to the host."""
         chatter = self.faults.chatter
         if chatter is None:
             self._chatter_s = None
@@ -225,7 +225,7 @@ class ServoBusDevice:
         self._chatter_s = max(self._chatter_s, until_s)
 
     def _met_by_chatter(self, packet: bytes, start_s: float, end_s: float) -> bytes:
-        """Return an answer with the bytes in it that another device sends at the same time."""
+        """Return an answer mixed with bytes that another device sends at the same time."""
         chatter = self.faults.chatter
         if chatter is None:
             return packet
@@ -241,9 +241,9 @@ class ServoBusDevice:
 
 
 def _at_once(packets: Sequence[bytes]) -> bytes:
-    """Return what the host hears of answers that servos with the same ID send at the same time.
+    """Return the bytes at the host if servos with the same ID answer at the same time.
 
-    A driven 0 wins over the 1 of an idle line: equal answers pass for one, others are damaged.
+    A driven 0 overrides the 1 of an idle line: equal answers look like one, others are damaged.
     """
     longest = max(map(len, packets))
     padded = (packet.ljust(longest, b"\xff") for packet in packets)
@@ -297,7 +297,7 @@ def _bulk_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
 
 
 class SerialFaults(Protocol):
-    """Faults of a serial line, as its end in memory needs them."""
+    """Faults of a serial line, for its end in memory."""
 
     @property
     def unplugged(self) -> bool:
@@ -305,7 +305,7 @@ class SerialFaults(Protocol):
 
 
 class SerialDevice(Protocol):
-    """What answers on a serial line, or sends by itself."""
+    """A device on a serial line."""
 
     baudrate: int
     """Line rate in baud that the host has set."""
@@ -329,10 +329,10 @@ class SerialDevice(Protocol):
 
 
 class MemoryServoStream:
-    """The host's end of a serial line in memory: bytes, with the time that the wire takes.
+    """The host's end of a serial line in memory: bytes, with the time on the wire.
 
-    Writing does not wait for the wire, as with a USB adapter; answers arrive whole when their last
-    byte has passed.
+    Writing does not wait for the wire, as with a USB adapter. An answer arrives complete, with its
+    last byte.
     """
 
     def __init__(self, device: SerialDevice, clock: VirtualClock) -> None:
@@ -348,8 +348,8 @@ class MemoryServoStream:
     def write(self, data: bytes) -> None:
         """Send bytes to the servos.
 
-        PortUnplugged once the cable was found to be out, and after `close`: as with a port of the
-        system, a cable that is back does not help an open one.
+        Raises PortUnplugged after the cable was unplugged once, and after `close`: as with a port
+        of the system, an open port stays broken when the cable is back.
         """
         self._check()
         self._device.receive(data, self.clock.monotonic())
@@ -386,6 +386,6 @@ class MemoryServoStream:
         self._lost |= self._device.faults.unplugged
         if self._lost:
             raise PortUnplugged(
-                "the simulated cable is out (fault servos.unplugged or board.unplugged); plug it "
-                "in and open the port again"
+                "the simulated cable is unplugged (fault servos.unplugged or board.unplugged); "
+                "plug it in and open the port again"
             )

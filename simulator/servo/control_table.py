@@ -1,10 +1,9 @@
 """The control table of a simulated servo: bytes, access rules and ranges.
 
-Addresses of the X series come from `gripper.dynamixel.control_table`; what else an item accepts
-(minimum, maximum) stands here after the tables of the ROBOTIS e-Manual. A servo with another table
-(`simulator.servo.rh_p12`) has the memory of the X series, and addresses of its own on the wire.
-Bytes between the items read as 0, as on the servo. Indirect addresses are left out: nothing here
-uses them.
+Addresses of the X series come from `gripper.dynamixel.control_table`; minima and maxima are from
+the tables of the ROBOTIS e-Manual. A servo with another table (`simulator.servo.rh_p12`) has the
+memory of the X series, and addresses of its own on the wire. Bytes between the items read as 0, as
+on the servo. Indirect addresses are left out: no program here uses them.
 """
 
 import struct
@@ -19,7 +18,7 @@ from simulator.servo import rh_p12
 from simulator.servo.protocol2 import StatusError
 
 TABLE_SIZE = 700
-"""Bytes that can be addressed; the last items of the X series end at 661."""
+"""Size in bytes; the last items of the X series end at 661."""
 EEPROM_END = TORQUE_ENABLE.address
 """First byte after the EEPROM items."""
 RAM_END = 168
@@ -37,7 +36,7 @@ GAINS = (
 _X330_MODELS = frozenset({1190, 1200, 1210, 1220, 1230, 1240})
 """Model numbers of XL330-M077, XL330-M288, XC330-M181, -T181, -M288 and -T288."""
 _RECENT_FIRMWARE, _RECENT_FIRMWARE_X330 = 48, 53
-"""Firmware versions of a servo of today: X430, X330."""
+"""Firmware versions of present servos: X430, X330."""
 _MODES = frozenset(OperatingMode)
 _RANGES: dict[str, tuple[int, int]] = {
     "id": (0, 252),
@@ -67,8 +66,8 @@ _RANGES: dict[str, tuple[int, int]] = {
     "profile_acceleration": (0, 32767),
     "profile_velocity": (0, 32767),
 }
-"""Least and largest raw value of items that do not take all that fits (e-Manual, control tables).
-Those that differ between models are added for the model."""
+"""Smallest and largest raw value of items with a limited range (e-Manual, control tables). Items
+that differ between models are added for the model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +84,7 @@ class Item(Register):
 
 
 class WritePlan(NamedTuple):
-    """The items that a write covers whole, and how their raw values lie in its bytes."""
+    """The items that a write covers completely, and the places of their raw values."""
 
     items: tuple[Item, ...]
     layout: struct.Struct
@@ -188,7 +187,7 @@ class ControlTable:
         return bytes(0 if place < 0 else self.data[place] for place in places)
 
     def plan(self, address: int, size: int) -> WritePlan | StatusError:
-        """Return the items that a write covers whole, or why it cannot be done."""
+        """Return the items that a write covers completely, or the error of the write."""
         key = (address, size)
         plan = self._plans.get(key)
         if plan is None:
@@ -216,7 +215,7 @@ class ControlTable:
 
 
 def in_range(item: Item, value: int) -> bool:
-    """Return whether an item accepts a raw value, limits set in other items left aside."""
+    """Return whether an item accepts a raw value, without limits in other items."""
     if item.only is not None:
         return value in item.only
     return item.minimum <= value <= item.maximum
@@ -288,7 +287,7 @@ class ServoRegisters:
         self.load_gains()
 
     def change_mode(self) -> None:
-        """Carry out what writing Operating Mode does to other registers."""
+        """Carry out the side effects of a write of Operating Mode on other registers."""
         self.load_gains()
         self.put("profile_acceleration", 0)
         self.put("profile_velocity", 0)

@@ -1,9 +1,9 @@
 """A DYNAMIXEL X servo as a Protocol 2.0 device: its answer to each instruction.
 
-Written from the ROBOTIS e-Manual ("Protocol 2.0", control tables of the X series). Ping, read and
-write, one by one and of groups, reboot and factory reset are carried out; the others (registered
-writes, fast reads, clear, backup) are refused as by a firmware that does not have them. One object
-is one servo; `simulator.servo.bus` finds the packets and decides who speaks when.
+Written from the ROBOTIS e-Manual ("Protocol 2.0", control tables of the X series). It carries out
+ping, read, write, group reads and writes, reboot and factory reset. Other instructions (registered
+writes, fast reads, clear, backup) are refused, as by a firmware without them. One object is one
+servo; `simulator.servo.bus` finds the packets and orders the answers.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ _KEPT = {
     RESET_ALL_BUT_ID: ("id",),
     RESET_ALL_BUT_ID_BAUD: ("id", "baud_rate"),
 }
-"""Items that a Factory Reset leaves as they are."""
+"""Items that a Factory Reset does not change."""
 _EXTENDED_LIMIT = 1_048_575
 """Largest magnitude of Goal Position in the modes without position limits: 256 turns."""
 _LIMITED_BY = {
@@ -98,7 +98,7 @@ class SimulatedServo:
         self.core = ServoCore(servo_id, model, plant, settings)
         """Registers and their effects."""
         self.made_as = servo_id
-        """ID that it was made with, by which faults name it whatever its ID is now."""
+        """Initial ID, which faults use even if the ID changes."""
 
     @property
     def servo_id(self) -> int:
@@ -151,7 +151,7 @@ class SimulatedServo:
             return self.status(StatusError.NONE, number + bytes((version,)))
         before = self.status(StatusError.NONE)
         error = self._restart(instruction, parameters, now_s)
-        # A servo that reboots has answered before, with the Alert bit that the reboot clears.
+        # A servo answers before it reboots, with the Alert bit that the reboot clears.
         return self.status(error) if error else before
 
     def read(self, address: int, size: int, now_s: float) -> StatusBody:

@@ -1,6 +1,6 @@
-"""Fault knobs of the line between host and servos; all off until they are turned.
+"""Fault knobs of the line between host and servos; they are off by default.
 
-They act on packets. A run with the same seed and the same traffic is always the same.
+They act on packets. The same seed and traffic always give the same result.
 """
 
 import math
@@ -17,14 +17,14 @@ _ROUNDING = 1e-6
 
 @dataclass(slots=True, kw_only=True)
 class Trigger:
-    """Choice of the packets that a fault hits; off as it is made."""
+    """Choice of the packets for a fault; off by default."""
 
     probability: float = 0.0
     """Chance for each packet, 0 to 1."""
     every: int = 0
-    """Hits each n-th packet; 0 = never."""
+    """Applies to each n-th packet; 0: never."""
     next_packets: int = 0
-    """Hits this many of the next packets, then goes off; counts down."""
+    """Number of next packets with the fault; counts down to 0."""
     servo_ids: frozenset[int] | None = None
     """Only packets of these servos; None = all."""
     _seen: int = field(default=0, init=False, repr=False)
@@ -35,7 +35,7 @@ class Trigger:
         return self.probability > 0.0 or self.every > 0 or self.next_packets > 0
 
     def fires(self, servo_id: int, generator: random.Random) -> bool:
-        """Return whether the fault hits this packet; SimulatorSettingsError for a bad setting."""
+        """Return whether this packet gets the fault; SimulatorSettingsError for a bad setting."""
         if not 0.0 <= self.probability <= 1.0 or self.every < 0 or self.next_packets < 0:
             raise SimulatorSettingsError(f"a trigger has a setting out of range: {self}")
         if self.servo_ids is not None and servo_id not in self.servo_ids:
@@ -50,21 +50,21 @@ class Trigger:
 
 
 class Piece(NamedTuple):
-    """Bytes that leave for the host."""
+    """Bytes on their way to the host."""
 
     delay_s: float
-    """How much later than without faults, s."""
+    """Additional delay in s."""
     data: bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chatter:
-    """What another device sends on the wire, whoever speaks there."""
+    """Bytes that another device sends on the wire at any time."""
 
     data: bytes
     """Bytes of one burst."""
     every_s: float
-    """Time from the begin of a burst to that of the next one, s."""
+    """Period of the bursts in s."""
 
     def moments_s(self, after_s: float, until_s: float) -> list[float]:
         """Return the times in s at which bursts begin, after one time and up to another one."""
@@ -84,7 +84,7 @@ class WireFaults:
     """Knobs of the wire between host and servos."""
 
     seed: int = 0
-    """Seed of all chances."""
+    """Seed of all random choices."""
     lose_request: Trigger = field(default_factory=Trigger)
     corrupt_request: Trigger = field(default_factory=Trigger)
     """A write of the host is lost; one bit of it flips."""
@@ -95,33 +95,33 @@ class WireFaults:
     truncate: Trigger = field(default_factory=Trigger)
     garbage: Trigger = field(default_factory=Trigger)
     wrong_id: Trigger = field(default_factory=Trigger)
-    """What happens to an answer. A dropped answer was heard by the other servos."""
+    """Faults of an answer. The other servos receive a dropped answer."""
     delay_s: float = 0.04
-    """How late a delayed answer is, s."""
+    """Delay of a delayed answer in s."""
     truncate_bytes: int = 3
-    """How many bytes a truncated answer lacks at its end."""
+    """Number of missing bytes at the end of a truncated answer."""
     garbage_data: bytes = b"\xaa\xff\xff\xfd\x55"
-    """What comes in front of an answer hit by ``garbage``."""
+    """Bytes in front of an answer with the fault ``garbage``."""
     repeat_s: float = 0.0
-    """Each answer comes again so much later, s; 0 = it does not."""
+    """Time in s after which each answer is repeated; 0: not repeated."""
     lag: bool = False
-    """Each answer is replaced by the servo's answer of the same length before it."""
+    """Each answer is replaced by the servo's previous answer of the same length."""
     chatter: Chatter | None = None
-    """What another device sends; an answer that it meets on the wire is damaged. None = nothing."""
+    """Bytes of another device, which damage an answer at the same time; None: no other device."""
     silent: set[int] = field(default_factory=set)
-    """Servos that neither hear nor answer: later ones of a sync read stay silent too."""
+    """Servos that receive and answer nothing; later servos of a sync read stay silent too."""
     echo: bool = False
     """The host receives its own bytes back, as on a half-duplex adapter without switching."""
     fragment_bytes: int = 0
     fragment_gap_s: float = 0.002
-    """Answers come in pieces of so many bytes with pauses between; 0 = whole."""
+    """Size of the pieces of answers in bytes (0: whole), and the pause between them in s."""
     unplugged: bool = False
-    """The adapter is gone: nothing passes."""
+    """The adapter is unplugged: no byte passes."""
     _generator: random.Random | None = field(default=None, init=False, repr=False)
     _before: dict[tuple[int, int], bytes] = field(default_factory=dict, init=False, repr=False)
 
     def request(self, data: bytes) -> bytes:
-        """Return what the servos hear of the bytes that the host wrote in one go."""
+        """Return the bytes at the servos for one write of the host."""
         if self.lose_request.active and self.lose_request.fires(-1, self._random()):
             return b""
         if self.corrupt_request.active and self.corrupt_request.fires(-1, self._random()):
@@ -129,7 +129,7 @@ class WireFaults:
         return data
 
     def answer(self, servo_id: int, packet: bytes) -> list[Piece]:
-        """Return what the host receives of one answer; in the usual case the packet as it is."""
+        """Return the pieces of one answer at the host; without faults the unchanged packet."""
         if not self._any_answer_fault():
             return [Piece(0.0, packet)]
         generator = self._random()

@@ -1,6 +1,6 @@
 """The firmware of a simulated servo: boot, torque, goals, bus watchdog, protections.
 
-`simulator.servo.device` answers instructions with it; `simulator.servo.motor` carries out what it
+`simulator.servo.device` uses it to answer instructions; `simulator.servo.motor` carries out its
 commands.
 """
 
@@ -40,20 +40,20 @@ from simulator.servo.motor import (
 )
 
 PRESENT_START, PRESENT_END = REALTIME_TICK.address, PRESENT_TEMPERATURE.end
-"""Addresses of the items that show the present state, 120 to 146."""
+"""Addresses of the items of the present state, 120 to 146."""
 GOAL_START, GOAL_END = GOAL_PWM.address, PRESENT_START
 """Addresses of goals and profile, 100 to 119."""
 IN_POSITION_PULSES = 20
 """Distance to Goal Position in pulses at which Moving Status shows arrival (e-Manual, 123)."""
 HOMING_OFFSET_MODE_3 = 1024
-"""Largest Homing Offset in pulses that position mode obeys; a larger one is ignored there."""
+"""Largest Homing Offset in pulses in position mode; a larger offset is ignored there."""
 REBOOT_S = 0.35
-"""Time in s during which a rebooting servo does not hear or answer anything; an assumption."""
+"""Time in s of a reboot, without reception and answers; an assumption."""
 REVERSE_MODE = 0x01
 """Bit of Drive Mode (e-Manual, 10); those of a time-based profile and of torque by goals have no
 effect here."""
 _TICKS_PER_S, _ROUNDING_TICKS = 1000.0, 1e-6
-"""Rate of Realtime Tick (e-Manual, 120), and the part of a tick that rounding may take away."""
+"""Rate of Realtime Tick (e-Manual, 120), and the allowance for rounding in ticks."""
 _TORQUE_AT_BOOT = 0x01
 """Bit of Startup Configuration (e-Manual, 60)."""
 _ARRIVED, _PROFILE_ONGOING, _TRAPEZOIDAL_PROFILE = 0x01, 0x02, 0x30
@@ -83,7 +83,7 @@ _MODE = OPERATING_MODE.address
 _DRIVE = DRIVE_MODE.address
 _HARDWARE_ERROR = HARDWARE_ERROR_STATUS.address
 _TEMPERATURE_LIMIT, _VOLTAGE = TEMPERATURE_LIMIT.address, MAX_VOLTAGE_LIMIT.address
-"""Addresses of what is looked at in each step of the motor."""
+"""Addresses of items that each step of the motor reads."""
 
 
 class ServoPosition:
@@ -91,8 +91,8 @@ class ServoPosition:
 
     def __init__(self, registers: ServoRegisters, plant: ServoMotor) -> None:
         self.reported_offset_raw = 0
-        """What a fault adds to the counts that are reported; the servo itself follows its goals
-        as without it."""
+        """Fault: counts added to the reported position; the control loop of the servo does not use
+        them."""
         self._registers = registers
         self._plant = plant
         self._turn_offset = 0
@@ -108,7 +108,7 @@ class ServoPosition:
         return self.to_raw(self._plant.sensed_rad)
 
     def fold_turns(self) -> None:
-        """Fall back to one turn: actual position 0 to 4095 before Homing Offset."""
+        """Reduce the position to one turn: 0 to 4095 before Homing Offset."""
         actual, turn = self.sign * self._counts(self._plant.sensed_rad), self._model.pulses_per_turn
         self._turn_offset = -(actual // turn) * turn
 
@@ -121,7 +121,7 @@ class ServoPosition:
         return self.sign * (raw - self._offset()) * self._model.rad_per_pulse
 
     def _offset(self) -> int:
-        """Return the counts that turns and Homing Offset add."""
+        """Return the counts of turns and Homing Offset."""
         data = self._registers.table.data
         (homing,) = _HOMING.unpack_from(data, HOMING_OFFSET.address)
         if data[_MODE] == OperatingMode.POSITION and abs(homing) > HOMING_OFFSET_MODE_3:
@@ -172,7 +172,7 @@ def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCom
     data, model = registers.table.data, registers.model
     mode, sign = data[_MODE], position.sign
     pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
-    # A limit that was lowered after the goal was written still holds.
+    # A limit that was lowered after the write of the goal still applies.
     pwm_limit, current_limit, velocity_limit = _LIMITS.unpack_from(data, PWM_LIMIT.address)
     pwm = _bounded(pwm, pwm_limit)
     current = _bounded(current, current_limit)
@@ -190,7 +190,7 @@ def goal_command(registers: ServoRegisters, position: ServoPosition) -> DriveCom
     if registers.keeps_limits:
         duty *= min(1.0, abs(velocity) * model.velocity_unit_rad_s / model.no_load_rad_s)
     if profile == 0 or (limited and is_x330(model)):
-        # No profile is asked for, or the 330 size has none in current-based position mode.
+        # No profile is set, or the 330 size has no profile in current-based position mode.
         profile = acceleration = 0
     d_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
     return DriveCommand(
@@ -222,10 +222,10 @@ def _bounded(raw: int, limit: int) -> int:
 
 
 class WatchdogStop(Enum):
-    """Reaction of the motor when the bus watchdog trips; the e-Manual only has that it stops.
+    """Reaction of the motor when the bus watchdog trips; the e-Manual only states that it stops.
 
-    HOLD keeps the present position within the present current limit. ZERO_CURRENT lets the winding
-    go without current. KEEPS_TURNING is the fault of the 330 size: register 98 reads -1 and the
+    HOLD keeps the present position within the present current limit. ZERO_CURRENT switches the
+    winding current off. KEEPS_TURNING is the fault of the 330 size: register 98 reads -1, but the
     motor goes on.
     """
 
@@ -235,7 +235,7 @@ class WatchdogStop(Enum):
 
 
 class ServoCore:
-    """Firmware of one servo: its registers, and what follows from them."""
+    """Firmware of one servo: its registers and their effects."""
 
     def __init__(
         self,
@@ -250,11 +250,11 @@ class ServoCore:
         """The servo's registers, their control table, and counts."""
         self.plant = plant
         self.watchdog_stop = WatchdogStop.HOLD
-        """What a tripped bus watchdog does to the motor."""
+        """Effect of a tripped bus watchdog on the motor."""
         self.injected_error = 0
-        """Bits of Hardware Error Status that a fault knob forces."""
+        """Bits of Hardware Error Status set by a fault knob."""
         self.silent_until_s = -math.inf
-        """End of a reboot's blackout."""
+        """End of the silence after a reboot in s."""
         self._fed_s = 0.0
         self._watchdog_s = math.inf
         self._stopped = False  # by the watchdog, until the next goal
@@ -282,7 +282,7 @@ class ServoCore:
         return bool(self.table.data[_HARDWARE_ERROR] & self.table.data[SHUTDOWN.address])
 
     def boot(self, now_s: float, *, blackout_s: float = REBOOT_S) -> None:
-        """Start the firmware anew: RAM to its defaults, one turn, torque as configured."""
+        """Restart the firmware: RAM at its defaults, one turn, torque as configured."""
         self.registers.load_ram()
         self.silent_until_s = now_s + blackout_s
         self._booted_s = now_s
@@ -307,7 +307,7 @@ class ServoCore:
         self.apply_goals()
 
     def apply_goals(self) -> None:
-        """Turn mode, goals, limits and gains into a command for the motor."""
+        """Compute the command for the motor from mode, goals, limits and gains."""
         if self._stopped:
             return
         command = goal_command(self.registers, self.position) if self.torque_on else DriveCommand()
@@ -320,7 +320,7 @@ class ServoCore:
             self.position.fold_turns()
 
     def set_torque(self, *, on: bool) -> None:
-        """Switch the torque; switching it on in position mode falls back to one turn."""
+        """Switch the torque; switching it on in position mode reduces the position to one turn."""
         one_turn = self.table.data[_MODE] == OperatingMode.POSITION
         if on and not self.torque_on and one_turn:
             self.position.fold_turns()
@@ -334,11 +334,11 @@ class ServoCore:
         self._fed_s = now_s
 
     def feed(self, now_s: float) -> None:
-        """Note that an instruction packet was on the bus."""
+        """Restart the watchdog time: an instruction packet was on the bus."""
         self._fed_s = now_s
 
     def supervise(self, now_s: float) -> None:
-        """Let watchdog and protections act; call it at least once a motor step."""
+        """Run watchdog and protections; call it at least once for each motor step."""
         data = self.table.data
         if data[_TORQUE] == 0:
             self._fed_s = now_s

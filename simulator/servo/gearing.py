@@ -1,8 +1,8 @@
-"""Gearings of simulated servos as data: an ideal one, an assumed one, and those of real servos.
+"""Gearings of simulated servos as data: ideal, assumed, and identified on real servos.
 
 The friction law is M6 of M. Duclusaud, G. Passault et al., "Extended Friction Models for the
-Physics Simulation of Servo Actuators" (arXiv 2410.08650). The figures of real servos were
-identified with it by the same authors (github.com/Rhoban/bam, revision 1b5a1ce, bam/params).
+Physics Simulation of Servo Actuators" (arXiv 2410.08650). The same authors identified the values of
+real servos (github.com/Rhoban/bam, revision 1b5a1ce, bam/params).
 """
 
 import math
@@ -16,8 +16,8 @@ from simulator.errors import SimulatorSettingsError
 _VISCOUS_SHARE = 0.01
 """Viscous friction at no-load speed over the stall torque; an assumption."""
 _GRAPH_SHARE = 0.5
-"""Point of the vendor's performance graph at which a gearing of another servo is matched: this
-share of the stall current, at this share of the no-load speed; an assumption."""
+"""Point of the vendor's performance graph for matching the gearing of another servo: this share of
+the stall current, at this share of the no-load speed; an assumption."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +25,7 @@ class Friction:
     """Friction of a gearing at its output; it opposes the motion.
 
     With s = exp(-(speed / ``stribeck_rad_s``) ** ``stribeck_exponent``), each pair is a steady part
-    and one times s. The latter is there at rest and fades with speed.
+    and a part times s, which is largest at rest and fades with speed.
     """
 
     base_nm: tuple[float, float] = (0.0, 0.0)
@@ -36,8 +36,8 @@ class Friction:
     """Shares of the load's torque."""
     drive_quadratic_per_nm: float = 0.0
     load_quadratic_per_nm: float = 0.0
-    """Factors times s on the square of the motor's or the load's torque, whichever is the weaker
-    one of two that oppose each other."""
+    """Factors times s on the square of the motor's or the load's torque; of two opposing torques
+    the smaller one is used."""
     stribeck_rad_s: float = 1.0
     stribeck_exponent: float = 1.0
     viscous_nm_s: float = 0.0
@@ -55,8 +55,7 @@ class Friction:
         Parameters
         ----------
         driving_nm, load_nm
-            Torque of the motor and of the load at the output, of opposite signs where they oppose
-            each other.
+            Torque of the motor and of the load at the output; opposing torques have opposite signs.
         base_factor
             Factor on the friction without load.
         """
@@ -73,7 +72,7 @@ class Friction:
         return found_nm
 
     def forward_nm(self, driving_nm: float, speed_rad_s: float) -> float:
-        """Return the load in N.m that a torque of the motor drives at a steady speed in rad/s."""
+        """Return the load in N.m for a motor torque at a steady speed in rad/s."""
         share = self.fading(speed_rad_s)
         (base, base_s), (drive, drive_s), (load, load_s) = self.base_nm, self.drive, self.load
         left_nm = driving_nm * (1.0 - drive - share * drive_s) - base - share * base_s
@@ -82,7 +81,7 @@ class Friction:
         return 2.0 * left_nm / (one + math.sqrt(one * one + 4.0 * square * left_nm))
 
     def scaled(self, factor: float) -> "Friction":
-        """Return the friction where all torques are so many times as large."""
+        """Return the friction with all torques times ``factor``."""
         base, base_s = self.base_nm
         return replace(
             self,
@@ -106,7 +105,7 @@ class Drive:
     """Inertia of rotor and gears in kg m²."""
 
     def scaled(self, factor: float) -> "Drive":
-        """Return the drive where all torques and the inertia are so many times as large."""
+        """Return the drive with all torques and the inertia times ``factor``."""
         return Drive(
             kt_nm_a=factor * self.kt_nm_a,
             back_emf_v_s=factor * self.back_emf_v_s,
@@ -117,28 +116,28 @@ class Drive:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gearing:
-    """What a gearing does to the torque of its motor; the defaults are an ideal one.
+    """Effect of a gearing on the torque of its motor; the default is an ideal gearing.
 
-    A gearing that was identified on a servo of the given model has its figures. Behind a motor of
-    another model one factor scales all torques and the inertia. The drive forward then gives the
-    torque of the vendor's graph at half the stall current and half the no-load speed.
-    Slower motion has more friction: up to a quarter of that torque is missing at rest.
+    On a servo of its own model an identified gearing has its identified values. With a motor of
+    another model one factor scales all torques and the inertia. Forward drive then gives the torque
+    of the vendor's graph at half the stall current and half the no-load speed. Slower motion has
+    more friction: up to a quarter of that torque is missing at rest.
     """
 
     load_friction: float = 0.0
     """Friction over the torque of the load, on top of `ServoModel.friction_nm`."""
     backlash_rad: float = 0.0
-    """Way of the motor at the output from one flank of the teeth to the other."""
+    """Motion of the motor in rad at the output from one flank of the teeth to the other."""
     output_friction: float = 0.0
-    """Share of the friction that brakes the output behind the backlash: bearings, horn, finger."""
+    """Share of the friction on the output side of the backlash: bearings, horn, finger."""
     ripple: float = 0.0
     """Amplitude of the torque's ripple over the motor, as a share of it."""
     ripple_per_turn: float = 0.0
     """Periods of the ripple in one turn of the output."""
     identified: Drive | None = None
-    """Figures of a real servo; None where those of the model and ``load_friction`` hold."""
+    """Values of a real servo; None: those of the model and ``load_friction`` are used."""
     identified_on: str = ""
-    """Name of the model of that servo."""
+    """Model of that servo."""
 
     def __post_init__(self) -> None:
         for name in ("load_friction", "output_friction", "ripple"):
@@ -155,9 +154,9 @@ class Gearing:
     def drive_of(self, model: ServoModel) -> Drive:
         """Return motor and gearing of a servo of a model.
 
-        The torque of a model is that with rising load: what friction of the load takes there is
-        added to what the motor makes. Its back-EMF follows from the no-load speed, that of an
-        identified motor is equal to its torque constant.
+        The torque of a model is measured with rising load: the load friction there is added to the
+        motor's torque. Its back-EMF follows from the no-load speed. The back-EMF of an identified
+        motor equals its torque constant.
         """
         if self.identified is None:
             more = 1.0 + self.load_friction
@@ -184,7 +183,7 @@ class Gearing:
 
 
 IDEAL_GEARING = Gearing()
-"""A gearing whose friction is Coulomb's alone."""
+"""A gearing with Coulomb friction only."""
 XM430_W350_GEARING = Gearing(
     load_friction=0.11,
     backlash_rad=math.radians(0.25),
@@ -192,13 +191,13 @@ XM430_W350_GEARING = Gearing(
     ripple=0.0125,
     ripple_per_turn=353.5 * 14,
 )
-"""The gearing of an XM430-W350, as far as it is known.
+"""The gearing of an XM430-W350, with assumptions.
 
 Load: 0.11 was measured on an MX-106 (Duclusaud and Passault, arXiv 2410.08650, model M3 of their
-library); nobody has published it for an XM430. Backlash: 15 arcmin (e-Manual, Specifications). The
-motor is coreless, so no iron cogs; a commutator of 7 segments, an assumption, has 14 periods a turn
-of the motor and a ripple from crest to trough of 1 - cos(pi / 14) = 2.5 %. That of the teeth's mesh
-is not known and left out. A tenth of the friction at the output is an assumption.
+library); there is no published value for an XM430. Backlash: 15 arcmin (e-Manual, Specifications).
+The motor is coreless, without cogging. A commutator of 7 segments (assumed) has 14 periods per turn
+of the motor, and a peak-to-peak ripple of 1 - cos(pi / 14) = 2.5 %. The ripple of the teeth is not
+known and left out. A tenth of the friction at the output is an assumption.
 """
 XL330_M288_GEARING = Gearing(
     identified_on="XL330-M288",
@@ -237,8 +236,8 @@ XL330_M288_GEARING_2 = Gearing(
         inertia_kg_m2=0.0025698,
     ),
 )
-"""The same from other motions of the servo (xl330/m6.json of revision 11bb7ec): how far two
-identifications may differ."""
+"""The same servo identified from other motions (xl330/m6.json of revision 11bb7ec); it shows the
+difference between two identifications."""
 MX_64_GEARING = Gearing(
     identified_on="MX-64",
     identified=Drive(

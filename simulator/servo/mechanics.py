@@ -1,9 +1,9 @@
 """Motion of the simulated fingers: one or two servos, friction, end stops, contact forces.
 
-Semi-implicit Euler steps with the contact stiffness taken implicitly, and Karnopp's friction: an
-axis that has come to rest stays at rest until the torque exceeds the stiction, so a gripper that
-holds a part does not creep. Where the gearing has backlash, motor and output are two bodies that
-move apart within it and go on together, without a rebound, once teeth meet.
+Semi-implicit Euler steps with implicit contact stiffness, and Karnopp's friction: an axis at rest
+stays there until the torque exceeds the stiction, so a gripper that holds a part does not creep.
+With backlash, motor and output are two bodies: they move separately within it, and together without
+a rebound when teeth meet.
 """
 
 import math
@@ -15,17 +15,17 @@ from simulator.errors import SimulatorSettingsError, require_positive
 from simulator.servo.motor import DriveMode, ServoMotor
 
 STICTION_RATIO = 1.05
-"""Torque that sets an axis at rest in motion, over its Coulomb friction; an assumption."""
+"""Ratio of stiction to Coulomb friction; an assumption."""
 LONGEST_STEP_S = 1e-3
 """Longest step in s of the integration: stable for the stiffest foam against the lightest rotor."""
 FINGER_INERTIA_KG_M2 = 2e-4
 """Inertia of one finger and its link about the servo's axis in kg m²; an assumption."""
 HAND_SPEED_M_S = 0.05
-"""Speed in m/s at which a person moves a finger by hand; an assumption."""
+"""Speed in m/s of a finger moved by hand; an assumption."""
 HAND_FORCE_N = 0.3
-"""Force in N on the pad at which a person who closes a finger lets go: both pads touch lightly."""
+"""Force in N on the pad at which a person stops closing a finger: both pads touch lightly."""
 _ROUNDING_STEPS = 1e-9
-"""Part of a step that rounding may add to a whole number of steps."""
+"""Allowance for rounding in a number of steps."""
 LARGEST_LINK_ANGLE_RAD = math.radians(80.0)
 """Angle of a parallelogram's link at its open end stop, short of its singular position at 90°."""
 
@@ -117,10 +117,9 @@ class RackLinkage:
 
 
 FingerLinkage = ParallelogramLinkage | RackLinkage
-"""Geometry between one servo angle and the half opening of the fingers that it drives: the distance
-of a finger's pad from the centre plane in m, which grows with the linkage angle. The formulas are
-the simulator's own and on purpose not shared with the driver: an error in one of the two shows as a
-disagreement."""
+"""Geometry from a servo angle to the half opening of its fingers: the distance of a pad from the
+centre plane in m, which grows with the linkage angle. The formulas are deliberately separate from
+those of the driver: an error in one of them shows as a disagreement."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +144,7 @@ class FingerMechanics:
     motors
         One or two motors; their angles are set to the start aperture.
     half_opening_min_m
-        Closed end stop in m; below 0 a finger may pass the middle, until the other one stops it.
+        Closed end stop in m; below 0 a finger may pass the middle until the other finger stops it.
     """
 
     def __init__(
@@ -198,9 +197,9 @@ class FingerMechanics:
         return first + second
 
     def drive_to(self, aperture_m: float) -> None:
-        """Put both fingers evenly at a recorded aperture in m; steps leave them where they are.
+        """Set both fingers symmetrically to a recorded aperture in m; steps do not move them.
 
-        Below 0 pads press on each other.
+        Below 0 the pads press on each other.
         """
         half_m = 0.5 * aperture_m
         low_m, high_m = self._linkage.half_opening_min_m, self._linkage.half_opening_max_m
@@ -215,16 +214,16 @@ class FingerMechanics:
             motor.velocity_rad_s = motor.rotor_velocity_rad_s = motor.lead_rad = 0.0
 
     def move_by_hand(self, axis: int, half_opening_m: float) -> None:
-        """Let a person move a finger without torque to a half opening in m, and let go of it there.
+        """Let a person move a finger without torque to a half opening in m.
 
-        On its way the finger stops at what it touches (`HAND_FORCE_N`) and at its end stops; the
-        friction of the gearing keeps it where it is left. A person yields to a motor with torque.
-        Raises SimulatorSettingsError if there is no such servo.
+        The finger stops at a contact (`HAND_FORCE_N`) and at its end stops; then the friction of
+        the gearing holds it. A motor with torque is not moved. Raises SimulatorSettingsError if
+        there is no such servo.
 
         Parameters
         ----------
         axis
-            Index of the servo; one servo takes both fingers along.
+            Index of the servo; a single servo moves both fingers.
         half_opening_m
             Distance of the pad from the centre plane in m; beyond an end stop: up to the stop.
         """
@@ -247,9 +246,9 @@ class FingerMechanics:
         axis
             Index of the servo.
         turned
-            Whether it sits the other way round than before.
+            Whether to reverse its direction.
         off_rad
-            How much farther open than before its position is.
+            Offset of its position towards open in rad.
         """
         motor = self.motors[axis]
         direction, zero_rad = self._axes[axis]
@@ -276,7 +275,7 @@ class FingerMechanics:
         contact_force_n
             Force on each pad in N at the present position, positive when it pushes the finger open.
         contact_stiffness_n_m
-            How fast that force falls when the finger opens, N/m, at least 0.
+            Decrease of that force per opening of the finger in N/m, at least 0.
         """
         if dt_s <= LONGEST_STEP_S:
             self._step(dt_s, contact_force_n, contact_stiffness_n_m)
@@ -392,7 +391,7 @@ class FingerMechanics:
         )
         before_rad, half_rad = motor.lead_rad, 0.5 * motor.gearing.backlash_rad
         if abs(before_rad) >= half_rad and before_rad * (rotor - output) >= 0.0:
-            # Teeth touch and nothing draws them apart. Where they have just met the momentum stays.
+            # Teeth stay in contact. When they have just met, the momentum is conserved.
             both_kg_m2 = rotor_kg_m2 + output_kg_m2
             common = (
                 rotor_kg_m2 * motor.rotor_velocity_rad_s + output_kg_m2 * motor.velocity_rad_s

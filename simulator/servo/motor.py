@@ -1,12 +1,12 @@
 """Electromechanics of one simulated servo: control loops, winding current, heat.
 
-The motor works in its own output angle (rad, 0 at raw position 0, not limited to a turn). Torque at
-the output is T = kt I - friction, the friction being applied by `simulator.servo.mechanics`, where
-the motion is integrated. The duty, which a servo reports as its present PWM, is that of the voltage
-R I + k_e v over the supply. The position loop is read as the e-Manual draws it, a gain of P/128 in
-counts of PWM for each count of position; through the winding resistance that is a current, and the
-back-EMF is its damping. Integral and feed-forward gains have no effect here. Friction, backlash and
-ripple of the torque are those of a `simulator.servo.gearing.Gearing`; the default is ideal.
+The motor uses its output angle (rad, 0 at raw position 0, not limited to a turn). Torque at the
+output is T = kt I - friction; `simulator.servo.mechanics` applies the friction and integrates the
+motion. The duty, which a servo reports as its present PWM, is the voltage R I + k_e v over the
+supply. The position loop follows the figure of the e-Manual: a gain of P/128 in counts of PWM for
+each count of position. The winding resistance makes a current of it, and the back-EMF damps it.
+Integral and feed-forward gains have no effect here. A `simulator.servo.gearing.Gearing` has
+friction, backlash and ripple of the torque; the default is ideal.
 """
 
 import math
@@ -18,7 +18,7 @@ from simulator.errors import SimulatorSettingsError
 from simulator.servo.gearing import IDEAL_GEARING, Gearing
 
 CURRENT_LOOP_TIME_CONSTANT_S = 0.003
-"""Time constant in s with which the winding current follows its goal; an assumption."""
+"""Time constant of the winding current in s; an assumption."""
 AMBIENT_C = 25.0
 """Temperature of the surroundings in degC."""
 THERMAL_TIME_CONSTANT_S = 300.0
@@ -26,7 +26,7 @@ THERMAL_TIME_CONSTANT_S = 300.0
 RISE_AT_FIFTH_OF_STALL_C = 15.0
 """Final heating in K at a fifth of the stall current, the vendor's limit for steady work."""
 OVERLOAD_DUTY = 0.30
-"""Loading duty (1 = stall at the present voltage) that a servo bears for ever; an assumption."""
+"""Sustained loading duty of a servo (1 = stall at the present voltage); an assumption."""
 OVERLOAD_BUDGET_S = 0.55
 """Excess of the loading duty over OVERLOAD_DUTY, integrated over time, at which the servo trips.
 
@@ -41,10 +41,10 @@ _VELOCITY_LOOP_A_S_RAD = 1.0
 _VELOCITY_LOOP_A_RAD = 20.0
 """Integral gain of the velocity loop in A per rad; an assumption."""
 COLD_FRICTION_PER_K = 0.025
-"""Share by which friction without load is larger for each K that a servo is colder than
-`AMBIENT_C`: grease thickens; an assumption. A servo warms with `THERMAL_TIME_CONSTANT_S`."""
+"""Growth of friction without load for each K below `AMBIENT_C`, as a share: grease thickens; an
+assumption. A servo warms with `THERMAL_TIME_CONSTANT_S`."""
 _LEAST_SUPPLY_V = 0.1
-"""Supply in V below which duty and load are worked out as at this one: no division by zero."""
+"""Smallest supply in V for the calculation of duty and load: avoids a division by zero."""
 
 
 class DriveMode(IntEnum):
@@ -106,13 +106,13 @@ class ServoMotor:
         self._friction = drive.friction
         self.inertia_kg_m2 = drive.inertia_kg_m2
         self.kt_factor = 1.0
-        """Knob: torque and back-EMF of the motor over those of its kind."""
+        """Knob: torque and back-EMF of the motor over those of its model."""
         self.friction_factor = 1.0
-        """Knob: friction without load over that of a servo of its kind, viscous part included."""
+        """Knob: friction without load over that of its model, including the viscous part."""
         self.wear_per_turn = 0.0
-        """Knob: share by which this friction grows with each turn of the output."""
+        """Knob: growth of this friction in each turn of the output, as a share."""
         self.worn = 0.0
-        """Share by which it has grown."""
+        """Growth of the friction so far, as a share."""
         self.voltage_v = model.nominal_voltage_v
         self._resistance_ohm = model.nominal_voltage_v / model.stall_current_a
         count_a = model.stall_current_a / model.whole_pwm_raw / model.rad_per_pulse
@@ -127,8 +127,8 @@ class ServoMotor:
         """True motion of the output, where the encoder is; set by the mechanics."""
         self.lead_rad = 0.0
         self.rotor_velocity_rad_s = 0.0
-        """How far the motor is ahead of the output within the backlash, from -1/2 to 1/2 of it,
-        and the motor's velocity; set by the mechanics."""
+        """Lead of the motor over the output within the backlash, from -1/2 to 1/2 of it, and the
+        velocity of the motor; set by the mechanics."""
         self.current_a = 0.0
         """Winding current, A, positive towards growing angles."""
         self.duty = 0.0
@@ -140,9 +140,9 @@ class ServoMotor:
         self.load_excess_s = 0.0
         """Integrated overload, trips at `OVERLOAD_BUDGET_S`."""
         self.stuck_at_rad: float | None = None
-        """Angle at which the encoder is stuck, None when it works."""
+        """Angle of a stuck encoder in rad; None: the encoder works."""
         self.encoder_offset_rad = 0.0
-        """How much more than the true angle the encoder reports."""
+        """Offset of the encoder from the true angle in rad."""
         self.command = DriveCommand()
 
     @property
@@ -153,7 +153,7 @@ class ServoMotor:
 
     @property
     def sensed_velocity_rad_s(self) -> float:
-        """Velocity that follows from the encoder, rad/s."""
+        """Velocity from the encoder in rad/s."""
         return self.velocity_rad_s if self.stuck_at_rad is None else 0.0
 
     @property
@@ -183,11 +183,11 @@ class ServoMotor:
         )
 
     def overload(self) -> None:
-        """Use up the overload budget, as a long stall does."""
+        """Use up the overload budget, as by a long stall."""
         self.load_excess_s = 2.0 * OVERLOAD_BUDGET_S
 
     def drive(self, command: DriveCommand) -> None:
-        """Take a new command; a change of mode starts the profile where the motor is."""
+        """Take a new command; a change of mode starts the profile at the motor's position."""
         if command.mode is not self.command.mode:
             self.reference_rad = self.sensed_rad
             self.reference_velocity_rad_s = 0.0
@@ -195,7 +195,7 @@ class ServoMotor:
         self.command = command
 
     def torque_nm(self, dt_s: float) -> float:
-        """Advance loops and winding by ``dt_s`` s and return kt I in N.m, friction left aside."""
+        """Advance loops and winding by ``dt_s`` s and return kt I in N.m, without friction."""
         command = self.command
         mode = command.mode
         if mode is DriveMode.OFF:
@@ -246,7 +246,7 @@ class ServoMotor:
         return torque_nm
 
     def _account(self, dt_s: float) -> None:
-        """Let the current heat the motor and use up the overload budget, and motion wear it."""
+        """Update temperature and overload budget by the current, and wear by the motion."""
         if self.wear_per_turn:
             self.worn += self.wear_per_turn * abs(self.velocity_rad_s) * dt_s / math.tau
         current_a = self.current_a

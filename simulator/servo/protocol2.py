@@ -19,7 +19,7 @@ MAX_ID = 252
 STATUS = 0x55
 """Instruction code of a status packet."""
 MAX_LENGTH = 1024
-"""Largest LEN of a packet; the parser takes a larger one for the mark of a damaged header."""
+"""Largest LEN of a packet; for the parser a larger value means a damaged header."""
 
 _START = HEADER + b"\x00"
 _ID_AND_LENGTH = struct.Struct("<BH")
@@ -32,7 +32,7 @@ _CRC_POLYNOMIAL = 0x8005
 
 
 def words(data: bytes | bytearray) -> tuple[int, ...]:
-    """Return the 16-bit unsigned numbers, low byte first, of which bytes consist."""
+    """Return the 16-bit unsigned numbers in bytes, low byte first."""
     return struct.unpack(f"<{len(data) // 2}H", data)
 
 
@@ -116,7 +116,7 @@ def encode_status(packet_id: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 class Packet(NamedTuple):
-    """One packet as the parser found it."""
+    """One parsed packet."""
 
     packet_id: int
     """ID field: 0 to 252 or `BROADCAST_ID`."""
@@ -129,23 +129,23 @@ class Packet(NamedTuple):
 
 
 class PacketParser:
-    """Finds packets in a stream of bytes, as strictly as a servo does.
+    """Finds packets in a stream of bytes, as strictly as a servo.
 
-    A header is ``FF FF FD`` not followed by FD, wherever it stands: one inside a packet means that
-    the packet was cut off (or was not stuffed) and that a new one starts there. After a wrong
-    checksum the search goes on at the last bytes of the packet, because the packet may have lost
-    some and swallowed the head of its successor.
+    A header is ``FF FF FD`` not followed by FD, at any place. A header inside a packet means that
+    the packet was cut off (or not stuffed), and that a new packet starts there. After a wrong
+    checksum the search continues at the last bytes of the packet: if bytes were lost, these may be
+    the head of the next packet.
     """
 
     def __init__(self) -> None:
         self._buffer = b""
 
     def reset(self) -> None:
-        """Forget what came of a packet that is not complete."""
+        """Drop the bytes of an incomplete packet."""
         self._buffer = b""
 
     def push(self, data: bytes) -> list[Packet]:
-        """Take bytes from the wire and return the packets that they complete, in order."""
+        """Take bytes from the wire and return the completed packets in order."""
         buffer = self._buffer + data
         packets: list[Packet] = []
         start = 0
@@ -176,7 +176,7 @@ class PacketParser:
 
     @staticmethod
     def _next_header(buffer: bytes, start: int, end: int | None = None) -> int:
-        """Return where the next header starts whose FD lies before ``end``, -1 without one."""
+        """Return the start of the next header with its FD before ``end``; -1: no header."""
         while True:
             start = buffer.find(HEADER, start, end)
             if start < 0:

@@ -1,4 +1,4 @@
-"""A servo that turns or shifts the object: motor, load, and the line that it is on."""
+"""A servo that turns or shifts the object: motor, load and line."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,11 @@ from simulator.servo.mechanics import STICTION_RATIO
 from simulator.servo.motor import ServoMotor
 
 LOAD_INERTIA_KG_M2 = 2e-4
-"""Inertia of what the servo carries in kg m²: 0.2 kg at 30 mm; an assumption."""
+"""Inertia of the servo's load in kg m²: 0.2 kg at 30 mm; an assumption."""
 STEP_S = 1e-3
 """Step of its motion in s."""
 _MOVING_RAD_S = 1e-3
-"""Speed in rad/s above which it moves."""
+"""Speed in rad/s above which it counts as moving."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +25,7 @@ class WristMount:
     baud_rate: int = 1_000_000
     """ID, model, and rate of its line in bit/s."""
     increments: float
-    """Pulses in one m or rad of the axis; negative where it turns the other way."""
+    """Pulses per m or rad of the axis; negative for the other direction."""
     zero: int
     """Present Position at 0 of the axis."""
     start: float
@@ -43,9 +43,9 @@ class SimulatedWrist:
         self.servo = SimulatedServo(mount.servo_id, mount.model, self._motor, settings=rate)
         self.bus = ServoBusDevice([self.servo], mount.baud_rate)
         self.blocked = False
-        """Fault knob: something holds it."""
+        """Fault knob: the axis is blocked."""
         self.slipped = 0.0
-        """Fault knob: so much in m or rad the axis is off what the encoder shows."""
+        """Fault knob: offset of the axis from the encoder's position in m or rad."""
         self._stepped_s = start_s
 
     @property

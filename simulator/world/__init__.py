@@ -1,4 +1,4 @@
-"""The simulated world between the fingers, for the cell and for whoever makes grasps.
+"""The simulated world between the fingers, for the cell and for virtual grasps.
 
 `world` presses rigid objects (`shapes`, `shape_files`) into foam pads (`foam`, `press`) and scans
 their taxels (`taxels`); `recorded` plays recorded grasps instead.

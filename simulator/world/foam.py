@@ -1,8 +1,8 @@
-"""The foam on a pad: what a rigid surface that is pressed into it meets.
+"""The foam on a pad: its pressure on a rigid surface.
 
-The foam is a bed of columns side by side, each with the non-linear law of an elastomeric foam: at
-first linear, then stiffening as its cells close (densification). Between the surface and the
-electrodes below, the pressure spreads; `simulator.world.taxels` does that.
+The foam is a bed of columns, each with the non-linear law of an elastomeric foam: first linear,
+then stiffening as its cells close (densification). Between surface and electrodes the pressure
+spreads: see `simulator.world.taxels`.
 """
 
 import math
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from simulator.errors import SimulatorSettingsError, require_positive
 
 TABLE_STEP_M = 10e-6
-"""Spacing of the depths for which the force is worked out, in m: 1/300 of the foam."""
+"""Spacing in m of the depths in a force table: 1/300 of the foam."""
 
 _SERIES_POINTS = 601
 """Points of the law of two sheets in series: 5 µm of a sheet of 3 mm."""
@@ -27,13 +27,13 @@ class Foam:
     thickness_m: float = 3e-3
     """Thickness of the sheet in m; the paper's pads have 3 mm."""
     modulus_pa: float = 150e3
-    """Young's modulus at small strain in Pa: 150 kPa, the only reading of the paper's threshold
-    (4.9 kPa at 3.3 % strain) that is a foam."""
+    """Young's modulus at small strain in Pa: 150 kPa, the only interpretation of the paper's
+    threshold (4.9 kPa at 3.3 % strain) in the range of a foam."""
     densification: float = 0.5
-    """How fast it stiffens: at a strain of one half the secant modulus is ``1 + densification``
-    times the modulus."""
+    """Stiffening: at a strain of one half the secant modulus is ``1 + densification`` times the
+    modulus."""
     limit_strain: float = 0.9
-    """From here on the law goes on along its tangent."""
+    """Strain above which the law follows its tangent."""
     spread_m: float = 1.5e-3
     """Standard deviation in m of the spreading of a pressure on its way through the sheet: about
     half the thickness."""
@@ -52,9 +52,9 @@ class Foam:
             )
 
     def pressure_pa(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the pressure in Pa of columns that are pressed in by ``indentation_m``.
+        """Return the pressure in Pa of columns with an indentation in m.
 
-        With strain e the pressure is E e (1 + d (e / (1 - e))^2); no pull at negative indentation.
+        With strain e the pressure is E e (1 + d (e / (1 - e))^2); 0 at negative indentation.
         """
         strain = np.maximum(indentation_m, 0.0)
         strain /= self.thickness_m
@@ -77,7 +77,7 @@ class FoamPair:
 
     def __init__(self, foams: tuple[Foam, Foam]) -> None:
         self.thickness_m = foams[0].thickness_m + foams[1].thickness_m
-        """Of both together in m."""
+        """Thickness of both sheets together in m."""
         first_m = np.linspace(0.0, foams[0].thickness_m, _SERIES_POINTS)
         second_m = np.linspace(0.0, foams[1].thickness_m, _SERIES_POINTS)
         self._pressure_pa = foams[0].pressure_pa(first_m)
@@ -86,7 +86,7 @@ class FoamPair:
         )
 
     def pressure_pa(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the pressure in Pa of columns that give by ``indentation_m`` together."""
+        """Return the pressure in Pa of columns with a total indentation in m."""
         pressure: NDArray[np.float64] = np.interp(
             indentation_m, self._indentation_m, self._pressure_pa
         )
@@ -94,16 +94,16 @@ class FoamPair:
 
 
 class ForceTable:
-    """Force over depth of one surface against foam; a depth is worked out when it is first reached.
+    """Force over depth of one surface against foam; depths are computed at their first use.
 
-    So an object is placed at once: in real time the buses do not wait for its whole table.
+    So placing an object is fast, and in real time the buses do not wait.
 
     Parameters
     ----------
     foam
         The pad's foam, under a rigid surface, or that of two pads that meet.
     reach_m
-        Reach of the surface towards the pad in m over a grid, -inf where there is none.
+        Reach of the surface towards the pad in m over a grid, -inf outside the surface.
     cell_area_m2
         Area of a cell of the grid in m².
     """
@@ -114,7 +114,7 @@ class ForceTable:
         surface_m = reach_m[np.isfinite(reach_m)]
         if surface_m.size == 0:
             raise SimulatorSettingsError(
-                "the object lies beside the pad: nothing of it can be pressed"
+                "the object lies beside the pad: place it between the pads"
             )
         self.reach_max_m = float(surface_m.max())
         """Highest point of the surface in m."""

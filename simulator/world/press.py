@@ -1,4 +1,4 @@
-"""What the pads press on: one object at one pose, or each other; forces and pressures."""
+"""Contact of the pads with one object at one pose, or with each other: forces and pressures."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,27 +14,27 @@ from simulator.world.taxels import PressureGrid
 _SETTLED_N = 1e-6
 """Difference of the pads' forces in N below which the object counts as settled."""
 _SETTLE_STEPS = 60
-"""Most Newton or bisection steps: bisection alone reaches the limit of a float in so many."""
+"""Most Newton or bisection steps: bisection reaches the precision of a float within them."""
 _COARSE = 4
-"""Every so many cells of the grid, each way, stand for the others where the pads meet."""
+"""Step of the coarse grid in cells, for pads that meet each other."""
 _LEAST_SHARE, _MOST_SHARE = 0.1, 10.0
-"""Range of the factors between pads: beyond it a pad is broken, not different."""
+"""Range of the factors between pads; beyond it a pad is defective."""
 _MOST_SHIFT_M, _MOST_TILT_RAD = 0.005, math.radians(10.0)
 """Largest misalignment of the pads along each axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PadPair:
-    """How the two gripping pads stand to each other, and how they differ."""
+    """Position of the two gripping pads, and their differences."""
 
     shift_m: tuple[float, float] = (0.0, 0.0)
-    """How far the pad of finger 1 lies beside that of finger 0, along the fingers and across, in
-    m, at most 5 mm."""
+    """Offset of finger 1's pad from finger 0's, along and across the fingers, in m, at most 5 mm.
+    """
     tilt_rad: tuple[float, float] = (0.0, 0.0)
-    """How far the gap between them closes along the fingers and across, in rad, at most 10
-    degrees."""
+    """Angle between the pads along and across the fingers, positive where the gap closes, in rad,
+    at most 10 degrees."""
     gains: tuple[float, float] = (1.0, 1.0)
-    """Factors from 0.1 to 10 on the force that the taxels of finger 0 and of finger 1 feel."""
+    """Factors from 0.1 to 10 on the measured force of the taxels of finger 0 and finger 1."""
     stiffness: tuple[float, float] = (1.0, 1.0)
     """Factors from 0.1 to 10 on the modulus of their foam."""
 
@@ -54,13 +54,13 @@ class PadPair:
             )
 
     def foams(self, foam: Foam) -> tuple[Foam, Foam]:
-        """Return the foam of each finger's pad, made of one sheet."""
+        """Return the foam of each finger's pad, from one sheet."""
         first, second = (replace(foam, modulus_pa=foam.modulus_pa * s) for s in self.stiffness)
         return first, second
 
 
 class PadsMeet:
-    """The two pads that press on each other, foam on foam; nothing is between them.
+    """The two pads pressing on each other, foam on foam, without an object.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class PadsMeet:
     foams
         The sheets on them.
     pair
-        How they stand to each other.
+        Their position and differences.
     """
 
     def __init__(
@@ -78,18 +78,18 @@ class PadsMeet:
         self._grids = grids
         self._foam = FoamPair(foams)
         self._pair = pair
-        # How far the fields that each pad's taxels lie in reach towards the other pad.
+        # Reach of each pad's taxel field towards the other pad.
         self._reach_m = tuple(self._reach(side) for side in (0, 1))
         self._highest_m = float(self._reach_m[0].max())
         self._table: ForceTable | None = None
 
     def _reach(self, side: int) -> NDArray[np.float64]:
-        """Return how much deeper than their middle the cells of a pad meet the other one, in m."""
+        """Return the depth of a pad's cells in the other pad in m, relative to the middle."""
         grid, other = self._grids[side], self._grids[1 - side]
         (shift_x_m, shift_y_m), (tilt_x, tilt_y) = self._pair.shift_m, self._pair.tilt_rad
         x_m, y_m = np.broadcast_arrays(grid.x_m, grid.y_m)
         sign = 1.0 if side == 0 else -1.0
-        # Where the cells lie on the other pad.
+        # Positions of the cells on the other pad.
         there_x_m, there_y_m = x_m - sign * shift_x_m, y_m - sign * shift_y_m
         met = (np.abs(there_x_m) <= other.half_x_m) & (np.abs(there_y_m) <= other.half_y_m)
         # The gap is given in the coordinates of finger 0.
@@ -109,7 +109,7 @@ class PadsMeet:
 
     @property
     def _forces(self) -> ForceTable:
-        """Force over depth, worked out when the pads first meet."""
+        """Force over depth, computed when the pads first meet."""
         if self._table is None:
             reach_m = self._reach_m[0]
             coarse_m = reach_m[_COARSE // 2 :: _COARSE, _COARSE // 2 :: _COARSE]
@@ -125,17 +125,16 @@ class PadsMeet:
         whole = (slice(None), slice(None))
         pressure_pa = self._foam.pressure_pa(np.maximum(depth_m, 0.0))
         force_n = grid.taxel_force_n(pressure_pa, grid.shares(whole))
-        # Both pads feel the same force, whatever their grids make of an edge.
+        # Both pads have the same force, although their grids differ at the edges.
         return force_n * (total_n / max(float(force_n.sum()), 1e-12))
 
 
 class Press:
-    """A rigid object that the pads press from both sides.
+    """A rigid object between the pads.
 
-    The pose in the plane of the pads is fixed while it is gripped, so all that depends on it is
-    worked out once: height maps, and force over depth for each pad. The object moves along the
-    closing axis only, without inertia, against the friction of its nest. Raises
-    SimulatorSettingsError if the object lies beside a pad.
+    In the grip its pose in the plane of the pads is fixed. So height maps and force over depth are
+    computed once for each pad. The object moves only along the closing axis, without inertia,
+    against the friction of its nest. Raises SimulatorSettingsError if the object lies beside a pad.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ class Press:
         self.z_m = pose.z_m
         """Offset of the object along the closing axis in m, towards finger 1."""
         self.swell_m = 0.0
-        """How much more than its shape the object reaches towards each finger in m."""
+        """Additional reach of the object towards each finger in m."""
         self._foams = foams
         self._grids = grids
         tables: list[ForceTable] = []
@@ -182,7 +181,7 @@ class Press:
 
     @property
     def reach_m(self) -> tuple[float, float]:
-        """How far the object reaches from its centre towards finger 0 and finger 1 in m."""
+        """Reach of the object from its centre towards finger 0 and finger 1 in m."""
         return self._tables[0].reach_max_m, self._tables[1].reach_max_m
 
     def _depths_m(self, position_m: tuple[float, float]) -> tuple[float, float]:
@@ -195,10 +194,9 @@ class Press:
     def settle(
         self, position_m: tuple[float, float], friction_n: float
     ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Let the object float to where the pads and its nest hold it.
+        """Move the object to its equilibrium between the pads and its nest.
 
-        It stays where it is while the pads' forces differ by no more than the nest's friction;
-        else it moves until they do.
+        It moves until the forces of the pads differ by no more than the friction of the nest.
 
         Parameters
         ----------
@@ -210,7 +208,7 @@ class Press:
         Returns
         -------
         force_n, stiffness_n_m
-            Force on each pad in N, and how fast each falls as its finger opens, in N/m.
+            Force on each pad in N, and its decrease per opening of the finger in N/m.
         """
         near, far = self._tables
         depth_0, depth_1 = self._depths_m(position_m)
@@ -250,6 +248,6 @@ class Press:
 
 
 def _span(covered: NDArray[np.bool_], *, axis: int) -> slice:
-    """Return the stretch along an axis in which something is covered."""
+    """Return the range along an axis that contains all covered cells."""
     indices = np.nonzero(covered)[axis]
     return slice(int(indices.min()), int(indices.max()) + 1)

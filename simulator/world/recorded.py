@@ -13,7 +13,7 @@ from tactile.layout import TaxelLayout
 
 
 class DrivenFingers(Protocol):
-    """Mechanics as a recorded world needs them."""
+    """Mechanics for a recorded world."""
 
     def drive_to(self, aperture_m: float) -> None:
         """Put both fingers at the recorded aperture in m."""
@@ -28,16 +28,16 @@ class DrivenFingers(Protocol):
 
 
 class RecordedWorld:
-    """Plays one recorded grasp: each scan takes its next frame and the fingers go along.
+    """Plays one recorded grasp: each scan takes the next frame, and the fingers follow it.
 
-    Before a grasp is loaded the pads read zero. After its last frame that frame stays: the hand
-    still holds; once `remaining` is 0 the next grasp is due. A record has no contact forces, so
-    `contact_force_n` is zero and the servos' currents are those of the free fingers.
+    Before the first grasp the pads read zero. The last frame of a grasp stays, as in a hold; when
+    `remaining` is 0 the next grasp can be loaded. A recording has no contact forces, so
+    `contact_force_n` is zero and the servos' currents are those of free fingers.
 
     Parameters
     ----------
     layout
-        The taxels that the frames belong to.
+        The taxels of the frames.
     fingers
         The mechanics that follow the recorded aperture.
     """
@@ -60,7 +60,7 @@ class RecordedWorld:
         return len(self._counts) - self._next
 
     def load(self, counts: ArrayLike, aperture_m: ArrayLike) -> None:
-        """Take a grasp to play from its first frame; the fingers go to its first aperture.
+        """Load a grasp to play from its first frame; the fingers move to its first aperture.
 
         Raises SimulatorSettingsError if shapes or values do not fit the layout.
 
@@ -96,7 +96,7 @@ class RecordedWorld:
         self._drive()
 
     def advance_to(self, now_s: float) -> None:
-        """Let the servos' time pass until ``now_s`` s."""
+        """Advance the servos to ``now_s`` s."""
         while self._time_s + STEP_S <= now_s + ROUNDING_S:
             self._time_s += STEP_S
             self._fingers.step(STEP_S, (0.0, 0.0), (0.0, 0.0))

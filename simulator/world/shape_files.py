@@ -25,18 +25,18 @@ from simulator.world.shapes import (
 )
 
 MAX_FACES = 200_000
-"""More triangles than this are refused: a placement would take seconds."""
+"""Most triangles of a file: with more a placement would take seconds."""
 _MAX_BYTES = 300 * MAX_FACES
 """Largest file in bytes: 300 for each triangle as text, 50 as binary."""
 _LARGEST = 1e6
 """Largest coordinate of a corner in units of the file: a kilometre in mm."""
 _SMALLEST_M, _LONGEST_M = 1e-3, 1.0
-"""Least and largest length of the longest side in m: less lies between two taxels, and more is no
-part of a gripper."""
+"""Smallest and largest length of the longest side in m: from the space between two taxels to the
+largest part of a gripper."""
 _THINNEST_M = 5e-5
 """Least mean thickness in m: twice the volume over the surface."""
 _MOST_BODIES = 100
-"""Bodies that are compared with each other."""
+"""Most bodies that are compared with each other."""
 _HEAD_BYTES = 84
 """Bytes before the triangles of a binary file: 80 of comment, 4 of their number."""
 _EDGE_ON_M2 = 1e-18
@@ -46,7 +46,7 @@ _ON_EDGE = 1e-9
 _ROUNDING_M = 1e-12
 """Allowance in m for rounding where a point lies at the end of a triangle."""
 _PAIRS = 500_000
-"""Pairs of triangle and point that are worked out at once: 40 MB."""
+"""Most pairs of triangle and point in one batch: 40 MB."""
 _FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _NUMBER = rb"[+-]?(?:[0-9]{1,20}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?"
 _VERTEX = re.compile(rb"(?i)vertex[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (_NUMBER, _NUMBER, _NUMBER))
@@ -116,10 +116,10 @@ class MeshShape:
 def _near(
     corners_m: NDArray[np.float64], points_m: NDArray[np.float64]
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Give triangles and points that may lie over each other, as pairs of their indices.
+    """Return candidate pairs of triangle and point, by their indices.
 
-    The points are sorted by stripes along x, and in each by x: a triangle looks only at its part
-    of its own stripes.
+    The points are sorted into stripes along x, and by x within each stripe. A triangle is compared
+    only with points in its part of its stripes.
     """
     n_stripes = max(1, math.isqrt(len(points_m)))
     first_m, last_m = points_m[:, 1].min(), points_m[:, 1].max()
@@ -160,7 +160,7 @@ def load_mesh(path: Path) -> MeshShape:
 
     try:
         if not path.is_file():
-            raise SimulatorSettingsError(f"{path} is no file; check the path")
+            raise SimulatorSettingsError(f"{path} is not a file; check the path")
         size = path.stat().st_size
         if size > _MAX_BYTES:
             raise SimulatorSettingsError(f"{path} has {size} bytes, at most {_MAX_BYTES} are read")
@@ -194,7 +194,7 @@ def read_mesh(data: bytes, path: str) -> MeshShape:
     mesh.update_faces((mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1))
     if not mesh.is_watertight:
         raise SimulatorSettingsError(
-            f"{path} holds no closed surface; repair the mesh and export it again"
+            f"{path} has no closed surface; repair the mesh and export it again"
         )
     corners_m = triangles_m.reshape(-1, 3)
     size_m = np.ptp(corners_m, axis=0)
@@ -202,26 +202,26 @@ def read_mesh(data: bytes, path: str) -> MeshShape:
         size_mm = " x ".join(f"{1e3 * side_m:.3g}" for side_m in size_m)
         raise SimulatorSettingsError(
             f"{path} is {size_mm} mm in size, expected {1e3 * _SMALLEST_M:g} to "
-            f"{1e3 * _LONGEST_M:g} mm on the longest side: its unit is {1e3 * _UNIT_M:g} mm; was "
-            f"it drawn in another one? Export it in mm"
+            f"{1e3 * _LONGEST_M:g} mm on the longest side. Its unit must be {1e3 * _UNIT_M:g} mm: "
+            f"export it in mm"
         )
     thick_m = _UNIT_M * 2.0 * abs(mesh.volume) / mesh.area
     if not thick_m >= _THINNEST_M:
         raise SimulatorSettingsError(
-            f"{path} is {1e3 * thick_m:.3g} mm thick in the mean, expected {1e3 * _THINNEST_M:g} "
-            f"mm or more: no gripper feels that; is a side of it drawn in another unit?"
+            f"{path} has a mean thickness of {1e3 * thick_m:.3g} mm, expected "
+            f"{1e3 * _THINNEST_M:g} mm or more: check the units of all its sides"
         )
     n_bodies = _bodies_apart(mesh.triangles, mesh.face_adjacency)
     if n_bodies > 1:
         raise SimulatorSettingsError(
-            f"{path} holds {n_bodies} separate bodies, and a gripper holds one part: export one"
+            f"{path} has {n_bodies} separate bodies, but a gripper holds one part: export one body"
         )
     centre_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
     return MeshShape(triangles_m=triangles_m - centre_m)
 
 
 def _bodies_apart(triangles: NDArray[np.float64], adjacent: NDArray[np.int64]) -> int:
-    """Return the number of bodies whose bounding boxes lie apart; a cavity lies in its body's.
+    """Return the number of bodies with separate bounding boxes; a cavity belongs to its body.
 
     Parameters
     ----------
@@ -254,8 +254,8 @@ def _triangles(data: bytes, path: str) -> NDArray[np.float64]:
     else:
         expected = _HEAD_BYTES + n_faces * _FACE.itemsize
         raise SimulatorSettingsError(
-            f"{path} cannot be read as STL: neither text, nor binary ({len(data)} bytes, its count "
-            f"of {n_faces} triangles needs {expected}); export it again, as binary STL"
+            f"{path} is neither a text STL nor a binary STL ({len(data)} bytes, but its "
+            f"{n_faces} triangles need {expected}); export it again, as binary STL"
         )
     if not 1 <= len(corners) <= MAX_FACES:
         raise SimulatorSettingsError(
@@ -293,8 +293,7 @@ def parse_shape(text: str) -> Shape:
 
     Three forms: the name of one of the paper's objects (``ball``); a kind with its lengths and
     their units (``cylinder:diameter=6mm,length=20mm``); a mesh file in mm (``mesh:file=bolt.stl``).
-    Raises SimulatorSettingsError if the text is none of them; the message names what is missing or
-    unknown.
+    Raises SimulatorSettingsError for any other text; the message has the missing or unknown item.
     """
     if text in PAPER_OBJECTS:
         return PAPER_OBJECTS[text]

@@ -1,8 +1,8 @@
-"""Rigid objects as the pads see them: two surfaces over the plane of the pads.
+"""Rigid objects as two surfaces over the plane of the pads.
 
-Frame of an object: origin at its centre, x along its own long axis, z along the closing axis when
-rotation and roll are zero. The pads see the object as two height maps over x and y: how far the
-surface reaches from the centre plane towards finger 0 (in -z) and towards finger 1 (in +z).
+Frame of an object: origin at its centre, x along its long axis, z along the closing axis when
+rotation and roll are zero. Two height maps over x and y describe an object: the reach of its
+surface from the centre plane towards finger 0 (in -z) and towards finger 1 (in +z).
 """
 
 import math
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from simulator.errors import SimulatorSettingsError, require_positive
 
 _UPRIGHT = 1e-9
-"""A slab whose normal has no larger part along z stands upright: lines along z do not cut it."""
+"""Largest part along z of the normal of an upright slab: lines along z do not cut this slab."""
 _WAIST_DIAMETER_SHARE, _WAIST_LENGTH_SHARE = 0.6, 6.0 / 13.0
-"""Waist of a dumbbell over its diameter and length where none is given; the paper has no figure."""
+"""Default waist of a dumbbell over its diameter and length; the paper has no values."""
 
 Heights = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Reach in m towards finger 0 and towards finger 1, -inf beside the object."""
@@ -56,7 +56,7 @@ class Shape(Protocol):
 
     @property
     def roll_step_rad(self) -> float:
-        """Rolls in which it rests between the pads: multiples of this in rad; 0 allows any."""
+        """Resting rolls between the pads: multiples of this angle in rad; 0: any roll."""
 
     def heights(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
@@ -85,9 +85,9 @@ def posed_heights(
 
 
 def resting_pose(shape: Shape, pose: ObjectPose) -> ObjectPose:
-    """Return the pose in which an object comes to rest: rolled onto the nearest side.
+    """Return the resting pose of an object: rolled onto the nearest side.
 
-    A box that is put down on an edge settles on the face next to it; a ball stays as it is.
+    A box on an edge settles on the nearest face; a ball does not roll.
     """
     step_rad = shape.roll_step_rad
     if not step_rad:

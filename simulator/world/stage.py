@@ -1,4 +1,4 @@
-"""The stage: carries the object to where the axes are, unless the fingers hold it."""
+"""The stage: moves the object with the axes, unless the fingers hold it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,20 +9,20 @@ from simulator.world.shapes import ObjectPose
 from simulator.world.world import NOTHING, PhysicalWorld
 
 FIELDS = {"x": "x_m", "y": "y_m", "rotation": "rotation_rad", "roll": "roll_rad"}
-"""What an axis can move, and the field of the pose that it is."""
+"""Parts of a pose that an axis can move, and their fields."""
 _MOVING_STEP = 2e-3
-"""Way in m, or in rad divided by `_RAD_PER_M`, after which an object on its way between open
-fingers is put anew: each time its height maps are worked out, in about 1 ms."""
+"""Step of a moving object between open fingers in m, or in rad divided by `_RAD_PER_M`. Each step
+computes its height maps again, in about 1 ms."""
 _GRIPPED_N = 0.05
-"""Force in N on both pads from which they hold the object: the friction of its nest."""
+"""Smallest force in N on both pads that holds the object: the friction of its nest."""
 _RESTING_STEP = 2e-5
-"""The same once the axes stand: 0.02 mm or 0.06 degrees."""
+"""Step while the axes stand still: 0.02 mm or 0.06 degrees."""
 _RAD_PER_M = 50.0
-"""Angle in rad that counts as a way of 1 m: 0.01 rad as 0.2 mm, an edge 20 mm from the centre."""
+"""Angle in rad that counts as 1 m: 0.01 rad as 0.2 mm, for an edge 20 mm from the centre."""
 
 
 class MovedAxis(Protocol):
-    """An axis as the stage sees it."""
+    """An axis for the stage."""
 
     @property
     def position(self) -> float:
@@ -34,14 +34,14 @@ class MovedAxis(Protocol):
 
 
 class Stage:
-    """What carries the object: its pose in the world follows the true positions of the axes.
+    """Carrier of the object: the pose of the object follows the true positions of the axes.
 
-    An object that the fingers hold stays between them: the axes move both to another place.
+    While the fingers hold the object, it stays between them, and the axes move both.
 
     Parameters
     ----------
     axes
-        The axes by what they move, of `FIELDS`.
+        The axes by their part of the pose, one of `FIELDS`.
     """
 
     def __init__(self, world: PhysicalWorld, axes: Mapping[str, MovedAxis]) -> None:
@@ -57,11 +57,11 @@ class Stage:
         return not self._axes
 
     def place(self, label: str, pose: ObjectPose) -> ObjectPose:
-        """Put an object on the stage; what an axis moves is where the axis is, not as in ``pose``.
+        """Put an object on the stage; the positions of the axes replace their parts of ``pose``.
 
-        Returns where it came to rest. Beside the pads it waits until the axes bring it between
-        them. Raises SimulatorSettingsError or SimulatorStateError as `PhysicalWorld.place`, for an
-        unknown shape and for fingers that are in the way.
+        Returns its resting pose. Beside the pads it waits until the axes move it between them.
+        Raises SimulatorSettingsError or SimulatorStateError as `PhysicalWorld.place`, for an
+        unknown shape or fingers in the way.
         """
         wanted = self._at(pose)
         if label == NOTHING:
@@ -78,12 +78,12 @@ class Stage:
         return rested
 
     def advance(self) -> None:
-        """Carry the object to where the axes are."""
+        """Move the object to the positions of the axes."""
         if self._carried is None or self._shown is None:
             return
         label, pose = self._carried
         if self._world.placed is None and not self._beside:
-            # Somebody has taken it off.
+            # The object was removed.
             self._carried = None
             return
         moving = any(axis.moving for axis in self._axes.values())
@@ -103,6 +103,6 @@ class Stage:
 
 
 def _way(one: ObjectPose, other: ObjectPose) -> float:
-    """Return how far two poses are apart in m, turns counted as by `_RAD_PER_M`."""
+    """Return the distance of two poses in m; `_RAD_PER_M` converts angles."""
     turned = max(abs(one.rotation_rad - other.rotation_rad), abs(one.roll_rad - other.roll_rad))
     return max(abs(one.x_m - other.x_m), abs(one.y_m - other.y_m), turned / _RAD_PER_M)

@@ -14,13 +14,13 @@ from tactile.layout import Pad
 NoiseKind = Literal["clipped_normal", "symmetric", "uniform", "none"]
 
 _SIGMA_COUNTS = 10.0
-"""Standard deviation of the normal distribution in counts; the paper names none."""
+"""Standard deviation of the normal distribution in counts; the paper does not give it."""
 _LEAST_COUNTS, _LIMIT_COUNTS = 1.0, 20.0
 """The paper's range of the noise in counts."""
 _FULL_SCALE_COUNTS = 255.0
 """Full scale of the paper's converter in counts."""
 _LEVEL_MAX = 4.0
-"""Largest factor on the noise: a third of full scale, more drowns any touch."""
+"""Largest factor on the noise, a third of full scale: more noise hides every touch."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,8 +28,8 @@ class NoiseModel:
     """Noise of the converter, new for each taxel and each frame.
 
     The paper adds "values from a normal distribution in the range [1, 20]" to counts of 8 bit. A
-    normal variable has no such range, so there are readings to choose from; all are scaled with
-    the converter's full scale.
+    normal variable has no range, so there are several interpretations; all are scaled with the
+    full scale of the converter.
     """
 
     kind: NoiseKind = "clipped_normal"
@@ -69,7 +69,7 @@ class NoiseModel:
 
 
 CELL_M = 0.35e-3
-"""Longest side in m of a cell of the grid on which pressures are worked out."""
+"""Longest side in m of a cell of the pressure grid."""
 
 RESISTANCE_AT_REST_MOHM = 1.579
 """Resistance of an untouched taxel in MOhm, equation (11) of the paper."""
@@ -90,15 +90,15 @@ def resistance_mohm(force_n: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorLaw:
-    """Law by which force becomes counts; without force the converter reads 0."""
+    """Law from force to counts; without force the converter reads 0."""
 
     gain: float = 1.0
-    """Factor on the force that a taxel feels."""
+    """Factor on the force of a taxel."""
     full_scale_n: float | None = None
-    """Force in N that reads the full scale of a sensor whose counts are proportional to the force;
-    None: equation (11), constant current and an inverting stage."""
+    """Force in N at full scale of a sensor with counts proportional to the force; None: equation
+    (11), constant current and an inverting stage."""
     nodes: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    """Forces in N from 0 on and the counts that they give, straight lines between them."""
+    """Forces in N from 0 on and their counts, with linear interpolation."""
 
 
 EQUATION_11 = SensorLaw()
@@ -108,7 +108,7 @@ EQUATION_11 = SensorLaw()
 def ideal_counts(
     force_n: NDArray[np.float64], adc_max: int, law: SensorLaw = EQUATION_11
 ) -> NDArray[np.float64]:
-    """Return what the converter reads under ``force_n`` N, before noise, limits and rounding."""
+    """Return the counts under ``force_n`` N, before noise, limits and rounding."""
     felt_n = law.gain * force_n
     if law.full_scale_n is not None:
         return adc_max * (felt_n / law.full_scale_n)
@@ -118,12 +118,11 @@ def ideal_counts(
 
 
 class PressureGrid:
-    """A fine grid over one pad, and how pressure on it reaches the taxels.
+    """A fine grid over one pad, and the spreading of its pressure to the taxels.
 
-    The grid's cells divide the taxels evenly. A pressure on a cell arrives as a Gaussian, mirrored
-    at the pad's edges, so that no force is lost; a taxel feels what falls on its own cell of the
-    layout. Both directions are independent: two small matrices do the spreading and the
-    integration at once.
+    The cells of the grid divide the taxels evenly. The pressure of a cell spreads as a Gaussian,
+    mirrored at the edges of the pad, so that no force is lost. A taxel measures the force on its
+    area. Both directions are independent: two small matrices do spreading and integration.
     """
 
     def __init__(self, pad: Pad, foam: Foam) -> None:
@@ -161,9 +160,9 @@ class PressureGrid:
         Parameters
         ----------
         pressure_pa
-            Pressure in Pa on the cells of a window; all others carry none.
+            Pressure in Pa on the cells of a window; the pressure elsewhere is 0.
         shares
-            Of that window, from `shares`.
+            Shares of that window, from `shares`.
         """
         along, across = shares
         force_n: NDArray[np.float64] = along @ pressure_pa @ across
@@ -182,7 +181,7 @@ def _share_of_taxels(
     taxel_edges_m = edges_m[::per_taxel]
     erf = np.vectorize(math.erf, otypes=[np.float64])
     share = np.zeros((n_taxels, len(centres_m)))
-    # The mirror images in both edges stand for what would be lost beyond them.
+    # The mirror images at both edges replace the force that would be lost beyond them.
     for image_m in (centres_m, 2.0 * half_m - centres_m, -2.0 * half_m - centres_m):
         reached = erf((taxel_edges_m[:, np.newaxis] - image_m) / (math.sqrt(2.0) * spread_m))
         share += 0.5 * np.diff(reached, axis=0)

@@ -1,4 +1,4 @@
-"""The world between the fingers: an object floats between two foam pads, time passes in steps."""
+"""The world between the fingers: an object floats between two foam pads, in time steps."""
 
 import math
 from collections.abc import Mapping
@@ -22,13 +22,13 @@ STEP_S = 1e-3
 
 
 NOTHING = "nothing"
-"""Label under which nothing is placed."""
+"""Label for no object."""
 FINGERTIP_RADIUS_M = 5e-3
-"""Radius in m of the patch in which a person's fingertip touches a pad."""
+"""Radius in m of the contact patch of a person's fingertip."""
 
 
 class Fingers(Protocol):
-    """Mechanics that carry the pads, as the world needs them."""
+    """Mechanics that carry the pads."""
 
     @property
     def finger_position_m(self) -> tuple[float, float]:
@@ -50,26 +50,24 @@ class WorldSettings:
     foam: Foam = field(default_factory=Foam)
     """The sheet on each inner pad."""
     pads: PadPair = field(default_factory=PadPair)
-    """How the inner pads stand to each other, and how they differ."""
+    """Position and differences of the inner pads."""
     law: SensorLaw = EQUATION_11
-    """How force becomes counts."""
+    """Law from force to counts."""
     noise: NoiseModel = field(default_factory=NoiseModel)
     """Noise of the converter."""
     seed: int = 0
     """Seed of all noise."""
     nest_friction_n: float = 0.05
-    """Force in N that it takes to move the object along the closing axis: the nest in which it
-    stands holds it that much."""
+    """Force in N that moves the object along the closing axis, against the friction of its nest."""
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
-    """Objects that can be placed by their name."""
+    """Objects by name."""
 
 
 class PhysicalWorld:
     """Two opposing pads, moved by servos, and a rigid object that floats between them.
 
-    Nothing here commands a force: the grip is what foam and object push back with at the positions
-    that the mechanics have reached. Without an object the gripping pads meet each other; the other
-    pads touch nothing.
+    No force is commanded: the grip force is the reaction of foam and object at the positions of the
+    mechanics. Without an object the gripping pads meet each other; the other pads touch nothing.
 
     Parameters
     ----------
@@ -91,7 +89,7 @@ class PhysicalWorld:
         self._fingers = fingers
         self._settings = settings or WorldSettings()
         self.objects = dict(self._settings.objects)
-        """Shapes that can be placed by their name: those of the settings, and further ones."""
+        """Shapes by name: those of the settings, and further ones."""
         self._grids = tuple(
             PressureGrid(layout.pads[pad], self._settings.foam) for pad in layout.gripping_pads
         )
@@ -110,31 +108,30 @@ class PhysicalWorld:
         self._stiffness_n_m = (0.0, 0.0)
         self._fingertip_n: NDArray[np.float64] | None = None
         self.force_gain = 1.0
-        """Factor on the force that each taxel feels: 1 but for pads that follow another law."""
+        """Factor on the measured force of each taxel; other than 1 for pads with another law."""
 
     @property
     def placed(self) -> tuple[str, ObjectPose] | None:
-        """Name of the object and the pose in which it came to rest, None without one."""
+        """Name and resting pose of the object; None without an object."""
         return self._placed
 
     def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
-        """Put an object between the open pads, in the place of the present one.
+        """Put an object between the open pads; it replaces the present object.
 
-        Raises SimulatorSettingsError if the shape is unknown or lies beside the pads. Raises
-        PartGripped if the fingers hold an object, and SimulatorStateError if they are not open wide
-        enough for it.
+        Raises SimulatorSettingsError if the shape is unknown or lies beside the pads, PartGripped
+        if the fingers hold an object, and SimulatorStateError if the opening is too small.
 
         Parameters
         ----------
         label
             Name of one of `objects`, a shape as text (`simulator.world.shape_files`), or `NOTHING`.
         pose
-            Where it goes; by default the pads' centre.
+            Its pose; by default at the pads' centre.
 
         Returns
         -------
         ObjectPose
-            Where it came to rest: a box settles on a face.
+            Its resting pose: a box settles on a face.
         """
         if max(self._force_n) > self._settings.nest_friction_n:
             raise PartGripped(
@@ -160,15 +157,15 @@ class PhysicalWorld:
         return pose
 
     def remove(self) -> None:
-        """Take the object away, also out of closed fingers; without one nothing changes."""
+        """Remove the object, also from closed fingers; no effect without an object."""
         self._press = None
         self._placed = None
         self._force_n = self._stiffness_n_m = (0.0, 0.0)
 
     def slide(self, along_m: float) -> None:
-        """Move the object along the fingers by so many m, in the grip or not; off the pads it goes.
+        """Move the object along the fingers by ``along_m`` m, in the grip or not.
 
-        Without an object nothing changes.
+        Beyond the pads it is removed; no effect without an object.
         """
         if self._placed is None or self._press is None:
             return
@@ -176,9 +173,9 @@ class PhysicalWorld:
         self._put(label, replace(pose, x_m=pose.x_m + along_m))
 
     def carry(self, label: str, pose: ObjectPose) -> bool:
-        """Bring an object to a pose with what carries it, in the grip or not.
+        """Move an object to a pose with its carrier, in the grip or not.
 
-        Returns whether it is between the pads there; beside them it is gone.
+        Returns whether it is between the pads there; beside them it is removed.
         """
         return self._put(label, resting_pose(self.shape(label), pose))
 
@@ -187,7 +184,7 @@ class PhysicalWorld:
         return self.objects.get(label) or parse_shape(label)
 
     def _put(self, label: str, pose: ObjectPose) -> bool:
-        """Move the object in the plane of the pads; across it stays as it floats."""
+        """Move the object in the plane of the pads; its position across the plane stays."""
         if self._press is not None:
             pose = replace(pose, z_m=self._press.z_m)
         try:
@@ -200,15 +197,15 @@ class PhysicalWorld:
         return True
 
     def swell(self, thickness_m: float) -> None:
-        """Let the object reach so many m further, half towards each finger; 0 ends it."""
+        """Make the object thicker by ``thickness_m`` m, half towards each finger; 0 ends it."""
         if self._press is not None:
             self._press.swell_m = 0.5 * thickness_m
 
     def press(self, pad: int, x_m: float, y_m: float, force_n: float) -> None:
-        """Press a pad with a person's fingertip, in the place of the last one.
+        """Press a pad with a person's fingertip; it replaces the previous press.
 
-        The finger that carries the pad stands: whoever presses it holds it as well. Raises
-        SimulatorSettingsError if the layout has no such pad, or nothing of the patch is on it.
+        The finger with the pad does not move: the person also holds it. Raises
+        SimulatorSettingsError if the layout has no such pad, or the patch is beside it.
 
         Parameters
         ----------
@@ -236,7 +233,7 @@ class PhysicalWorld:
         )
 
     def lift(self) -> None:
-        """Take the fingertip away; without one nothing changes."""
+        """Remove the fingertip; no effect without a press."""
         self._fingertip_n = None
 
     def advance_to(self, now_s: float) -> None:
@@ -254,7 +251,7 @@ class PhysicalWorld:
         self._time_s = max(self._time_s, now_s)
 
     def contact_force_n(self) -> tuple[float, float]:
-        """Return the force in N with which each pad is pressed; equal up to the nest's friction."""
+        """Return the force in N on each pad; both are equal except for the nest's friction."""
         return self._force_n
 
     def taxel_force_n(self) -> NDArray[np.float64]:
@@ -269,7 +266,7 @@ class PhysicalWorld:
         return force_n
 
     def felt_force_n(self) -> NDArray[np.float64]:
-        """Return the force in N that each taxel feels, (n_taxels,): pads differ in their gain."""
+        """Return the measured force in N of each taxel, (n_taxels,), with the gains of the pads."""
         felt: NDArray[np.float64] = self.force_gain * self._felt * self.taxel_force_n()
         return felt
 
@@ -295,13 +292,13 @@ class PhysicalWorld:
 
     @property
     def _contact(self) -> Press | PadsMeet:
-        """What the pads press on: the object, or each other."""
+        """Contact of the pads: with the object, or with each other."""
         return self._empty if self._press is None else self._press
 
     def _converted(
         self, force_n: NDArray[np.float64] | None, n: int, rng: np.random.Generator
     ) -> NDArray[np.uint16]:
-        """Return the counts (n,) of taxels under these forces, None where none is pressed."""
+        """Return the counts (n,) of taxels under these forces; None: no taxel is pressed."""
         adc_max = self._layout.adc_max
         counts = self._settings.noise.sample(rng, n, adc_max)
         if force_n is not None:

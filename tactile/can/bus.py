@@ -1,8 +1,8 @@
-"""CAN buses: opened, locked and closed, with the traps of python-can's drivers closed.
+"""CAN buses: opened, locked and closed, with corrections of python-can's drivers.
 
-python-can 4.6 reads a serial adapter byte by byte, takes damaged lines for messages and ends its
-receive thread on others, and does not notice that a socketcand server is gone; its buses have no
-lock against a second program. Subclasses of its drivers mend that here, nothing else is replaced.
+python-can 4.6 reads a serial adapter byte by byte. It accepts some damaged lines as messages, and
+others end its receive thread. It does not detect the loss of a socketcand server, and its buses
+have no lock against a second program. Subclasses of its drivers correct this.
 """
 
 import fcntl
@@ -27,19 +27,19 @@ from can.interfaces.socketcand import SocketCanDaemonBus
 from tactile.errors import BusNotOpened
 
 CanBus = can.BusABC
-"""An open bus, for those who pass it on and have no business with python-can."""
+"""An open bus, for callers that only pass it on."""
 
 _NODE_BITS = 0x07F
-"""Bits of a COB-ID that are its node-ID (CiA 301, 7.3.5)."""
+"""Bits of the node-ID in a COB-ID (CiA 301, 7.3.5)."""
 _SHARED = ("virtual",)
-"""Interfaces within one program, which need no lock."""
+"""Interfaces in one program, which need no lock."""
 _ANSWER_S = 2.0
 """Longest wait in s for the greeting of a socketcand server."""
 _GREETING = b"< hi >"
 _DRIVERS_SOCKET = "_SocketCanDaemonBus__socket"
-"""Attribute of python-can's driver that is its socket."""
+"""Attribute with the socket of python-can's driver."""
 _SEND_TIMEOUT_S = 0.1
-"""Longest wait in s for an adapter to take a message: five frame periods at 50 Hz."""
+"""Longest wait in s until an adapter accepts a message: five frame periods at 50 Hz."""
 _LONGEST_LINE = 32
 """The longest line of a classic message is T + 8 + 1 + 16 characters, its end and a time stamp."""
 _MESSAGE = re.compile(
@@ -48,20 +48,20 @@ _MESSAGE = re.compile(
 """A message of slcan: identifier of 3 or 8 digits, length, data and time stamp."""
 _STAMP_DIGITS = 4
 _FLAGS = re.compile("F([0-9A-Fa-f]{2})")
-"""Answer of a serial adapter to F."""
+"""Answer of a serial adapter to the command F."""
 _FLAG_PASSIVE = 0x20
 _FLAGS_EVERY_S = 0.05
-"""Period in s of that question: a tenth of the time for which a controller may be passive."""
+"""Period in s of that command: a tenth of the allowed time of a passive controller."""
 _FLAGS_UNANSWERED = 10
-"""An adapter that has not answered so often does not have the command."""
+"""Number of unanswered commands of an adapter without this command."""
 _ERROR_CONTROLLER, _PASSIVE, _ACTIVE = 0x04, 0x30, 0x40
-"""Error frame as SocketCAN makes it: class of the identifier, and data byte 1."""
+"""Error frame of SocketCAN: class of the identifier, and data byte 1."""
 _MESSAGE_KINDS = frozenset("tTrRdDbBx")
-"""First letters of what the driver takes for messages; d, D, b, B are CAN FD, x is not standard."""
+"""First letters of the driver's messages; d, D, b, B are CAN FD, x is not standard."""
 
 
 class MissingBus(can.BusABC):
-    """CAN bus that could not be opened; it stands where a link wants one until it is reopened."""
+    """CAN bus that could not be opened: a placeholder until it is reopened."""
 
     def __init__(self) -> None:
         super().__init__(channel="missing")
@@ -79,20 +79,19 @@ class MissingBus(can.BusABC):
 def bus_lock(interface: str, channel: str) -> Iterator[None]:
     """Hold the lock file of a CAN interface or of its adapter's port: one program at a time.
 
-    The exclusive mode of a serial port does not keep out a program with the rights of an
-    administrator, and a CAN interface of the system has none: both programs would command the same
-    control unit. The operating system drops the lock when the program ends.
+    The exclusive mode of a serial port does not exclude a program with administrator rights, and a
+    CAN interface of the system has no such mode. Without the lock two programs could command one
+    control unit. The operating system releases the lock when the program ends.
 
     Raises
     ------
     OSError
-        BlockingIOError when another program holds it; FileNotFoundError for a serial port that is
-        not there.
+        BlockingIOError if another program holds it; FileNotFoundError for a missing serial port.
     """
     if interface in _SHARED:
         yield
         return
-    # The lock follows the device, not the link that names it; servo ports have the same.
+    # The lock is for the device, not for a link to it, as for servo ports.
     name = os.path.realpath(channel, strict=True) if interface == "slcan" else channel
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
     handle = _open_lock_file(Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock")
@@ -104,7 +103,7 @@ def bus_lock(interface: str, channel: str) -> Iterator[None]:
 
 
 def _open_lock_file(path: Path) -> int:
-    """Open a lock file, also one that another user has made."""
+    """Open a lock file, also that of another user."""
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
     with suppress(FileNotFoundError):
         return os.open(path, flags)
@@ -112,9 +111,9 @@ def _open_lock_file(path: Path) -> int:
 
 
 class WatchedSocketcandBus(SocketCanDaemonBus):
-    """socketcand client that raises ``can.CanOperationError`` when its server is gone.
+    """socketcand client that raises ``can.CanOperationError`` if its server is gone.
 
-    The driver it derives from takes a closed connection for silence and spins on it.
+    Its base driver treats a closed connection as silence and spins on it.
     """
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -134,7 +133,7 @@ class WatchedSocketcandBus(SocketCanDaemonBus):
 def open_socketcand(address: str) -> can.BusABC:
     """Connect to a socketcand server.
 
-    Raises OSError, ValueError or can.CanError when the address is none, or the server refuses or
+    Raises OSError, ValueError or can.CanError for an invalid address, or if the server refuses or
     does not answer within 2 s.
 
     Parameters
@@ -147,11 +146,11 @@ def open_socketcand(address: str) -> can.BusABC:
     if not channel or not host:
         raise ValueError("not of the form HOST:PORT/CHANNEL")
     with socket.create_connection((host, int(port)), _ANSWER_S) as knock:
-        # The driver tries for 10 s to reach a server that refuses, and waits without end for one
+        # The driver tries for 10 s to reach a server that refuses. It waits without limit for one
         # that accepts but is stopped.
         if knock.recv(len(_GREETING)) != _GREETING:
             raise can.CanInitializationError("the server does not speak socketcand")
-    # Each message that two packets share is a warning there.
+    # The driver warns for each message that is split between two packets.
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
     return WatchedSocketcandBus(  # type: ignore[no-untyped-call]
         channel, host=host, port=int(port), tcp_tune=True
@@ -159,9 +158,9 @@ def open_socketcand(address: str) -> can.BusABC:
 
 
 def _is_whole(line: str) -> bool:
-    """Return whether a line is one message with as many data as its length; a stamp may follow.
+    """Return whether a line is one message with data of its length; a stamp may follow.
 
-    python-can's own parsing takes signs, blanks and underscores in numbers, identifiers beyond
+    python-can's own parsing accepts signs, blanks and underscores in numbers, identifiers beyond
     29 bits, and data that are shorter than their length.
     """
     match = _MESSAGE.fullmatch(line)
@@ -172,13 +171,13 @@ def _is_whole(line: str) -> bool:
 
 
 class BulkSlcanBus(slcanBus):
-    """slcan that reads what is there at once, and survives damaged lines.
+    """slcan that reads all available data at once, and tolerates damaged lines.
 
-    The driver it derives from reads byte by byte (92 µs a message), waits 2 s after opening, waits
-    without end for the adapter to take its output, and raises for ever on one bad character. Here
-    bad lines are dropped and counted; a failing port still raises ``can.CanOperationError``. A
-    serial adapter has no error frames: it is asked for its flags 20 times a second, and one that
-    becomes error-passive, or active again, gives an error frame as SocketCAN does.
+    Its base driver reads byte by byte (92 µs a message) and waits 2 s after opening. It waits
+    without limit until the adapter accepts its output, and one bad character makes it raise on
+    every call. Here bad lines are dropped and counted; a failing port still raises
+    ``can.CanOperationError``. A serial adapter has no error frames, so its flags are read 20 times
+    a second. If it becomes error-passive, or active again, this gives an error frame of SocketCAN.
 
     Parameters
     ----------
@@ -206,7 +205,7 @@ class BulkSlcanBus(slcanBus):
             self.serialPortOrig.exclusive = True
             super().set_bitrate(bitrate, data_bitrate)
         except (OSError, ValueError):
-            # The driver would keep the port, and nobody else could open it.
+            # The driver would keep the port open for itself.
             self.serialPortOrig.close()
             raise
 
@@ -218,13 +217,13 @@ class BulkSlcanBus(slcanBus):
         if not self._lines:
             with can.exceptions.error_check("the serial port of the CAN adapter cannot be read"):
                 if select.select([self.serialPortOrig.fileno()], [], [], timeout)[0]:
-                    # Zero bytes on a readable port mean that its other end is gone: raises.
+                    # Zero bytes on a readable port mean that its other end is gone: this raises.
                     self._buffer += self.serialPortOrig.read(self.serialPortOrig.in_waiting or 1)
             self._split()
         return self._lines.popleft() if self._lines else None
 
     def _split(self) -> None:
-        """Take the whole lines out of what was read; of an overlong line the end, too, is bad."""
+        """Split received data into complete lines; the end of an overlong line is bad, too."""
         *lines, rest = self._buffer.replace(b"\a", b"\r").split(b"\r")
         self._buffer = bytearray(rest)
         if lines and self._passing_over:
@@ -281,14 +280,14 @@ class BulkSlcanBus(slcanBus):
         self._changes.append(frame)
 
     def shutdown(self) -> None:
-        """Close channel and port; the port also when the adapter is gone."""
+        """Close channel and port; the port also if the adapter is gone."""
         try:
             super().shutdown()
         finally:
             self.serialPortOrig.close()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a message; ``can.CanOperationError`` if the adapter does not take it in 0.1 s."""
+        """Send a message; ``can.CanOperationError`` if the adapter does not accept it in 0.1 s."""
         super().send(msg, _SEND_TIMEOUT_S if timeout is None else timeout)
 
 
@@ -301,9 +300,9 @@ def open_bus(
     shared: bool = False,
     nodes: Sequence[int] = (),
 ) -> can.BusABC:
-    """Open a CAN bus; configuration files and environment variables of python-can do not count.
+    """Open a CAN bus, without configuration files and environment variables of python-can.
 
-    Raises BusNotOpened when the bus cannot be opened; the message names what to check.
+    Raises BusNotOpened if the bus cannot be opened; the message names the checks.
 
     Parameters
     ----------
@@ -312,14 +311,14 @@ def open_bus(
     channel
         Interface or port; for ``socketcand`` as ``HOST:PORT/CHANNEL``.
     bitrate
-        CAN bit rate in bit/s. SocketCAN interfaces have theirs from the system.
+        CAN bit rate in bit/s. The system sets that of SocketCAN interfaces.
     tty_baudrate
         Speed of the serial port of an ``slcan`` adapter in baud.
     shared
-        Whether another part of this program has the interface open and holds its lock; only
-        ``socketcan`` can be open twice.
+        Whether another part of this program has opened the interface and holds its lock; only
+        ``socketcan`` can be opened twice.
     nodes
-        CANopen node-IDs whose messages are received; by default all messages are.
+        CANopen node-IDs of the received messages; all by default.
     """
     try:
         with ExitStack() as opened:
@@ -329,7 +328,7 @@ def open_bus(
             opened.callback(bus.shutdown)
             if nodes:
                 bus.set_filters([{"can_id": node, "can_mask": _NODE_BITS} for node in nodes])
-            # The lock is given back when the bus is shut down.
+            # The shutdown of the bus releases the lock.
             bus.shutdown = opened.pop_all().close  # type: ignore[method-assign]
             return bus
     except BlockingIOError as error:
@@ -350,7 +349,7 @@ def _open(interface: str, channel: str, *, bitrate: int, tty_baudrate: int) -> c
         return BulkSlcanBus(channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
     options: dict[str, Any] = {"bitrate": bitrate}
     if interface == "socketcan":
-        # The driver would leave a socket open where there is no such interface.
+        # Without this interface the driver would leave a socket open.
         socket.if_nametoindex(channel)
         options = {}
     elif interface == "socketcand":
@@ -369,12 +368,12 @@ _ADVICE = {
 
 
 def bad_lines(bus: can.BusABC) -> int:
-    """Return how many damaged lines a bus behind a serial adapter has dropped; 0 for others."""
+    """Return the number of damaged lines from a serial adapter; 0 for other buses."""
     return bus.bad_lines if isinstance(bus, BulkSlcanBus) else 0
 
 
 def close_bus(bus: can.BusABC) -> None:
-    """Close a bus in whatever state it is; errors of an adapter that is gone are passed over."""
+    """Close a bus in any state; errors of a missing adapter are ignored."""
     try:
         bus.shutdown()
     except (can.CanError, OSError):

@@ -1,4 +1,4 @@
-"""Sources of received CAN messages: a bus that is asked directly, or one supervised thread."""
+"""Sources of received CAN messages: a directly polled bus, or one supervised thread."""
 
 import threading
 from collections import deque
@@ -14,15 +14,15 @@ from tactile.errors import BusOff, ReceiveLoopDead
 Stamped = tuple[float, can.Message]
 """Monotonic time of reception in s, and the message."""
 _POLL_S = 0.0005
-"""Longest pause in s between two looks at a bus or a queue: four messages at 1 Mbit/s."""
+"""Longest pause in s between two polls of a bus or a queue: four messages at 1 Mbit/s."""
 _RECEIVE_S = 0.05
-"""Longest wait in s of the thread for a message: so fast it ends when it shall."""
+"""Longest wait in s of the thread for a message, which also limits the delay of its end."""
 _JOIN_S = 2.0
-"""Longest wait in s for the thread's end."""
+"""Longest wait in s for the end of the thread."""
 
 
 def interface_failed(error: Exception) -> BusOff:
-    """Return the fault for an error that a CAN interface raised."""
+    """Return the fault for an error of a CAN interface."""
     return BusOff(
         f"the CAN interface failed: {str(error) or type(error).__name__}; "
         "check that the adapter is plugged in and its interface is up; the next start opens it anew"
@@ -30,32 +30,33 @@ def interface_failed(error: Exception) -> BusOff:
 
 
 class PolledSource:
-    """Source that asks the bus in the caller's thread: for buses in memory, in virtual time.
+    """Source that polls the bus in the caller's thread: for buses in memory, in virtual time.
 
-    Such a bus stamps its messages by the same clock; without a stamp the time of asking counts.
+    A bus of this kind stamps its messages by the same clock. Without a stamp the time of the poll
+    is used.
 
     Parameters
     ----------
     limit
-        Most messages handed out at once, so that a flooded bus does not hold up the caller.
+        Most messages returned at once, so that a flooded bus does not block the caller.
     """
 
     def __init__(self, bus: can.BusABC, clock: Clock, *, limit: int = 4096) -> None:
         self._bus = bus
         self._clock = clock
         self._limit = limit
-        # A bus in memory has a method for all that has arrived; python-can's for one costs more.
+        # A bus in memory has a method for all arrived messages, which is faster than one by one.
         self._recv_all: Callable[[int], list[can.Message]] = getattr(
             bus, "recv_all", self._recv_each
         )
 
     def start(self) -> None:
-        """Drop what came before."""
+        """Discard earlier messages."""
         while self.drain():
             pass
 
     def drain(self) -> list[Stamped]:
-        """Return all messages that came since the last call."""
+        """Return all messages since the last call."""
         now_s = self._clock.monotonic()
         try:
             messages = self._recv_all(self._limit)
@@ -75,16 +76,16 @@ class PolledSource:
 
 
 class ThreadedReceiver:
-    """Source with one thread that stamps and queues messages; its end is a fault, not a silence.
+    """Source with one thread that stamps and queues messages; the end of the thread is a fault.
 
     Parameters
     ----------
     bus
         An open bus whose ``recv`` may block.
     limit
-        Most messages that wait to be taken; one more and the receiver gives up.
+        Size of the queue; the receiver gives up when it is full.
     hang_s
-        The receiver counts as hung when it did not come round for this long.
+        Longest time in s of one loop of the receiver; a longer one counts as hung.
     """
 
     def __init__(
@@ -102,7 +103,7 @@ class ThreadedReceiver:
         self._alive_s = 0.0
 
     def start(self) -> None:
-        """Start the thread; what the bus has received before is dropped."""
+        """Start the thread; earlier messages of the bus are discarded."""
         if self._thread is not None and self._thread.is_alive():
             raise ReceiveLoopDead("the receive thread runs already; close the link first")
         PolledSource(self._bus, self._clock).start()
@@ -126,11 +127,11 @@ class ThreadedReceiver:
                     return
                 self._queue.append((self._alive_s, message))
         except Exception as error:
-            # Whatever ends the thread is raised by drain().
+            # drain() raises the error that ended the thread.
             self._error = error
 
     def drain(self) -> list[Stamped]:
-        """Return all messages that came since the last call."""
+        """Return all messages since the last call."""
         thread = self._thread
         if thread is None:
             raise ReceiveLoopDead("the receive thread is not running; start the link")
@@ -168,4 +169,4 @@ class ThreadedReceiver:
 
 
 MessageSource = PolledSource | ThreadedReceiver
-"""Where received messages come from, in their order, each with its monotonic time."""
+"""Source of received messages in their order, each with its monotonic time."""

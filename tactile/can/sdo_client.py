@@ -1,4 +1,4 @@
-"""SDO client of canopen without its real-time wait: waits by our own clock."""
+"""SDO client of canopen that waits by the injected clock, not in real time."""
 
 import logging
 from collections.abc import Callable
@@ -10,37 +10,37 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from tactile.clock import Clock
 
 _ABORTED = 0x80
-"""First byte of a response that aborts the transfer (CiA 301, 7.2.4.3.17)."""
+"""First byte of an abort response (CiA 301, 7.2.4.3.17)."""
 _SDO_BYTES = 8
 _ABORT_OUT_OF_MEMORY = 0x0504_0005
-"""Abort code of a client that takes no more."""
+"""Abort code of a client that accepts no more data."""
 _SEGMENT_BYTES = 7
 """Data bytes of a segment."""
 
 MAX_OBJECT_BYTES = 1 << 15
-"""Longest object that is read; the longest is the last frame of a control unit: 413 bytes for 408
+"""Longest allowed object; the longest one is the last frame of a control unit: 413 bytes for 408
 taxels."""
 COB_SDO_RESPONSE = 0x580
 COB_SDO_REQUEST = 0x600
-"""Identifiers of the pre-defined connection set (CiA 301, 7.3.5), before adding the node-ID."""
+"""Identifiers of the pre-defined connection set (CiA 301, 7.3.5), without the node-ID."""
 
 # Each request that is repeated because its answer was lost is an error there.
 logging.getLogger(SdoClient.__module__).setLevel(logging.CRITICAL)
 
 
 class SdoNotAnswered(SdoCommunicationError):
-    """No response came in time."""
+    """There was no response in time."""
 
 
 class PolledSdoClient(SdoClient):
-    """canopen's client without its queue's real-time wait: works in one thread, in any time.
+    """canopen's client without the real-time wait of its queue: one thread, real or virtual time.
 
     Parameters
     ----------
     service
-        Takes in what was received and calls `on_response` with the responses.
+        Processes received messages and calls `on_response` with the responses.
     wait
-        Lets time pass, at most so many s.
+        Waits for at most a time in s.
     timeout_s
         Longest wait for one response.
     """
@@ -68,7 +68,7 @@ class PolledSdoClient(SdoClient):
 
     @property
     def surplus(self) -> int:
-        """Answers beyond the number of requests: those of a second server, or to another client."""
+        """Number of answers over requests: from a second server, or to another client."""
         return self._answers - self._requests
 
     def send_request(self, request: bytes | bytearray) -> None:
@@ -77,9 +77,9 @@ class PolledSdoClient(SdoClient):
         super().send_request(request)  # type: ignore[no-untyped-call]
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """Return an object's bytes; SdoCommunicationError for one that is endless or incomplete.
+        """Return an object's bytes; SdoCommunicationError if it is too long or incomplete.
 
-        canopen's own method reads segments for as long as the server announces more of them.
+        canopen's own method reads segments as long as the server announces more of them.
         """
         with self.open(index, subindex, buffering=0) as stream:  # type: ignore[no-untyped-call]
             size: int | None = stream.size
@@ -94,11 +94,11 @@ class PolledSdoClient(SdoClient):
         variable = self.od.get_variable(index, subindex)
         if variable is None or not variable.fixed_size:
             return bytes(data)
-        # Units may fill up four bytes where the object has fewer.
+        # Units may send four bytes for a shorter object.
         return bytes(data[: len(variable) // 8])
 
     def on_response(self, can_id: int, data: bytes | bytearray, timestamp: float) -> None:
-        """Take a message of the SDO server; one that is not of 8 bytes is no response."""
+        """Process a message of the SDO server; only messages of 8 bytes are responses."""
         if len(data) == _SDO_BYTES:
             self._answers += 1
             super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]

@@ -1,5 +1,5 @@
 """Tactile frames, for the link and for the simulated control unit.
 
-`codec` turns samples into messages; `assembler` turns messages into whole frames; `flow` watches
-that they keep coming; `pad_features` are the totals and centroids that the unit computes.
+`codec` converts samples to messages, and `assembler` messages to complete frames. `flow` supervises
+their arrival. `force_message` and `force_stream` are for the force messages.
 """

@@ -1,4 +1,4 @@
-"""The assembler of frames from bursts of messages; a frame that is not whole is dropped."""
+"""The assembler of frames from bursts of messages; incomplete frames are dropped."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from tactile.frames.codec import (
 from tactile.source import COUNTER_MASK, FrameStatistics, TactileFrame
 
 _HALF_TURN = 0x8000
-"""A counter that is this much or more ahead of the last one is behind it."""
+"""Least difference to the last counter of a counter that is older, not newer."""
 
 
 class _Burst:
@@ -30,12 +30,12 @@ class _Burst:
 
 
 class FrameAssembler:
-    """Collects messages by index, in any order, and hands out whole frames only.
+    """Collects messages by index, in any order, and returns only complete frames.
 
-    Two bursts are open at a time: the newest one and the one before it, each with messages of its
-    own phase only, so a message that comes late completes its own frame and never another one. A
-    frame is handed out when all its messages are there, the CRC over all data holds, its counter
-    fits its phase and is newer than the last frame's.
+    Two bursts are open at a time: the newest and the previous one. Each has only messages of its
+    own phase, so a late message completes its own frame and never another one. A frame is returned
+    if all its messages are present, the CRC over all data is right, and its counter fits its phase
+    and is newer than that of the last frame.
     """
 
     def __init__(self, frame_format: FrameFormat) -> None:
@@ -47,15 +47,15 @@ class FrameAssembler:
         self._previous: _Burst | None = None
         self._last_counter: int | None = None
         self.counts = FrameStatistics()
-        """Counts so far; they go on."""
+        """Counts so far; they are updated."""
 
     def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:
-        """Take one message and return the frame that it completes, if any.
+        """Add one message and return the frame that it completes, if any.
 
         Parameters
         ----------
         dlc
-            Length that the message claims; must be 8 and fit ``data``.
+            Length field of the message; must be 8 and fit ``data``.
         """
         if dlc != MESSAGE_BYTES or len(data) != MESSAGE_BYTES:
             self.counts.short += 1
@@ -84,7 +84,7 @@ class FrameAssembler:
     def _burst_for(
         self, phase: int, index: int, data: bytes | bytearray, t_s: float
     ) -> _Burst | None:
-        """Return the burst that a message out of the usual run belongs to, None to drop it."""
+        """Return the burst of a message out of the usual order, None to drop it."""
         for burst in (self._current, self._previous):
             if burst is None or burst.phase != phase:
                 continue
@@ -111,8 +111,8 @@ class FrameAssembler:
         whole = np.frombuffer(b"".join(filter(None, burst.parts)), dtype=np.uint8)
         payload = whole.reshape(self._n, MESSAGE_BYTES)[:, header:].tobytes()
         if burst is self._current:
-            # The burst before is over: what of its phase comes now is its late duplicate or, after
-            # two lost frames, a new frame, which must not be compared with it.
+            # The previous burst is over. Another message of its phase is a late duplicate. After
+            # two lost frames it is a new frame, which must not be compared with it.
             if self._previous is not None and self._previous.missing:
                 self.counts.torn += 1
             self._previous = None

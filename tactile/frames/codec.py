@@ -1,10 +1,10 @@
 """The format of the tactile transport: one frame of samples in one burst of 8-byte messages. Pure.
 
-A message is a header and data. The header carries the frame's phase (counter modulo 4) in the two
-top bits and the message's index in the burst below: one byte while 64 messages are enough, else two
-(high byte first). The data of all messages of a burst, one after the other, are the samples (u8 or
-u16 little-endian), zero bytes up to the trailer, and the trailer that ends the last message: frame
-counter u16 LE, status u8, and CRC-16/CCITT-FALSE u16 LE over all data before it.
+A message is a header and data. The header has the frame's phase (counter modulo 4) in the two top
+bits, then the message's index in the burst. It has one byte for up to 64 messages, else two (high
+byte first). The data of all messages of a burst in order are the samples (u8 or u16 little-endian),
+zero bytes up to the trailer, and the trailer at the end of the last message. The trailer is the
+frame counter u16 LE, status u8, and CRC-16/CCITT-FALSE u16 LE over all data before it.
 """
 
 import binascii
@@ -22,19 +22,19 @@ CRC_BYTES = 2
 CRC_START = 0xFFFF
 """Start value of CRC-16/CCITT-FALSE."""
 PHASES = 4
-"""Frames until the phase, the counter's two lowest bits, comes again."""
+"""Number of phases, the counter's two lowest bits."""
 PHASE_SHIFT = 6
 """The phase is in the two top bits of the first header byte."""
 INDEX_BITS = 0x3F
-"""Bits of the first header byte that are the message's index, or its high byte."""
+"""Bits of the message's index, or of its high byte, in the first header byte."""
 _SHORT_INDEX_LIMIT = INDEX_BITS + 1
 _LONG_INDEX_LIMIT = _SHORT_INDEX_LIMIT * 256
-"""Messages that a header of one byte, or of two, can number."""
+"""Largest number of messages with a header of one byte, or of two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameFormat:
-    """Cut of a frame of a given size into messages."""
+    """Division of a frame of a given size into messages."""
 
     n_taxels: int
     """Samples in a frame."""

@@ -1,4 +1,4 @@
-"""The watch over the flow of frames: one for each SYNC, few lost, none late, none twice. Pure."""
+"""Supervision of the flow of frames: one for each SYNC, few lost, none late, none double. Pure."""
 
 from collections import deque
 
@@ -6,31 +6,31 @@ from tactile.errors import DuplicateNode, FrameTimeout
 from tactile.source import COUNTER_MASK
 
 _LAG_FRAMES = 250
-"""Frames after which the least lag seen before is forgotten, once or twice."""
+"""Number of frames after which the earlier least lag is discarded, once or twice."""
 _LATE_SYNCS = 3
-"""Frames are late if they are before so many SYNCs in a row: after a stall they catch up."""
+"""Number of successive SYNCs with late frames that counts: after a stall frames catch up."""
 _SURPLUS_SHARE = 1.5
 _SURPLUS_LIMIT = 0.9
 _SURPLUS_SUSPECT = 0.4
 _DEFICIT_LIMIT = 1.0
-"""In bursts: one and a half of them for each SYNC may come for ever (an adapter that doubles
-messages now and then, a burst that comes late), two of them each time are two units; half of that
-where no frame becomes whole at the same time."""
+"""Limits in bursts. A sustained rate of one and a half bursts for each SYNC is allowed (an adapter
+that sometimes doubles messages, a late burst). Two bursts each time are two units. Without complete
+frames at the same time half of that is the limit."""
 
 
 class FrameFlow:
-    """Watch over SYNCs without an answer, lost frames, late frames and doubled messages.
+    """Supervision of unanswered SYNCs, lost frames, late frames and double messages.
 
     Parameters
     ----------
     timeout_periods
-        So many SYNCs without a whole frame are a fault.
+        Number of SYNCs without a complete frame that is a fault.
     max_loss_rate, window_frames
-        A larger share of frames lost among the last so many is a fault.
+        Largest share of lost frames, and the number of last frames for it.
     late_periods
-        Frames that come so many periods later than before, three times, are a fault.
+        Delay in periods, compared with before, that is a fault if it occurs three times.
     burst_messages
-        Messages that one unit sends after each SYNC.
+        Messages of one unit after each SYNC.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class FrameFlow:
         self._last_counter: int | None = None
         self._unanswered = 0
         self._ahead = 0
-        """SYNCs sent, less the scans that the unit has counted since its first frame."""
+        """SYNCs sent, less the scans of the unit's counter since its first frame."""
         self._least: int | None = None
         self._least_before: int | None = None
         self._lag_frames = 0
@@ -67,10 +67,10 @@ class FrameFlow:
         return self._arrived.count(False) / len(self._arrived) if self._arrived else 0.0
 
     def before_sync(self) -> None:
-        """Look at the answers to the SYNCs so far; call it when the next SYNC is due.
+        """Check the answers to the SYNCs so far; call it when the next SYNC is due.
 
-        Raises FrameTimeout if too many had none or all of them late ones, DuplicateNode if they had
-        two.
+        Raises FrameTimeout for too many SYNCs without an answer or with late ones, DuplicateNode
+        for two answers.
         """
         n = self._weigh_messages()
         out = self._unanswered >= self._timeout_periods
@@ -90,11 +90,11 @@ class FrameFlow:
         self._ahead += 1
 
     def messages(self, n: int) -> None:
-        """Count frame messages that came."""
+        """Count received frame messages."""
         self._messages += n
 
     def on_frame(self, counter: int) -> None:
-        """Take the counter of a whole frame; FrameTimeout if too many before it were lost."""
+        """Add the counter of a complete frame; FrameTimeout if too many before it were lost."""
         self._unanswered = 0
         step = 1
         if self._last_counter is not None:
@@ -114,7 +114,7 @@ class FrameFlow:
 
     @property
     def _late(self) -> int:
-        """SYNCs whose frames are still to come, beyond what was usual lately."""
+        """Number of SYNCs with outstanding frames, beyond the usual one."""
         before = self._least if self._least_before is None else self._least_before
         known = [least for least in (before, self._least) if least is not None]
         return max(0, self._ahead - min(known, default=0))
@@ -141,6 +141,6 @@ class FrameFlow:
     def _weigh_messages(self) -> int:
         n, self._messages = self._messages, 0
         surplus = self._surplus + n / self._burst_messages - _SURPLUS_SHARE
-        # What is late is still to come, all of it at once.
+        # Late messages will arrive all at once.
         self._surplus = max(surplus, -_DEFICIT_LIMIT - _SURPLUS_SHARE * self._late)
         return n

@@ -1,13 +1,14 @@
 """The force message: the force on both gripping pads in 8 bytes, many times a second.
 
-Byte 0: counter in the low nibble, status in the high one. Then the force on finger 0 and finger 1
-(i16 little-endian, 2 mN), the centre of force of both pads together along and across the fingers
-(i8, 1/16 of the taxels' pitch from the pads' middle), and the CRC-8 of SAE J1850 over the 7 bytes
-before it: a message of AUTOSAR's E2E profile 1 in kind, a counter of 4 bits beside a CRC of 8.
+Byte 0 has the counter in the low nibble, the status in the high one. Then follow the force on
+finger 0 and finger 1 (i16 little-endian, 2 mN) and the centre of force of both pads together, along
+and across the fingers (i8, 1/16 of the taxels' pitch from the middle of the pads). The last byte is
+the CRC-8 of SAE J1850 over the 7 bytes before it. This is similar to AUTOSAR's E2E profile 1, with
+a counter of 4 bits and a CRC of 8.
 
-The unit sums the force from two objects that the host writes, each with a CRC-16 at its end: the
-table of counts to force (equation (11) is not linear in counts, so the sum of counts is no force),
-and the zero of each taxel. All numbers of both are u16 little-endian.
+The host writes two objects for the sum of the force, each with a CRC-16 at its end. They are the
+table of counts to force and the zero of each taxel. Equation (11) is not linear in counts, so the
+sum of counts is not a force. All numbers of both are u16 little-endian.
 """
 
 import struct
@@ -21,9 +22,9 @@ from tactile.frames.codec import CRC_BYTES, MESSAGE_BYTES, crc16_ccitt
 from tactile.source import ForceMessage, ForceStatus
 
 FORCE_N = 0.002
-"""Unit of a force in N: up to 65 N either way."""
+"""Unit of a force in N: from -65 to 65 N."""
 CENTRE_TAXELS = 1.0 / 16.0
-"""Unit of a centre in pitches of the taxels: up to 8 of them either way."""
+"""Unit of a centre in pitches of the taxels: from -8 to 8."""
 TABLE_NODES = 129
 """Nodes of the table of one pad, evenly from 0 counts to full scale; linear between them."""
 TABLE_N = 0.0005
@@ -31,11 +32,11 @@ TABLE_N = 0.0005
 ZERO_STEPS = 60_000
 """Steps of a zero, and of the threshold, in the full scale of the counts."""
 BAD_TAXEL = 0xFFFF
-"""Zero of a taxel that does not measure: its neighbours stand in for it."""
+"""Zero of a taxel that does not measure: its neighbours are used instead."""
 COUNTERS = 16
-"""Messages until a counter comes again."""
+"""Number of counters before a counter repeats."""
 _NO_CENTRE = -128
-"""Centre where nothing touches."""
+"""Centre without a touch."""
 _BODY = struct.Struct("<Bhhbb")
 _STATUS_SHIFT = 4
 _CRC8_POLYNOMIAL, _CRC8_START, _CRC8_END = 0x1D, 0xFF, 0xFF
@@ -103,7 +104,7 @@ def encode_zero(
     Parameters
     ----------
     touch_counts
-        Counts above the zero from which on a taxel counts, in the mean of its neighbourhood.
+        Least counts above the zero of a touched taxel, in the mean of its neighbourhood.
     zero_counts : (n,) float64
         Zero of each taxel of the gripping pads, finger 0 first.
     bad : (n,) bool

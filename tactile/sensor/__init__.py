@@ -1,5 +1,5 @@
 """The tactile sensor, for the cell: readings in newtons from whole frames.
 
-`sensor` is where to start; `tare` takes the zero, `calibration` turns counts into newtons,
+`sensor` is the entry. `tare` measures the zero, `calibration` converts counts to newtons,
 `filters` smooth and find touched taxels, `quality` finds taxels that do not measure.
 """

@@ -2,8 +2,8 @@
 
 The foam's resistance falls with the force F on a taxel, equation (11) of the paper:
 R = 1.579 exp(-0.449 F) - 8.365e-11 exp(-32.34 F), R in MΩ and F in N. The second term is below
-1e-10 MΩ everywhere and left out. The converter reads the voltage of a constant current inverted:
-counts = adc_max (1 - R / R0) with R0 = R(0), so R0 itself cancels and no force gives 0 counts.
+1e-10 MΩ everywhere and is left out. The converter reads the inverted voltage of a constant current:
+counts = adc_max (1 - R / R0) with R0 = R(0). So R0 itself cancels, and 0 N gives 0 counts.
 """
 
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ Array = NDArray[np.float64]
 
 
 class Calibration(Protocol):
-    """Turns tared counts into forces, taxel by taxel."""
+    """Converts tared counts into forces, taxel by taxel."""
 
     @property
     def adc_max(self) -> int:
-        """Full scale of the counts that the calibration is for."""
+        """Full scale of the counts."""
 
     def force_n(self, tared_counts: Array) -> Array:
         """Return the force on each taxel in N, same shape; odd in the noise around zero."""
 
     def counts(self, force_n: Array) -> Array:
-        """Return the tared counts, not rounded, that forces in N give."""
+        """Return the tared counts of forces in N, not rounded."""
 
 
 def _checked_gain(gain: Array | float) -> Array:
@@ -45,16 +45,15 @@ def _checked_gain(gain: Array | float) -> Array:
 class FoamCalibration:
     """The paper's foam, equation (11), behind the inverted constant-current converter.
 
-    Below zero the law goes on as its tangent, so that noise around zero averages out. At full scale
-    it gives the smallest force that is rounded to full scale: such a taxel is saturated and its
-    force unknown above that.
+    Below zero the law continues as its tangent, so that noise around zero averages out. At full
+    scale it gives the smallest force that is rounded to full scale. A taxel there is saturated, and
+    its force may be larger.
     """
 
     adc_max: int
     """Full scale in counts."""
     gain: Array | float = 1.0
-    """(n_taxels,) float64 or scalar: true force over the law's force, for each taxel as its own
-    force cell."""
+    """(n_taxels,) float64 or scalar: true force over the law's force of each taxel."""
 
     def __post_init__(self) -> None:
         if self.adc_max < 1:
@@ -74,7 +73,7 @@ class FoamCalibration:
         return np.asarray(self.gain * law / FOAM_EXPONENT_PER_N, dtype=np.float64)
 
     def counts(self, force_n: Array) -> Array:
-        """Return the tared counts, not rounded, that forces in N give."""
+        """Return the tared counts of forces in N, not rounded."""
         share = FOAM_EXPONENT_PER_N * np.asarray(force_n, dtype=np.float64) / self.gain
         law = -np.expm1(-np.maximum(share, 0.0)) + np.minimum(share, 0.0)
         return np.asarray(self.adc_max * law, dtype=np.float64)
@@ -99,21 +98,21 @@ class LinearCalibration:
         return np.asarray(self.force_per_count_n * np.asarray(tared_counts), dtype=np.float64)
 
     def counts(self, force_n: Array) -> Array:
-        """Return the tared counts, not rounded, that forces in N give."""
+        """Return the tared counts of forces in N, not rounded."""
         return np.asarray(np.asarray(force_n) / self.force_per_count_n, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableCalibration:
-    """A sensor that was measured at some counts: straight lines between them, from no force on.
+    """A sensor that was measured at some counts: straight lines between them, from 0 N on.
 
-    Beyond the last node, and below zero, the nearest line goes on. Raises CalibrationError unless
+    Beyond the last node, and below zero, the nearest line continues. Raises CalibrationError unless
     counts and forces rise together from above 0.
     """
 
     node_counts: tuple[float, ...]
     node_force_n: tuple[float, ...]
-    """(n,) each: tared counts and the force on one taxel in N that gives them."""
+    """(n,) each: tared counts, and the force on one taxel in N."""
     adc_max: int
     """Full scale in counts."""
     gain: Array | float = 1.0
@@ -122,7 +121,7 @@ class TableCalibration:
     def __post_init__(self) -> None:
         nodes = np.array([(0.0, *self.node_counts), (0.0, *self.node_force_n)])
         if nodes.shape[1] < 2 or not (np.isfinite(nodes).all() and (np.diff(nodes) > 0.0).all()):
-            raise CalibrationError("a table has counts and forces that rise from above 0, together")
+            raise CalibrationError("counts and forces of a table must rise together, from above 0")
         object.__setattr__(self, "gain", _checked_gain(self.gain))
 
     def force_n(self, tared_counts: Array) -> Array:
@@ -131,12 +130,12 @@ class TableCalibration:
         return np.asarray(self.gain * law, dtype=np.float64)
 
     def counts(self, force_n: Array) -> Array:
-        """Return the tared counts, not rounded, that forces in N give."""
+        """Return the tared counts of forces in N, not rounded."""
         return _along(self.node_force_n, self.node_counts, np.asarray(force_n) / self.gain)
 
 
 def _along(x: tuple[float, ...], y: tuple[float, ...], at: Array) -> Array:
-    """Return y on straight lines through 0 and the nodes; the outer ones go on."""
+    """Return y on straight lines through 0 and the nodes; the outer lines continue."""
     xs, ys = np.array([0.0, *x]), np.array([0.0, *y])
     slopes = np.diff(ys) / np.diff(xs)
     line = np.clip(np.searchsorted(xs, at, side="right") - 1, 0, len(slopes) - 1)

@@ -1,6 +1,6 @@
-"""Filters over taxels and over time, and the taxels that stand out of the noise. Pure.
+"""Filters over taxels and over time, and detection of touched taxels. Pure.
 
-All of them take and return one value a taxel in counts, shape (n_taxels,).
+All of them take and return one value for each taxel in counts, shape (n_taxels,).
 """
 
 from collections import deque
@@ -21,14 +21,14 @@ _BINOMIAL = {0: 4.0, 1: 2.0, 2: 1.0}
 
 
 class Neighbourhood:
-    """The 3 x 3 neighbours of each taxel on its own pad; nothing reaches across a pad's border."""
+    """The 3 x 3 neighbours of each taxel on its own pad."""
 
     def __init__(self, layout: TaxelLayout) -> None:
         self.layout = layout
         n = layout.n_taxels
         self.index = index = np.full((n, len(_OFFSETS)), n, dtype=np.int64)
         """(n_taxels, 9) int64: neighbours row by row, the taxel itself in the middle; n_taxels
-        where the pad ends."""
+        beyond the border."""
         self.weight = weight = np.zeros((n, len(_OFFSETS)))
         """(n_taxels, 9) float64: binomial weights, 0 beyond the border."""
         for pad_index, pad in enumerate(layout.pads):
@@ -57,7 +57,7 @@ class Neighbourhood:
 def spatial_mean(hood: Neighbourhood, values: Values) -> Values:
     """Return the binomial mean over 3 x 3 taxels (a Gaussian of 0.7 taxels).
 
-    At a border the weights that remain are scaled up, so a constant stays the same constant.
+    At a border the remaining weights are scaled up, so that a constant stays constant.
     """
     result: Values = np.einsum("ij,ij->i", hood.gather(values, 0.0), hood.weight)
     result /= hood.total
@@ -65,7 +65,7 @@ def spatial_mean(hood: Neighbourhood, values: Values) -> Values:
 
 
 def fill_bad(hood: Neighbourhood, values: Values, bad: NDArray[np.bool_]) -> Values:
-    """Replace bad taxels by the weighted mean of their good neighbours; 0 where none is good."""
+    """Replace bad taxels by the weighted mean of their good neighbours; 0 without good ones."""
     if not bad.any():
         return values
     weight = hood.weight[bad] * hood.gather(~bad, outside=0.0)[bad]
@@ -86,7 +86,7 @@ def dilate(hood: Neighbourhood, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def regions_from(
     hood: Neighbourhood, seed: NDArray[np.bool_], allowed: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return all allowed taxels that are connected to a seed through allowed ones."""
+    """Return all allowed taxels with a connection to a seed through allowed ones."""
     region: NDArray[np.bool_] = seed & allowed
     while True:
         grown: NDArray[np.bool_] = dilate(hood, region) & allowed
@@ -110,12 +110,12 @@ class MovingMean:
         self._frames: deque[Values] = deque(maxlen=n_frames)
 
     def reset(self) -> None:
-        """Forget all frames."""
+        """Discard all frames."""
         self._frames.clear()
 
     @property
     def full(self) -> bool:
-        """Whether as many frames were taken as the window holds."""
+        """Whether the window is full."""
         return len(self._frames) == self._frames.maxlen
 
     def step(self, values: Values) -> Values:
@@ -128,12 +128,12 @@ class MovingMean:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchThresholds:
-    """Thresholds above which a taxel is touched, in standard deviations of its smoothed noise."""
+    """Thresholds of touched taxels, in standard deviations of their smoothed noise."""
 
     start: float = 5.5
-    """A region starts where this is exceeded."""
+    """A region starts at a taxel above this."""
     keep: float = 3.0
-    """A region lasts while this is exceeded somewhere in it."""
+    """A region lasts while at least one of its taxels is above this."""
     join: float = 4.0
     """A taxel next to a region joins it above this."""
     leave: float = 0.0
@@ -148,7 +148,7 @@ class TouchThresholds:
 
 
 def smoothing_gain(hood: Neighbourhood, passes: int) -> Values:
-    """Return how far ``passes`` of `spatial_mean` shrink independent noise, (n_taxels,)."""
+    """Return the factor of ``passes`` of `spatial_mean` on independent noise, (n_taxels,)."""
     n = hood.layout.n_taxels
     kernel = np.zeros((n, n + 1))
     np.add.at(kernel, (np.arange(n)[:, None], hood.index), hood.weight)
@@ -158,9 +158,9 @@ def smoothing_gain(hood: Neighbourhood, passes: int) -> Values:
 
 
 def typical_noise(layout: TaxelLayout, noise_counts: Values, least_counts: float) -> Values:
-    """Return the typical noise of its pad for each taxel, (n_taxels,), and no less than a limit.
+    """Return the typical noise of its pad for each taxel, (n_taxels,), at least a limit.
 
-    The noise of a single taxel is measured too poorly in a hundred frames.
+    A hundred frames are too few for the noise of a single taxel.
     """
     noise = np.full(layout.n_taxels, least_counts)
     for pad in range(layout.n_pads):
@@ -170,18 +170,18 @@ def typical_noise(layout: TaxelLayout, noise_counts: Values, least_counts: float
 
 
 class ActiveTaxels:
-    """Connected regions that stand out of the noise, at two scales: 3 x 3 and 5 x 5 taxels.
+    """Connected regions above the noise, at two scales: 3 x 3 and 5 x 5 taxels.
 
-    The small scale sees a pointed object, the large one a flat object that presses every taxel
-    lightly. Both the regions and their single taxels have hysteresis: a border taxel that comes
-    and goes with its own noise would be summed just when its noise is positive, and bias the force.
+    The small scale is for a pointed object, the large one for a flat object that presses every
+    taxel lightly. Regions and single taxels have hysteresis. Without it a border taxel would be
+    summed only while its noise is positive, which would bias the force.
 
     Parameters
     ----------
     thresholds
         In standard deviations.
     noise_counts : (n_taxels,) float64
-        Standard deviation of the counts that `step` gets, above 0.
+        Standard deviation of the counts of `step`, above 0.
     """
 
     def __init__(

@@ -1,10 +1,9 @@
-"""The comparison of the force in the messages with that in the frames, and the unit's table.
+"""Comparison of the force in the messages with that in the frames.
 
-Both come from the same taxels: the messages from fast scans that the unit sums by the host's table
-and zero, the frames from the host's own calibration. A table of another pad, a zero that was lost
-or a unit that counts wrongly shows as a difference that stays. Each frame is compared with the
-messages from around its scan, so that a force that changes makes no difference; the mean of more
-frames shows a smaller one.
+Both come from the same taxels. For the messages the unit sums fast scans by the host's table and
+zero; for the frames the host uses its own calibration. A table of another pad, a lost zero or an
+error of the unit causes a lasting difference. Each frame is compared with the messages around its
+scan, so a changing force causes no difference. The mean of more frames shows smaller differences.
 """
 
 from collections import deque
@@ -20,44 +19,43 @@ from tactile.layout import TaxelLayout
 from tactile.source import ForceMessage, mean_centre_taxels
 
 _BEFORE_S, _AFTER_S = 0.0065, 0.0055
-"""Messages compared with a frame: received from so many s before the first message of its burst to
-so many s after it. A message shows a force that is 1.5 ms old."""
+"""Times in s before and after the first message of a frame's burst: messages received between them
+are compared with the frame. The force of a message is 1.5 ms old."""
 _WINDOWS = (2, 3, 6, 12, 25)
-"""Numbers of frames whose mean difference is looked at: from 40 ms to half a second at 50 Hz."""
+"""Numbers of frames whose mean difference is checked: from 40 ms to half a second at 50 Hz."""
 _SIGMAS = 5.0
-"""Difference in standard deviations of that mean that is one: less than one false alarm in a
-hundred hours of a hold, all windows taken together."""
+"""Least difference in standard deviations of that mean that counts. It gives less than one false
+alarm in a hundred hours of a hold, for all windows together."""
 _OUTLIER_SIGMAS = 4.0
-"""What the difference of one frame counts for at most: a part that leaves between two messages
-differs in one frame alone."""
+"""Largest weight of the difference of one frame in standard deviations. A part that leaves between
+two messages differs in one frame only."""
 _LEAST_N, _LEAST_SHARE = 0.05, 0.04
-"""Difference in N, plus a share of the force, that is none however small the noise. In the
-simulated cell, fine and coarse pads, balls, boxes and cylinders, ramps of 6 and 20 N/s to 1.5, 6
-and 14 N, the mean of 25 frames has differed by up to 0.13 N at 6 N and 0.26 N at 14 N."""
+"""Difference in N, plus a share of the force, that is allowed without noise. In the simulated cell
+(fine and coarse pads, balls, boxes and cylinders, ramps of 6 and 20 N/s to 1.5, 6 and 14 N) the
+mean of 25 frames differed by up to 0.13 N at 6 N and 0.26 N at 14 N."""
 _BELOW_SIGMAS = 13.0
-"""What the frames may show less beside that, in standard deviations of one taxel: they leave out
-taxels below a threshold by noise. At 0.045 N of noise six frames have shown 0.65 N less."""
+"""Further allowed deficit of the frames in standard deviations of one taxel, because they leave out
+taxels below a threshold. At 0.045 N of noise six frames had a deficit of 0.65 N."""
 _UNSEEN_N, _UNSEEN_SIGMAS = 1.4, 30.0
-"""Force in N, or in standard deviations of one taxel if that is more, of which a frame may show
-nothing: then all taxels are below the threshold. Six frames in a row have shown none at 0.8 N, at
-0.1 N of noise at 1.2 N."""
+"""Largest force in N of which a frame may show nothing, or in standard deviations of one taxel if
+that is more: then all taxels are below the threshold. Six frames in a row showed nothing at 0.8 N,
+with 0.1 N of noise at 1.2 N."""
 _CENTRE_TAXELS = 0.3
-"""Distance of the centres in pitches that is none however small the noise."""
+"""Distance of the centres in pitches that is allowed without noise."""
 _CENTRE_N_TAXELS = 1.0
 """Noise of that distance for one frame times the grip force, in N times pitches: up to 0.8 on a
 cylinder of 4 mm in the simulated cell with twice its usual noise."""
 _CENTRE_BOTH = 1.5
-"""The same for a part on many taxels, where those far from the centre count most: by so much the
-noise of frame and messages together is more than that of the frame's taxels (simulated cell, pads
-on each other, 4 to 12 N, once and twice the usual noise: 1.2 to 1.5)."""
+"""Noise of frame and messages together over that of the frame's taxels, for a part on many taxels.
+Simulated cell, pads on each other, 4 to 12 N, once and twice the usual noise: 1.2 to 1.5."""
 _CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS = 1.0, 20.0
-"""Grip force in N from which on the centres are compared, or in standard deviations of one taxel if
-that is more: of less, a frame may show a few taxels of a pad by chance."""
+"""Least grip force in N for the comparison of centres, or in standard deviations of one taxel if
+that is more. With less force a frame may show a few random taxels of a pad."""
 _SPREAD_TAXELS = 4.0
-"""Distance in pitches of the centre of the force below the threshold from that of all of it: a
-spread load leaves out other taxels in the frames than in the messages."""
+"""Distance in pitches of the centre of the force below the threshold from that of the whole force:
+for a spread load, frames and messages leave out different taxels."""
 _KEPT = 64
-"""Messages kept: 0.13 s at 500 a second, more than a burst takes."""
+"""Number of stored messages: 0.13 s at 500 a second, more than a burst takes."""
 _ADVICE = (
     "table, zero or pads are wrong, so neither is used; the grip is kept. Look at the pads and the "
     "calibration, then start the link again"
@@ -72,7 +70,7 @@ class ForceCentres:
         self._xy_m = tuple(layout.position_m[taxels, :2] for taxels in self._taxels)
 
     def of(self, force_n: NDArray[np.float64]) -> tuple[float, float] | None:
-        """Return the centre in the grip frame in m; None where a pad has no force.
+        """Return the centre in the grip frame in m; None if a pad has no force.
 
         Parameters
         ----------
@@ -110,25 +108,25 @@ class ForceCentres:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameForces:
-    """What one frame alone shows of the force."""
+    """Force in one frame."""
 
     scanned_s: float
     """Monotonic time of its scan in s."""
     force_n: tuple[float, float]
     """Force on finger 0 and finger 1 in N."""
     centre_taxels: tuple[float, float] | None
-    """Centre of both pads along and across the fingers in pitches; None where nothing touches."""
+    """Centre of both pads along and across the fingers in pitches; None without a touch."""
     noise_n: float
     """Standard deviation of each force in N."""
     centre_noise_taxels: tuple[float, float] = (0.0, 0.0)
     """Standard deviation of the centre by the noise of the taxels, in pitches."""
     whole_n: tuple[float, float] = (0.0, 0.0)
-    """Force on all taxels of finger 0 and finger 1 in N: a load that is spread over a pad leaves
-    each taxel below the threshold by noise."""
+    """Force on all taxels of finger 0 and finger 1 in N. With a load spread over a pad each taxel
+    may be below the threshold."""
 
 
 class ForceCheck:
-    """Comparison of messages and frames, frame by frame and over the last ones."""
+    """Comparison of messages and frames: each frame, and the mean of the last ones."""
 
     def __init__(self) -> None:
         self._messages: deque[ForceMessage] = deque(maxlen=_KEPT)
@@ -140,15 +138,15 @@ class ForceCheck:
         self._messages.append(message)
 
     def reset(self, taxel_noise_n: float) -> None:
-        """Forget messages and frames: a new zero, with this noise of one taxel in N."""
+        """Discard messages and frames: a new zero, with this noise of one taxel in N."""
         self._taxel_noise_n = taxel_noise_n
         self._messages.clear()
         self._pairs.clear()
 
     def compare(self, frame: FrameForces) -> None:
-        """Compare a frame with the messages from around its scan.
+        """Compare a frame with the messages around its scan.
 
-        Raises ForceContradicted when force or centre of the last frames differ from those of the
+        Raises ForceContradicted if force or centre of the last frames differ from those of the
         messages.
         """
         first_s, last_s = frame.scanned_s - _BEFORE_S, frame.scanned_s + _AFTER_S
@@ -163,7 +161,7 @@ class ForceCheck:
         self._check_centre()
 
     def _check_force(self, finger: int) -> None:
-        """Raise ForceContradicted where the mean of the last frames differs from the messages'."""
+        """Raise ForceContradicted if the mean of the last frames differs from the messages'."""
         apart_n = above_n = below_n = noise_n = 0.0
         for n, pair in enumerate(self._pairs, 1):
             apart_n += pair.apart_n[finger]
@@ -182,7 +180,7 @@ class ForceCheck:
                 )
 
     def _check_centre(self) -> None:
-        """Raise ForceContradicted where the last frames have another centre than the messages."""
+        """Raise ForceContradicted if the last frames have another centre than the messages."""
         apart = noise2 = np.zeros(2)
         below, force_n = 0.0, inf
         for n, pair in enumerate(self._pairs, 1):
@@ -208,11 +206,11 @@ class ForceCheck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Pair:
-    """Frame and messages of one scan: what each shows, and how far they are apart.
+    """Frame and messages of one scan, and their difference.
 
     ``apart_n`` is the force in the frame less that in the messages; ``above_n`` and ``below_n`` are
-    what it may be either way however small the noise. ``below_share`` is the share of the force on
-    taxels of the frame that are below their threshold, with its noise.
+    its limits without noise. ``below_share`` is the share of the force on taxels of the frame that
+    are below their threshold, with its noise.
     """
 
     frame_n: tuple[float, float]
@@ -229,7 +227,7 @@ class _Pair:
     def of(
         cls, messages: Sequence[ForceMessage], frame: FrameForces, taxel_noise_n: float
     ) -> "_Pair":
-        """Return the pair of a frame and the messages from around its scan."""
+        """Return the pair of a frame and the messages around its scan."""
         first_n = _mean(message.force_n[0] for message in messages)
         second_n = _mean(message.force_n[1] for message in messages)
         grip_n = 0.5 * (first_n + second_n)
@@ -265,13 +263,13 @@ class _Pair:
 def _centres_apart(
     messages: Sequence[ForceMessage], frame: FrameForces, message_n: float, least_n: float
 ) -> tuple[float, float] | None:
-    """Return how far the centres are apart in pitches; None where the force is too light."""
+    """Return the distance of the centres in pitches; None if the force is too small."""
     light = min(sum(frame.force_n) / 2.0, message_n) < least_n
     if light or frame.centre_taxels is None:
         return None
     centre = mean_centre_taxels(messages)
     if centre is None:
-        # Messages that name no centre where the frame shows one are as wrong as can be.
+        # Messages without a centre, and a frame with one: the largest possible error.
         return inf, inf
     return centre[0] - frame.centre_taxels[0], centre[1] - frame.centre_taxels[1]
 

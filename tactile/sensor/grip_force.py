@@ -1,4 +1,4 @@
-"""Force on both fingers, sample by sample, in the form that a force loop takes."""
+"""Force on both fingers as samples for a force loop."""
 
 from collections.abc import Callable, Sequence
 from math import inf, sqrt
@@ -9,36 +9,36 @@ from tactile.sensor.sensor import TactileReading, TactileSensor
 from tactile.source import ForceMessage, ForceStatus, TactileFrame, mean_centre_taxels
 
 _MESSAGE_S = 0.0015
-"""From a scan to the reception of its message in s: half a scan, the wire, the adapter."""
+"""Time in s from a scan to the reception of its message: half a scan, the wire, the adapter."""
 _FRAME_CENTRE_N_M = 0.0014
 """Noise of a frame's centre of force along one axis times the grip force, in N m: on a box in the
-simulated cell 0.3 mm at 3 N, and half as much again, as each frame is in three means."""
+simulated cell 0.3 mm at 3 N, times 1.5 because each frame is in three means."""
 _MESSAGE_CENTRE_N_M = 0.0024
 """The same of one force message, of a single scan: 0.4 mm on a ball and 0.7 mm on a cylinder at 3 N
 in the simulated cell, 0.3 mm at 8 N."""
 _LEAST_FORCE_N = 0.1
-"""Grip force in N that a weaker one counts as, so that this noise stays finite."""
+"""Least grip force in N for this noise, so that it stays finite."""
 
 
 Sample = TypeVar("Sample")
-"""A value of who controls the force; see `GripForce`."""
+"""Sample type of the force controller; see `GripForce`."""
 
 
 class GripForce(Generic[Sample]):
-    """Force samples for the one who controls the force; the frames beside them are kept.
+    """Force samples for the force controller; their frames are kept.
 
     Parameters
     ----------
     sensor
-        The sensor; while it is not started there is no force.
+        The sensor; before its start there is no force.
     sample
-        Makes the samples that are wanted, as `gripper.ForceSample`, from keyword arguments:
+        Maker of the samples, for example `gripper.ForceSample`, from keyword arguments. These are
         ``t_s``, monotonic time in s; ``force_n``, force on finger 0 and finger 1 in N; ``valid``,
-        and ``reason`` where it is not; ``centre_m``, centre of the force along and across the
-        fingers in m, or None; ``centre_noise_m``, its standard deviation; ``lag_s``, how much older
-        than ``t_s`` the force is, and ``noise_n``, the standard deviation of the mean of both
-        forces, and of the newest whole frame ``frame_s``, monotonic time of its scan in s, and
-        ``frame_n``, force on both fingers in it in N, for samples of force messages alone.
+        and ``reason`` if it is not; ``centre_m``, centre of the force along and across the
+        fingers in m, or None; ``centre_noise_m``, its standard deviation; ``lag_s``, age of the
+        force at ``t_s``; ``noise_n``, the standard deviation of the mean of both forces. Only
+        samples of force messages also have the newest complete frame: ``frame_s``, monotonic time
+        of its scan in s, and ``frame_n``, its force on both fingers in N.
     """
 
     def __init__(self, sensor: TactileSensor, sample: Callable[..., Sample]) -> None:
@@ -50,10 +50,10 @@ class GripForce(Generic[Sample]):
         self._sample_s = -inf
 
     def latest_force(self) -> Sample | None:
-        """Take in what has arrived and return the newest sample; does not wait.
+        """Process arrived messages and return the newest sample; does not wait.
 
-        It is the mean of the force messages since the last call, or from the newest frame where
-        the unit sends none. Raises as `TactileSensor.poll`.
+        It is the mean of the force messages since the last call, or from the newest frame if the
+        unit sends none. Raises as `TactileSensor.poll`.
         """
         if not self._sensor.running:
             return None
@@ -62,7 +62,7 @@ class GripForce(Generic[Sample]):
         reading = self._sensor.latest
         zero = self._sensor.tare_result
         if reading is None or (zero is not None and reading.t_s <= zero.t_s):
-            # What was measured against an earlier zero is no force of this one.
+            # A measurement with an earlier zero is not valid for this one.
             return None
         if not self._sensor.has_forces:
             if reading.t_s > self._sample_s:
@@ -104,7 +104,7 @@ class GripForce(Generic[Sample]):
         )
 
     def _centre_m(self, messages: Sequence[ForceMessage]) -> tuple[float, float] | None:
-        """Return the centre of what the messages show together, in m."""
+        """Return the common centre of the messages in m."""
         centre = mean_centre_taxels(messages)
         if centre is None:
             return None
@@ -112,13 +112,13 @@ class GripForce(Generic[Sample]):
         return centre[0] * pad.pitch_x_m, centre[1] * pad.pitch_y_m
 
     def take(self) -> list[TactileFrame]:
-        """Return the frames that came in since the last call, oldest first."""
+        """Return the frames since the last call, oldest first."""
         taken, self._new = self._new, []
         return [reading.frame for reading in taken]
 
 
 def _objection(status: ForceStatus) -> str:
-    """Return why the forces of a message with this status are not to be used, empty if they are."""
+    """Return why the forces of a message with this status are not valid, empty if they are."""
     if status == ForceStatus.ZEROED:
         return ""
     if not status & ForceStatus.ZEROED:

@@ -66,17 +66,8 @@ def open_sensor(
     bus = open_bus(interface, channel, bitrate=bitrate) if isinstance(channel, str) else channel
     clock: Clock = getattr(bus, "clock", time)
     try:
-        tactile_link = TactileLink(
-            bus,
-            node_id=node_id,
-            layout=layout,
-            clock=clock,
-            settings=replace(link or LinkSettings(), threaded=clock is time),
-            force_table=force_table(layout, calibration),
-            reopen=reopen,
-        )
         return TactileSensor(
-            tactile_link,
+            open_link(bus, layout, calibration, node_id=node_id, link=link, reopen=reopen),
             calibration,
             clock=clock,
             settings=settings,
@@ -86,6 +77,28 @@ def open_sensor(
         if owned:
             close_bus(bus)
         raise
+
+
+def open_link(
+    bus: CanBus,
+    layout: TaxelLayout,
+    calibration: Calibration,
+    *,
+    node_id: int = 5,
+    link: LinkSettings | None = None,
+    reopen: Callable[[], CanBus] | None = None,
+) -> TactileLink:
+    """Return the link to the control unit on an open bus; arguments as `open_sensor`."""
+    clock: Clock = getattr(bus, "clock", time)
+    return TactileLink(
+        bus,
+        node_id=node_id,
+        layout=layout,
+        clock=clock,
+        settings=replace(link or LinkSettings(), threaded=clock is time),
+        force_table=force_table(layout, calibration),
+        reopen=reopen,
+    )
 
 
 def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:

@@ -1,6 +1,7 @@
 """The quality of samples, judged frame by frame: frozen, stuck, dead or drifted taxels. Pure.
 
-`tactile.sensor.tare` judges untouched frames once, when the zero is taken; this goes on from there.
+`tactile.sensor.tare` judges untouched frames once, during the tare; this module judges all later
+frames.
 """
 
 from dataclasses import dataclass
@@ -17,37 +18,37 @@ from tactile.source import COUNTER_MASK, TactileFrame
 Mask = NDArray[np.bool_]
 
 _MIDDLE = 4
-"""Place of a taxel among its own 3 x 3 neighbours."""
+"""Index of a taxel among its own 3 x 3 neighbours."""
 _JUMP_SHARE, _DROP_SHARE, _CALM_SHARE = 0.5, 0.25, 0.1
-"""Of the full scale: a taxel that goes to full scale from below the first, or to 0 from above the
-second, while its neighbours change by less than the third, is broken. It is no touch: the foam
-spreads every force over the neighbours."""
+"""Shares of the full scale. A taxel is broken if it jumps to full scale from below the first, or to
+0 from above the second, while its neighbours change by less than the third. It is not a touch,
+because the foam spreads every force over the neighbours."""
 _CONSECUTIVE = 2
-"""Frames whose counters differ by no more than this are compared for jumps."""
+"""Largest difference of the counters of two frames that are compared for jumps."""
 _FALLS = 2.0
-"""Multiples of ``QualityLimits.frozen_s`` within which samples follow a force that is to fall."""
+"""Time in ``QualityLimits.frozen_s`` within which samples follow a falling set-point."""
 _ROUNDING_S = 1e-3
 """Allowance in s for the jitter of the frames' times."""
 _DRIFT_SIGMA = 6.0
-"""Standard deviations of the median by which a pad may differ from its zero by chance."""
+"""Random difference of a pad's median from its zero, in standard deviations."""
 _MEDIAN_SPREAD = 1.25
 """Standard deviation of a median over that of a mean, for normal noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualityLimits:
-    """Limits beyond which samples are refused."""
+    """Limits of valid samples."""
 
     frozen_s: float = 0.08
-    """All samples may stay identical for this long in s, where the zero has seen noise."""
+    """Longest time in s of identical samples, if the zero has noise."""
     stuck_frames: int = 25
-    """A taxel that repeats itself so often while others do not is bad."""
+    """Number of equal samples of a bad taxel, while others change."""
     force_step_n: float = 1.0
     width_step_m: float = 5e-4
-    """Without noise: identical samples are frozen ones once the wanted force has changed by so many
-    N, or the opening by so many m while the pads are touched."""
+    """Without noise: changes of the set-point in N, or of the opening in m with touched pads, after
+    which identical samples are frozen ones."""
     drift_share: float = 0.01
-    """Of the full scale: so far the untouched pads may be from their zero."""
+    """Largest distance of the untouched pads from their zero, as a share of the full scale."""
 
     def __post_init__(self) -> None:
         require_at_least(
@@ -61,7 +62,7 @@ class QualityWatch:
     Parameters
     ----------
     mean_frames
-        Frames that the tared counts are averaged over.
+        Number of frames in the mean of the tared counts.
     """
 
     def __init__(self, hood: Neighbourhood, limits: QualityLimits, mean_frames: int) -> None:
@@ -73,12 +74,12 @@ class QualityWatch:
         for pad in self._layout.gripping_pads:
             grips[self._layout.taxels_of(pad)] = True
         self._beside = np.flatnonzero(~grips)
-        """Taxels that no grasp presses: what they all do is drift."""
+        """Taxels that no grasp presses: their common change is drift."""
         self._aim = (0.0, 0.0)
         self.restart(None)
 
     def restart(self, tare: TareResult | None, last: TactileFrame | None = None) -> None:
-        """Start anew with a zero and the last frame of it, or without."""
+        """Start again with a zero and its last frame, or without."""
         n = self._layout.n_taxels
         self._tare = tare
         self._last = last
@@ -100,9 +101,9 @@ class QualityWatch:
         return bad
 
     def aim(self, force_n: float, aperture_m: float) -> None:
-        """Take the wanted force in N, 0 for none, and the opening between the pads in m.
+        """Set the set-point of the force in N, 0 for none, and the opening between the pads in m.
 
-        The first force that is wanted is the one that is there: it is no change.
+        The first set-point is the present force: it is not a change.
         """
         if self._aim[0] == 0.0:
             self._aim_at_change = (force_n, self._aim_at_change[1])
@@ -140,7 +141,7 @@ class QualityWatch:
             width_m = abs(self._aim[1] - self._aim_at_change[1]) if touched else 0.0
             if force_n < limits.force_step_n and width_m < limits.width_step_m:
                 return
-            # Friction holds a force for a while that is to fall, and a frame is of before.
+            # Friction delays a falling force, and a frame is older than the set-point.
             self._aimed_s = now_s if self._aimed_s is None else self._aimed_s
             falls = self._aim[0] < self._aim_at_change[0]
             if falls and now_s - self._aimed_s < _FALLS * limits.frozen_s - _ROUNDING_S:
@@ -154,7 +155,7 @@ class QualityWatch:
     def _look_for_jumps(
         self, before: NDArray[np.uint16], now: NDArray[np.uint16], saturated: Mask
     ) -> None:
-        """Find taxels that went to full scale or to 0 at once beside calm neighbours."""
+        """Find taxels that jumped to full scale or to 0 while their neighbours were calm."""
         full = self._layout.adc_max
         jumped = saturated & (before < _JUMP_SHARE * full)
         dropped = (now == 0) & (before > _DROP_SHARE * full)
@@ -168,21 +169,21 @@ class QualityWatch:
         self._broken[np.flatnonzero(odd)[alone & calm]] = True
 
     def drift_beside(self, tared: Values, void: Mask) -> str:
-        """Return a message if the pads that no grasp presses are from their zero, else "".
+        """Return a message if the pads that no grasp presses are not at their zero, else "".
 
         Parameters
         ----------
         tared : (n_taxels,) float64
             Tared counts, averaged.
         void : (n_taxels,) bool
-            Taxels that are bad or at full scale, which do not count.
+            Taxels that are bad or at full scale; they are ignored.
         """
         if self._tare is None:
             return ""
         return self._drift_of(self._beside, "the pads beside the grip", tared, void)
 
     def drift_anywhere(self, tared: Values, void: Mask) -> str:
-        """Return a message if a pad is from its zero while nothing grips, else "".
+        """Return a message if a pad is not at its zero without a grip, else "".
 
         Half of a pad's taxels may be touched. Parameters as `drift_beside`.
         """
@@ -209,7 +210,7 @@ class QualityWatch:
         )
 
     def _by_chance(self, taxels: NDArray[np.int64]) -> float:
-        """Return the drift in counts that noise alone may show."""
+        """Return the largest drift in counts by noise alone."""
         tare = self._tare
         if tare is None:
             return 0.0

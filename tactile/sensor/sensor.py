@@ -1,4 +1,4 @@
-"""The tactile sensor: turns the frames of a source into forces on taxels, pads and fingers."""
+"""The tactile sensor: converts the frames of a source to forces on taxels, pads and fingers."""
 
 from collections import deque
 from collections.abc import Callable
@@ -41,38 +41,38 @@ from tactile.source import (
 )
 
 _KEPT_FORCES = 1000
-"""Force messages that wait to be taken: five seconds at 200 a second; older ones are dropped."""
+"""Size of the queue of force messages: five seconds at 200 a second; older ones are dropped."""
 _LEAST_TOUCHED = 9
-"""Touched taxels of a pad at least: one and its neighbours."""
+"""Least number of touched taxels of a pad: one and its neighbours."""
 _EDGE = 1.7
-"""Taxels that the unit sums for each that the frames show as touched: it takes their neighbours in,
+"""Number of taxels that the unit sums for each touched one in the frames: it adds the neighbours,
 and their noise grows with the load (simulated cell, 1 to 8 N)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorSettings:
-    """Settings of the way from frames to forces.
+    """Settings of the conversion from frames to forces.
 
     The defaults suit 50 frames/s and one-sided noise of up to 8 % of the full scale on each taxel
-    and frame; the thresholds follow the noise that the tare finds.
+    and frame; the thresholds follow the noise of the tare.
     """
 
     mean_frames: int = 3
-    """Frames averaged: the force follows a step completely after so many."""
+    """Number of averaged frames: the force then follows a step completely."""
     touch: TouchThresholds = field(default_factory=TouchThresholds)
-    """Thresholds above which a taxel is touched."""
+    """Thresholds of touched taxels."""
     noise_floor_share: float = 0.002
-    """Noise of a taxel is taken to be at least this share of the full scale."""
+    """Least noise of a taxel as a share of the full scale."""
     gap_s: float = 0.1
-    """A longer gap between frames starts the mean anew, in s."""
+    """Longest gap between frames in the mean in s; after a longer one the mean starts again."""
     quality: QualityLimits = field(default_factory=QualityLimits)
-    """Limits beyond which samples are refused."""
+    """Limits of valid samples."""
     bad_share: float = 0.05
-    """Forces are not ok with a larger share of bad taxels on a gripping pad."""
+    """Largest share of bad taxels on a gripping pad with valid forces."""
     poll_s: float = 0.001
-    """Pause between two polls while waiting, in s."""
+    """Pause between two polls during a wait in s."""
     tare_limits: TareLimits = field(default_factory=TareLimits)
-    """Limits beyond which a zero is refused."""
+    """Limits of a zero."""
 
     def __post_init__(self) -> None:
         require_at_least(
@@ -89,7 +89,7 @@ class SensorStatistics:
     saturated_frames: int = 0
     """Frames with healthy taxels at full scale."""
     void_frames: int = 0
-    """Frames after the tare whose finger forces were not fit for control."""
+    """Frames after the tare without valid finger forces."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,7 +108,7 @@ class TactileReading:
     finger_force_n: tuple[float, float]
     """Force on the gripping pad of finger 0 and of finger 1 in N."""
     scan_force_n: tuple[float, float]
-    """The same of this frame alone, on the taxels that the last frames show as touched."""
+    """The same of this frame alone, on the taxels that were touched in the last frames."""
     active: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
     bad: NDArray[np.bool_]
@@ -117,7 +117,7 @@ class TactileReading:
     ok: bool
     """Whether the finger forces may be used for control."""
     reason: str
-    """Why not, empty if ok."""
+    """Reason if not; empty if ok."""
 
     @property
     def t_s(self) -> float:
@@ -126,14 +126,14 @@ class TactileReading:
 
 
 class TactileSensor:
-    """The tactile sensor: tares the frames of a source and turns them into forces.
+    """The tactile sensor: tares the frames of a source and converts them to forces.
 
     Parameters
     ----------
     calibration
         Counts to forces; must be for the layout's full scale.
     close_line
-        Closes the line of the source at the end of a ``with``; None where another one owns it.
+        Closes the line of the source at the end of a ``with``; None if it has another owner.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class TactileSensor:
                 f"{layout.name} has {layout.adc_max}"
             )
         self.source = source
-        """Where frames and force messages come from."""
+        """Source of frames and force messages."""
         self._close_line = close_line
         self._running = False
         self._identity: SourceIdentity | None = None
@@ -191,7 +191,7 @@ class TactileSensor:
 
     @property
     def identity(self) -> SourceIdentity | None:
-        """Device that the last start found, None before one."""
+        """Device of the last start, None before the first one."""
         return self._identity
 
     @property
@@ -201,7 +201,7 @@ class TactileSensor:
 
     @property
     def latest(self) -> TactileReading | None:
-        """The newest reading that `poll` has given, None before; its age is in its ``t_s``."""
+        """The newest reading of `poll`, None before; its ``t_s`` gives its age."""
         return self._latest
 
     @property
@@ -224,7 +224,7 @@ class TactileSensor:
         return self._running
 
     def start(self) -> SourceIdentity:
-        """Start the source; the zero of an earlier start is forgotten."""
+        """Start the source; the zero of an earlier start is discarded."""
         self._running = False
         self._reset()
         self._identity = self.source.start()
@@ -237,7 +237,7 @@ class TactileSensor:
         self.source.stop()
 
     def __enter__(self) -> Self:
-        """Start the sensor, see `start`; where that raises the line is closed."""
+        """Start the sensor, see `start`; an error closes the line."""
         try:
             self.start()
         except BaseException:
@@ -246,16 +246,16 @@ class TactileSensor:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        """Stop the source, and close the line where `open_sensor` has opened it."""
+        """Stop the source, and close the line if `open_sensor` has opened it."""
         self.stop()
         if self._close_line is not None:
             self._close_line()
 
     def poll(self) -> tuple[TactileReading, ...]:
-        """Return the readings that came since the last call, oldest first; does not wait.
+        """Return the readings since the last call, oldest first; does not wait.
 
-        Raises what the source raises, and from then on always, FrameTimeout when the samples are
-        frozen, and ForceContradicted when force messages and frames differ.
+        Raises the errors of the source, FrameTimeout for frozen samples, and ForceContradicted if
+        force messages and frames differ. Later calls raise the same error again.
         """
         if self._failed is not None:
             raise self._failed
@@ -269,16 +269,16 @@ class TactileSensor:
         return readings
 
     def take_forces(self) -> tuple[ForceMessage, ...]:
-        """Return the force messages that the polls since the last call took in, oldest first."""
+        """Return the force messages of the polls since the last call, oldest first."""
         forces = tuple(self._new_forces)
         self._new_forces.clear()
         return forces
 
     @property
     def has_forces(self) -> bool:
-        """Whether the force messages are to be used: the unit sums with the zero in use.
+        """Whether the force messages are valid: the unit sums with the present zero.
 
-        Where a taxel has failed since, frames give the force until the pads are free.
+        If a taxel has failed since, frames give the force until the pads are free.
         """
         return self._force_bad is not None and bool((self._force_bad == self._quality.bad).all())
 
@@ -302,18 +302,18 @@ class TactileSensor:
         return readings[-1]
 
     def refresh(self) -> None:
-        """Wait until the mean holds new frames alone. Raises FrameTimeout as `read`."""
+        """Wait until the mean has only new frames. Raises FrameTimeout as `read`."""
         for _ in range(self._settings.mean_frames):
             self.read()
 
     def tare(self, n_frames: int = 100, timeout_s: float = 1.0) -> TareResult:
         """Take the zero from the next ``n_frames`` frames; the pads must be untouched.
 
-        The error of the zero is the noise over the square root of ``n_frames``, and enters every
-        later force on as many taxels as are touched.
+        The error of the zero is the noise over the square root of ``n_frames``. It adds to every
+        later force, for each touched taxel.
 
-        Raises TareRefused when they are not, when the counts drift or too many taxels are bad (the
-        zero in use stays), and FrameTimeout when no frame comes for ``timeout_s``.
+        Raises TareRefused for touched pads, drifting counts or too many bad taxels; the earlier
+        zero stays. Raises FrameTimeout without a frame for ``timeout_s``.
         """
         frames: list[TactileFrame] = []
         self.poll()
@@ -364,23 +364,23 @@ class TactileSensor:
         self._force_bad = bad
 
     def aim(self, force_n: float, aperture_m: float) -> None:
-        """Take the wanted force in N and the opening between the pads in m.
+        """Set the set-point of the force in N and the opening between the pads in m.
 
-        A sensor without noise can only be seen to be frozen by samples that do not follow these.
+        Frozen samples of a sensor without noise are found only by a comparison with these.
         """
         self._quality.aim(force_n, aperture_m)
 
     def check_zero(self) -> None:
         """Compare the newest reading of untouched pads with the zero, before a grasp.
 
-        Where a taxel has failed since the zero was taken, the zero is set anew: that takes some ms.
+        If a taxel has failed since the tare, the zero is set again, which takes some ms.
 
-        Before the first tare, and before the first reading after it, there is nothing to compare.
+        Before the first tare, and before the first reading after it, nothing is compared.
 
         Raises
         ------
         ZeroDrifted
-            When a pad as a whole has moved: forces and shapes measured with this zero are wrong.
+            If a whole pad has drifted: forces and shapes measured with this zero are wrong.
         """
         if self._tare is not None and self._force_bad is not None and not self.has_forces:
             self._write_zero(self._tare)
@@ -391,7 +391,7 @@ class TactileSensor:
                 raise ZeroDrifted(drift)
 
     def _new_touch(self, tare: TareResult) -> ActiveTaxels:
-        """Return a finder of touched taxels that takes the typical noise of each pad."""
+        """Return a finder of touched taxels with the typical noise of each pad."""
         least = self._settings.noise_floor_share * self._layout.adc_max
         noise = typical_noise(self._layout, tare.noise_counts, least)
         noise /= np.sqrt(self._settings.mean_frames)
@@ -475,7 +475,7 @@ class TactileSensor:
 
     def _shown_noise_n(self, counts: Values, active: NDArray[np.bool_]) -> Values:
         """Return the noise in N of each taxel of a gripping pad in one frame; 0 if not touched."""
-        # A loaded taxel makes more force of a count than an empty one.
+        # A count is more force on a loaded taxel than on an empty one.
         slope = self._calibration.force_n(counts + 1.0) - self._calibration.force_n(counts)
         noise_n = np.zeros(len(counts))
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):

@@ -1,7 +1,7 @@
 """The tare: the zero of each taxel from untouched frames, or a refusal. Pure.
 
-A palm that rests on the sensor while it is zeroed spoils every later force, so the zero is refused
-when anything looks like a touch, and never taken or corrected by itself.
+A hand on the sensor during the tare makes every later force wrong. So the zero is refused at any
+sign of a touch, and it is never taken or corrected automatically.
 """
 
 from dataclasses import dataclass
@@ -15,10 +15,9 @@ from tactile.sensor.filters import Neighbourhood, Values, fill_bad, spatial_mean
 Mask = NDArray[np.bool_]
 
 LEAST_FRAMES = 8
-"""In fewer frames a healthy taxel may repeat itself by chance and seem to be constant."""
+"""Fewest frames: in fewer a healthy taxel may be constant by chance."""
 _NOISY_SHARE = 0.5
-"""The sensor shows noise if no more of its taxels than this share are constant: a whole pad of two
-may be dead."""
+"""Largest share of constant taxels of a sensor that shows noise: one pad of two may be dead."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,9 +29,9 @@ class TaxelHealth:
     stuck: Mask
     """(n_taxels,) bool: constant at another value while the others show noise."""
     saturated: Mask
-    """(n_taxels,) bool: constantly at full scale, whatever the others do."""
+    """(n_taxels,) bool: constantly at full scale, independent of the others."""
     noisy: bool
-    """bool: whether the sensor shows noise; without, dead and stuck taxels cannot be found."""
+    """bool: whether the sensor shows noise; without it dead and stuck taxels cannot be found."""
 
     @property
     def bad(self) -> Mask:
@@ -73,20 +72,20 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TareLimits:
-    """Limits beyond which a zero is refused; counts as shares of the full scale."""
+    """Limits of a zero; counts as shares of the full scale."""
 
     offset_share: float = 0.12
-    """No healthy taxel's mean may exceed this: pressed, or out of order."""
+    """Largest mean of a healthy taxel: above it is pressed or defective."""
     bump_share: float = 0.016
-    """No region, smoothed over 3 x 3 taxels, may stand out of its pad's median by more."""
+    """Largest excess of a region over its pad's median, smoothed over 3 x 3 taxels."""
     pad_share: float = 0.016
-    """No gripping pad's median may stand out of that of the pads that nothing grips by more:
-    something large presses it evenly. Not judged where a layout has no such pads."""
+    """Largest excess of a gripping pad's median over that of the other pads: more is a large object
+    that presses evenly. Not checked if a layout has no other pads."""
     drift_share: float = 0.024
-    """No region may differ by more between the first and the second half of the frames."""
+    """Largest difference of a region between the first and the second half of the frames."""
     bad_share: float = 0.05
-    """At most this share of the taxels of any pad may be bad; one of a pad always may, unless the
-    share is 0."""
+    """Largest share of bad taxels of a pad; one bad taxel is always allowed, unless the share is 0.
+    """
 
     def __post_init__(self) -> None:
         for name in ("offset_share", "bump_share", "pad_share", "drift_share", "bad_share"):
@@ -111,7 +110,7 @@ class TareResult:
     """Monotonic time of the last one in s."""
 
     def __repr__(self) -> str:
-        """Return the means: of hundreds of taxels the values would fill pages."""
+        """Return the means: the values of hundreds of taxels would fill pages."""
         return (
             f"TareResult(mean of {len(self.offset_counts)} taxels: offset "
             f"{self.offset_counts.mean():.2f}, noise {self.noise_counts.mean():.2f} counts; "
@@ -120,7 +119,7 @@ class TareResult:
 
 
 def too_many_bad(n_bad: int, n_taxels: int, share: float) -> bool:
-    """Return whether more taxels of a pad are bad than a share allows; 1 of a small pad may be."""
+    """Return whether a pad has more bad taxels than a share allows; a small pad may have one."""
     return n_bad > (max(1.0, share * n_taxels) if share > 0.0 else 0.0)
 
 

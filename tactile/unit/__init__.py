@@ -1,6 +1,6 @@
 """The control unit as a CANopen node, for the cell.
 
-`link` is where to start: it starts the unit and hands out frames. Its parts are `session`, `sdo`,
-`commissioning` and `supervision`; `settings` are its periods and limits; `object_dictionary` names
+`link` is the entry: it starts the unit and returns frames. Its parts are `session`, `sdo`,
+`commissioning` and `supervision`. `settings` has its periods and limits, and `object_dictionary`
 the unit's objects (``control_unit.eds``).
 """

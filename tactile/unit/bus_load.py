@@ -1,4 +1,4 @@
-"""Load of the CAN bus by a control unit: how often its frames can be sent."""
+"""Load of the CAN bus by a control unit, and the least period of its frames."""
 
 from math import inf
 
@@ -8,9 +8,9 @@ from tactile.unit.settings import WINDOW_SHARE, LinkSettings
 
 
 def message_bits(n_bytes: int) -> int:
-    """Return the longest message of an identifier of 11 bits in bits, all stuff bits included.
+    """Return the largest length in bits of a message with an identifier of 11 bits.
 
-    ISO 11898-1: 47 bits around the data, and one stuff bit for each four of those that are stuffed.
+    ISO 11898-1: 47 bits in addition to the data, and one stuff bit for four bits that are stuffed.
     """
     return 47 + 8 * n_bytes + (33 + 8 * n_bytes) // 4
 
@@ -28,15 +28,15 @@ def _frame_bits(layout: TaxelLayout) -> int:
 
 
 def bus_load(layout: TaxelLayout, settings: LinkSettings, bitrate: int) -> float:
-    """Return the largest load of a bus at ``bitrate`` bit/s as a share; above 1 it cannot be."""
+    """Return the largest load of a bus at ``bitrate`` bit/s as a share; above 1 is impossible."""
     period_bits = _frame_bits(layout) + message_bits(0)
     return period_bits / settings.sync_period_s / bitrate + _other_share(settings, bitrate)
 
 
 def least_sync_period_s(layout: TaxelLayout, settings: LinkSettings, bitrate: int) -> float:
-    """Return the least period of SYNC in s in which a frame is through; inf where none is enough.
+    """Return the least period of SYNC in s for a complete frame; inf if there is none.
 
-    The burst of a frame is to be through in the synchronous window, and all else goes before it.
+    The burst of a frame must end in the synchronous window, and all other messages have priority.
     """
     left_bits_s = bitrate * (1.0 - _other_share(settings, bitrate))
     if left_bits_s <= 0.0:

@@ -24,7 +24,7 @@ class Check:
 
     @property
     def ok(self) -> bool:
-        """Whether what was found is accepted."""
+        """Whether the found value is accepted."""
         return self.expected is None or self.expected == self.found
 
 
@@ -41,7 +41,7 @@ def read_identity(objects: ObjectAccess) -> NodeIdentity:
 
 
 def identity_checks(identity: NodeIdentity, expected: ExpectedIdentity) -> list[Check]:
-    """Return the comparison of the identity that was found with the expected one."""
+    """Return the comparison of the found identity with the expected one."""
     major = None if expected.revision is None else expected.revision >> 16
     return [
         Check(what="vendor-ID", expected=expected.vendor_id, found=identity.vendor_id),
@@ -72,11 +72,11 @@ def refuse_swapped_boards(identity: NodeIdentity, expected: ExpectedIdentity, na
 
 
 _Row = tuple[str, int, int, int]
-"""What an unsigned object is, its index and sub-index, and the value that is expected."""
+"""Name of an unsigned object, its index and sub-index, and its expected value."""
 
 
 def _read_rows(objects: ObjectAccess, rows: Iterable[_Row]) -> list[Check]:
-    """Read unsigned objects beside what is expected of them."""
+    """Read unsigned objects, and return them with their expected values."""
     return [
         Check(what=what, expected=expected, found=objects.read_unsigned(index, sub))
         for what, index, sub, expected in rows
@@ -131,9 +131,9 @@ def refuse_mismatch(checks: list[Check], name: str) -> None:
 
 
 def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
-    """Write periods and mode, drop a zero that the unit may hold, and read all of it back.
+    """Write periods and mode, clear a zero of the unit, and read back all values.
 
-    The samples stay raw: the zero is the host's, because a unit's own one clips noise at zero
+    The samples stay raw. The host applies the zero, because a zero in the unit clips noise at zero
     counts and so biases it.
     """
     # name, index, value, bytes of the object
@@ -153,10 +153,10 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
 
 
 def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, table: bytes) -> int:
-    """Write the table of counts to force and start the force messages; all of it is read back.
+    """Write the table of counts to force and start the force messages; all values are read back.
 
-    The frames move behind them: a force message must not wait for a burst of 7 ms. Returns the
-    COB-ID of the frames from now on.
+    The frames get a lower priority, because a force message must not wait for a burst of 7 ms.
+    Returns the new COB-ID of the frames.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
     frame_id = od.COB_TPDO3 + node_id
     frames, forces = od.TPDO1_PARAMETER, od.TPDO2_PARAMETER
     cob_id, timer = od.PDO_COB_ID, od.PDO_EVENT_TIMER
-    # A PDO's identifier may be changed while the PDO is off only (CiA 301, 7.5.2.37).
+    # A PDO's identifier may be changed only while the PDO is off (CiA 301, 7.5.2.37).
     objects.write_unsigned(frames, cob_id, od.PDO_INVALID | frame_id, 4)
     objects.write_unsigned(frames, cob_id, frame_id, 4)
     period_ms = round(1e3 * settings.force_period_s)

@@ -1,6 +1,6 @@
-"""The link to the control unit: starts it, supervises it, and hands out whole frames or a fault.
+"""The link to the control unit: starts it, supervises it, and returns complete frames or a fault.
 
-canopen does the SDO service; the frame messages go past it, from the raw COB-ID to the assembler.
+canopen does the SDO service; frame messages bypass it, from the raw COB-ID to the assembler.
 """
 
 from collections.abc import Callable
@@ -37,20 +37,20 @@ from tactile.unit.supervision import OPERATIONAL
 _Result = TypeVar("_Result")
 
 _TOUCH_SIGMAS = 5.0
-"""Threshold above which the unit counts a taxel, in standard deviations of what it compares."""
+"""The unit's threshold of touched taxels, in standard deviations of its mean."""
 _UNIT_GAIN = 6.0 / 16.0 * sqrt(1.0 / 7.0)
-"""Factor by which the unit's mean shrinks independent noise: binomial over 3 x 3 taxels, running
-over 4 scans."""
+"""Factor of the unit's mean on independent noise: binomial over 3 x 3 taxels, running over 4 scans.
+"""
 _TOUCH_SHARE = 0.012
-"""Least threshold as a share of the full scale: above the drift that a zero may have."""
+"""Least threshold as a share of the full scale: above the allowed drift of a zero."""
 
 
 class TactileLink:
     """One control unit on one CAN bus; implements `tactile.source.FrameSource`.
 
-    `start`, then call `poll` often: it takes in what was received, sends SYNC when due and looks
-    at all deadlines, in the caller's thread. A fault is raised at once and again by every later
-    call until `stop` and `start`. The bus stays the caller's: `stop` leaves it open.
+    `start`, then call `poll` often: it processes received messages, sends SYNC when due and checks
+    all deadlines, in the caller's thread. A fault is raised at once and again by every later call
+    until `stop` and `start`. The caller owns the bus: `stop` leaves it open.
 
     Parameters
     ----------
@@ -61,9 +61,9 @@ class TactileLink:
     clock
         Monotonic time; real time if ``settings.threaded``.
     force_table
-        Object 0x2141, the table by which the unit sums the force; None: no force messages.
+        Object 0x2141, the table for the unit's sum of the force; None: no force messages.
     reopen
-        Opens the bus anew where it was lost; without it a lost bus stays lost.
+        Opens a lost bus again; without it a lost bus stays lost.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class TactileLink:
         self.settings = settings or LinkSettings()
         """Periods and limits."""
         self._mounting = Mounting(layout, self.settings.mounts)
-        # What the unit sums is of use only where it sums the pads that grip, each as it sits.
+        # The unit's sums are valid only for the gripping pads in their mounting.
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
         self._force_table = force_table if sums else None
         self._source = self._new_source()
@@ -117,20 +117,20 @@ class TactileLink:
 
     @property
     def fault(self) -> LinkFault | None:
-        """The latched fault, None while there is none."""
+        """The latched fault, None without one."""
         return self._fault
 
     @property
     def last_frame_s(self) -> float | None:
-        """Monotonic time in s at which the last whole frame was received, None before."""
+        """Monotonic time in s of the reception of the last complete frame, None before."""
         return self._session.last_frame_s
 
     def start(self) -> NodeIdentity:
         """Reset the unit's communication, check it, set it up and start its frames.
 
-        Returns its identity when it is operational. Raises NodeMissing when it does not show up
-        in time, IdentityMismatch when it is another one, and any other LinkFault. Allowed again
-        after `stop`, which clears a latched fault.
+        Returns its identity when it is operational. Raises NodeMissing if it does not boot in time,
+        IdentityMismatch for another unit, and any other LinkFault. Allowed again after `stop`,
+        which clears a latched fault.
         """
         if self._running:
             raise LinkStateError("the link runs already: stop it before starting again")
@@ -171,7 +171,7 @@ class TactileLink:
         return replace(identity, sends_forces=session.sends_forces)
 
     def poll(self) -> Arrivals:
-        """Return the whole frames and force messages since the last call; does not wait."""
+        """Return the complete frames and force messages since the last call; does not wait."""
         self._guarded(self._session.service)
         return self._mounting.arrivals(self._session.take())
 
@@ -183,8 +183,8 @@ class TactileLink:
     def set_zero(self, zero: PadZero) -> None:
         """Write object 0x2142, the zero of the force messages, and read it back.
 
-        Does nothing where the unit sends none. Raises IdentityMismatch where the unit did not keep
-        it, and FrameTimeout where messages from before it still come after it. Takes tens of ms;
+        Does nothing if the unit sends none. Raises IdentityMismatch if the unit did not store it,
+        and FrameTimeout if messages from before the write still come after it. Takes tens of ms;
         the messages of that time are dropped.
         """
         if not self.sends_forces:
@@ -219,12 +219,12 @@ class TactileLink:
             try:
                 self._session.command("PRE-OPERATIONAL")
             except LinkFault as fault:
-                # The command does not reach the unit any more; its frames end with the SYNCs.
+                # The command does not reach the unit; its frames end without SYNCs.
                 self._fault = self._fault or fault
         self._source.close()
 
     def _guarded(self, action: Callable[[], _Result]) -> _Result:
-        """Return the result of an action that needs a sound link; a fault latches."""
+        """Return the result of an action that needs a link without a fault; a fault latches."""
         if self._fault is not None:
             raise self._fault
         if not self._running:

@@ -1,4 +1,4 @@
-"""Pads that sit otherwise than the layout has them: samples and forces in both orders. Pure."""
+"""Pads with another mounting than in the layout: samples and forces in both orders. Pure."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from tactile.source import Arrivals, ForceMessage
 
 
 class Mounting:
-    """Turns what a control unit sends into the order of the layout, and back.
+    """Converts data of a control unit to the order of the layout, and back.
 
     Raises LayoutError as `tactile.layout.taxel_order`.
 
@@ -21,7 +21,7 @@ class Mounting:
     layout
         The taxels.
     mounts
-        Pads that sit otherwise; without any, all passes through as it is.
+        Pads with another mounting; without any the data stay unchanged.
     """
 
     def __init__(self, layout: TaxelLayout, mounts: Sequence[PadMount]) -> None:
@@ -32,14 +32,14 @@ class Mounting:
         self._exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
         turns = {(one.rows_mirrored, one.columns_mirrored) for one in (first, second)}
         self.unit_can_sum = {first.sent_as, second.sent_as} == set(gripping) and len(turns) == 1
-        """Whether the unit's force messages are of use: it sums the two pads that it takes for the
-        gripping ones, and gives one centre for both."""
+        """Whether the unit's force messages are valid. It sums its own two gripping pads and sends
+        one centre for both."""
         self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
         own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
         order = own if self._order is None else self._order[own]
         place = np.full(layout.n_taxels, -1)
         place[own] = np.arange(len(own))
-        # Where the unit has each taxel of the layout's gripping pads among those that it sums.
+        # Place of each taxel of the layout's gripping pads among those that the unit sums.
         self._zero_order = place[order] if self.unit_can_sum else np.arange(len(own))
 
     def counts(self, counts: NDArray[np.uint16]) -> NDArray[np.uint16]:

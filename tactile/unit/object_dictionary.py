@@ -22,15 +22,15 @@ COB_TPDO3 = 0x380
 COB_SDO_RESPONSE = 0x580
 COB_SDO_REQUEST = 0x600
 COB_HEARTBEAT = 0x700
-"""Identifiers of the pre-defined connection set (CiA 301, 7.3.5). All but those of NMT and SYNC are
-those of a node after adding its node-ID."""
+"""Identifiers of the pre-defined connection set (CiA 301, 7.3.5). Except for NMT and SYNC, add the
+node-ID."""
 FUNCTION_BITS, NODE_BITS = 0x780, 0x07F
-"""Bits of an identifier that are its function and its node-ID."""
+"""Bits of the function and of the node-ID in an identifier."""
 
 VENDOR_ID = 0x00005443
-"""Placeholder: vendor-IDs are assigned by CiA, this one is not."""
+"""Placeholder, not assigned by CiA."""
 PRODUCT_CODE = 0x00000408
-"""The project's own choice: the number of taxels of the paper's sensor, as digits."""
+"""Chosen by this project: the number of taxels of the paper's sensor, as digits."""
 REVISION = 0x00010001
 """Major revision 1 (behaviour on the bus) in the upper 16 bits, minor revision 1 below: a unit of
 minor revision 0 has no force messages."""
@@ -40,9 +40,9 @@ ERROR_REGISTER = 0x1001
 ERROR_HISTORY = 0x1003
 SYNC_COB_ID = 0x1005
 SYNC_PERIOD_US = 0x1006
-"""U32, period of SYNC in µs as the host produces it."""
+"""U32, period of the host's SYNC in µs."""
 SYNC_WINDOW_US = 0x1007
-"""U32, synchronous window in µs: a burst that is not finished inside it is given up."""
+"""U32, synchronous window in µs: a burst that does not end in it is cut short."""
 DEVICE_NAME = 0x1008
 EMCY_COB_ID = 0x1014
 HEARTBEAT_MS = 0x1017
@@ -101,9 +101,9 @@ TARE_RESULT = 2
 TARE_FRAMES = 3
 TARE_LARGEST = 4
 TARE_SIGNATURE = int.from_bytes(b"tare", "little")
-"""U32 to write to `TARE_COMMAND`, so that no stray write takes a zero."""
+"""U32 for a tare by a write to `TARE_COMMAND`: a wrong write does not start one."""
 TARE_CLEAR_SIGNATURE = int.from_bytes(b"zero", "little")
-"""U32 to write to `TARE_COMMAND` to go back to raw counts."""
+"""U32 for raw counts by a write to `TARE_COMMAND`."""
 FORCE_MESSAGE = 0x2140
 FORCE_TABLE = 0x2141
 """Domain: table of counts to force of both gripping pads, see `tactile.frames.force_message`."""
@@ -112,7 +112,7 @@ FORCE_ZERO = 0x2142
 LAST_FRAME = 0x2200
 """Domain: the samples of the last complete frame, as in the frame messages."""
 LAST_FRAME_COUNTER = 0x2201
-"""U16: counter of the frame that the last upload of `LAST_FRAME` gave."""
+"""U16: counter of the frame of the last upload of `LAST_FRAME`."""
 
 
 class UnitTareResult(IntEnum):
@@ -129,7 +129,7 @@ class UnitTareResult(IntEnum):
 def of_node(node_id: int) -> "canopen.ObjectDictionary":
     """Return the dictionary of the EDS for a node-ID; all links and units of a process share it.
 
-    Nothing writes to it: canopen keeps the values of a node in the node.
+    It is never written: canopen stores the values of a node in the node.
     """
     import canopen  # noqa: PLC0415  settings need the constants only, and canopen is slow to load
 

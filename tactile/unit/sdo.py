@@ -1,4 +1,4 @@
-"""Object dictionary access to the control unit: reads and writes by index, its own tare."""
+"""Object dictionary access to the control unit: reads and writes by index."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,11 +13,11 @@ from tactile.errors import NodeMissing
 _NO_OBJECT = 0x0602_0000
 """SDO abort code: the object does not exist (CiA 301, 7.2.4.3.17)."""
 _ATTEMPTS = 3
-"""How often a transfer is tried when no response comes."""
+"""Number of attempts of a transfer without a response."""
 
 
 class ObjectAccess:
-    """Reads and writes objects by index; repeats what got lost; errors name object and unit."""
+    """Reads and writes objects by index; repeats lost transfers; errors name object and unit."""
 
     def __init__(self, client: PolledSdoClient, *, name: str) -> None:
         self._client = client

@@ -25,19 +25,19 @@ from tactile.unit.settings import LinkSettings
 from tactile.unit.supervision import NodeSupervisor, TrafficLimit
 
 _SURPLUS_ANSWERS = 3
-"""So many SDO answers more than requests are those of a second unit, not a message doubled once."""
+"""Surplus of SDO answers over requests that shows a second unit, not one double message."""
 _BURST_S, _LEAST_BURST = 0.05, 10.0
-"""Foreign or damaged messages of so many seconds, and at least so many, may come at once."""
+"""Foreign or damaged messages allowed at once: those of this time in s, at least this number."""
 _LATE_FORCES = 0.3
-"""Share of the force messages that may be older than the one before: of messages that are all sent
-twice, half and more are."""
+"""Allowed share of force messages that are older than the previous one. If all messages are sent
+twice, it is at least a half."""
 _LEAST_GAP = 0.9
-"""Of the period: after a late SYNC the next one waits so long, or it would cut into the burst."""
+"""Least pause after a late SYNC in periods, so that the next one does not cut into the burst."""
 _STALL_SHOWS_S = 0.2
-"""Time in s after a stall of the host in which force messages of the stall count in
-`ForceStream.behind_s`, which looks back by half of it."""
+"""Time in s after a stall of the host in which force messages of the stall still count in
+`ForceStream.behind_s`, whose window is half of it."""
 _SYNC_EARLY_S = 1e-6
-"""A caller that polls in step with SYNC must not miss it by a rounding error."""
+"""Tolerance in s for a caller that polls in step with SYNC, because of rounding errors."""
 
 
 class LinkSession:
@@ -46,7 +46,7 @@ class LinkSession:
     Parameters
     ----------
     source
-        Where its messages come from; already started.
+        Source of its messages; already started.
     """
 
     def __init__(
@@ -142,20 +142,20 @@ class LinkSession:
         )
 
     def take(self) -> Arrivals:
-        """Return what arrived since the last call, as the unit sends it."""
+        """Return frames and force messages since the last call, in the order of the unit."""
         arrived = Arrivals(tuple(self._frames), tuple(self._new_forces))
         self._frames.clear()
         self._new_forces.clear()
         return arrived
 
     def drop_forces(self) -> tuple[ForceMessage, ...]:
-        """Take the force messages that wait out of the next arrivals, and return them."""
+        """Remove the waiting force messages from the next arrivals, and return them."""
         forces = tuple(self._new_forces)
         self._new_forces.clear()
         return forces
 
     def expect_forces(self, frame_id: int) -> None:
-        """Take force messages from now on, and the frames under another COB-ID."""
+        """Accept force messages from now on, and the frames with another COB-ID."""
         self._forces = ForceStream(self._settings.force_period_s)
         self._frame_id = frame_id
         self._handlers[od.COB_TPDO2 + self._node_id] = self._on_force
@@ -166,13 +166,13 @@ class LinkSession:
         return self._forces is not None
 
     def enter_operation(self) -> None:
-        """Send SYNC from now on, and watch heartbeat, state, frames and force messages."""
+        """Send SYNC from now on, and supervise heartbeat, state, frames and force messages."""
         now_s = self._force_s = self._looked_s = self._clock.monotonic()
         self.supervisor.enter_operation(now_s)
         self._next_sync_s = now_s
 
     def leave_operation(self) -> None:
-        """Send no SYNC any more."""
+        """Stop SYNC."""
         self._next_sync_s = None
 
     def command(self, name: str) -> None:
@@ -180,10 +180,10 @@ class LinkSession:
         self._send(od.COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)))
 
     def service(self) -> None:
-        """Take in what was received, look at the deadlines, send SYNC when due.
+        """Process received messages, check the deadlines, send SYNC when due.
 
-        What this comes later than a period of SYNC after the time before is the host's own
-        lateness: all deadlines move by as much.
+        If the time since the last call exceeds a period of SYNC, the host is late. All deadlines
+        are then extended by this lateness.
         """
         late_s = self._clock.monotonic() - self._looked_s - self._settings.sync_period_s
         if self._next_sync_s is not None and late_s > 0.0:
@@ -218,7 +218,7 @@ class LinkSession:
             self._sync(now_s, self._next_sync_s)
 
     def wait_for(self, condition: Callable[[], bool], failure: str) -> None:
-        """Serve until a condition holds; NodeMissing with ``failure`` after the start-up time."""
+        """Service until a condition holds; NodeMissing with ``failure`` after the start-up time."""
         timeout_s = self._settings.startup_timeout_s
         deadline_s = self._clock.monotonic() + timeout_s
         self.service()
@@ -254,7 +254,7 @@ class LinkSession:
             handler(bytes(message.data), t_s)
 
     def _unusable_now(self) -> int:
-        """Return how many messages could not be used, damaged frame messages left out."""
+        """Return the number of unusable messages without damaged frame messages."""
         return self._malformed + self.supervisor.unusable + bad_lines(self._bus) - self._bad_lines
 
     def _check_unusable(self, now_s: float) -> None:
@@ -264,7 +264,7 @@ class LinkSession:
             self._malformed_limit.add(now_s, new)
 
     def _check_answers(self) -> None:
-        """Refuse a unit that gave more answers than it was asked for; DuplicateNode."""
+        """Raise DuplicateNode if there were more answers than requests."""
         if self._client.surplus >= _SURPLUS_ANSWERS:
             raise DuplicateNode(
                 f"{self._client.surplus} SDO answers more came from {self.name} than were asked "
@@ -299,7 +299,7 @@ class LinkSession:
         self._late_forces.add(t_s, counts.late - late)
 
     def forces_late(self, late_s: float) -> FrameTimeout:
-        """Return the error of force messages that are so many s older than they seem."""
+        """Return the error of force messages that are late by a time in s."""
         return FrameTimeout(
             f"the force messages of {self.name} come {1e3 * late_s:.0f} ms late, allowed are "
             f"{1e3 * self._settings.force_late_s:.0f} ms: the unit sends them later or more "
@@ -308,9 +308,9 @@ class LinkSession:
         )
 
     def _check_forces(self, now_s: float) -> None:
-        """Raise FrameTimeout where force messages come too late, or not for too long."""
+        """Raise FrameTimeout for late or missing force messages."""
         assert self._forces is not None
-        # All that came in a stall of the host was read at its end, and looks late for a while.
+        # Messages of a stall of the host were read at its end, and look late for a while.
         excuse_s = self._stall_s if now_s - self._stalled_s < _STALL_SHOWS_S else 0.0
         if self._forces.behind_s - excuse_s > self._settings.force_late_s:
             raise self.forces_late(self._forces.behind_s)

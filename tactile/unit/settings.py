@@ -1,6 +1,6 @@
 """Settings of the link to the control unit, and the identity of a unit.
 
-Each number is declared once, with its default and range; the config file takes both from here.
+Each number is declared once, with its default and range; the config file uses both.
 """
 
 from dataclasses import dataclass, field, fields
@@ -12,13 +12,13 @@ from tactile.source import SourceIdentity
 from tactile.unit import object_dictionary
 
 WINDOW_SHARE = 0.85
-"""Share of the period of SYNC in which the burst of a frame has to be through."""
+"""Share of the period of SYNC for the burst of a frame."""
 
 _FORCE_TIMEOUT_SYNCS, _LEAST_FORCES = 2.0, 4.0
-"""So many periods of SYNC, and of the force messages, may pass without a force message."""
+"""Allowed silence of force messages: periods of SYNC, and at least periods of these messages."""
 
 _FORCE_LATE_S, _LATE_FORCES = 0.015, 3.0
-"""Time in s, or periods of the force messages if that is more, by which all of them may be late."""
+"""Allowed delay of force messages in s, or in their periods if that is more."""
 
 
 def setting(default: Any, low: float, high: float) -> Any:
@@ -28,7 +28,7 @@ def setting(default: Any, low: float, high: float) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeIdentity(SourceIdentity):
-    """Identity object 0x1018 of the unit that answers, its name and its boards."""
+    """Identity object 0x1018 of the answering unit, its name and its boards."""
 
     vendor_id: int
     product_code: int
@@ -36,9 +36,9 @@ class NodeIdentity(SourceIdentity):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedIdentity:
-    """Which unit is accepted; None accepts any.
+    """Identity of an accepted unit; None accepts any value.
 
-    The revision's upper 16 bits (the behaviour on the bus, CiA 301) must match, the lower may not.
+    The revision's upper 16 bits (the behaviour on the bus, CiA 301) must match, the lower need not.
     """
 
     vendor_id: int | None = object_dictionary.VENDOR_ID
@@ -54,48 +54,48 @@ class LinkSettings:
     """Periods and limits of the link."""
 
     sync_period_s: float = setting(0.02, 0.001, 1.0)
-    """Period of SYNC, and so of the frames, in s."""
+    """Period of SYNC and of the frames in s."""
     sync_window_s: float | None = None
-    """The unit gives up a burst that takes longer than this, in s; at most the period. By
-    default `WINDOW_SHARE` of it."""
+    """Longest burst of the unit in s; at most the period. By default `WINDOW_SHARE` of it."""
     heartbeat_s: float = setting(0.1, 0.005, 10.0)
     """Period of the unit's heartbeat in s."""
     heartbeat_factor: float = setting(2.5, 1.0, 10.0)
-    """The heartbeat is lost after this many periods: one that is lost on the way is no fault, and
-    frames that stay away show a dead unit sooner."""
+    """The heartbeat is lost after this number of periods. One lost message is not a fault, and
+    missing frames show a dead unit earlier."""
     startup_timeout_s: float = setting(3.0, 0.01, 120.0)
-    """The unit must have booted, and later be operational, within this time in s."""
+    """Longest time in s of the boot-up, and of the change to operational."""
     sdo_timeout_s: float = setting(0.3, 0.005, 10.0)
     """Longest wait for one SDO response in s."""
     frame_timeout_periods: int = setting(3, 1, 1000)
-    """So many SYNCs without a whole frame are a fault."""
+    """Number of SYNCs without a complete frame that is a fault."""
     max_loss_rate: float = setting(0.05, 0.0, 1.0)
     loss_window_frames: int = setting(50, 1, 10_000)
-    """A larger share of frames lost among so many is a fault."""
+    """Largest share of lost frames, and the number of last frames for it."""
     late_periods: int = setting(2, 1, 1000)
-    """Frames that come so many periods later than before, three times, are a fault."""
+    """Delay of frames in periods, compared with before, that is a fault if it occurs three times.
+    """
     max_foreign_hz: float = setting(2000.0, 0.0, 1e5)
-    """So many messages of other nodes or unknown COB-IDs may come every second."""
+    """Allowed rate of messages of other nodes or unknown COB-IDs in 1/s."""
     max_malformed_hz: float = setting(20.0, 0.0, 1e5)
-    """So many damaged or unusable messages may come every second."""
+    """Allowed rate of damaged or unusable messages in 1/s."""
     error_passive_s: float = setting(0.5, 0.0, 10.0)
-    """The host's CAN controller may be error-passive for this long, in s."""
+    """Longest time in s in which the host's CAN controller may be error-passive."""
     identity: ExpectedIdentity = field(default_factory=ExpectedIdentity)
-    """Which unit is accepted."""
+    """The accepted unit."""
     force_period_s: float = setting(0.005, 0.0, 0.05)
     """Period of the force messages in s, a whole number of ms; 0: none, the force comes from
-    frames. By default that of a force loop at 200 Hz, which reads the newest one."""
+    frames. The default is that of a force loop at 200 Hz, which reads the newest one."""
     silence_s: float = setting(0.04, 0.02, 2.0)
-    """Silence in s, at least, of force messages or frames that is a fault. More than two periods of
-    SYNC is for a simulated unit that shares the processors of the host."""
+    """Least silence in s of force messages or frames that is a fault. More than two periods of SYNC
+    is for a simulated unit that shares the processors of the host."""
     mounts: tuple[PadMount, ...] = ()
-    """Pads that sit otherwise than the layout has them."""
+    """Pads with another mounting than in the layout."""
     threaded: bool = True
-    """True: a thread receives (real buses). False: `poll` asks the bus (buses in memory)."""
+    """True: a thread receives (real buses). False: `poll` reads the bus (buses in memory)."""
 
     @property
     def force_timeout_s(self) -> float:
-        """So long in s without a force message is a fault: what disturbs one frame is none."""
+        """Time in s without a force message that is a fault: longer than one disturbed frame."""
         least_s = max(
             _FORCE_TIMEOUT_SYNCS * self.sync_period_s, _LEAST_FORCES * self.force_period_s
         )
@@ -103,7 +103,7 @@ class LinkSettings:
 
     @property
     def force_late_s(self) -> float:
-        """Force messages may come so many s later than usual: a force that is older shakes."""
+        """Allowed delay of force messages in s: with an older force the control loop oscillates."""
         return max(_FORCE_LATE_S, _LATE_FORCES * self.force_period_s)
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 """Supervision of the control unit: boot-up, heartbeat, emergencies, bus errors.
 
-Time is an argument. canopen leaves this to its user: it has no heartbeat consumer, hides boot-ups
-and drops error frames. Every method raises a `LinkFault` at once when its message is one.
+Time is an argument. canopen does not supervise: it has no heartbeat consumer, hides boot-ups
+and drops error frames. Every method raises a `LinkFault` at once if its message is a fault.
 """
 
 from collections import deque
@@ -26,7 +26,7 @@ BOOT_UP = 0
 """State byte of a boot-up message (CiA 301, 7.2.8.3.3); canopen calls that state INITIALISING."""
 OPERATIONAL = COMMAND_TO_STATE[NMT_COMMANDS["OPERATIONAL"]]
 _STATE_BITS = 0x7F
-"""Bits of a heartbeat that are the state; the top bit is reserved."""
+"""Bits of the state in a heartbeat; the top bit is reserved."""
 
 ERROR_RESET = 0x0000
 WINDOW_EXCEEDED = 0xFF01
@@ -34,7 +34,7 @@ SYNC_OVERRUN = 0xFF02
 CONVERTER_FAULT = 0xFF03
 MULTIPLEXER_FAULT = 0xFF04
 ZERO_LOST = 0xFF05
-"""Emergency codes that the control unit defines itself; the first one is from CiA 301."""
+"""Emergency codes of the control unit; the first one is from CiA 301."""
 
 _EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
     {
@@ -55,32 +55,32 @@ _EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
         0x8250: "RPDO time-out",
     }
 )
-"""Emergency codes that mean one thing: the unit's own, and those of CiA 301, 7.2.7.1, that canopen
+"""Emergency codes with one meaning: those of the unit, and those of CiA 301, 7.2.7.1, that canopen
 has only as groups."""
 
 _DOUBLED_BEATS = 16
 _DOUBLED_PERIODS = 10.0
-"""So many heartbeats within so many periods are those of two units; a host that stalls for a third
-of that time sees fewer."""
+"""Number of heartbeats within a number of periods that shows two units. A host that stalls for a
+third of that time receives fewer."""
 
 _CLASS_CONTROLLER = 0x0004
 _CLASS_BUS_OFF = 0x0040
 _CLASS_RESTARTED = 0x0100
-"""Classes of error frames as SocketCAN puts them into the identifier (linux/can/error.h)."""
+"""Classes of error frames in SocketCAN's identifier (linux/can/error.h)."""
 _PASSIVE = 0x10 | 0x20
 _ACTIVE = 0x40
 """State of the controller in data byte 1 of an error frame: passive in receiving or sending."""
 
 
 def _state_name(state: int) -> str:
-    """Return the name of an NMT state as a heartbeat has it."""
+    """Return the name of an NMT state in a heartbeat."""
     if state == BOOT_UP:
         return "boot-up"
     return NMT_STATES.get(state, f"unknown state {state}").lower()
 
 
 def emergency_text(code: int) -> str:
-    """Return the meaning of an emergency code, or of its group where it has none of its own."""
+    """Return the meaning of an emergency code, or of its group if it has no own meaning."""
     exact = _EMERGENCY_TEXTS.get(code)
     if exact is not None:
         return exact
@@ -96,11 +96,11 @@ class TrafficLimit:
     what
         The messages, in the plural, for the error.
     advice
-        What to do about them.
+        Remedy.
     rate_hz
         Sustained rate allowed in 1/s.
     burst
-        Messages that may come at once.
+        Allowed number of messages at once.
     """
 
     def __init__(self, what: str, advice: str, *, rate_hz: float, burst: float) -> None:
@@ -114,7 +114,7 @@ class TrafficLimit:
         self._n = 0
 
     def add(self, t_s: float, n: int = 1) -> None:
-        """Take ``n`` messages that came at ``t_s`` s; BusDisturbed if they are too many."""
+        """Add ``n`` messages at ``t_s`` s; BusDisturbed if they are too many."""
         self._level = max(0.0, self._level - self._rate_hz * max(0.0, t_s - self._at_s))
         if self._level == 0.0 or self._since_s is None:
             self._since_s, self._n = t_s, 0
@@ -134,9 +134,9 @@ class NodeSupervisor:
     Parameters
     ----------
     heartbeat_s, heartbeat_factor
-        Period of the unit's heartbeat in s; it is lost after so many periods without one.
+        Period of the unit's heartbeat in s, and the number of periods after which it is lost.
     passive_s
-        Time in s for which the host's controller may be error-passive.
+        Longest time in s in which the host's controller may be error-passive.
     """
 
     def __init__(
@@ -161,22 +161,22 @@ class NodeSupervisor:
         self.error_frames = 0
 
     def enter_operation(self, now_s: float) -> None:
-        """Demand from now on that the unit is operational and its heartbeat goes on."""
+        """Require from now on that the unit is operational and sends its heartbeat."""
         self._in_operation = True
         self._heartbeat_at_s = now_s
 
     def wait_longer(self, late_s: float) -> None:
-        """Move all deadlines by a time in s in which the host itself did not look."""
+        """Extend all deadlines by a stall of the host in s."""
         if self._heartbeat_at_s is not None:
             self._heartbeat_at_s += late_s
         if self._passive_since_s is not None:
             self._passive_since_s += late_s
 
     def on_heartbeat(self, data: bytes, t_s: float) -> None:
-        """Take a message of COB-ID 0x700 + node."""
+        """Process a message of COB-ID 0x700 + node."""
         state = data[0] & _STATE_BITS if len(data) == 1 else None
         if state != BOOT_UP and state not in NMT_STATES:
-            # No unit is in such a state: a bit was turned on the way.
+            # This state does not exist: a bit was flipped on the bus.
             self.unusable += 1
             return
         self.state = state
@@ -208,7 +208,7 @@ class NodeSupervisor:
             )
 
     def on_emergency(self, data: bytes) -> None:
-        """Take a message of COB-ID 0x080 + node, which has exactly 8 bytes (CiA 301)."""
+        """Process a message of COB-ID 0x080 + node, which has exactly 8 bytes (CiA 301)."""
         if len(data) != EMCY_STRUCT.size:
             self.unusable += 1
             return
@@ -217,7 +217,7 @@ class NodeSupervisor:
             raise NodeEmergency(code, register, emergency_text(code), self._name)
 
     def on_error_frame(self, classes: int, data: bytes | bytearray, t_s: float) -> None:
-        """Take an error frame of the host's own CAN controller."""
+        """Process an error frame of the host's own CAN controller."""
         self.error_frames += 1
         if classes & _CLASS_BUS_OFF:
             raise BusOff(
@@ -231,7 +231,7 @@ class NodeSupervisor:
             self._passive_since_s = t_s
 
     def check(self, now_s: float) -> None:
-        """Raise the fault of a deadline that is over."""
+        """Raise the fault of a missed deadline."""
         passive_since_s = self._passive_since_s
         if passive_since_s is not None and now_s - passive_since_s >= self._passive_s:
             raise BusErrorPassive(

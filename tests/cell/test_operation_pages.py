@@ -64,7 +64,7 @@ def test_the_page_on_updates_can_be_typed(here: Path) -> None:
     assert re.search(name, printed[0])
     assert re.fullmatch(name, shown)
     assert "commissioning.html: file: 10 bytes" in printed[1]
-    assert "tactile-cell restore --undo` takes it back" in printed[2]
+    assert "tactile-cell restore --undo` reverts it" in printed[2]
     assert re.search(r"\b(ball|box)\b", printed[-1])
 
 

@@ -48,11 +48,11 @@ def test_configs_are_read_once_the_command_that_they_name_has_converted_them(
     assert "sequence.candidates: taken out" in said
     assert call("config", "check", path).startswith(f"{path}: valid")
     copy = path.with_suffix(".1.yaml")
-    assert (copy.read_text(), f"as it was: {copy}" in said) == (before, True)
+    assert (copy.read_text(), f"copy of the old file: {copy}" in said) == (before, True)
     left = path.read_text().splitlines()
     gone = [line.strip() for line in before.splitlines() if line not in left]
     assert "candidates: 8" in gone or gone == ["candidates: 24"]
-    assert call("config", "convert", path) == f"{path}: nothing is gone of it, it stays as it is\n"
+    assert call("config", "convert", path) == f"{path}: no key is obsolete, the file is unchanged\n"
 
 
 def test_grasps_models_and_recordings_are_read(files: Path) -> None:
@@ -115,7 +115,18 @@ def test_a_self_zero_is_to_be_measured_again(files: Path) -> None:
     call("zero", "-c", "small.yaml")
     said = call("doctor", "-c", "small.yaml")
     assert "pads meet at" in said
-    assert "does not count" not in said
+    assert "is not used" not in said
+
+
+def test_an_archive_is_read_and_added_to(tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet"
+    shutil.copytree(HERE / "archive-1", fleet)
+    call("archive", "export", fleet, "-o", tmp_path / "some.npz", "--object", "ball")
+    with np.load(tmp_path / "some.npz") as found:
+        assert found["label"].tolist() == ["ball"] * 4
+    said = call("archive", tmp_path / "some.npz", "--to", fleet)
+    assert "0 grasps of 1 files added" in said
+    assert "4 grasps were there already" in said
 
 
 def later(kind: Format) -> str:
@@ -187,6 +198,11 @@ LATER: dict[str, tuple[Format, Callable[[Format], object], tuple[str, ...]]] = {
         formats.RETENTION,
         lambda kind: later_text(Path("out/recordings.json"), kind),
         ("recordings", "list", "out"),
+    ),
+    "archive": (
+        formats.ARCHIVE,
+        lambda kind: later_text(Path("fleet/_archive.json"), kind),
+        ("archive", "export", "fleet", "-o", "some.npz"),
     ),
 }
 

@@ -210,7 +210,7 @@ def test_a_mesh_is_refused_or_has_heights(tmp_path, data, words, harm):
 def test_a_mesh_of_other_bytes_is_refused(tmp_path: Path, text: bytes) -> None:
     path = tmp_path / "x.stl"
     path.write_bytes(text)
-    with pytest.raises(SimulatorSettingsError, match="cannot be read as STL"):
+    with pytest.raises(SimulatorSettingsError, match="neither a text STL"):
         load_mesh(path)
 
 

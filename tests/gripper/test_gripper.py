@@ -230,7 +230,7 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> 
     cell = make_cell(part=make_part(stiffness_n_m=50_000.0))
     cell.sensor.gain = 0.0
     cell.gripper.start()
-    with pytest.raises(GripContradicted, match="the pads feel nothing"):
+    with pytest.raises(GripContradicted, match="the pads show no force"):
         cell.gripper.grasp(RAMP)
     assert 0.5 < cell.peak_n < 8.0
     cell.clock.sleep(1.0)

@@ -57,7 +57,7 @@ def test_each_transaction_ends_whatever_chatters(cell, pattern) -> None:
     cell.device.faults.chatter = pattern
     for _ in range(5):
         began_s = cell.clock.monotonic()
-        with pytest.raises(BusCorrupt, match=r"the servo line did not fall quiet.* no packet"):
+        with pytest.raises(BusCorrupt, match=r"the servo line did not become quiet.* no packet"):
             cell.bus.read(1, PRESENT_POSITION)
         assert cell.clock.monotonic() - began_s < 0.6
     with cell.bus.in_loop():
@@ -76,6 +76,6 @@ def test_each_transaction_ends_whatever_chatters(cell, pattern) -> None:
 def test_a_start_on_a_line_of_another_device_names_what_was_heard(cell, pattern) -> None:
     cell.device.faults.silent.update({1, 2})
     cell.device.faults.chatter = pattern
-    with pytest.raises(BusCorrupt, match=r"the servo line did not fall quiet.* no packet"):
+    with pytest.raises(BusCorrupt, match=r"the servo line did not become quiet.* no packet"):
         cell.gripper.start()
     assert cell.clock.monotonic() < 2.0

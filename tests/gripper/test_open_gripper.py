@@ -68,7 +68,7 @@ def test_a_gripper_that_cannot_be_leaves_no_port_open() -> None:
 def test_a_line_that_is_cut_is_a_lost_port() -> None:
     with simulated_cell() as sim, open_gripper(sim.servo_port) as gripper:
         sim.inject("servos.unplugged")
-        with pytest.raises(PortLost, match="the simulated cable is out"):
+        with pytest.raises(PortLost, match="the simulated cable is unplugged"):
             gripper.read_feedback()
 
 

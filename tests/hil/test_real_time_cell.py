@@ -158,7 +158,7 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
 
     said = run("doctor", *config, code=1)
     assert "warn servo torque: servo 1 has its torque on; servo 2 has its torque on" in said
-    assert f"a part may be in the grip: let go of it with `{release}`" in said
+    assert f"a part may be in the grip: release it with `{release}`" in said
     assert "fail control unit: CAN interface" in said
     said = run("clear", *config)
     assert "NOTE: CAN interface" in said
@@ -168,7 +168,7 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     simulator.inject("servos.unplugged")
     said = run("doctor", *config, code=1)
     assert "fail servo torque: cannot open serial port" in said
-    assert "whether a part is held is not known" in said
+    assert "it is unknown whether a part is held" in said
     assert "warn pads' force: about " in said
     assert "a part may be held" in said
     assert "cannot open serial port" in run("release", "--confirm", *config, code=1)

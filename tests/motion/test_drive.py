@@ -95,7 +95,7 @@ def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive: MakeDriv
         ("shut", AxisFault, "left OPERATION ENABLED for READY TO SWITCH ON"),
         ("stopped", AxisNotOperational, "NMT state stopped, .* another CANopen master"),
         ("pre-operational", AxisNotOperational, "NMT state pre-operational, .* another CANopen"),
-        ("twice", AxisDuplicated, "SDO answers more came .* a second drive has the same node-ID"),
+        ("twice", AxisDuplicated, "SDO answers more than .* a second drive has the same node-ID"),
         ("short", AxisAnswerWrong, "sends (6041|1000)h:0 with a length of 1 instead of [24] bytes"),
         ("no state", AxisAnswerWrong, "sends the statusword 0001h, which is no state of CiA 402"),
         ("jump", PositionImplausible, r"reads a position of \d{4}.\d\d mm, its limits are -20.00"),
@@ -167,7 +167,7 @@ def test_of_two_drives_with_one_node_id_none_is_enabled(bench: DriveBench) -> No
     bench.second_drive()
     bench.clock.sleep(BOOT_S)
     for _ in range(2):
-        with pytest.raises(AxisDuplicated, match=r"more came from axis x \(drive 11\)"):
+        with pytest.raises(AxisDuplicated, match=r"axis x \(drive 11\) sent \d+ SDO answers"):
             bench.move(0.0)
         assert bench.simulated.state is State.SWITCH_ON_DISABLED
 

@@ -1,8 +1,8 @@
 """The command line: arguments and printing, no logic.
 
-`app` lists the commands and makes exit codes of errors; each command is a file of its own in
-`commands`. `options` holds what several of them take, `session` the cell that they run, `signals`
-what Ctrl-C does to it, `terminal` what is printed.
+`app` lists the commands and turns errors into exit codes. Each command has its own file in
+`commands`. `options` holds shared options, `session` runs the cell, `signals` handles Ctrl-C,
+`terminal` prints.
 """
 
 import signal
@@ -15,8 +15,8 @@ __all__ = ["main"]
 def main() -> None:
     """Run the command line and end the program with its exit code.
 
-    Ctrl-C ends with exit code 1 wherever it comes, once or again and again: Python itself would
-    end by the signal, or with the error of whatever was just being loaded.
+    Ctrl-C always ends the program with exit code 1, also when it is pressed repeatedly. Without
+    this, Python would end by the signal, or with an error of the module that was being loaded.
     """
     interrupted = False
 
@@ -25,7 +25,7 @@ def main() -> None:
         interrupted = True
         raise KeyboardInterrupt
 
-    text = "interrupted before anything began"
+    text = "interrupted before the command started"
     try:
         if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
             signal.signal(signal.SIGINT, on_ctrl_c)
@@ -47,6 +47,6 @@ def main() -> None:
 
 
 def _ignore_signals() -> None:
-    """Let nothing change the exit code any more: the interpreter takes a moment to end."""
+    """Ignore signals: they must not change the exit code while the interpreter ends."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

@@ -8,15 +8,18 @@ import typer
 
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.commands import (
+    archive,
     backup,
     calibrate,
     clear,
     commission,
+    compare,
     config,
     doctor,
     evaluate,
     identify,
     install,
+    plot,
     recordings,
     recover,
     release,
@@ -36,7 +39,7 @@ from gripper.errors import GripperError
 from tactile.errors import TactileError
 
 _ENDED_BY_CTRL_C = 130
-"""Exit code with which typer ends where Ctrl-C came, without a word."""
+"""Exit code of typer after Ctrl-C; typer prints no message."""
 
 app = typer.Typer(
     name="tactile-cell",
@@ -78,6 +81,7 @@ for command in (
     release.release,
     clear.clear,
     evaluate.evaluate,
+    compare.compare,
     report.report,
     replay.replay,
     recover.recover,
@@ -92,6 +96,8 @@ for command in (
     app.command()(command)
 app.add_typer(config.app, name="config")
 app.add_typer(recordings.app, name="recordings")
+app.add_typer(archive.app, name="archive")
+app.add_typer(plot.app, name="plot")
 
 
 def main() -> None:
@@ -107,14 +113,14 @@ def main() -> None:
     except (CellError, GripperError, TactileError) as error:
         _fail(str(error), 1)
     except OSError as error:
-        # A full disk behind the output, no more open files: the system's word is all there is.
-        from cell.fault_catalogue import error_text  # noqa: PLC0415  help takes no notice of it
+        # For example a full disk, or too many open files: only the system's message is known.
+        from cell.fault_catalogue import error_text  # noqa: PLC0415  help does not need it
 
         _fail(error_text(error), 1)
 
 
 def _fail(text: str, code: int) -> NoReturn:
-    """Print why, and end; one more Ctrl-C meanwhile changes nothing."""
+    """Print the error and end; another Ctrl-C has no effect."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from cell.interfaces.cli.terminal import (  # noqa: PLC0415
         discard_unwritable_output,

@@ -1,4 +1,4 @@
-"""The commissioning wizard in a terminal: questions, choices by number, values that run."""
+"""The commissioning wizard in a terminal: questions, choices by number, live values."""
 
 import select
 import sys
@@ -10,13 +10,13 @@ from cell.commissioning.engine import Dialog, Engine, Question, Step, leave
 from cell.interfaces.cli.terminal import ask, out, plain_text, print_line
 
 _LEAVE = "q"
-"""Answer with which a person leaves."""
+"""Answer that leaves the wizard."""
 _LOOK_S = 0.1
-"""Time in s between two readings of a running value."""
+"""Time in s between two readings of a live value."""
 _LINE_START = "\r\x1b[2K"
-"""Back to the start of an emptied line (ECMA-48: CR, EL)."""
+"""Clears the line and returns to its start (ECMA-48: CR, EL)."""
 _LINE_UP, _SAVE, _RESTORE = "\x1b[1A", "\x1b7", "\x1b8"
-"""One line up (ECMA-48: CUU); the place of the cursor kept and taken up again (DECSC, DECRC)."""
+"""One line up (ECMA-48: CUU); save and restore the place of the cursor (DECSC, DECRC)."""
 SKETCHES = {
     "linkage-parallel": r"""
          ## ##          ##      ##
@@ -34,14 +34,14 @@ SKETCHES = {
           | |             \    /
           o o              o  o""",
 }
-"""Pictures of the wizard for a terminal, by their names: closed on the left, open on the right."""
+"""Pictures of the wizard for a terminal, by name: closed on the left, open on the right."""
 _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
 
 
 class TerminalDialog(Dialog):
     """Implements `cell.commissioning.engine.Dialog` on standard input and output.
 
-    With ``approved`` no write is asked for.
+    With ``approved`` all writes are approved without a question.
     """
 
     def __init__(self, *, approved: bool = False) -> None:
@@ -49,13 +49,13 @@ class TerminalDialog(Dialog):
         self._running = False
 
     def start_step(self, step: Step, number: int, count: int) -> None:
-        """Print which step begins."""
+        """Print the step that begins."""
         self._end_line()
         out.print(f"\n[bold]{number}/{count} {plain_text(step.title)}[/]")
         print_line(step.purpose)
 
     def found(self, step: Step, finding: Finding) -> None:
-        """Print what a step found."""
+        """Print the finding of a step."""
         self._end_line()
         verdict = finding.status
         out.print(f"[{_COLOURS[verdict]}]{verdict.value}[/] {plain_text(step.title)}")
@@ -68,14 +68,14 @@ class TerminalDialog(Dialog):
         print_line(text)
 
     def live(self, name: str, value_text: str) -> None:
-        """Print a value over its previous one; nothing where no terminal is."""
+        """Print a value over its previous one; without a terminal print nothing."""
         if out.is_terminal:
             out.file.write(f"{_LINE_START}{_one_line(f'{name} {value_text}')}")
             out.file.flush()
             self._running = True
 
     def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
-        """Ask until the answer is one; raises `WizardAborted` at q and at the end of input."""
+        """Ask until the answer is valid; raises `WizardAborted` at q and at the end of input."""
         self.say(question.text)
         for number, choice in enumerate(question.choices or (), start=1):
             mark = " (Enter)" if choice.key == question.default else ""
@@ -88,22 +88,22 @@ class TerminalDialog(Dialog):
                 return answer
 
     def approve(self, writes: Sequence[ProposedChange]) -> None:
-        """Print the writes, and ask for each batch of them once."""
+        """Print a batch of writes and ask once for approval."""
         self._end_line()
         for write in writes:
             print_line(f"  {write.where}: {write.what}: {write.before} -> {write.after}")
         for undo in dict.fromkeys(write.undo for write in writes):
-            print_line(f"  way back: {undo}")
+            print_line(f"  undo: {undo}")
         while not self._approved:
             typed = self._typed("Do this? y, or n to leave: ").lower()
             if typed in {"y", "yes"}:
                 return
             if typed in {"n", "no"}:
-                leave("refused, nothing of it was done")
+                leave("refused; nothing was written or moved")
 
     def finished(self, engine: Engine, files: Sequence[Path]) -> None:
-        """Print what was wrong with the cell, and what was written."""
-        print_line("Was wrong, and is set right now:" if engine.corrected else "Nothing was wrong.")
+        """Print the errors that were corrected, and the files that were written."""
+        print_line("Errors found and corrected:" if engine.corrected else "No errors were found.")
         for line in engine.corrected:
             print_line(f"  {line}")
         print_line(f"commissioned: {', '.join(map(str, files))}")
@@ -114,11 +114,11 @@ class TerminalDialog(Dialog):
         return self._typed(f"{_LEAVE} leaves{unit}{default}> ", watch)
 
     def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
-        """Return what is typed; above it runs what ``watch`` returns."""
+        """Return the typed line; the line above shows what ``watch`` returns."""
         shown = watch is not None and out.is_terminal
         out.print(("\n" if shown else "") + plain_text(prompt), end="", soft_wrap=True)
         try:
-            # A signal that comes just before the reading begins would wait for a line to be typed.
+            # A signal just before the read would otherwise wait until a line is typed.
             while not _input_waits():
                 text = "" if watch is None else watch()
                 if shown:
@@ -132,7 +132,7 @@ class TerminalDialog(Dialog):
         return typed
 
     def _answer(self, question: Question, typed: str) -> str | float | None:
-        """Return the answer that was typed; None, with a word, where it is none."""
+        """Return the typed answer; None, with a message, if it is not valid."""
         if not typed and question.default is not None:
             return question.default
         if question.choices is not None:
@@ -161,14 +161,14 @@ class TerminalDialog(Dialog):
 
 
 def _input_waits() -> bool:
-    """Wait for input, for 0.1 s; return whether there is some, or its end."""
+    """Wait 0.1 s for input; return whether there is input, or the end of it."""
     try:
         return bool(select.select([sys.stdin], [], [], _LOOK_S)[0])
     except (OSError, ValueError):
-        # No file of the system's: it does not wait.
+        # The input is no file of the system: reading it does not wait.
         return True
 
 
 def _one_line(text: str) -> str:
-    """Return a text that fits on one line of the terminal: a longer one could not be taken back."""
+    """Return a text cut to one line of the terminal: a longer text could not be overwritten."""
     return "".join(sign for sign in text.strip() if sign.isprintable())[: out.width - 1]

@@ -1,15 +1,16 @@
-"""Options that several commands share. They load nothing heavy: help and completion read them."""
+"""Options that several commands share. Imports stay light: help and completion load this file."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from recognition.recognizers import trainer_names
+from cell.errors import ConfigError
+from cell.plugins import RECOGNISERS
 
 
 def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
-    """Return the option ``--output`` of a file whose name has to end so."""
+    """Return the option ``--output`` of a file whose name must end with ``suffix``."""
 
     def checked(path: Path | None) -> Path | None:
         if path is not None and path.suffix != suffix:
@@ -23,7 +24,7 @@ def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
 
 
 FOLDER_CONFIG = Path("tactile-cell.yaml")
-"""The config file that is used where it lies in the folder and none is named."""
+"""Config file that is used if it is in the current folder and no other file is named."""
 
 
 def _or_of_folder(path: Path | None) -> Path | None:
@@ -91,18 +92,43 @@ GaugeShapeOption = Annotated[
     str | None,
     typer.Option("--gauge-shape", help="Shape of the gauge [default: the object of its label]."),
 ]
+CellsOption = Annotated[
+    list[str] | None, typer.Option("--cell", help="Only grasps of this cell; repeat for several.")
+]
+DaysOption = Annotated[
+    str | None,
+    typer.Option("--days", help="Only grasps of a day or of FIRST..LAST, as 2027-01-15 (UTC)."),
+]
+ObjectsOption = Annotated[
+    list[str] | None,
+    typer.Option("--object", help="Only grasps of this object; repeat for several."),
+]
+MostOption = Annotated[
+    int,
+    typer.Option(
+        "--most", min=3, help="Grasps of each object that are taken of an archive, at random."
+    ),
+]
+MOST_GRASPS = 400
+"""Grasps of each object that are taken of an archive where nothing else is asked for."""
+JobsOption = Annotated[
+    int, typer.Option("--jobs", min=0, help="Processes that share the work, 0: one for each core.")
+]
+SchedulerOption = Annotated[
+    str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to use.")
+]
 SplitOption = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
 ]
 
 
 def known_recognizers(names: list[str] | None) -> list[str] | None:
-    """Return the names of recognisers. Raises typer.BadParameter for one that there is not."""
+    """Return the names of recognisers. Raises typer.BadParameter for an unknown name."""
     for name in names or ():
-        if name not in trainer_names():
-            raise typer.BadParameter(
-                f"no recogniser is named {name!r}; there are {', '.join(trainer_names())}"
-            )
+        try:
+            RECOGNISERS.entry(name)
+        except ConfigError as error:
+            raise typer.BadParameter(str(error)) from error
     return names
 
 
@@ -114,6 +140,8 @@ def _known_recognizer(name: str) -> str:
 RecognizerOption = Annotated[
     str,
     typer.Option(
-        "--recognizer", help=f"One of {', '.join(trainer_names())}.", callback=_known_recognizer
+        "--recognizer",
+        help="Its kind, as doctor lists them with --plugins.",
+        callback=_known_recognizer,
     ),
 ]

@@ -1,4 +1,4 @@
-"""The service manager: systemd learns over its socket when the cell is ready, works, and stops."""
+"""The service manager: reports to systemd when the cell is ready, works, and stops."""
 
 import os
 import socket
@@ -8,11 +8,11 @@ from contextlib import suppress
 from math import inf
 
 _FEEDS = 4
-"""Messages to the watchdog within its time: three may be lost or late."""
+"""Messages to the watchdog within its time-out: three may be lost or late."""
 
 
 class ServiceManager:
-    """Sends states as sd_notify(3) does; without its environment variables nothing is sent."""
+    """Sends states as sd_notify(3) does; without its environment variables it sends nothing."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         address = environment.get("NOTIFY_SOCKET", "")
@@ -44,7 +44,7 @@ class ServiceManager:
 
     def _send(self, state: str) -> None:
         if self._address:
-            # A manager that is gone or takes nothing is no fault of the cell.
+            # If the service manager is gone or does not read, the cell has no fault.
             with (
                 suppress(OSError),
                 socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as link,

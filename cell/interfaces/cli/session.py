@@ -1,4 +1,4 @@
-"""The cell of a command: which one it is, its start, and the grip that outlasts an early end."""
+"""The cell of a command: its config, its start, and the message when it ends early."""
 
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,19 +51,18 @@ def cell_config(
     faults: Sequence[str] | None = None,
     simulate: bool = False,
 ) -> CellConfig:
-    """Return the config of the cell that a command is for, and print which cell that is.
+    """Return the config of the cell of a command, and print which cell it is.
 
-    Raises ConfigError as `load_config`; or if there are faults for real ports: real hardware gets
-    none.
+    Raises ConfigError as `load_config`, or if faults are given for real ports.
 
     Parameters
     ----------
     file
         Its config file; None for the built-in simulated cell.
     seed, faults
-        Another seed, and faults of the simulated cell beside the config's own.
+        Another seed, and faults of the simulated cell in addition to those of the config.
     simulate
-        Whether the cell is simulated whatever its ports are.
+        Whether to simulate the cell even if the config names real ports.
     """
     config = load_config(file)
     if file is None:
@@ -83,14 +82,14 @@ def with_faults(
 ) -> CellConfig:
     """Return a config with further faults of its simulated cell, as `cell_config`.
 
-    They are for what the command does: no daily self-zero at its start meets them before.
+    The daily self-zero at the start is left out, so that it does not meet these faults.
     """
     if not faults:
         return config
     if not (config.simulated or simulate):
         raise ConfigError(
-            f"--fault {faults[0]} is for the simulated cell, and {config.name} has real "
-            "ports: give it to `tactile-cell simulate`, or leave it out"
+            f"--fault {faults[0]} is for the simulated cell, but {config.name} has real "
+            "ports: use it with `tactile-cell simulate`, or leave it out"
         )
     added = {"faults": (*config.simulator.faults, *faults)}
     changes: dict[str, Any] = {"simulator": config.simulator.model_copy(update=added)}
@@ -110,16 +109,16 @@ def release_command(config_file: Path) -> str:
 
 
 def clear_command(config_file: Path) -> str:
-    """Return the command that restarts the servos at fault in the cell of that config file."""
+    """Return the command that restarts the servos with faults in the cell of that config file."""
     return f"tactile-cell clear --config {shlex.quote(str(config_file))} --reboot"
 
 
 @contextmanager
 def cell_of_earlier_run(config: CellConfig) -> Iterator[Cell]:
-    """Build a cell that is not started, of which a line may be missing; nobody moves the object."""
+    """Build a cell without starting it; a line may be missing, and no object is moved."""
     cell = build_cell(config, mover=lambda _pose: False, ask=ask, partial=True)
     for text in cell.missing:
-        print_note(f"{text}; what needs it is left out")
+        print_note(f"{text}; steps that need it are left out")
     try:
         with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
             yield cell
@@ -140,7 +139,7 @@ class RunningCell:
     def run(
         self, goal: Goal, on_progress: Callable[[dict[str, Any]], None] = lambda _progress: None
     ) -> Any:
-        """Do a job with its bar and return its result. Raises as `TactileCellPlugin.run`."""
+        """Run a job, show its bar, return its result. Raises as `TactileCellPlugin.run`."""
 
         def shown(progress: dict[str, Any]) -> None:
             on_progress(progress)
@@ -166,10 +165,10 @@ def running_cell(
 ) -> Iterator[RunningCell]:
     """Start a cell, stop it on signals, close it at the end.
 
-    Prints how punctual the force loop was. A run that ends early raises CellError with what became
-    of the grip, where the recording lies and, on real ports, the command that lets go; it writes
-    the same, and the health of loop and links, to ``json_file``. A job that is done has an answer
-    although its recording failed: the caller shows it, then calls
+    At the end it prints the timing of the force loop. A run that ends early raises CellError. Its
+    text names the state of the grip, the recording and, on real ports, the command that lets go.
+    ``json_file`` gets the same text, and the health of loop and links. If only the recording
+    failed, the job still has an answer: the caller shows it, then calls
     `TactileCellPlugin.check_recording`.
 
     Parameters
@@ -177,19 +176,19 @@ def running_cell(
     config
         The cell.
     job, out_folder
-        Name of the job's new folder for recording and reports, and where that is made: None is
-        the config's folder.
+        Name of the job's new folder for recording and reports, and its parent folder; None: the
+        folder of the config.
     config_file
         The file that ``config`` was read from.
     json_file
-        Where the reason of an early end goes as JSON.
+        File for the reason of an early end, as JSON.
     cell
-        Model and more, as `TactileCellPlugin` takes them.
+        Model and further arguments of `TactileCellPlugin`.
 
     Raises
     ------
     CellError
-        What ended the run early, or that the folder cannot be made.
+        If the run ends early, or the folder cannot be created.
     """
     folder = job_folder(out_folder or Path(config.recording.directory), job)
     plugin = TactileCellPlugin(config, folder=folder, ask=ask, note=print_note, start=False, **cell)
@@ -239,7 +238,7 @@ def running_cell(
 
 
 def show_steps(show: Progress, progress: Mapping[str, Any]) -> None:
-    """Show the bar of a job by its progress: grasps or parts that are over, of how many."""
+    """Show the bar of a job: finished grasps or parts, and their total."""
     if done := progress.get("parts", progress.get("grasps", 0) + progress.get("missed", 0)):
         task = " ".join(filter(None, (progress["task"], progress.get("label") or "")))
         show(progress["task"] if progress["task"] == "sort" else task, done, progress["of"])
@@ -247,7 +246,7 @@ def show_steps(show: Progress, progress: Mapping[str, Any]) -> None:
 
 @contextmanager
 def _closing(plugin: TactileCellPlugin) -> Iterator[None]:
-    """Close the cell at the end, after Ctrl-C too; print how punctual its loop was."""
+    """Close the cell at the end, also after Ctrl-C; print the timing of its loop."""
     try:
         yield
     finally:

@@ -10,13 +10,13 @@ from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LOOK_S = 0.1
-"""Time in s between two looks whether the parent is still there."""
+"""Time in s between two checks that the parent process exists."""
 
 INTERRUPTED = "interrupted"
 NOTHING_LET_GO = "; nothing was let go"
-"""What follows where a cell may hold a part and no command is there to let it go."""
+"""End of the message if a cell may hold a part and no command can let it go."""
 END_WITHIN_S = 0.4
-"""Time that a second signal leaves for closing files; what takes longer is cut off."""
+"""Time in s for closing files after a second signal; then the program ends."""
 
 
 @contextmanager
@@ -25,19 +25,19 @@ def stopping(
 ) -> Iterator[None]:
     """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt.
 
-    With ``end_within_s`` the second signal is answered at once on standard error, with what is
-    ``left`` behind. This program ends so long after it with exit code 1, whatever it does then;
-    further signals change nothing. What was recorded can be recovered, and the grip is kept.
+    With ``end_within_s`` the second signal prints an error at once, followed by ``left``. After
+    that time the program ends with exit code 1; further signals have no effect. The recording can
+    be recovered, and the grip is kept.
 
-    The death of the process that started this one counts as a signal. A program that was started
-    with SIGHUP ignored (``nohup``) is meant to outlive terminal and parent, and does.
+    The end of the parent process counts as a signal. A program that was started with SIGHUP
+    ignored (``nohup``) keeps running without terminal and parent.
     """
     seen = 0
 
     def on_signal(_number: int, _frame: FrameType | None) -> None:
         nonlocal seen
         seen += 1
-        cancel()  # also by the second: it may interrupt the first before its call
+        cancel()  # the second signal may interrupt the first before this call
         if seen > 1:
             if end_within_s is not None:
                 for number in watched:
@@ -59,7 +59,7 @@ def stopping(
         yield
     finally:
         over.set()
-        # A program that ends by the clock is not held up by a third signal.
+        # A third signal must not delay a program that is about to end.
         if seen < 2 or end_within_s is None:
             for number, handler in before.items():
                 signal.signal(number, handler)
@@ -67,9 +67,9 @@ def stopping(
 
 @contextmanager
 def as_interrupts() -> Iterator[None]:
-    """Within the block the first signal raises KeyboardInterrupt, and further ones change nothing.
+    """Within the block the first signal raises KeyboardInterrupt; further signals are ignored.
 
-    What cleans up behind it (servos that were moving go limp) is not interrupted once more.
+    So they cannot interrupt the clean-up, which switches off the torque of moving servos.
     """
 
     def on_signal(_number: int, _frame: FrameType | None) -> None:
@@ -88,12 +88,12 @@ def as_interrupts() -> Iterator[None]:
 
 
 def _end_after(timeout_s: float) -> None:
-    """End this program with exit code 1 after a time, also where it hangs outside the interpreter.
+    """End this program with exit code 1 after a time, even if it hangs outside the interpreter.
 
-    The clock of `faulthandler` needs no interpreter, and its exit code is 1. Its list of what the
-    threads do is for nobody here.
+    The timer of `faulthandler` needs no interpreter, and its exit code is 1. Its stack traces are
+    discarded.
     """
-    nowhere = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)  # as long as the program lasts
+    nowhere = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)  # stays open until the end
     faulthandler.dump_traceback_later(timeout_s, exit=True, file=nowhere)
 
 

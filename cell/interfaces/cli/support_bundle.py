@@ -1,4 +1,4 @@
-"""The support bundle: what somebody needs who helps from afar, without secrets."""
+"""The support bundle: files for remote support, without secrets."""
 
 import platform
 import re
@@ -28,28 +28,28 @@ from cell.interfaces.access import read_secret, view_token
 from cell.interfaces.cli.system_files import NAME
 
 REMOVED = "removed"
-"""What stands in the place of a secret."""
+"""Text that replaces a secret."""
 _SECRET_KEY = re.compile(r"token|secret|password|tls_key", re.IGNORECASE)
-"""Keys whose values are removed; where they name a file, the name too."""
+"""Keys whose values are removed; names of files are removed too."""
 _TOKEN_IN_TEXT = re.compile(r"""(token["']?[=:]\s*["']?|bearer\s+)[\w.~+/=-]+""", re.IGNORECASE)
 """A token in an address, a header or JSON."""
 _RECORDINGS = 5
-"""Newest recordings whose faults are listed."""
+"""Number of newest recordings whose faults are listed."""
 _FAULTS = 50
-"""Newest faults of each of them."""
+"""Number of newest faults of each recording."""
 _LINES = 2000
-"""Newest lines of the journal."""
+"""Number of newest lines of the journal."""
 _PATIENCE_S = 5.0
-"""Longest wait for the service, and for the journal, in s."""
+"""Longest wait in s for the service, and for the journal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A file of the bundle, and what people read about it."""
+    """A file of the bundle, with a note for people."""
 
     name: str
     content: bytes | Path
-    """Bytes, or a file to be copied."""
+    """Bytes, or the path of a file to copy."""
     note: str
 
 
@@ -69,7 +69,7 @@ def write_bundle(
     recordings
         Folder of the recordings.
     limit_bytes
-        Largest size of the newest recording in bytes; a larger one is left out.
+        Largest size in bytes of the newest recording; a larger recording is left out.
     """
     members = tuple(_members(config, recordings, limit_bytes))
     secrets = _secrets(config.serve)
@@ -87,7 +87,7 @@ def write_bundle(
 
 
 def without_secrets(content: bytes, secrets: tuple[str, ...]) -> bytes:
-    """Return a text without known secrets, and without anything that is written as a token."""
+    """Return a text without known secrets, and without anything in the form of a token."""
     text = content.decode(errors="replace")
     for secret in secrets:
         text = text.replace(secret, REMOVED)
@@ -95,7 +95,7 @@ def without_secrets(content: bytes, secrets: tuple[str, ...]) -> bytes:
 
 
 def without_secret_keys(section: BaseModel) -> BaseModel:
-    """Return a config without the values of all keys that name secrets."""
+    """Return a config without the values of keys that name secrets."""
     changes: dict[str, Any] = {}
     for key, value in section:
         if isinstance(value, BaseModel):
@@ -106,7 +106,7 @@ def without_secret_keys(section: BaseModel) -> BaseModel:
 
 
 def _secrets(serve: ServeConfig) -> tuple[str, ...]:
-    """Return the secrets of a config; those whose file this user may not read are not known."""
+    """Return the secrets of a config, except for files that this user may not read."""
     found = []
     for name in filter(None, (serve.token_file, serve.secret_file)):
         with suppress(ConfigError, OSError):
@@ -132,7 +132,7 @@ def _members(config: CellConfig, recordings: Path, limit_bytes: int) -> Iterator
         if size <= limit_bytes:
             yield Member("recording.mcap", newest, str(newest))
         else:
-            text = f"{newest}: {size} bytes are more than the limit of {limit_bytes}; left out\n"
+            text = f"{newest}: left out, {size} bytes exceed the limit of {limit_bytes}\n"
             yield Member("recording.txt", text.encode(), text.strip())
 
 
@@ -145,7 +145,7 @@ def _versions() -> dict[str, Any]:
 
 
 def _asked(serve: ServeConfig, path: str) -> bytes:
-    """Return what the running service answers, or why there is no answer."""
+    """Return the answer of the running service, or the reason why there is none."""
     if not serve.http_port:
         return b"serve.http_port is not set: the service was not asked\n"
     any_address = ip_address(serve.listen).is_unspecified
@@ -153,7 +153,7 @@ def _asked(serve: ServeConfig, path: str) -> bytes:
     link = HTTPConnection(host, serve.http_port, timeout=_PATIENCE_S)
     try:
         if serve.tls_certificate:
-            # The certificate is the cell's own and names its host, not this address.
+            # The certificate belongs to the cell and names its host, not this address.
             context = ssl.create_default_context(cafile=serve.tls_certificate)
             context.check_hostname = False
             link = HTTPSConnection(host, serve.http_port, timeout=_PATIENCE_S, context=context)
@@ -168,7 +168,7 @@ def _asked(serve: ServeConfig, path: str) -> bytes:
 
 
 def _journal() -> bytes:
-    """Return the newest lines of the service's journal, or why there are none."""
+    """Return the newest lines of the service's journal, or the reason why there are none."""
     if shutil.which("journalctl") is None:
         return b"this machine has no journalctl\n"
     command = ["journalctl", "-u", NAME, "-n", str(_LINES), "--no-pager", "-o", "short-iso"]
@@ -180,7 +180,7 @@ def _journal() -> bytes:
 
 
 def _faults(recording: Path) -> list[dict[str, Any]] | str:
-    """Return the newest faults of a recording, or why it cannot be read."""
+    """Return the newest faults of a recording, or the reason why it cannot be read."""
     try:
         return [
             content

@@ -13,31 +13,31 @@ from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
 
 NAME = "tactile-cell"
-"""Name of the service, of its user and of its folder in /var/lib."""
+"""Name of the service, its user and its folder in /var/lib."""
 STATE_FOLDER = Path("/var/lib", NAME)
-"""Where the service runs and writes."""
+"""Working folder of the service; it writes here."""
 RULES_FILE = Path("/etc/udev/rules.d/99-tactile-cell.rules")
 USER_FILE = Path("/etc/sysusers.d/tactile-cell.conf")
 UNIT_FILE = Path("/etc/systemd/system/tactile-cell.service")
-"""The three files."""
+"""Files that are installed: udev rules, user, systemd unit."""
 AFTER_WRITING = (
     "systemd-sysusers",
     "udevadm control --reload && udevadm trigger",
     "systemctl daemon-reload && systemctl enable --now tactile-cell",
 )
-"""Commands that put them into use."""
+"""Commands that activate the files."""
 BEFORE_REMOVING = ("systemctl disable --now tactile-cell",)
 AFTER_REMOVING = ("systemctl daemon-reload && udevadm control --reload",)
-"""Commands around their removal."""
+"""Commands before and after the files are removed."""
 _CHIPS = "0403|10c4|1a86"
-"""USB vendors whose serial adapters brltty takes for braille displays: FTDI, Silicon Labs, WCH."""
+"""USB vendors whose adapters brltty mistakes for braille displays: FTDI, Silicon Labs, WCH."""
 _UNIT = """\
 # A cell that names parts by touch. Made by `tactile-cell install`.
 [Unit]
 Description=tactile-cell, the robot cell that names parts by touch
 Wants=network-online.target
 After=network-online.target
-# It starts again as often as it ends: whoever supervises it looks at the fault.
+# It always starts again, without a limit. A supervisor looks at the fault.
 StartLimitIntervalSec=0
 
 [Service]
@@ -51,28 +51,28 @@ Environment=XDG_CACHE_HOME=/var/cache/{name}
 User={name}
 SupplementaryGroups=dialout
 
-# Ready when clients can command. The first start of the built-in cell teaches its objects before.
+# Ready when clients can command. Before that, the first start of the built-in cell teaches objects.
 TimeoutStartSec=180
-# Fed only while the thread of the cell works. The signal ends the cell in order, grip kept.
+# Fed only while the thread of the cell works. The signal ends the cell; the grip is kept.
 WatchdogSec=30
 WatchdogSignal=SIGTERM
 
-# The force loop is a second process. It freezes the grip, and disarms the bus watchdog of the
-# servos, before it ends. So no process may be killed before it had its time for that:
-# "control-group" sends SIGTERM to both and SIGKILL after TimeoutStopSec. "mixed" would send
-# SIGKILL to the force loop at the moment in which the main process dies.
+# The force loop is a second process. Before it ends it freezes the grip and disarms the bus
+# watchdog of the servos. No process may be killed before that: "control-group" sends SIGTERM to
+# both, and SIGKILL after TimeoutStopSec. "mixed" would send SIGKILL to the force loop as soon as
+# the main process ends.
 KillMode=control-group
 KillSignal=SIGTERM
 TimeoutStopSec=45
 OOMPolicy=continue
 OOMScoreAdjust=-500
-# A start with the part in the grip moves nothing and waits for `clear` and `release`.
+# A start with a part in the grip moves nothing and waits for `clear` and `release`.
 Restart=on-failure
 RestartSec=2
-# 2: wrong use or a wrong config, which a further start does not mend.
+# 2: wrong use or a wrong config, which another start does not correct.
 RestartPreventExitStatus=2
 
-# The force loop asks for SCHED_FIFO and locked memory.
+# The force loop requests SCHED_FIFO and locked memory.
 LimitRTPRIO=99
 LimitMEMLOCK=infinity
 
@@ -107,7 +107,7 @@ def system_files(
     Parameters
     ----------
     config, config_file
-        The cell, and its file; None is the built-in simulated cell.
+        The cell, and its file; None: the built-in simulated cell.
     options
         Further options of `serve`.
     """
@@ -126,7 +126,7 @@ def _rules(config: CellConfig) -> Iterator[str]:
     yield "# Serial adapters of a tactile cell. Made by `tactile-cell install`."
     yield "# The latency timer of FTDI adapters: 16 ms by default, too long for the force loop."
     yield udev_rule().partition(" in ")[0]
-    yield "# brltty takes such adapters for braille displays, and their ports away."
+    yield "# brltty mistakes these adapters for braille displays and takes their ports."
     yield (
         f'SUBSYSTEM=="usb", ENV{{BRLTTY_BRAILLE_DRIVER}}=="?*", ATTR{{idVendor}}=="{_CHIPS}", '
         'ENV{BRLTTY_BRAILLE_DRIVER}="", ENV{SYSTEMD_WANTS}=""'
@@ -134,10 +134,10 @@ def _rules(config: CellConfig) -> Iterator[str]:
     for role, key, port in _serial_ports(config):
         identity = usb_identity(port)
         if identity is None:
-            yield f"# {key}: {port} is no USB adapter that is connected now; it gets no name."
+            yield f"# {key}: {port} is no connected USB adapter; it gets no name."
         else:
             match = ", ".join(f'ENV{{{name}}}=="{value}"' for name, value in identity.items())
-            yield f"# {key}: /dev/{NAME}/{role}, whatever else is connected."
+            yield f"# {key}: always /dev/{NAME}/{role}."
             yield f'SUBSYSTEM=="tty", {match}, SYMLINK+="{NAME}/{role}"'
 
 
@@ -153,9 +153,9 @@ def _serial_ports(config: CellConfig) -> Iterator[tuple[str, str, str]]:
 
 
 def usb_identity(port: str, sys_folder: Path = Path("/sys")) -> dict[str, str] | None:
-    """Return the udev properties that identify a USB adapter; None where the port is of none.
+    """Return the udev properties that identify a USB adapter; None for any other port.
 
-    An adapter without serial number is identified by the socket that it is plugged into.
+    An adapter without serial number is identified by its USB socket.
     """
     tty = Path(port).resolve().name
     device = (sys_folder / "class/tty" / tty / "device").resolve()
@@ -173,7 +173,7 @@ def usb_identity(port: str, sys_folder: Path = Path("/sys")) -> dict[str, str] |
         found["ID_USB_INTERFACE_NUM"] = value(interface, "bInterfaceNumber")
     if not (usb / "serial").is_file():
         return found | {"DEVPATH": f"*/{usb.name}/*"}
-    # As udev writes it: other signs than these become underscores.
+    # As udev writes it: other characters become underscores.
     serial = "".join(s if s.isalnum() or s in "#+-.:=@_" else "_" for s in value(usb, "serial"))
     return found | {"ID_SERIAL_SHORT": serial}
 
@@ -212,7 +212,7 @@ def program() -> list[str]:
 
 
 def closed_to_others(path: Path) -> Path | None:
-    """Return the first of a file and its folders that other users may not read; None for none."""
+    """Return the first folder, or the file, that other users may not read; None: all readable."""
     path = path.resolve()
     folders = reversed(path.parents)
     closed = (one for one in folders if one.exists() and not one.stat().st_mode & S_IXOTH)
@@ -221,7 +221,7 @@ def closed_to_others(path: Path) -> Path | None:
 
 
 def _can_commands(config: CellConfig) -> Iterator[list[str]]:
-    """Yield the commands of root that bring a SocketCAN interface up; they may be done already."""
+    """Yield the commands that bring a SocketCAN interface up, as root; it may be up already."""
     if config.tactile.interface == "socketcan":
         link = [shutil.which("ip") or "/usr/sbin/ip", "link", "set", config.tactile.channel]
         bitrate = str(config.tactile.bitrate)
@@ -230,6 +230,6 @@ def _can_commands(config: CellConfig) -> Iterator[list[str]]:
 
 
 def _quoted(word: str) -> str:
-    """Return a word of a command as systemd reads it back: %, $, quotes and blanks are plain."""
+    """Return a word of a command quoted for systemd, which then reads %, $ and blanks as text."""
     word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{word}"' if any(sign in " \\\"';" for sign in word) else word

@@ -26,7 +26,7 @@ from cell.errors import CellError, ConfigError
 
 
 class _LossyStream:
-    """A stream whose other end may be gone: what it does not take is lost."""
+    """A stream whose other end may be gone; text that cannot be written is dropped."""
 
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
@@ -45,7 +45,7 @@ class _LossyStream:
 
 
 class _LossyConsole(Console):
-    """Console for what no job depends on: a terminal that is gone or full raises nothing."""
+    """Console for texts that no job needs: a closed or full terminal raises no error."""
 
     @property
     def file(self) -> IO[str]:
@@ -64,27 +64,27 @@ err = _LossyConsole(stderr=True, highlight=False)
 
 
 def _shown(text: str) -> str:
-    """Return a text with escapes for signs that a terminal would obey."""
+    """Return a text with escaped control characters."""
     return "".join(
         sign if sign.isprintable() or sign in "\n\t" else repr(sign)[1:-1] for sign in text
     )
 
 
 def plain_text(text: str) -> str:
-    """Return a text of whatever origin as one that a terminal and `rich` show, and do not obey."""
+    """Return any text so that terminal and `rich` show it, without control codes and markup."""
     return escape(_shown(text))
 
 
 def print_line(text: str) -> None:
-    """Print one line of result; square brackets are no markup."""
+    """Print one line of result; square brackets are plain text."""
     out.print(plain_text(text), soft_wrap=True)
 
 
 def print_table(table: Table) -> None:
-    """Print a table; each row as one plain line where the terminal is too narrow or there is none.
+    """Print a table; without a terminal, or on a narrow one, each row is one plain line.
 
-    Above these lines stands the name of the first column. A line names the column before each
-    value, and leaves out what is empty or 0.
+    The name of the first column is above these lines. A line names the column before each value
+    and omits values that are empty or 0.
     """
     if (
         out.is_terminal
@@ -107,19 +107,19 @@ def print_error(text: str) -> None:
 
 
 def print_cell(text: str) -> None:
-    """Print which cell a command is for, on standard error: other programs read the results."""
+    """Print the cell of a command on standard error: other programs read standard output."""
     err.print(f"cell: {plain_text(text)}", soft_wrap=True)
 
 
 def print_page(address: str) -> None:
-    """Print the address of the page, for a person to open, on standard error."""
+    """Print the address of the page on standard error."""
     err.print(f"[bold]page:[/] {plain_text(address)}", soft_wrap=True)
 
 
 def print_view(address: str, note: str) -> None:
-    """Print the address of the page for a second person, who only watches, on standard error.
+    """Print the view-only address of the page on standard error.
 
-    A terminal shows its QR code too, where other machines reach it; ``note`` says why none does.
+    A terminal also shows its QR code if other machines reach it; else ``note`` gives the reason.
     """
     err.print(f"[bold]view only:[/] {plain_text(address)}", soft_wrap=True)
     if note:
@@ -136,10 +136,10 @@ def print_note(text: str) -> None:
 
 
 def ask(text: str) -> str:
-    """Ask the person at the terminal; return the line typed. Raises EOFError at the end of input.
+    """Ask at the terminal and return the typed line. Raises EOFError at the end of input.
 
-    A pipe is read past Python's buffer: a program that ends while a thread still waits in the
-    buffer is ended by an abort.
+    A pipe is read without Python's buffer: Python aborts if it ends while a thread waits in the
+    buffer.
     """
     text = _shown(text)
     stdin = sys.__stdin__
@@ -157,7 +157,7 @@ def ask(text: str) -> str:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """Draw a bar on standard error for each task that a job names; see `cell.jobs.common`."""
+    """Draw a bar on standard error for each task of a job; see `cell.jobs.common`."""
     columns = (
         TextColumn("{task.description:<22}"),
         BarColumn(bar_width=32),
@@ -176,9 +176,9 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def write_json(path: Path | None, data: Any) -> None:
-    """Write a result as JSON, null for what is no number; without a path nothing.
+    """Write a result as JSON, null for NaN; without a path nothing.
 
-    Raises CellError where it cannot.
+    Raises CellError if the file cannot be written.
     """
     if path is None:
         return
@@ -190,7 +190,7 @@ def write_json(path: Path | None, data: Any) -> None:
 
 
 def print_or_write(text: str, path: Path | None, what: str) -> None:
-    """Print a whole text as it is, or write it to a file. Raises ConfigError where it cannot."""
+    """Print a text, or write it to a file. Raises ConfigError if it cannot be written."""
     if path is None:
         typer.echo(text, nl=False)
     else:
@@ -199,7 +199,7 @@ def print_or_write(text: str, path: Path | None, what: str) -> None:
 
 
 def percent(share: float, interval: tuple[float, float] | None = None) -> str:
-    """Return a share in per cent, with its 95 % interval where one is given."""
+    """Return a share in per cent, with its 95 % interval if one is given."""
     text = f"{100 * share:.1f} %"
     if interval is not None:
         text += f" ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})"
@@ -207,14 +207,14 @@ def percent(share: float, interval: tuple[float, float] | None = None) -> str:
 
 
 def discard_unwritable_output() -> None:
-    """Point standard output and standard error to nowhere where they take nothing.
+    """Redirect standard output and standard error to the null device if they cannot be written.
 
-    Else the interpreter tries again at its end, and prints an error of its own.
+    Otherwise the interpreter tries again at its end and prints its own error.
     """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for number, stream in ((1, sys.stdout), (2, sys.stderr)):
         try:
-            # A program that was started without them has none.
+            # A program may have been started without these streams.
             if stream is not None:
                 stream.flush()
         except OSError:

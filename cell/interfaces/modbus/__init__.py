@@ -1,1 +1,1 @@
-"""Modbus TCP: the interface for PLCs. `protocol` is the codec and server, `registers` the map."""
+"""Modbus TCP: the interface for PLCs. `protocol`: codec and server, `registers`: register map."""

@@ -16,13 +16,13 @@ from cell.interfaces.access import ConnectionPlaces, notice_dead_peers
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE, DEVICE_BUSY = 1, 2, 3, 4, 6
 """Exception codes."""
 _HEADER = struct.Struct(">HHHB")
-"""Transaction, protocol (0), bytes that follow with the unit, unit."""
+"""Transaction, protocol (0), number of following bytes including the unit, unit."""
 _LONGEST = 254
-"""Largest length of a header: unit and a request of 253 bytes."""
+"""Largest length field of a header: unit and a request of 253 bytes."""
 _MOST_READ, _MOST_WRITE, _MOST_BOTH = 125, 123, 121
 """Most registers of functions 3 and 4, of 16, and of the write of 23."""
 _ONE_OBJECT, _LAST_BASIC, _CONFORMITY = 4, 2, 0x82
-"""Code of a request for one object; the last basic object; regular objects, all or one by one."""
+"""Code of a request for one object; last basic object; conformity level: regular objects."""
 _OBJECTS_MAX, _OBJECT_MAX = 246, 100
 """Most bytes of all objects in an answer, and of the text of one."""
 _IDLE_S = 120.0
@@ -30,7 +30,7 @@ _IDLE_S = 120.0
 
 
 class ModbusError(Exception):
-    """A request is answered with an exception code."""
+    """A request gets an exception code as answer."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"Modbus exception {code}")
@@ -51,11 +51,11 @@ class Registers(Protocol):
         """Write holding registers, all or none."""
 
     def disconnected(self) -> None:
-        """Take note that the connection has ended."""
+        """Handle the end of the connection."""
 
 
 def answer(request: bytes, registers: Registers) -> bytes:
-    """Return the answer to a request (PDU); one that is not understood gets an exception."""
+    """Return the answer to a request (PDU); an invalid request gets an exception code."""
     function = request[0] if request else 0
     try:
         return bytes((function,)) + _carry_out(function, request[1:], registers)
@@ -80,7 +80,7 @@ def _carry_out(function: int, body: bytes, registers: Registers) -> bytes:
         case 23:
             address, count, to, n_written = _words(body[:8], 4)
             written = _values(body[8:], n_written, _MOST_BOTH)
-            _read(registers, 3, address, count)  # what cannot be read refuses the write too
+            _read(registers, 3, address, count)  # an invalid read refuses the write too
             registers.write(to, written)
             return _read(registers, 3, address, count)
         case 43:
@@ -90,7 +90,7 @@ def _carry_out(function: int, body: bytes, registers: Registers) -> bytes:
 
 
 def _identification(body: bytes, objects: Mapping[int, str]) -> bytes:
-    """Return the objects that a request for the device identification (type 14) asks for."""
+    """Return the objects of a request for the device identification (type 14)."""
     if body[:1] != b"\x0e":
         raise ModbusError(ILLEGAL_FUNCTION)
     if len(body) != 3 or body[1] not in (1, 2, 3, 4):
@@ -102,7 +102,7 @@ def _identification(body: bytes, objects: Mapping[int, str]) -> bytes:
         asked = [first]
     else:
         asked = [one for one in objects if code > 1 or one <= _LAST_BASIC]
-        asked = [one for one in asked if one >= first] or asked  # an unknown one: from the first
+        asked = [one for one in asked if one >= first] or asked  # an unknown object: all of them
     found = b""
     following = 0
     for count, one in enumerate(asked):
@@ -141,18 +141,18 @@ def _read(registers: Registers, function: int, address: int, count: int) -> byte
 
 
 class ModbusServer:
-    """Serves registers over TCP, on an event loop in a thread of its own.
+    """Serves registers over TCP, on an event loop in its own thread.
 
     Raises OSError if it cannot listen there.
 
     Parameters
     ----------
     address, port
-        Where it listens; port 0 takes any free one.
+        Where it listens; port 0: any free port.
     connect
         Returns the registers for a client at that host; None refuses it.
     request_timeout_s
-        Longest time in s for the rest of a request, and to take its answer.
+        Longest time in s for the rest of a request, and for the client to take its answer.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class ModbusServer:
             self._thread.join()
 
     async def _run(self, address: str, port: int, started: "Future[int]") -> None:
-        """Listen until the end; connections that are left are then cancelled with the loop."""
+        """Listen until `close`; the end of the loop cancels the remaining connections."""
         self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
         try:
             server = await asyncio.start_server(self._serve, address, port)
@@ -202,8 +202,8 @@ class ModbusServer:
         notice_dead_peers(writer.get_extra_info("socket"))
         self._places.enter(writer.transport, peer[0])
         try:
-            # What is torn off, late or no Modbus ends the connection: nothing can be told from it.
-            # Cancelled at the end of the server is an end as well as any.
+            # Incomplete, late or invalid bytes end the connection: the next request cannot be
+            # located. So does the end of the server.
             with suppress(
                 asyncio.IncompleteReadError, TimeoutError, OSError, asyncio.CancelledError
             ):
@@ -216,7 +216,7 @@ class ModbusServer:
     async def _one_request(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, registers: Registers
     ) -> bool:
-        """Answer one request; False where the bytes are no Modbus."""
+        """Answer one request; return False if the bytes are not Modbus."""
         async with asyncio.timeout(_IDLE_S):
             first = await reader.readexactly(1)
         async with asyncio.timeout(self._request_timeout_s):

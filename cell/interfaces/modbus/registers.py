@@ -1,7 +1,7 @@
 """The register map of the cell over Modbus, and the handshake of commands.
 
-All values have 16 bits, so that no word order matters. A command runs once, when `COMMAND_SEQ`
-changes; a client that connects anew first writes the acknowledged number. The page
+All values have 16 bits, so the word order does not matter. A command runs once, when `COMMAND_SEQ`
+changes. After a reconnect a client first writes the acknowledged number. The page
 ``docs/reference/modbus.md`` describes the map.
 """
 
@@ -30,46 +30,45 @@ from cell.service.service import JobView, Service
 from recognition.recognizer import UNKNOWN
 
 SIGNATURE = 0x5443
-"""First input register ("TC"): a host that reads 0x4354 has its bytes swapped."""
+"""First input register ("TC"): a host that reads 0x4354 swaps the bytes."""
 
 LIFE, COMMAND, OBJECT, FORCE, GRASPS, OPTIONS, KEY, HOLD, COMMAND_SEQ = range(9)
-"""Holding registers. `OBJECT`: also the number of the pose (40, 41) and the parts to sort (24)."""
+"""Holding registers. `OBJECT` is also the number of the pose (40, 41) or of parts to sort (24)."""
 N_HOLDING, N_INPUT = 9, 136
 SECRET_AT, N_SECRET = 32, 32
-"""Holding registers of the secret: written and never read."""
+"""First holding register and number of registers of the secret, which cannot be read."""
 TEXT_AT, REFUSAL_AT, N_LONG_TEXT = 32, 64, 32
-"""First input registers of the fault's text and of the last refusal's; registers of each."""
+"""First input registers of the texts of fault and last refusal; number of registers of each."""
 KEEP_ALWAYS, KEEP_NAMED = 1, 2
-"""Bits of `OPTIONS`: keep the part; keep it only where it was named."""
+"""Bits of `OPTIONS`: keep the part; keep it only if it was named."""
 REBOOT = 4
-"""Bit of `OPTIONS`: `clear` restarts servos at fault."""
+"""Bit of `OPTIONS`: `clear` restarts servos with a fault."""
 
 _REGISTERS = {"grasps": GRASPS, "max_grasps": GRASPS, "parts": OBJECT, "key": KEY}
-"""Holding register of each field of a command that stands there as it is."""
+"""Holding registers of fields that need no conversion."""
 READY, REMOTE, RUNNING, DONE, REFUSED, FAULT, HOLDING, NO_PART, LOST, UNNAMED, NEEDS_RESET = (
     1 << bit for bit in range(11)
 )
 ON_HOLD, NOT_RECORDED = 1 << 11, 1 << 12
-"""Bits of the third input register; `REMOTE`: the lease is with Modbus, `ON_HOLD`: some client
-keeps the cell on hold, `HOLDING`: a part may be in the grip, `NOT_RECORDED`: the recording has
-stopped."""
+"""Bits of the third input register; `REMOTE`: Modbus has the lease, `ON_HOLD`: a client keeps the
+cell on hold, `HOLDING`: a part may be in the grip, `NOT_RECORDED`: the recording has stopped."""
 
 
 NOT_MEASURED = 0x8000
-"""Force, opening and temperature that are not measured: -32768 as two's complement."""
+"""Force, opening or temperature that is not measured: -32768 as two's complement."""
 OLDEST_MS = 0x7FFF
-"""Age in ms of what is older, or was never measured: too old for every host, signed or not."""
+"""Largest age in ms, also of values never measured: large for signed and unsigned readers."""
 ANSWERED, ANSWER_UNKNOWN, ANSWER_KEPT = 1, 2, 4
-"""Bits of the last identification: it has an answer; that is UNKNOWN; its part was kept."""
+"""Bits of the last identification: it has an answer; the answer is UNKNOWN; the part was kept."""
 
 
 def _two(value: float, unit: float) -> int:
-    """Return a value in units as 16 bit, two's complement, limited to what fits."""
+    """Return a value in units as 16 bit, two's complement, limited to the range of a register."""
     return max(-0x7FFF, min(0x7FFF, round(value / unit))) & 0xFFFF
 
 
 def _word(value: Value, found: Any) -> int:
-    """Return a value as it stands in its register; numbers begin anew after 65535."""
+    """Return a value as register; numbers wrap around after 65535."""
     if value.kind is int:
         return (found or 0) & 0xFFFF
     if ".live." not in value.source:
@@ -80,7 +79,7 @@ def _word(value: Value, found: Any) -> int:
 
 
 def _text(text: str, n_registers: int = N_LONG_TEXT) -> list[int]:
-    """Return the beginning of a text, two characters a register."""
+    """Return the beginning of a text, two characters per register."""
     shown = text.encode("ascii", "replace")[: 2 * n_registers].ljust(2 * n_registers, b"\0")
     return list(struct.unpack(f">{n_registers}H", shown))
 
@@ -141,8 +140,8 @@ def input_registers(
 class ModbusInterface:
     """The cell behind Modbus TCP; one connection at a time writes.
 
-    Raises OSError if it cannot listen at the configured address and port, or the file of the secret
-    be read, and ConfigError if the secret is too short or too long.
+    Raises OSError if it cannot listen at the configured address and port, or cannot read the file
+    of the secret, and ConfigError if the secret is too short or too long.
     """
 
     def __init__(self, service: Service) -> None:
@@ -166,7 +165,10 @@ class ModbusInterface:
         }
         self._secret = read_secret(config.secret_file) if config.secret_file else ""
         if len(self._secret) > 2 * N_SECRET:
-            raise ConfigError(f"{config.secret_file}: Modbus carries {2 * N_SECRET} characters")
+            raise ConfigError(
+                f"{config.secret_file}: a secret for Modbus has at most {2 * N_SECRET} characters, "
+                f"not {len(self._secret)}"
+            )
         self._server = ModbusServer(
             config.listen,
             config.modbus_port or 0,
@@ -186,7 +188,7 @@ class ModbusInterface:
         if address + count > (N_HOLDING if function == 3 else N_INPUT):
             raise ModbusError(ILLEGAL_ADDRESS)
         if function == 3:
-            self._holding[HOLD] = client.hold  # each client has its own
+            self._holding[HOLD] = client.hold  # each client has its own hold
             return self._holding[address : address + count]
         everything = input_registers(
             self._service,
@@ -207,7 +209,7 @@ class ModbusInterface:
             raise ModbusError(ILLEGAL_ADDRESS)
         new = dict(enumerate(values, start=address))
         if HOLD in new:
-            # First of all, and whoever writes it: a hold counts in a block that is refused, too.
+            # First, and for any client: a hold also works in a block that is refused.
             client.hold = new[HOLD]
             if client.hold:
                 self._service.begin_hold(client, client.name, connected=True)
@@ -219,7 +221,7 @@ class ModbusInterface:
         self._holding[address : address + len(values)] = values
         seq = new.get(COMMAND_SEQ, self._seq)
         if seq != self._seq:
-            # Taken note of before it runs: whatever becomes of it, it does not run again.
+            # Noted before it runs: so it never runs again, whatever its result.
             self._seq = seq
             refusal = self._run()
             self._result = refusal.number
@@ -228,7 +230,7 @@ class ModbusInterface:
             self._holding[KEY] = 0
 
     def disconnected(self, client: "_Client") -> None:
-        """Keep the lease for a client of the same host until its time is over, and its hold."""
+        """Keep the hold of this client, and the lease for its host until the lease expires."""
         self._service.leave_hold(client)
         if client is self._owner:
             self._owner = None
@@ -252,7 +254,7 @@ class ModbusInterface:
         known = mine and client is self._owner and self._synchronous
         seq = new.get(COMMAND_SEQ)
         if seq is not None and not known and seq != self._seq:
-            # A block that is left from an earlier connection must not run again.
+            # A block of an earlier connection must not run again.
             client.refuse(RequestRefused(f"write {self._seq} to register 8 first, as acknowledged"))
             raise ModbusError(ILLEGAL_VALUE)
         try:
@@ -269,14 +271,14 @@ class ModbusInterface:
             client.refuse(error)
             raise ModbusError(DEVICE_BUSY) from None
         if client is not self._owner:
-            # What another connection left half written counts for nothing.
+            # Registers that another connection wrote in part are discarded.
             self._holding = [0] * N_HOLDING
             self._holding[COMMAND_SEQ] = self._seq
         self._owner, self._host = client, client.host
         self._synchronous = known or seq is not None
 
     def _run(self) -> Refusal:
-        """Carry the command out and return why it is refused; number 0 where it is not."""
+        """Carry the command out and return its refusal; number 0: not refused."""
         asked = self._holding
         service, number = self._service, asked[COMMAND]
         try:
@@ -312,16 +314,16 @@ class _Client:
         self.disconnected = partial(interface.disconnected, self)
 
     def refuse(self, error: CellError) -> None:
-        """Take note why an exception answers a request of this client."""
+        """Store the reason of the exception that answers a request of this client."""
         self.refusal = Refusal.of(error)
 
 
 _COMMANDS = {number: command for command in COMMANDS for number in command.numbers}
-"""Command of each number; beside them 4 hold, 40 pose reached, 41 pose refused."""
+"""Command of each number; further numbers: 4 hold, 40 pose reached, 41 pose refused."""
 
 
 def _field(service: Service, asked: Sequence[int], name: str) -> Any:
-    """Return a field of a command, as the registers of the host have it."""
+    """Return a field of a command from the registers of the host."""
     match name:
         case "label":
             if not 1 <= asked[OBJECT] <= len(service.labels):

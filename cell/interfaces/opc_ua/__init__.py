@@ -1,1 +1,1 @@
-"""OPC UA, extra ``opcua``: `interface` is the interface, `server` checks the rights of clients."""
+"""OPC UA, extra ``opcua``: `interface` has nodes and methods, `server` the rights of clients."""

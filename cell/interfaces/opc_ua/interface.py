@@ -1,4 +1,4 @@
-"""OPC UA: the interface for plants that browse (SCADA, MES, controllers); nodes and methods."""
+"""OPC UA: the interface for SCADA, MES and controllers; nodes and methods."""
 
 import asyncio
 import inspect
@@ -25,7 +25,7 @@ from cell.service.service import Service, Snapshot
 NAMESPACE = "urn:tactile-cell:cell"
 """Namespace of the nodes; their ids are their paths, as ``Cell.Job.Label``."""
 PERIOD_S = 0.1
-"""Time in s between two looks at the cell: no value changes more often."""
+"""Time in s between two updates of the values."""
 _INT, _REAL, _TEXT = ua.VariantType.Int32, ua.VariantType.Double, ua.VariantType.String
 _TYPES = {bool: ua.VariantType.Boolean, int: _INT, float: _REAL, str: _TEXT}
 NODES: dict[str, tuple[ua.VariantType, str]] = {
@@ -36,12 +36,12 @@ NODES: dict[str, tuple[ua.VariantType, str]] = {
     "Taxels": (ua.VariantType.UInt16, "Counts of the newest frame"),
     **{one.node: (_TYPES[one.kind], one.text) for one in REFUSAL},
 }
-"""Type and text of each variable by its path; what is not there at the moment has a bad status."""
+"""Type and text of each variable by its path; a missing value has a bad status."""
 ARRAYS = ("Identification.Labels", "Pose.Value", "Taxels")
 """Paths of variables that are arrays."""
 FAULT_EVENT, SHUTDOWN_EVENT = "CellFault", "CellShutdown"
-"""Event types, sent by the object Server: a fault is latched, with its fields as in the variables
-of these names and its remedy; the interface closes."""
+"""Event types of the object Server. `FAULT_EVENT`: a fault is latched; it has the fields of the
+variables with these names, and the remedy. `SHUTDOWN_EVENT`: the interface closes."""
 _SEVERITY = 700
 """Severity of events, 1 to 1000: high."""
 _EVENT_FIELDS = (("FaultNumber", _INT), ("FaultText", _TEXT), ("Remedy", _TEXT))
@@ -50,8 +50,8 @@ _EVENT_FIELDS = (("FaultNumber", _INT), ("FaultText", _TEXT), ("Remedy", _TEXT))
 class OpcUaInterface:
     """The cell behind OPC UA.
 
-    Raises OSError if it cannot listen at the configured address and port, or a file cannot be read,
-    and ConfigError if a certificate is none.
+    Raises OSError if it cannot listen at the configured address and port, or cannot read a file,
+    and ConfigError if a certificate is invalid.
     """
 
     def __init__(self, service: Service) -> None:
@@ -69,7 +69,7 @@ class OpcUaInterface:
             folder = service.config.serve.opcua_folder
             raise ConfigError(
                 f"serve.opcua_folder {folder}: a certificate or key cannot be used ({error}); "
-                "certificates are .der or .pem, and the cell's own names one URI"
+                "use .der or .pem files; the certificate of the cell needs one URI"
             ) from error
 
     def close(self) -> None:
@@ -110,12 +110,12 @@ class OpcUaInterface:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._over.wait(), PERIOD_S)
         if server.iserver.subscription_service.subscriptions:
-            await shutdown.trigger(message="The program of the cell ends; what is held stays held.")
+            await shutdown.trigger(message="The program of the cell ends; a held part stays held.")
             await asyncio.sleep(2 * PERIOD_S)  # until it is sent
         await server.stop()
 
     async def _add_events(self, server: CellServer, space: int) -> tuple[Any, Any]:
-        """Return what sends the events of a fault and of the end."""
+        """Return the generators of the events of a fault and of the end."""
         made = []
         for name, fields in ((FAULT_EVENT, _EVENT_FIELDS), (SHUTDOWN_EVENT, ())):
             kind = await server.create_custom_event_type(space, name, properties=list(fields))
@@ -148,7 +148,7 @@ class OpcUaInterface:
         return space
 
     async def _show(self, server: CellServer, space: int) -> Snapshot | None:
-        """Write all values and return them; None, and all are bad, where none can be asked."""
+        """Write all values and return them; without a snapshot mark all as bad, return None."""
         now = None
         found: dict[str, Any] = {}
         missing = StatusCodes.BadNoData
@@ -174,11 +174,11 @@ class OpcUaInterface:
 
 
 def called_methods(calls: Calls) -> dict[str, Callable[..., Any]]:
-    """Return the methods of XML-RPC that do more than read a variable."""
+    """Return the methods of XML-RPC that have arguments; others are variables here."""
     every = methods(calls)
 
     def acquire(name: str) -> int:
-        """Return the number of the lease to command with; keep it with `alive`."""
+        """Return the number of the lease for commands; keep it with `alive`."""
         return int(every["acquire"](name))
 
     of_cell = {name: call for name, call in every.items() if inspect.signature(call).parameters}
@@ -186,7 +186,7 @@ def called_methods(calls: Calls) -> dict[str, Callable[..., Any]]:
 
 
 def _called(call: Callable[..., Any], _parent: Any, *given: ua.Variant) -> list[ua.Variant]:
-    """Call a method as asyncua does, in a thread of its own."""
+    """Call a method with the arguments of asyncua, which calls it in a separate thread."""
     kind = _TYPES[inspect.signature(call).return_annotation]
     return [ua.Variant(call(*(one.Value for one in given)), kind)]
 

@@ -1,10 +1,10 @@
-"""The server of OPC UA: asyncua, with who may connect, read and call.
+"""The server of OPC UA: asyncua with rights to connect, read and call.
 
-Whoever may connect reads, without certificate. Methods are for sessions on an encrypted channel
-(SignAndEncrypt) whose client certificate is in the trust list; no variable can be written. By
-itself asyncua lets anyone call methods, has an administrator without password, takes a certificate
-that a plain channel names for proven, and gives sessions numbers that can be guessed: `Clients`,
-`Session`, `Sessions` and `UnencryptedPolicy` close that.
+A client that may connect can read without certificate. Methods need an encrypted channel
+(SignAndEncrypt) and a client certificate in the trust list. No variable can be written. Plain
+asyncua lets any client call methods, has an administrator without password, trusts a certificate
+that is only named on a plain channel, and gives sessions guessable numbers. `Clients`, `Session`,
+`Sessions` and `UnencryptedPolicy` prevent this.
 """
 
 import logging
@@ -34,7 +34,7 @@ from cell.interfaces.access import BUSY_MAX, ConnectionPlaces, may_connect, noti
 _LONGEST_BYTES = 1 << 20
 """Largest request in bytes."""
 VALID_DAYS = 3650
-"""Validity in days of a certificate made here: a new one has to be trusted anew everywhere."""
+"""Validity in days of a certificate made here; every client must trust a new certificate again."""
 ENCRYPTED = (
     SecurityPolicyType.Basic256Sha256_SignAndEncrypt,
     SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
@@ -42,18 +42,18 @@ ENCRYPTED = (
 )
 """Policies of channels for commands."""
 for _name in ("asyncua", "asyncuagds"):
-    logging.getLogger(_name).addHandler(logging.NullHandler())  # the console is the operator's
+    logging.getLogger(_name).addHandler(logging.NullHandler())  # no log lines on the console
 
 
 class Clients:
-    """Users: client certificates of the trust list, a folder; None of a folder trusts nobody."""
+    """Users: client certificates of the trust list, a folder; None: no user is trusted."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._trusted: TrustStore | None = None
 
     async def load(self) -> None:
-        """Read the trust list as it is now. Raises ValueError for what is no certificate."""
+        """Read the present trust list. Raises ValueError for a file without a certificate."""
         found = None
         try:
             files = () if self._folder is None else self._folder.iterdir()
@@ -65,7 +65,7 @@ class Clients:
             self._trusted = found
 
     def get_user(self, _server: Any, certificate: bytes | None = None, **_password: Any) -> User:
-        """Return the user whose key of a certificate was proven when the channel was opened."""
+        """Return the user of a certificate whose key was proven when the channel was opened."""
         if not certificate:
             return User(role=UserRole.User)
         found = uacrypto.x509_from_der(certificate)
@@ -78,8 +78,8 @@ class Session(InternalSession):
     """A session: it reads, and calls methods if its user has a name."""
 
     async def create_session(self, params: Any, sockname: Any = None) -> Any:
-        """Create the session; a change of the trust list counts from here on."""
-        with suppress(ValueError, OSError):  # nobody is trusted then
+        """Create the session with the present trust list."""
+        with suppress(ValueError, OSError):  # no user is trusted then
             await self.iserver.user_manager.load()
         return await super().create_session(params, sockname)
 
@@ -91,40 +91,40 @@ class Session(InternalSession):
 
 
 class Sessions(InternalServer):
-    """What stands behind all connections, with sessions that nobody can guess."""
+    """The internal server of all connections; its session numbers cannot be guessed."""
 
     def __init__(self, clients: Clients, config: ServeConfig) -> None:
         super().__init__(user_manager=clients)
         self.config = config
         self.allow_remote_admin = False
         self.supported_tokens = (ua.AnonymousIdentityToken,)
-        # `ConnectionPlaces` has the limit: those beyond are leaving, and many may come before they
-        # are gone.
+        # `ConnectionPlaces` has the limit: surplus connections are closing, and many may come
+        # before they are gone.
         self.max_connections = 100 * BUSY_MAX
         self.max_subscriptions = BUSY_MAX
         self.max_pending_activation_seconds = config.request_timeout_s
         self.places = ConnectionPlaces()
         self.max_monitored_item_queue_size = 100  # 10 s of taxels
-        self.max_session_timeout_ms = 60_000  # a session that is silent for longer is closed
+        self.max_session_timeout_ms = 60_000  # then a silent session is closed
 
     def create_session(
         self, name: str, user: User | None = None, external: bool = False
     ) -> Session:
-        """Return a session of a user who may do nothing until it is activated."""
+        """Return a session whose user has no rights before its activation."""
         return Session(self, self.aspace, self.subscription_service, name, user or User(), external)
 
     def register_external_session(self, session: InternalSession) -> None:
-        """Register a session under the token with which its client may change the connection."""
+        """Register a session with a random token, which lets its client change the connection."""
         session.auth_token = ua.NodeId(secrets.token_bytes(32), 0, ua.NodeIdType.ByteString)
         super().register_external_session(session)
 
     def register_server(self, server: Any, conf: Any = None) -> None:
-        """Refuse to be a discovery server."""
+        """Refuse registrations: this is no discovery server."""
         raise ServiceError(StatusCodes.BadServiceUnsupported)
 
 
 class UnencryptedPolicy(SecurityPolicyFactory):
-    """Channels without security: a certificate that they name proves nothing."""
+    """Channels without security: their certificates prove nothing and are ignored."""
 
     def create(self, peer_certificate: bytes | None) -> Any:
         """Return a policy without certificate of the client."""
@@ -132,10 +132,10 @@ class UnencryptedPolicy(SecurityPolicyFactory):
 
 
 class OpcUaConnection(OPCUAProtocol):
-    """A connection from a host of the allow-list, with bounded requests."""
+    """A connection from a host of the allow-list, with requests of limited size."""
 
     def connection_made(self, transport: Any) -> None:
-        """Begin, or close what comes from elsewhere."""
+        """Begin, or close a connection from another host."""
         host = (transport.get_extra_info("peername") or ("",))[0]
         if may_connect(host, self.iserver.config):
             notice_dead_peers(transport.get_extra_info("socket"))
@@ -145,7 +145,7 @@ class OpcUaConnection(OPCUAProtocol):
             transport.close()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; close where a request does not end."""
+        """Take bytes; close if a request is too long."""
         super().data_received(data)
         session = self.processor.session if self.processor is not None else None
         if session is not None and session.is_activated():
@@ -169,7 +169,7 @@ class CellServer(Server):
         super().__init__(sessions)
         self.application_type = ua.ApplicationType.Server
         self.set_server_name("tactile-cell")
-        self.set_endpoint("opc.tcp://localhost/")  # clients are given the address they asked
+        self.set_endpoint("opc.tcp://localhost/")  # clients get the address that they used
         self.set_security_policy([SecurityPolicyType.NoSecurity])
 
     async def start(self) -> None:
@@ -186,7 +186,7 @@ class CellServer(Server):
         await self.iserver.start()
 
     async def use_certificate(self, folder: Path) -> None:
-        """Load certificate.der and key.pem of a folder; make both where there are none."""
+        """Load certificate.der and key.pem of a folder; create both if both are missing."""
         certificate, key = folder / "certificate.der", folder / "key.pem"
         if not certificate.exists() and not key.exists():
             host, secret = socket.gethostname(), cert_gen.generate_private_key()

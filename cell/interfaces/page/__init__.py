@@ -1,7 +1,7 @@
-"""The operator's page: HTML, modules, style sheet and languages, which a browser loads as they are.
+"""The operator's page: HTML, modules, style sheet and languages; a browser loads them unchanged.
 
-The page commands and shows through the same paths below ``/api`` as any other client; what is here
-holds nothing of the cell and needs no token.
+The page uses the same paths below ``/api`` as any other client. The files here contain no data of
+the cell and need no token.
 """
 
 from importlib.resources import files
@@ -13,7 +13,7 @@ from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 
 FOLDER = Path(str(files(__name__))) / "static"
-"""The files that are served."""
+"""Folder of the served files."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self' blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -23,13 +23,13 @@ HEADERS = {
     "Cache-Control": "no-cache",
     "Permissions-Policy": "camera=(self), microphone=(), geolocation=()",
 }
-"""Headers of each file: nothing from elsewhere and nothing inline is loaded, the page stands in no
-frame, and a browser asks whether a file has changed before it uses one that it has kept."""
+"""Headers of each file. They forbid content of other origins, inline scripts and frames. The
+browser checks for a newer version before it uses a stored file."""
 
 
 class _Files(StaticFiles):
     def file_response(self, *args: Any, **kwargs: Any) -> Response:
-        """Return a file, or that it has not changed, with the headers of the page."""
+        """Return a file, or status 304, with the headers of the page."""
         found = super().file_response(*args, **kwargs)
         found.headers.update(HEADERS)
         return found

@@ -28,28 +28,25 @@ from gripper.settings import GripperSettings
 from gripper.values.state import STANDING_M_S, ServoFeedback
 
 _STALL_CURRENT_SHARE = 0.8
-"""Share of the goal current from which on a servo that stands still pushes against something.
-[tuned]"""
+"""Share of the goal current at which a servo at rest pushes against something. [tuned]"""
 _STANDING_SHARE = 0.2
-"""Share of the nominal speed up to which a finger stands: what its friction holds. [chosen]"""
+"""Share of the nominal speed below which a finger stands, held by friction. [chosen]"""
 _STALL_TIME_S = 0.5
 """Time in s for which both must last before the fingers are stalled. [chosen]"""
 LEAD_M = 0.006
-"""How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again.
-[chosen]"""
+"""Lead of the goal before the fingers in m: their motion if no further goal is written. [chosen]"""
 _HELD_SHARE = 0.8
 """Share of the least friction at rest that moves no finger. [chosen]"""
 _LEAD_RESERVE = 1.3
-"""Lead over the one that friction and speed take. [chosen]"""
+"""Lead relative to that for friction and speed. [chosen]"""
 _STARTING_S = 0.1
-"""Longest time in s in which fingers get to their speed; with more friction than their model's the
-goal runs on. [chosen]"""
+"""Longest time in s until the fingers reach their speed; with more friction than in the model the
+goal then runs on. [chosen]"""
 _RUNNING_SHARE = 0.8
-"""Share of the nominal speed from which on a finger runs, and the inverse of the fastest one.
+"""Share of the nominal speed above which a finger runs, and the inverse of the fastest one.
 [tuned]"""
 _SLOWED_SHARE = 0.6
-"""Share of the nominal speed below which a running finger has been slowed down by something.
-[tuned]"""
+"""Share of the nominal speed below which something has slowed down a running finger. [tuned]"""
 _SLOWEST_COUNTS = 4.0
 """Nominal speed in counts of a velocity below which a slowed finger does not stand out.
 [resolution]"""
@@ -59,31 +56,31 @@ BOOST_PER_S = 2.0
 """Growth in 1/s of the factor on the current of fingers that stand still untouched; it falls twice
 as fast. At most it is `MOST_FRICTION`. [tuned]"""
 _BRAKED_S = 0.01
-"""Time in s for which a braked finger is stopped before it goes on slowly. [chosen]"""
+"""Time in s for which a braked finger stops before it continues slowly. [chosen]"""
 _DOUBT_S = 0.05
-"""Time in s after which a braked finger whose pad shows nothing runs on. [chosen]"""
+"""Time in s after which a braked finger without force on its pad runs on. [chosen]"""
 _CREEP_N_S, _LATE_CREEP_N_S = 20.0, 4.0
-"""Rate in N/s at which the drive of a braked finger grows: up to a little more than the force of a
+"""Rate in N/s at which the drive of a braked finger grows: up to slightly more than the force of a
 contact, and beyond. [tuned]"""
 _CREEP_RESERVE_N = 0.2
-"""That little more in N: friction at rest is larger than in motion. [tuned]"""
+"""This excess in N: friction at rest is larger than in motion. [tuned]"""
 _SOFT_M = 0.0002
-"""Way in m of a braked finger after which it runs on: a part that yields so far without the force
-of a contact is soft, and no impact is to be feared. [tuned]"""
+"""Travel in m of a braked finger after which it runs on: a part that yields so far without the
+force of a contact is soft, and makes no large impact. [tuned]"""
 _LEAD_SHARE = 0.75
-"""Share of its lead with which the goal of a finger runs on, so that the finger does not shoot.
+"""Share of its lead with which the goal of a finger runs on, so that the finger does not overshoot.
 [tuned]"""
 _CREEP_START_N = 0.2
-"""Drive in N with which a braked finger begins: less than the pad pushes back with. [tuned]"""
+"""First drive in N of a braked finger: less than the force of the pad. [tuned]"""
 _CREEP_COUNTS = 1.5
-"""Speed in counts of its velocity above which a braked finger has lost what it touched, and is
-stopped again. [resolution]"""
+"""Speed in counts of its velocity above which a braked finger has lost the part, and stops again.
+[resolution]"""
 _FREE_TIME_S = 0.05
 """Time constant in s of the current that moves an empty finger. [tuned]"""
 
 
 class ApproachEvent(Enum):
-    """Result of a step of an approach: closing on, or how the approach has ended."""
+    """Result of a step of an approach: still closing, or the end of the approach."""
 
     CLOSING = "closing"
     CONTACT = "contact"
@@ -94,12 +91,12 @@ class ApproachEvent(Enum):
 class Approach:
     """Step of control that closes both fingers evenly; a finger that touches waits for the other.
 
-    Where no part has begun so far the fingers travel, and slow down in time. The pads decide. A
-    finger whose pad shows a first touch that is not old brakes to rest and then presses ever
-    harder, until the contact is sure; where it has touched nothing, or the part is soft, it runs
-    on. Where the fingers stand still at the current limit, one pad is enough (the other may be
-    touched beside its taxels); without any pad the way is obstructed. The current grows by up to
-    60 % while the fingers stand still untouched: friction at rest differs from servo to servo.
+    The fingers travel fast at openings wider than all earlier parts, and slow down in time. The
+    pads decide. A finger with a recent first touch brakes to rest and then presses with growing
+    force until the contact is sure; after a false touch, or on a soft part, it runs on. When the
+    fingers stand still at the current limit, one pad is enough (the other may be touched beside its
+    taxels); without any pad the fingers are obstructed. The current grows by up to 60 % while the
+    fingers stand still untouched, because friction at rest differs between servos.
 
     Parameters
     ----------
@@ -108,7 +105,7 @@ class Approach:
     state
         Feedback at the start.
     widest_m
-        Opening in m above which no part begins; None where that is not known.
+        Opening in m above which no part begins; None if not known.
     """
 
     def __init__(
@@ -157,7 +154,7 @@ class Approach:
         self._moving_s = state.t_s
 
     def _limit(self, state: ServoFeedback) -> tuple[Transmission, ...]:
-        """Take the currents that each servo needs, and may have, as it is known now."""
+        """Set the needed and largest current of each servo by its present characteristic."""
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         self._most_a = [closing_current_max_a(self._settings, path, stood_a=inf) for path in paths]
         needed_a = motion_currents_a(self._settings, paths, self._settings.approach_force_n)
@@ -178,7 +175,7 @@ class Approach:
     def touch_m(self) -> float:
         """Opening in m at which both pads were first loaded, by the samples of the contact.
 
-        The opening of now where a contact was found without them.
+        The present opening if a contact was found without them.
         """
         if not all(self._detector.touched):
             return self._apertures.newest
@@ -255,7 +252,7 @@ class Approach:
         )
 
     def _starts(self, moment: Moment) -> bool:
-        """Return whether the fingers are still to get to their speed: the goal keeps its lead."""
+        """Return whether the fingers have not yet reached their speed: the goal keeps its lead."""
         if self._started_s is None:
             self._started_s = moment.now_s
         nominal_rad_s = self._nominal_rad_s(moment.state)
@@ -265,20 +262,20 @@ class Approach:
         return self._begins
 
     def _slows_down(self, state: ServoFeedback) -> bool:
-        """Return whether the fingers that travelled are still to get to their new speed."""
+        """Return whether fast fingers have not yet reached their new speed."""
         most_rad_s = self._nominal_rad_s(state) / _RUNNING_SHARE
         self._slows &= any(-servo.velocity_rad_s > most_rad_s for servo in state.servos)
         return self._slows
 
     def _lead_m(self, state: ServoFeedback) -> float:
-        """Return how far in m the goal is ahead of fingers that run at the nominal speed."""
+        """Return the lead of the goal in m at the nominal speed."""
         return sum(
             self._linkage.opening_per_rad_m(angle_rad) * lead_rad
             for lead_rad, angle_rad in zip(self._leads_rad(state), state.angles_rad, strict=True)
         )
 
     def _resting_lead_m(self, state: ServoFeedback) -> float:
-        """Return how far in m the goal may be ahead of fingers that friction still holds."""
+        """Return the largest lead of the goal in m before fingers held by friction."""
         return sum(
             self._linkage.opening_per_rad_m(now.angle_rad)
             * running_lead_rad(servo.servo_model, _HELD_SHARE * drive.least_breakaway_a, 0.0)
@@ -288,7 +285,7 @@ class Approach:
         )
 
     def _leads_rad(self, state: ServoFeedback) -> list[float]:
-        """Return how far in rad the goal of each finger is ahead of it at the nominal speed."""
+        """Return the lead of each finger's goal in rad at the nominal speed."""
         nominal_rad_s = self._nominal_rad_s(state)
         return [
             running_lead_rad(servo.servo_model, drive.moving_a(nominal_rad_s), nominal_rad_s)
@@ -301,11 +298,11 @@ class Approach:
         ]
 
     def _most_lead_m(self, state: ServoFeedback) -> float:
-        """Return how far in m the goal may run ahead of the fingers.
+        """Return the largest lead of the goal before the fingers in m.
 
-        A little only: that is how far they would go on if nobody wrote a new one. Fingers that
-        stand untouched get as far ahead a goal as their current takes: a position controller
-        with a small gain would never reach it otherwise.
+        A small lead limits their motion if no further goal is written. Fingers that stand untouched
+        get the lead that their current needs: a position controller with a small gain would not
+        reach this current otherwise.
         """
         running_m = _LEAD_RESERVE * self._lead_m(state)
         if max(self._boosts) <= 1.0:
@@ -320,9 +317,9 @@ class Approach:
         return max(LEAD_M, running_m, pressing_m)
 
     def _touched(self) -> tuple[bool, bool]:
-        """Return which fingers are in contact: what stopped a braked one need press half as hard.
+        """Return which fingers are in contact: for a braked finger half the force is enough.
 
-        A contact makes the rest of the way, as slow as a finger creeps, needless.
+        The slow creep of a braked finger is then not needed.
         """
         first, second = self._detector.touched
         brakes = self._brakes if len(self._brakes) > 1 else self._brakes * 2
@@ -334,7 +331,7 @@ class Approach:
         )
 
     def _brake(self, moment: Moment) -> None:
-        """Brake each finger whose pad shows a first touch; let those go on that touch nothing."""
+        """Brake each finger whose pad shows a first touch; release the others."""
         sample, state = moment.sample, moment.state
         if sample is None or not sample.valid:
             return
@@ -364,7 +361,7 @@ class Approach:
             self._was_running[finger] &= self._brakes[finger] is None
 
     def _slow_goal(self, moment: Moment, finger: int, brake: "_Brake") -> ServoGoal:
-        """Return the goal of a braked finger: at rest first, then pressing ever harder."""
+        """Return the goal of a braked finger: first at rest, then with growing force."""
         servo, settings = moment.state.servos[finger], self._settings
         model = settings.servos[finger].servo_model
         creeps_rad_s = _CREEP_COUNTS * model.slow_rad_s

@@ -1,4 +1,4 @@
-"""What the pads tell of a contact: its first touch, that it is sure, and its force at rest."""
+"""Contact by the pads: the first touch, the sure contact, and its force at rest."""
 
 from collections import deque
 from math import sqrt
@@ -8,35 +8,33 @@ from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import ONE_FRAME_S, QUIET_N, RecentForce
 
 LOADED_SHARE = 0.5
-"""Share of ``contact_force_n`` from which on the mean of some samples shows a pad as loaded:
-several times its noise. [tuned]"""
+"""Share of ``contact_force_n`` above which the mean of some samples shows a pad as loaded: several
+times its noise. [tuned]"""
 _TOUCH_N = 0.12
-"""Least force in N on a pad that shows a first touch, however quiet the empty pad is. [tuned]"""
+"""Least force in N on a pad that shows a first touch, also on a quiet pad. [tuned]"""
 _TOUCH_SIGMAS = 3.5
-"""A first touch stands out of the noise of the empty pad by so many standard deviations.
-[statistics]"""
+"""Standard deviations of the empty pad's noise by which a first touch exceeds it. [statistics]"""
 _EMPTY_SAMPLES = 20
-"""Samples over which the noise of an empty pad is taken. [tuned]"""
+"""Number of samples for the noise of an empty pad. [tuned]"""
 _TOUCH_SAMPLES = 8
-"""Newest samples, at most, whose mean is compared with it; older ones are of the empty pad.
-[tuned]"""
+"""Most newest samples whose mean is compared with it; older ones are of the empty pad. [tuned]"""
 _WRONG_FACTOR = 1.5
-"""Factor on the force of a first touch after each one that was none. [chosen]"""
+"""Factor on the force of a first touch after each false one. [chosen]"""
 _CONTACT_QUIET_N = 0.1
 """Noise in N of the mean that shows a contact: a sixth of the force of one. [tuned]"""
 _REST_QUIET_YOUNG_N = 0.12
-"""Noise in N of the mean that is the force at the contact and ends the rest, where the samples are
-young: the force is soon known better. Else it is `QUIET_N`. [tuned]"""
+"""Noise in N of the mean force at the contact that ends the rest, for new samples, after which the
+force soon becomes more exact. Otherwise `QUIET_N`. [tuned]"""
 _REST_SAMPLES = 4
-"""Samples of that mean where the sensor is too slow for it. [tuned]"""
+"""Samples of that mean for a slower sensor. [tuned]"""
 _REST_SETTLING_S = 0.01
-"""Time in s after the contact from which on its samples count. [tuned]"""
+"""Time in s after the contact before its samples count. [tuned]"""
 
 
 class FirstTouch:
-    """Detector of the first force on a pad, as soon as it stands out of what the empty pad shows.
+    """Detector of the first force on a pad above the noise of the empty pad.
 
-    It may be wrong now and then: what it starts goes on without it.
+    It may be wrong sometimes: the approach then continues.
     """
 
     def __init__(self) -> None:
@@ -68,11 +66,11 @@ class FirstTouch:
         return sum(s.force_n[0] for s in newest) / n, sum(s.force_n[1] for s in newest) / n
 
     def was_wrong(self) -> None:
-        """Show a touch only at a larger force from now on: the last one was none."""
+        """Raise the force of a touch after a false one."""
         self._factor *= _WRONG_FACTOR
 
     def push(self, sample: ForceSample, *, empty: bool) -> None:
-        """Add a sample, which may be the same as before; ``empty`` where no finger is braked."""
+        """Add a sample, which may be the same as before; ``empty``: no finger is braked."""
         if self._recent and sample.t_s <= self._recent[-1].t_s:
             return
         if not self._empty_n2:
@@ -95,7 +93,7 @@ class FirstTouch:
 class ContactDetector:
     """Detector of a contact: enough new samples in a row above a threshold, for each finger.
 
-    Of a fast sensor each counts with those shortly before it, whose mean has less noise.
+    With a fast sensor the mean of a sample and those shortly before it counts, to reduce the noise.
 
     Parameters
     ----------
@@ -139,9 +137,9 @@ class ContactRest:
     Parameters
     ----------
     until_s
-        Monotonic time in s at which the rest ends, or before where the force is known.
+        Monotonic time in s at which the rest ends, or earlier if the force is known.
     hard_n, hard_until_s
-        Force in N from which on a part was met hard, and when the rest ends then at the earliest.
+        Force in N above which the touch was hard, and the earliest end of the rest after it.
     """
 
     def __init__(self, until_s: float, *, hard_n: float, hard_until_s: float) -> None:

@@ -20,15 +20,15 @@ _STANDING_S = 0.2
 """Time in s for which empty fingers must stand after their torque has come on: friction at rest
 makes a motor slow to start. [chosen]"""
 _STANDING_RAD = 0.03
-"""Way in rad in that time that is no standing any more: 2 mm of a finger of 60 mm. [resolution]"""
+"""Travel in rad in that time of a moving finger: 2 mm with links of 60 mm. [resolution]"""
 _SHORTEST_TRAVEL_M = 1e-3
-"""Way in m that a motion is planned for at least. [chosen]"""
+"""Least planned travel of a motion in m. [chosen]"""
 _OPENING_FORCE_N = 3.0
 """Force in N beside friction that the current of an opening allows: pads may stick to a part.
 [chosen]"""
 _RISING_S = 0.25
-"""Time in s in which it rises to that from what moves the fingers: where they close instead, the
-pads show it before. [chosen]"""
+"""Time in s of its rise from the current that moves the fingers: if they close instead, the pads
+show it before. [chosen]"""
 BOOST_PER_S = 2.0
 """Growth in 1/s of the factor on the current of fingers that stand still untouched. [tuned]"""
 _AGAINST_REST = 1.4
@@ -39,7 +39,7 @@ _AGAINST_REST = 1.4
 class StandStill:
     """Step of control that watches empty fingers whose torque has just come on: none may move.
 
-    A servo that goes by another position than it reports runs to a goal made of the reported one.
+    A servo with a wrong reported position runs to a goal made from it.
 
     Parameters
     ----------
@@ -54,16 +54,16 @@ class StandStill:
         self._periods = round(_STANDING_S / settings.period_s)
 
     def step(self, moment: Moment) -> Action:
-        """Return no goals; FeedbackImplausible when a finger leaves its place."""
+        """Return no goals. Raises FeedbackImplausible when a finger moves."""
         self._periods -= 1
         for servo, start_rad in zip(moment.state.servos, self._start_rad, strict=True):
             moved_rad = servo.angle_rad - start_rad
             if abs(moved_rad) > _STANDING_RAD:
                 raise FeedbackImplausible(
-                    f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although the "
-                    f"position that it reported is its goal: it goes by another position than it "
-                    f"reports, or something drives it, so the torque is switched off. Restart the "
-                    f"servo, check its encoder and who else writes to it"
+                    f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although its "
+                    f"goal is the position that it reported: the reported position is wrong, or "
+                    f"something drives it, so the torque is switched off. Restart the servo, check "
+                    f"its encoder and other programs on its line"
                 )
         return Action(done=self._periods <= 0)
 
@@ -83,8 +83,8 @@ class MoveTo:
         Rate of the opening in m/s; None: that of the settings. Closing fingers stay below the
         limit of the impact.
     only_open
-        True where no finger may close, as a release: one that is more open stays there, and none
-        is driven back where something pushes it open.
+        True if no finger may close, e.g. in a release: a finger that is more open stays there, and
+        a finger pushed open is not driven back.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class MoveTo:
         paths = transmissions(settings, linkage, state.angles_rad)
         needed_a = motion_currents_a(settings, paths, force_n)
         self._least_a = motion_currents_a(settings, paths, 0.0)
-        # The wider the fingers stand, the more force a current makes.
+        # The same current makes more force at wider openings.
         self._most_a = [
             settings.current_max_a
             if opening
@@ -143,14 +143,14 @@ class MoveTo:
         Raises
         ------
         PositionContradicted
-            When the pads are pressed more and more though the fingers only open.
+            When the force on the pads grows although the fingers only open.
         ServoFault
             When a finger does not arrive in time.
         """
         pressed = self._rise.found(moment) if self._only_open else ""
         if pressed:
             raise PositionContradicted(
-                f"{pressed} while the fingers let go: they close, or something pushes them "
+                f"{pressed} while the fingers open: they close, or something pushes them "
                 f"together. They stand still; take the part out by hand, then check "
                 f"{mechanics_text(self._settings, self._linkage)}"
             )

@@ -1,25 +1,25 @@
-"""Proof that the fingers move and stop as direction, zero and linkage of the settings say.
+"""Proof that the fingers move and stop as direction, zero and linkage of the settings predict.
 
-An encoder shows a servo's motion, never that of a finger: with a wrong ``direction`` it reports an
-opening while the fingers close, and in free space nothing shows the difference. What does show it
-is the geometry: no pad passes the other one, so that every opening is 0 or more, and both ends of
-the way are where the linkage has them. So it is looked for
+An encoder measures a servo's motion, not that of a finger: with a wrong ``direction`` it reports an
+opening while the fingers close, and in free space nothing shows the difference. The geometry shows
+it: no pad passes the other one, so that every opening is 0 or more, and the linkage sets both ends
+of the travel. The check is made
 
 1. at rest, by `standing_rows`: in a start, in ``doctor``, and before any torque comes on;
 2. in the first opening after the torque has come on, by `FirstMotion`: with the least current that
-   moves a finger, all the way; one that is blocked there, and free on its way back, is not where
-   the settings have it. The torque goes off: nothing can be held;
-3. at the first approach after it that finds nothing, and at each self-zero: an approach that goes
-   on with `meeting_settings` must end where the pads stop each other.
+   moves a finger, all the way; a finger that is blocked, but free on its way back, contradicts the
+   settings. The torque goes off: nothing can be held;
+3. at the first approach after it that finds nothing, and at each self-zero: an approach continued
+   with `meeting_settings` must end where the pads stop each other.
 
-A release whose torque comes on for it closes no finger and so tries no way back: there fingers that
-stand closed, and do not move at all, get up to 5 N before the torque goes off.
+A release with its torque just switched on closes no finger, and so tries no way back: closed
+fingers that do not move at all get up to 5 N before the torque goes off.
 
-Forces of 60 mm links on XM430-W350 with the friction of their data, o the ``offset`` of the
-linkage:
+Forces for 60 mm links on XM430-W350 with the friction of their data; o is the ``offset`` of the
+linkage, and the numbers are those of the checks above:
 
 ============================= ================================== ==================================
-wrong                         is told                            largest force on what is between
+wrong setting                 is found by                        largest force on a part between
 ============================= ================================== ==================================
 ``direction`` of both, o = 0  1 where they stand 4 mm open or    none; else 2 N
                               more, else 2
@@ -62,12 +62,11 @@ from gripper.values.state import ServoFeedback, ServoState
 POSITION_ITEM = "present_position"
 """Name of the rows that `standing_rows` returns."""
 _BEYOND_MIDDLE_M = 0.005
-"""How far in m beyond the middle one finger may stand while the other one makes room for it.
-[chosen]"""
+"""Largest distance in m of a finger beyond the middle, if the other finger makes room. [chosen]"""
 _LEAST_FORCE_N = 0.5
 """Grip force in N that the least current allows beyond friction. [chosen]"""
 _LEAD_RAD = 0.04
-"""How far in rad a goal is ahead of its finger at most: enough that the current is at its limit.
+"""Largest lead of a goal before its finger in rad: the current is then at its limit.
 [resolution]"""
 REACHED_PULSES = 2.0
 """Distance in counts of the encoder at which a finger has reached its goal. [resolution]"""
@@ -79,37 +78,37 @@ _BLOCKED_S = 0.05
 """Time in s for which a finger stands at the limit of its current before it counts as blocked.
 [chosen]"""
 _BACK_RAD = 0.03
-"""Way back in rad of a blocked finger that shows that friction is not what blocks it.
+"""Travel in rad on the way back of a blocked finger that excludes friction as the cause.
 [resolution]"""
 _RUN_RAD = 0.01
-"""Way in rad that shows that the current moves a finger: more than pads and backlash give.
+"""Travel in rad that shows that the current moves a finger: more than pads and backlash yield.
 [resolution]"""
 _RISE_N, _RISE_SHARE = 1.0, 0.2
-"""Rise of the grip force in N, or as a share of the force at the start if that is more, that no
-opening makes. [chosen]"""
+"""Rise of the grip force in N, or as a share of the force at the start if that is more, that an
+opening cannot cause. [chosen]"""
 _QUIET_N = 0.15
 """Noise in N of a mean force that is compared: a fraction of the least rise. [tuned]"""
 _LONGEST_S = 3 * FRAME_S
 """Longest time in s of its samples: a rise that ends a release is shown by one more than usual."""
 ZERO_RANGE_M = 0.006
-"""Largest error of the zero of the opening in m that counts as one, either way: empty fingers meet
+"""Largest accepted error of the zero of the opening in m, in both directions: empty fingers meet
 within it. A tooth of a horn is 15 mm on a link of 60 mm. [chosen]"""
 _PADS_GIVE_M = 0.001
-"""What pads give that press on each other, in m. [assumed]"""
+"""Yield of two pads that press on each other, in m. [assumed]"""
 _LONGER = 3.0
-"""Factor on ``contact_timeout_s`` where the fingers are to go all the way. [chosen]"""
+"""Factor on ``contact_timeout_s`` for fingers that close completely. [chosen]"""
 _LARGEST_MIN_M = 0.002
 """Largest ``aperture_min_m`` in m from which the fingers close farther to find each other.
 [chosen]"""
 
 
 def closes_farther(settings: GripperSettings, state: ServoFeedback) -> bool:
-    """Return whether fingers that have found nothing there may close farther."""
+    """Return whether fingers that have found nothing may close farther."""
     return state.aperture_m <= settings.aperture_min_m <= _LARGEST_MIN_M
 
 
 def mechanics_text(settings: GripperSettings, linkage: Linkage) -> str:
-    """Return the keys of the config that say how the fingers move, with their values."""
+    """Return the keys of the config that determine the motion of the fingers, with values."""
     directions = ", ".join(str(servo.direction) for servo in settings.servos)
     zeros = ", ".join(str(servo.zero_raw) for servo in settings.servos)
     return (
@@ -121,7 +120,7 @@ def mechanics_text(settings: GripperSettings, linkage: Linkage) -> str:
 def standing_rows(
     settings: GripperSettings, linkage: Linkage, positions_raw: Sequence[int]
 ) -> tuple[VerificationRow, ...]:
-    """Return for each servo whether its finger can stand where its position has it.
+    """Return for each servo whether its position is possible for its finger.
 
     Parameters
     ----------
@@ -196,9 +195,9 @@ class ForceRise:
 class FirstMotion:
     """Step of control that moves empty fingers whose torque has just come on to an opening.
 
-    Each finger gets the least current that moves it. One that stands still at its limit tries the
-    way back: where that is free, it is blocked, and not by friction; where it is not, its gearing
-    is stiff, and it gets more current once.
+    Each finger gets the least current that moves it. A finger that stands still at its limit tries
+    the way back. If that is free, the finger is blocked, not held by friction; else its gearing is
+    stiff, and it gets more current once.
 
     Parameters
     ----------
@@ -209,7 +208,7 @@ class FirstMotion:
     aperture_m
         Opening to reach in m.
     only_open
-        True where no finger may close: then a blocked finger does not try the way back.
+        True if no finger may close: a blocked finger then does not try the way back.
     """
 
     def __init__(
@@ -312,8 +311,8 @@ class FirstMotion:
         return MechanicsContradicted(
             f"servo {servo.servo_id}: {found}, at an opening of {self._stands_m * 1e3:.1f} mm on "
             f"its way to {self._aperture_m * 1e3:.1f} mm, with {max(self._currents_a):.2f} A, the "
-            f"least that moves it. So the fingers are not where the settings have them, or "
-            f"something blocks them; the torque is switched off. Look where they stand, then check "
+            f"least that moves it. So the settings do not match the position of the fingers, or "
+            f"something blocks them; the torque is switched off. Look at the fingers, then check "
             f"{mechanics_text(self._settings, self._linkage)}"
         )
 
@@ -391,7 +390,7 @@ class _Finger:
 
 
 def meeting_settings(settings: GripperSettings) -> GripperSettings:
-    """Return settings with which an approach goes on until the pads of empty fingers meet."""
+    """Return settings for an approach until the pads of empty fingers meet."""
     return replace(
         settings,
         aperture_min_m=-(ZERO_RANGE_M + _PADS_GIVE_M),
@@ -401,20 +400,20 @@ def meeting_settings(settings: GripperSettings) -> GripperSettings:
 
 
 def not_met(settings: GripperSettings, linkage: Linkage, state: ServoFeedback) -> GripperError:
-    """Return the error of empty fingers that nothing has stopped where their pads must meet.
+    """Return the error of empty fingers that did not stop where their pads must meet.
 
-    Where the time ended before they came so far, nothing is wrong with the mechanics.
+    If the time ended before, nothing is wrong with the mechanics.
     """
     meeting = meeting_settings(settings)
     if state.aperture_m > meeting.aperture_min_m:
         return LimitExceeded(
-            f"the empty fingers were to meet, and after {meeting.contact_timeout_s:g} s they have "
+            f"the empty fingers should meet, but after {meeting.contact_timeout_s:g} s they have "
             f"closed to {state.aperture_m * 1e3:.1f} mm only. They stand still: clear the fault "
             f"and release, then raise gripper.contact_timeout_s or gripper.approach_speed_mm_s"
         )
     return MechanicsContradicted(
         f"the fingers have found nothing, and stand at an opening of "
-        f"{state.aperture_m * 1e3:.1f} mm where the pads must have stopped each other: "
-        f"closed is not where the settings have it, so the torque is switched off. Look "
-        f"where the fingers stand, then check {mechanics_text(settings, linkage)}"
+        f"{state.aperture_m * 1e3:.1f} mm, at which the pads must have stopped each other: "
+        f"the closed position in the settings is wrong, so the torque is switched off. Look "
+        f"at the fingers, then check {mechanics_text(settings, linkage)}"
     )

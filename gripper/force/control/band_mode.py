@@ -1,21 +1,21 @@
-"""Mode of control that goes by the friction band: slow changes of the force, and holds.
+"""Mode of control that follows the friction band: slow changes of the force, and holds.
 
 The gearing holds a load by friction: at a driving force u (torque constant times current over
 effective radius) the grip force may be anywhere from u - phi to u + phi, phi being the friction
 band. While the force rises it is u - phi, while it falls u + phi. The mode follows this with a
-model of play (hysteresis without rate): the modelled force moves only when the band pushes it.
-Each edge of the band has its own bias, kept while the force goes the other way.
+model of play (rate-independent hysteresis): the modelled force moves only when the band pushes it.
+Each edge of the band has its own bias, kept while the force moves in the other direction.
 
-A proportional-integral controller in this setting is a feed-forward through the inverse of the
-model plus a slowly learnt bias, the low-passed difference between sensor and model at the time of
-each sample: delay and noise of the sensor do not enter the fast path, a saturated drive winds
-nothing up, and within a dead band the drive stays where it is, so that friction cannot turn a
+Instead of a proportional-integral controller this is a feed-forward through the inverse of the
+model plus a slowly learnt bias: the low-pass filtered difference between sensor and model at the
+time of each sample. Delay and noise of the sensor do not enter the fast path, and a saturated drive
+causes no wind-up. Within a dead band the drive does not change, so that friction cannot turn a
 small error into a limit cycle.
 
 While the force changes, a small square wave on the drive keeps the gearing from sticking: friction
 at rest is larger than in motion, and every breakaway would be a jump. Within the band nothing
-moves and the drive crosses it fast; near the edge it creeps, because motor and part are a spring
-and a mass with little damping: a step of the drive would swing the force to twice its change.
+moves, and the drive crosses it fast. Near the edge the drive creeps, because motor and part are a
+spring and a mass with little damping: a step of the drive would overshoot to twice its change.
 """
 
 from collections import deque
@@ -32,31 +32,30 @@ _ARRIVED_N = 0.02
 """Distance in N from the end of a change at which the force follows the set-point itself.
 [tuned]"""
 _AFTER_FALL_S = 0.1
-"""Time in s after the modelled force has fallen in which friction may still hold more force.
+"""Time in s after a fall of the modelled force in which friction may still hold more force.
 [tuned]"""
 _ANCHOR_S = 1.75 * FRAME_S
-"""Least time in s over which a mean shows the edge of the friction band on the way down: three
+"""Least duration in s of a mean that shows the edge of the friction band on the way down: three
 frames."""
 _CATCH_UP_S = 0.2
-"""Time in s within which a moving set-point catches up with the force by itself. [tuned]"""
+"""Time in s within which a moving set-point reaches the force by itself. [tuned]"""
 _LONGEST_MEAN, _LONGER_EACH_S = 5.0, 0.3
-"""How much longer than on a ramp the mean of the samples gets at rest, by one for each 0.3 s.
-[tuned]"""
+"""Growth of the mean's length at rest, relative to a ramp, by one for each 0.3 s. [tuned]"""
 _CREEP_S = 0.5
-"""Time in s of a hold in which the foam creeps fast: where errors are made up for, the mean stays
-short. [assumed]"""
+"""Time in s of a hold in which the foam creeps fast: if errors are corrected, the mean stays short.
+[assumed]"""
 _CAP_TIME_S = 0.05
-"""Time constant in s with which the drive arrives at its largest value: moving masses and part are
-a swing, and what they add to the force there would be above the cap. [tuned]"""
+"""Time constant in s with which the drive reaches its largest value: moving masses and part
+oscillate, and would push the force above the cap. [tuned]"""
 _CREEP_PER_RAMP = 1.5
 """Rate of the drive near the edge of the band over that of the set-point: it must keep up.
 [tuned]"""
 _FORCE_TIME_S = 0.015
-"""Time constant in s of the force that stiffens a soft part: a fraction of what its swing takes.
+"""Time constant in s of the force that stiffens a soft part: a fraction of its oscillation period.
 [tuned]"""
 _STANDING_M = 2 * GRAIN_M
-"""Change of the opening in m in a look back that is none, the fingers stand: two counts of the
-encoder."""
+"""Largest change of the opening in m, in the look-back window, of standing fingers: two counts of
+the encoder."""
 
 
 class BandMode(Mode):
@@ -65,7 +64,7 @@ class BandMode(Mode):
     Parameters
     ----------
     grip
-        What is known and asked of the grip.
+        Estimates and set-point of the grip.
     now_s
         Monotonic time in s.
     """
@@ -85,7 +84,7 @@ class BandMode(Mode):
         self._damping_n_s_m = grip.swing_n_s_m(0.5 * self._tuning.damping_n_s_m)
 
     def enter(self, period: Period, before: Mode) -> None:
-        """Go on from where a motion has left the force; after a wait, from where it was."""
+        """Continue from the force after a motion; after a wait, from the force before it."""
         if isinstance(before, MotionMode):
             self._setpoint_n, self._rising, self._dither = before.setpoint_n, True, 0.0
             self._held_since_s = self._breaking_since_s = before.moved_s
@@ -122,8 +121,7 @@ class BandMode(Mode):
                 given_back_n = self._tuning.taper_n_s * dt_s
                 wanted_n = max(grip.estimate.model_n, grip.quiet_n - given_back_n)
         else:
-            share = self._tuning.dither_share if grip.moving is None else 0.0
-            self._dither = share if self._dither <= 0.0 else -share
+            self._dither = self._tuning.dither_share * (1.0 if self._dither <= 0.0 else -1.0)
         wanted_n = self._approached(wanted_n, abs(setpoint_n - before_n), friction_n, dt_s)
         self._setpoint_n = setpoint_n
         lowest_n = -self._tuning.push_open_share * friction_n
@@ -139,7 +137,7 @@ class BandMode(Mode):
     ) -> float | None:
         """Return the drive at the edge of the friction band that moves the force to its target.
 
-        None where the force is near enough: then the drive may stay.
+        None if the force is near enough: the drive may stay.
         """
         tuning, estimate, friction_n = self._tuning, self._grip.estimate, period.friction_n
         target_n = setpoint_n - estimate.bias_n
@@ -149,7 +147,7 @@ class BandMode(Mode):
         error_n = target_n - estimate.model_n
         reversal_n = max(tuning.reversal_band_n, tuning.reversal_band_share * setpoint_n)
         band_n = tuning.hold_band_n if held else tuning.dead_band_n
-        # A set-point on its way catches up with the force by itself.
+        # A moving set-point reaches the force by itself.
         rise_n = band_n if self._rising else reversal_n + _CATCH_UP_S * max(0.0, -rate_n_s)
         fall_n = band_n if not self._rising else reversal_n + _CATCH_UP_S * max(0.0, rate_n_s)
         if error_n > rise_n:
@@ -191,7 +189,7 @@ class BandMode(Mode):
         estimate.move(now_s, model_n, doubt_n=doubt_n)
 
     def _turn(self, now_s: float, *, rising: bool) -> None:
-        """Turn round at the force that is there: each edge of the band has its own bias."""
+        """Reverse the direction at the present force: each edge of the band has its own bias."""
         if rising is not self._rising:
             bias_n = self._grip.estimate.bias_n
             self._edge_bias_n[self._rising] = bias_n
@@ -202,7 +200,7 @@ class BandMode(Mode):
             self._breaking.clear()
 
     def _learn(self, period: Period, setpoint_n: float, rate_n_s: float) -> None:
-        """Correct the bias by the newest sample, and refuse one that cannot be."""
+        """Correct the bias by the newest sample, and refuse an implausible one."""
         grip, estimate, sample = self._grip, self._grip.estimate, period.sample
         now_s, state = period.moment.now_s, period.state
         before_m = grip.apertures.at(now_s - LOOK_BACK_S)
@@ -217,7 +215,7 @@ class BandMode(Mode):
             drift_n_rs = self._tuning.bias_drift_n_rs * (
                 1.0 + abs(rate_n_s) / self._tuning.bias_rate_n_s
             )
-            # At rest the mean goes back farther and farther, lest noise ratchets the force up.
+            # At rest the mean becomes longer, so that noise does not ratchet the force up.
             lasts_s = now_s - self._held_since_s - (_CREEP_S if period.moment.young else 0.0)
             drift_n_rs /= 1.0 + min(max(lasts_s, 0.0) / _LONGER_EACH_S, _LONGEST_MEAN)
             speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
@@ -229,10 +227,10 @@ class BandMode(Mode):
         estimate.check(now_s, sample, period.friction_n, period.doubt_n)
 
     def _anchor(self, sample: ForceSample, setpoint_n: float, period: Period) -> None:
-        """On the way down, take the present drive for the band's edge when the force gets there.
+        """On the way down, use the present drive as the band's edge when the force gets there.
 
-        Friction smaller than the model's lets the force fall although the model still waits for
-        the edge; then the sensor shows where the edge was.
+        With less friction than in the model the force falls before the modelled edge; the sensor
+        then shows the true edge.
         """
         breaking, estimate, drive_n = self._breaking, self._grip.estimate, self._grip.quiet_n
         friction_n = period.friction_n
@@ -248,11 +246,10 @@ class BandMode(Mode):
         self._breaking_since_s = None
 
     def _braking_n(self, period: Period) -> float:
-        """Return what the drive is lowered by, in N, because the fingers run ahead.
+        """Return the reduction of the drive in N, because the fingers run ahead.
 
-        Fingers that lag behind are driven on by no more than the square wave on the drive: a
-        stiffness that is far too small, as from pads that fail on the approach, makes the speed
-        that the ramp needs as large as can be.
+        For fingers that lag behind the increase is at most the square wave on the drive: a far too
+        small stiffness, e.g. from pads that fail on the approach, would demand a very large speed.
         """
         grip = self._grip
         stiffness_n_m = grip.stiffness.stiffness_n_m
@@ -264,9 +261,9 @@ class BandMode(Mode):
         return self._damping_n_s_m * (closing_m_s - reached_m_s) - min(max(lag_n, -most_n), most_n)
 
     def _stiffening_n(self, period: Period) -> float:
-        """Return what is added to the drive, in N, so that a soft part answers like a stiffer one.
+        """Return the addition to the drive in N that makes a soft part respond like a stiffer one.
 
-        Motor and a soft part swing so slowly that a ramp is over before its force has followed.
+        Motor and soft part oscillate so slowly that a ramp ends before the force has followed.
         """
         grip, sample = self._grip, period.sample
         if sample.t_s > self._quick_s:
@@ -289,9 +286,9 @@ def arriving_n(
 ) -> float:
     """Return the force in N that follows a set-point and slows down before the end of its change.
 
-    The moving masses and the part are a swing with little damping: where the rate of the force
-    ends with a knee, the force runs on. The force is never beyond the set-point and never faster;
-    its rate is at most what is left over ``end_time_s``.
+    The moving masses and the part oscillate with little damping: after an abrupt end of the rate
+    the force overshoots. The force is never beyond the set-point and never faster; its rate is at
+    most the remaining change over ``end_time_s``.
 
     Parameters
     ----------

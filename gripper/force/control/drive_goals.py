@@ -1,4 +1,4 @@
-"""Goals of the servos that make a driving force, and how far they may close and open."""
+"""Goals of the servos for a driving force, and the limits of their closing and opening."""
 
 from collections.abc import Sequence
 from math import inf
@@ -15,8 +15,7 @@ from gripper.servos.goals import (
 from gripper.values.state import ServoFeedback, ServoState
 
 GIVE_RAD = 0.03
-"""How far in rad a goal may open beyond the contact: pads and part are deeper there by no more.
-[assumed]"""
+"""Largest opening of a goal beyond the contact in rad: pads and part are not deeper. [assumed]"""
 
 
 class DriveGoals:
@@ -25,7 +24,7 @@ class DriveGoals:
     Parameters
     ----------
     grip
-        What is known and asked of the grip.
+        Estimates and set-point of the grip.
     contact
         Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
         thickness.
@@ -58,7 +57,7 @@ class DriveGoals:
         grip, drive_n = self._grip, self._grip.drive_n
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        # Nothing is lost where the pads press on each other.
+        # No part can be lost while the pads press on each other.
         if state.aperture_m < self._touch_m or grip.moving is not None:
             self._stop_rad = None
         elif self._stop_rad is None:
@@ -75,16 +74,25 @@ class DriveGoals:
             self._least_rad,
             strict=True,
         ):
-            if grip.moving is not None and settings is not grip.settings.servos[grip.moving]:
-                held_rad = self._held_rad(servo)
-                goals.append(self._holding(held_rad, settings.servo_model, path))
+            if grip.moving is not None:
+                held = settings is not grip.settings.servos[grip.moving]
+                angle_rad = max(grip.trial_rad, min(least_rad, servo.angle_rad))
+                goals.append(
+                    self._holding(self._held_rad(servo), settings.servo_model, path)
+                    if held
+                    else ServoGoal(
+                        angle_rad=min(angle_rad, contact_rad + GIVE_RAD),
+                        current_a=min(drive_n / path.n_per_a, grip.settings.current_max_a),
+                        setpoint_n=grip.setpoint_n,
+                    )
+                )
                 continue
-            # Each servo drives with as much of its own friction.
+            # Each servo drives with the same share of its own friction.
             own_n = model_n + (drive_n - model_n) * path.friction_n / friction_n
             current_a = min(abs(own_n) / path.n_per_a, grip.settings.current_max_a)
             margin_rad = closing_margin_rad(settings.servo_model, current_a)
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
-            # A position that drifts open must not take a closing goal to the open side with it.
+            # A position that drifts open must not move a closing goal to the open side.
             if own_n >= 0.0:
                 angle_rad = max(deepest_rad - margin_rad, min(least_rad, servo.angle_rad))
             else:
@@ -99,7 +107,7 @@ class DriveGoals:
         return tuple(goals)
 
     def _held_rad(self, servo: ServoState) -> float:
-        """Return where a finger stands since the other one alone has moved."""
+        """Return the position of a finger while only the other one moves."""
         if self._held[:2] != (self._grip.moving, servo.servo_id):
             self._held = (self._grip.moving, servo.servo_id, servo.angle_rad)
         return self._held[2]

@@ -18,11 +18,10 @@ from gripper.servos.goals import ServoGoal
 from gripper.values.state import GRAIN_M, ServoFeedback
 
 _INERTIA_N_S_M = 100.0
-"""Drive in N left free below the cap of the force for each m/s of closing, with a lever of 60 mm:
-on a part of 10 N/mm the inertia of the fingers adds so much to the force that their drive makes.
-[tuned]"""
+"""Margin of the drive in N below the cap of the force for each m/s of closing, with a lever of 60
+mm: on a part of 10 N/mm the inertia of the fingers adds this force to their drive. [tuned]"""
 _HARDENS = 1.5
-"""Stiffness at the contact over the mean one up to it, as foam has it. [assumed]"""
+"""Stiffness at the contact over the mean stiffness up to it, for foam. [assumed]"""
 
 
 class GripControl:
@@ -65,13 +64,13 @@ class GripControl:
         )
         grip.apertures.add(now_s, state.aperture_m)
         yielded_m = max(reached.touch_m - state.aperture_m, 0.0)
-        # Loaded so much at the first touch: stiff, or no part at all.
+        # A high load at the first touch: stiff, or no part at all.
         contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
         self.watch = PartWatch(grip, contact_n_m)
-        """Decides whether the part is gone; asked before `goals` in each period."""
+        """Decides whether the part is gone; called before `goals` in each period."""
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._checks = PadChecks(settings, state, now_s, widest_m=state.aperture_m + given_m)
-        # Both pads yield by what the opening shrinks.
+        # The opening shrinks by the yield of both pads.
         pad_n_m = 2.0 * _HARDENS * max(force_n, self.watch.pads.empty_n) / (yielded_m + GRAIN_M)
         self._modes = GripModes(grip, now_s, pad_n_m)
         self._goals = DriveGoals(grip, state, reached.touch_m)
@@ -102,9 +101,9 @@ class GripControl:
         moment
             Feedback and a valid force sample.
         setpoint_n
-            Grip force that is asked for in N.
+            Set-point of the grip force in N.
         arrival_n
-            Where the present change of force ends in N; None where it is not changing.
+            End of the present change of force in N; None without a change.
         taper
             True during a long hold.
 
@@ -143,7 +142,7 @@ class GripControl:
         return self._goals.goals(state, paths)
 
     def quiet_goals(self, moment: Moment) -> tuple[ServoGoal, ...]:
-        """Return goals to leave behind: the square wave on the drive ends at neither crest."""
+        """Return the last goals of a grip: without the square wave on the drive."""
         self.grip.drive_n = self.grip.quiet_n
         state = moment.state
         return self._goals.goals(
@@ -153,7 +152,7 @@ class GripControl:
     def _drive_max_n(self, state: ServoFeedback, paths: Sequence[Transmission]) -> float:
         """Return the largest driving force in N that the caps of current and force allow.
 
-        Where something pushes the fingers open, the cap of the force limits the drive too.
+        If something pushes the fingers open, the cap of the force also limits the drive.
         """
         cap_a = self._settings.current_cap_a(state.temperature_c)
         cap_n = self._settings.force_max_n

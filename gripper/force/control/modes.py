@@ -6,28 +6,33 @@ from gripper.force.control.band_mode import BandMode
 from gripper.force.control.motion_mode import SPEED_S, MotionMode
 from gripper.force.control.period import Mode, Period
 from gripper.force.estimates.grip import Grip
+from gripper.mechanics.kinematics import driving_n
 
 _FAST_N_S = 6.0
-"""Rate in N/s from which on a rise is a planned motion: below, friction at rest decides. [tuned]"""
+"""Rate in N/s above which a rise is a planned motion; below, friction at rest decides. [tuned]"""
 _FAST_PERIOD_S = 0.0065
 """Longest time in s between two goals of a planned motion, about half of the time constant of its
 speed: in a slower loop the fingers would run too far. [chosen]"""
 _LATE_PERIOD_S = SPEED_S
-"""Time in s since the last period from which on a motion is given up for slower control."""
+"""Time in s since the last period after which slower control replaces a motion."""
 _CORRECTED_N = {False: 0.05, True: 0.1}
-"""Error in N, beside the doubt of the force, of a hold that is made up for by a motion, up and down
+"""Error of a hold in N, beside the uncertainty of the force, that a motion corrects, up and down
 (True): foam creeps, and the way down costs twice the friction. [tuned]"""
 _CORRECTED_DOUBT_N = 0.06
-"""Doubt of the force in N up to which such an error is known well enough. [tuned]"""
+"""Largest uncertainty of the force in N for this correction. [tuned]"""
 _PAUSE_S = 0.05
-"""Least time in s between two such motions. [tuned]"""
+"""Least time in s between two of these motions. [tuned]"""
+
+_TRIAL_MEAN_S = 0.02
+"""Time constant in s of the force by which a finger is held while the other one is measured.
+[chosen]"""
 
 
 class WaitMode(Mode):
-    """Mode of control that waits: nothing new is there to go by.
+    """Mode of control that waits without a usable sample.
 
-    A sample that is young enough was there before, or the samples show a part as gone and no other
-    witness does yet. The crest of the square wave must not stay meanwhile.
+    There is no new sample, or the samples show a part as gone and no other measurement confirms it
+    yet. The crest of the square wave must not stay meanwhile.
     """
 
     def __init__(self, grip: Grip) -> None:
@@ -38,8 +43,28 @@ class WaitMode(Mode):
         return min(self._grip.drive_n, self._grip.quiet_n)
 
 
+class TrialMode(Mode):
+    """Mode of control while one finger is measured: its goal moves, nothing is corrected.
+
+    The drive is only a limit then.
+    """
+
+    def __init__(self, grip: Grip) -> None:
+        self._grip = grip
+
+    def step(self, period: Period) -> float:
+        """Return the driving force in N of one period."""
+        grip, estimate, sample = self._grip, self._grip.estimate, period.moment.sample
+        if sample is not None and sample.valid and sample.t_s > estimate.sample_s:
+            share = min(1.0, (sample.t_s - estimate.sample_s) / _TRIAL_MEAN_S)
+            estimate.correct(share * (sample.grip_n - estimate.force_n) + estimate.bias_n, 0.0)
+            estimate.sample_s = sample.t_s
+        grip.quiet_n = driving_n(period.state, period.paths)
+        return period.drive_max_n
+
+
 class GripModes:
-    """The modes of one grip; in each period the table decides which one makes the drive.
+    """The modes of one grip; in each period the table selects the mode for the drive.
 
     Parameters
     ----------
@@ -59,12 +84,13 @@ class GripModes:
             BandMode: self.band,
             MotionMode: self.motion,
             WaitMode: WaitMode(grip),
+            TrialMode: TrialMode(grip),
         }
         self.active: Mode = self.band
         """The mode that made the last drive."""
 
     def step(self, period: Period) -> float:
-        """Change the mode as the table has it, and return the driving force in N."""
+        """Change the mode by the table, and return the driving force in N."""
         while (target := self._due(period)) is not None:
             before, self.active = self.active, target
             before.exit(period)
@@ -72,7 +98,7 @@ class GripModes:
         return self.active.step(period)
 
     def _due(self, period: Period) -> Mode | None:
-        """Return the mode that is to follow now, None where the active one goes on."""
+        """Return the mode that follows now; None if the active one continues."""
         for source, condition, target in TRANSITIONS:
             if isinstance(self.active, source) and condition(self, period):
                 return self._modes[target]
@@ -85,7 +111,7 @@ def _quick(modes: GripModes, period: Period) -> bool:
 
 
 def _ended(modes: GripModes, period: Period) -> bool:
-    """Whether a motion has arrived, or can no longer go on."""
+    """Whether a motion has arrived, or can no longer continue."""
     falls = period.rises_n < 0.0
     return modes.motion.over or falls or not (_quick(modes, period) and period.usable)
 
@@ -96,7 +122,7 @@ def _rises_fast(modes: GripModes, period: Period) -> bool:
 
 
 def _strays(modes: GripModes, period: Period) -> bool:
-    """Whether the force of a hold is wrong, and known well enough to be made up for."""
+    """Whether the force of a hold is wrong, and exact enough for a correction."""
     estimate = modes.grip.estimate
     setpoint_n, force_n, now_s = period.setpoint_n, estimate.force_n, period.moment.now_s
     if not (_may_move(modes, period) and period.rises_n == 0.0 and setpoint_n == period.end_n):
@@ -108,16 +134,24 @@ def _strays(modes: GripModes, period: Period) -> bool:
     return (period.may_open or not falls) and error_n > _CORRECTED_N[falls] + estimate.doubt_n
 
 
+def _tried(modes: GripModes) -> bool:
+    """Whether one finger is measured."""
+    return modes.grip.moving is not None
+
+
 def _may_move(modes: GripModes, period: Period) -> bool:
     return _quick(modes, period) and period.moment.young and period.moment.dt_s > 0.0
 
 
 TRANSITIONS: tuple[tuple[type[Mode], Callable[[GripModes, Period], bool], type[Mode]], ...] = (
-    (MotionMode, _ended, BandMode),
+    (TrialMode, lambda modes, _: not _tried(modes), BandMode),
+    (BandMode, lambda modes, _: _tried(modes), TrialMode),
+    (WaitMode, lambda modes, _: _tried(modes), BandMode),
+    (MotionMode, lambda modes, period: _tried(modes) or _ended(modes, period), BandMode),
     (BandMode, lambda _, period: not period.usable, WaitMode),
     (WaitMode, lambda _, period: period.usable, BandMode),
     (BandMode, _rises_fast, MotionMode),
     (BandMode, _strays, MotionMode),
 )
-"""Mode, what ends it, and the mode that follows. Rows are tried in this order, in each period until
-none applies; no mode knows another one's state."""
+"""Mode, condition of its end, and next mode. In each period the rows are tried in this order until
+no row applies; no mode uses another mode's state."""

@@ -1,10 +1,10 @@
 """Mode of control that changes the grip force by a planned motion of the fingers.
 
-Motor and finger, seen at the pad, are a mass that friction brakes and a spring, pad and part,
-pushes back. A fast ramp is a motion of that mass: force and speed follow a plan whose rate has no
-corner, what the mass needs for it is fed forward, and so are friction and the stiffness of the
-part, which is learnt in each contact. At the end the mass is at rest, and friction locks it.
-A small error of a hold is made up for by a motion too.
+Motor and finger, seen at the pad, are a mass; friction brakes it, and a spring of pad and part
+pushes it back. A fast ramp is a motion of that mass: force and speed follow a plan with a smooth
+rate. The inertia, the friction and the stiffness of the part, learnt in each contact, are fed
+forward. At the end the mass is at rest, and friction locks it.
+A motion also corrects a small error of a hold.
 """
 
 from collections import deque
@@ -20,30 +20,29 @@ from gripper.servos.goals import STICTION, pressing_speed_m_s
 _WRITE_S = 0.001
 """Time in s from the feedback of a period to the write of its goals. [assumed]"""
 _RATE_S = 0.025
-"""Time in s in which the rate of a plan gets to that of its ramp, and back to 0. [tuned]"""
+"""Time in s in which the rate of a plan reaches that of its ramp, and returns to 0. [tuned]"""
 _INERTIA_N = 2.0
-"""Force in N that the mass may need for a plan: a soft part makes it slower. [tuned]"""
+"""Largest force in N for the mass in a plan: a soft part makes the plan slower. [tuned]"""
 _FORCE_S, SPEED_S = 0.04, 0.012
-"""Time constants in s with which an error of force and of speed are made up for. [tuned]"""
+"""Time constants in s of the correction of force and speed errors. [tuned]"""
 _LATE_S = 0.3
-"""Time in s after the end of its ramp at which a motion is given up: something else is wrong.
+"""Time in s after the end of its ramp at which a motion is abandoned: something else is wrong.
 [chosen]"""
 _LEAST_RATE_N_S = 5.0
-"""Rate in N/s that the plan of a small correction has in mind. [tuned]"""
+"""Rate in N/s that the plan of a small correction assumes. [tuned]"""
 _LOCKED_SHARE = 0.5
 """Share of the friction beyond the force at which the drive stays: friction locks the fingers.
 [tuned]"""
 _BREAKAWAY_N = 0.1
-"""Drive in N beyond friction at rest with which locked fingers are set in motion. [tuned]"""
+"""Drive in N beyond friction at rest that starts locked fingers. [tuned]"""
 _LOOSENED_SHARE, _LOOSENING_N_S = 0.5, 20.0
-"""Share of the friction from which the push of a fall grows, and its rate in N/s: that edge of the
-friction is known to a newton, and where locked fingers come loose by too much the force jumps.
-[tuned]"""
+"""Share of the friction at which the push of a fall begins to grow, and its rate in N/s. That edge
+of the friction is exact to a newton; after too large a push the force jumps. [tuned]"""
 _NEAR_N = 0.03
 """Distance in N from its end at which a rise is over. [tuned]"""
 _BELOW_SDS, _LEAST_BELOW_N, _MOST_BELOW_N = 1.5, 0.05, 0.18
-"""How far in N below the force that is asked for a rise ends, by the doubt of the force: what is
-missing is added slowly, and the way back costs twice the friction. [tuned]"""
+"""Distance in N below the set-point at which a rise ends, by the uncertainty of the force: the rest
+is added slowly, and the way back costs twice the friction. [tuned]"""
 
 
 class MotionMode(Mode):
@@ -60,14 +59,13 @@ class MotionMode(Mode):
     """
 
     observer: ContactObserver
-    """Of the motion that runs, or of the last one; what it has learnt is kept for the next."""
+    """Of the present or last motion; its learnt values are kept for the next one."""
 
     def __init__(self, grip: Grip, now_s: float, pad_n_m: float) -> None:
         self.over = False
         """Whether the force has arrived and the fingers stand."""
         self.ended_s = self.moved_s = now_s
-        """Monotonic time in s at which the last motion was found to have ended, and that of its
-        last period."""
+        """Monotonic time in s of the detected end of the last motion, and of its last period."""
         self.setpoint_n = grip.setpoint_n
         """Set-point in N of that period."""
         self._grip = grip
@@ -75,7 +73,7 @@ class MotionMode(Mode):
         self._lacking_n: dict[bool, float] = {}
 
     def enter(self, period: Period, before: Mode) -> None:
-        """Begin a motion from the force that is there now: of the set-point, or of a correction."""
+        """Begin a motion from the present force: of the set-point, or of a correction."""
         grip, estimate = self._grip, self._grip.estimate
         force_n = estimate.force_n
         corrects = period.rises_n == 0.0
@@ -96,7 +94,7 @@ class MotionMode(Mode):
         self.plan = ForcePlan(self.observer.force_n, self._sign)
 
     def exit(self, period: Period) -> None:
-        """End the motion, and keep what it has shown of part and friction."""
+        """End the motion, and keep its measurements of part and friction."""
         self._pad_n_m = self.observer.stiffness_n_m
         self._lacking_n[self._falls] = self.observer.lacking_n
         if period.usable and (self.over or period.rises_n < 0.0):
@@ -113,7 +111,7 @@ class MotionMode(Mode):
             When sensor and model disagree, see `ForceEstimate.jumps` and `check`.
         """
         grip, observer, sample = self._grip, self.observer, period.sample
-        estimate, friction_n = grip.estimate, period.friction_n
+        estimate, friction_n = grip.estimate, self._friction_n(period)
         moment, setpoint_n = period.moment, period.setpoint_n
         measured_n = driving_n(period.state, period.paths)
         jumped = estimate.jumps(sample, observer.unexplained_n(sample), setpoint_n, friction_n)
@@ -127,10 +125,15 @@ class MotionMode(Mode):
         estimate.check(moment.now_s, sample, friction_n, period.doubt_n)
         return grip.quiet_n
 
+    def _friction_n(self, period: Period) -> float:
+        """Return the friction in N of this motion: on its way down the load loses some too."""
+        held_n = (1.0 - 1.0 / period.relief) * max(0.0, self.observer.force_n)
+        return period.friction_n + (held_n if self._falls else 0.0)
+
     def _planned_drive_n(self, period: Period) -> float:
         """Advance the plan by one period and return the driving force in N that follows it."""
         grip, observer, sign, dt_s = self._grip, self.observer, self._sign, period.moment.dt_s
-        setpoint_n, end_n, friction_n = period.setpoint_n, period.end_n, period.friction_n
+        setpoint_n, end_n, friction_n = period.setpoint_n, period.end_n, self._friction_n(period)
         stiffness = observer.stiffness_n_m
         impact = impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
         speed_max_m_s = pressing_speed_m_s(grip.settings, impact, setpoint_n)
@@ -156,7 +159,7 @@ class MotionMode(Mode):
         wanted_m_s = max(0.0, plan.rate_n_s + error_n / _FORCE_S) / stiffness
         wanted = sign * min(wanted_m_s, speed_max_m_s)
         accelerates = sign * plan.rate_change_n_s2 / stiffness + (wanted - speed) / SPEED_S
-        # What the force still grows by while friction alone brakes the fingers.
+        # Growth of the force while only friction brakes the fingers.
         stopping_n = 0.5 * observer.mass_kg * speed**2 * stiffness / max(friction_n, _NEAR_N)
         arrived = sign * (end_n - force_n) <= _NEAR_N + stopping_n
         if at_end and wanted_m_s < speed_max_m_s:

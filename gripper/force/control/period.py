@@ -1,4 +1,4 @@
-"""One period of the control of a grip, and what a mode of control does with it."""
+"""One period of the control of a grip, and the interface of its modes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ from gripper.values.state import ServoFeedback
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Period:
-    """One period of control: what was measured, what is asked for, what the limits allow."""
+    """One period of control: measurements, set-point, limits."""
 
     moment: Moment
     """Feedback and newest sample."""
     usable: bool
-    """Whether there is a sample to go by: a valid one that leaves no doubt about the part."""
+    """Whether there is a usable sample: a valid one without doubt about the part."""
     setpoint_n: float
     rises_n: float
-    """Grip force that is asked for in N, and by how much more that is than in the last period."""
+    """Set-point of the grip force in N, and its increase since the last period."""
     arrival_n: float | None
-    """Where the present change of force ends in N; None where it is not changing."""
+    """End of the present change of force in N; None without a change."""
     taper: bool
     """True during a long hold."""
     paths: Sequence[Transmission]
@@ -42,13 +42,13 @@ class Period:
 
     @property
     def sample(self) -> ForceSample:
-        """Newest sample, where it is usable."""
+        """Newest sample, if it is usable."""
         assert self.moment.sample is not None
         return self.moment.sample
 
     @property
     def relief(self) -> float:
-        """Force that falls at a drive over the one that rises at it, the mean of the servos."""
+        """Falling force over rising force at the same drive, the mean of the servos."""
         return sum(path.relief for path in self.paths) / len(self.paths)
 
     @property
@@ -58,10 +58,10 @@ class Period:
 
 
 class Mode:
-    """One law of control; it alone changes its own state."""
+    """One law of control with its own state."""
 
     def enter(self, period: Period, before: "Mode") -> None:
-        """Begin where another mode has left the grip."""
+        """Begin after another mode."""
 
     def exit(self, period: Period) -> None:
         """End, before another mode begins."""

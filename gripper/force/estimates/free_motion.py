@@ -2,10 +2,10 @@
 
 from collections import deque
 from dataclasses import replace
-from math import exp, sqrt
+from math import exp, hypot, sqrt
 from statistics import fmean, median, pstdev
 
-from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.errors import ServoFault
 from gripper.force.loop import Moment
 from gripper.mechanics.identification import (
@@ -34,12 +34,13 @@ _EVEN_SHARE = 0.15
 """Share by which the current of both halves of a free motion may differ. [tuned]"""
 _SAME_SPEED = 1.3
 """Speeds whose ratio is less are one point: the newest motion counts. [chosen]"""
-_MOST_POINTS = 16
-"""Newest points that are kept of a servo. [chosen]"""
+_FEW_POINTS, _MOST_POINTS = 4, 16
+"""Points that show the friction at all speeds, and newest ones that are kept. [chosen]"""
 _COLD_K = 8.0
 """Fall of the temperature in K that makes grease stiff. [assumed]"""
 _WORN = 5.0
-"""Friction over the catalogue's, or its inverse, that no sound servo has. [assumed]"""
+"""Friction over the catalogue's that no sound servo has; one without a load may have a tenth of it,
+as a gearing of an XL330 has (arXiv 2410.08650). [assumed]"""
 
 
 class FreeMotion:
@@ -101,8 +102,10 @@ class FreeMotion:
 
     def compare(self) -> None:
         """Note where pads and motor constant contradict each other: neither follows the other."""
-        for servo in self._settings.servos:
-            apart = self._drive(servo).disagreement
+        drives = [self._drive(servo) for servo in self._settings.servos]
+        together = disagreement(drives)
+        for servo, drive in zip(self._settings.servos, drives, strict=True):
+            apart = disagreement([drive]) or together
             begin = f"servo {servo.servo_id}: by the pads"
             if apart and not any(note.startswith(begin) for note in self.notes):
                 self.notes.append(
@@ -121,7 +124,9 @@ class FreeMotion:
             return
         drive, servo_id, model = self._drive(settings), settings.servo_id, settings.servo_model
         points = self._points.setdefault(servo_id, [])
-        ratio = change(point, drive)
+        # What few motions have shown says little of other speeds.
+        few = 0 < len(points) < _FEW_POINTS and not any(_alike(one, point) for one in points)
+        ratio = 1.0 if few else change(point, drive)
         prior = self._priors.setdefault(servo_id, drive)
         if ratio != 1.0:
             self._note(servo, drive, ratio)
@@ -132,6 +137,7 @@ class FreeMotion:
         found = fit_friction(points, prior)
         found = replace(
             found,
+            breakaway_a=(found.coulomb_a + found.stribeck_a) * drive.breakaway_share,
             rising_a_nm=drive.rising_a_nm,
             falling_a_nm=drive.falling_a_nm,
             load_sd=drive.load_sd,
@@ -141,12 +147,12 @@ class FreeMotion:
             found = anchored(found, model, back_emf_v_s)
         self._settings.drives.put(servo_id, found)
         usual_a = DriveCharacteristic.catalogue(model).breakaway_a
-        if not 1.0 / _WORN < found.breakaway_a / usual_a < _WORN:
+        if found.breakaway_a > _WORN * usual_a:
             raise ServoFault(
                 servo_id,
                 0,
                 f"its free motion takes {found.breakaway_a:.3f} A, {usual_a:.3f} A are usual for a "
-                f"{model.name}: {_cause(found.breakaway_a / usual_a, 0.0)}. Free the finger, or "
+                f"{model.name}: {_cause(_WORN, 0.0)}. Free the finger, or "
                 f"change the servo; then clear the fault, release and start",
             )
 
@@ -197,6 +203,7 @@ class _Run:
         """Add one period."""
         if self._since_s is None:
             self._since_s = now_s
+        self._step_a = settings.servo_model.current_unit_a / sqrt(12.0)
         voltage_v = servo.pwm_share * servo.voltage_v
         self._periods.append((now_s, servo.velocity_rad_s, servo.current_a, voltage_v))
         while self._periods[0][0] < now_s - _WINDOW_S - _BEFORE_END_S:
@@ -230,6 +237,6 @@ class _Run:
         return FreePoint(
             speed_rad_s=speed_rad_s,
             current_a=current_a,
-            sd_a=pstdev([one[2] for one in inner]) / sqrt(len(inner) / 4.0),
+            sd_a=hypot(pstdev([one[2] for one in inner]) / sqrt(len(inner) / 4.0), self._step_a),
             voltage_v=voltage_v or None,
         )

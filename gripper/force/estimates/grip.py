@@ -39,7 +39,9 @@ class Grip:
     """Driving force of the last period in N, and without the square wave on it; below 0 it pushes
     open."""
     moving: int | None = None
-    """Index of the one finger that moves, the other one locked by its friction; None: both."""
+    """Index of the one finger that is measured, the other one held by position; None: neither."""
+    trial_rad: float = 0.0
+    """Goal of that finger in rad."""
     mass_kg: float = field(init=False)
     """Moving mass of a finger, as it is at the pad."""
     motor_share: float = field(init=False)

@@ -1,1 +1,1 @@
-"""Methods that the paper names and plain choices of today, to compare with on request."""
+"""Methods that the paper names, and plain present ones, for comparison on request."""

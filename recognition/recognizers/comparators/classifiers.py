@@ -1,4 +1,4 @@
-"""Plain classifiers: taught here or by scikit-learn, kept as arrays, evaluated in numpy alone."""
+"""Plain classifiers: taught here or by scikit-learn, stored as arrays, evaluated in numpy."""
 
 import warnings
 from collections.abc import Mapping
@@ -16,35 +16,35 @@ _HIDDEN = 32
 """Hidden units of the network."""
 _WEIGHT_DECAY = 0.1
 _ITERATIONS = 200
-"""L2 penalty and most iterations of its training; stopping early keeps it from overfitting."""
+"""L2 penalty and most iterations of its training; the early stop prevents overfitting."""
 _TREES = 200
 """Trees of the forest."""
 
 
 class Classifier(Protocol):
-    """From rows of features to a score of each class; larger is likelier."""
+    """Returns a score of each class for rows of features; larger is likelier."""
 
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
-        """Fit to rows (n, F), of each class at least one."""
+        """Fit to rows (n, F), at least one of each class."""
 
     def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C) finite scores."""
 
     def space(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return rows (n, r) in the space in which the distance to taught ones is novelty."""
+        """Return rows (n, r) in the space whose distance to taught rows is the novelty."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all that was learnt as plain arrays."""
+        """Return the taught classifier as plain arrays."""
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        """Rebuild from `to_arrays`; KeyError if an array is missing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Arrays(ArrayRecord):
-    """A classifier whose fields are arrays, whose features show what is new."""
+    """A classifier whose fields are arrays, with novelty in the space of the features."""
 
     def space(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rows."""
@@ -126,7 +126,7 @@ class Linear:
 
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
-        """Fit it; ValueError where the rows do not show how grasps of one class vary."""
+        """Fit it; ValueError if the rows do not show the variation of a class."""
         return cls(discriminant=fit_lda(rows, classes, n_classes))
 
     def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -143,7 +143,7 @@ class Linear:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        """Rebuild from `to_arrays`; KeyError if an array is missing."""
         return cls(discriminant=LinearDiscriminant.from_arrays(arrays, "lda_"))
 
 
@@ -158,8 +158,8 @@ class Forest(_Arrays):
     """(n_trees,) int32: first node of each tree."""
     left: NDArray[np.int32]
     right: NDArray[np.int32]
-    """(n_nodes,) int32: children: left where the feature is not above the threshold. A leaf is its
-    own child."""
+    """(n_nodes,) int32: children; left if the feature is not above the threshold. A leaf is its own
+    child."""
     feature: NDArray[np.int32]
     threshold: NDArray[np.float64]
     """(n_nodes,) int32, float64: the test of a node; 0 in leaves."""
@@ -205,8 +205,8 @@ class Forest(_Arrays):
         )
 
     def probability(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, C) mean shares of the leaves that each row falls into."""
-        # The trees were grown on single precision: the same rounding falls to the same side.
+        """Return (n, C) mean shares of the leaves of each row."""
+        # The trees were grown in single precision: the same rounding gives the same side.
         rows = rows.astype(np.float32).astype(np.float64)
         node = np.broadcast_to(self.roots, (len(rows), len(self.roots)))
         each = np.arange(len(rows))[:, None]

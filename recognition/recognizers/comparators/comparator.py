@@ -1,8 +1,8 @@
 """Comparator and its trainer: features of a grasp, a plain classifier, calibration and novelty.
 
-A comparator names objects as its source does. To stand in the same tables as the others it also
-returns probabilities (one temperature, fitted out of sample) and the probability of an untaught
-object (distance to the nearest taught grasp, against that of held-out grasps).
+A comparator names objects by the method of its source. For the same tables as the others it also
+returns probabilities (one temperature, fitted out of sample). The probability of an untaught object
+compares the distance to the nearest taught grasp with that of held-out grasps.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -43,9 +43,9 @@ _FOLDS = 3
 _SHARPNESS = 4.0
 """Log odds of an untaught object for each unit of the logarithm of the squared distance."""
 _PLAIN = ("labels", "uses_aperture", "fill", "mean", "scale", "temperature", "samples", "limit")
-"""Fields that a model keeps as arrays of their names."""
+"""Fields that a model stores as arrays under their names."""
 _PREFIX = "classifier_"
-"""Of the names of the classifier's arrays in a model."""
+"""Prefix of the names of the classifier's arrays in a model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,12 +55,12 @@ class Method:
     name: str
     """Name in tables, models and on the command line."""
     features: PadFeatures | FeatureView
-    """Its features, NaN where unknown: of each gripping pad alone, or a view of both along the
-    ramp, which has a place for the opening."""
+    """Its features, NaN if unknown: of each gripping pad alone, or a view of both along the ramp,
+    which may include the opening."""
     classifier: type[Classifier]
-    """Its decision."""
+    """Its classifier."""
     standardise: bool = True
-    """Whether each feature is centred and scaled to unit deviation first."""
+    """Whether each feature is first centred and scaled to unit deviation."""
 
     def describe(self, levels: Levels, rest: Rest, use_aperture: bool) -> NDArray[np.float64]:
         """Return the features (n, F) of the levels of n grasps."""
@@ -89,9 +89,9 @@ class Comparator:
     fill: NDArray[np.float64]
     mean: NDArray[np.float64]
     scale: NDArray[np.float64]
-    """(F,) float64: what stands for an unknown feature; centre and unit of each."""
+    """(F,) float64: replacement of an unknown feature; centre and unit of each."""
     classifier: Classifier
-    """The decision."""
+    """The classifier."""
     temperature: float
     """Scores are divided by it."""
     samples: NDArray[np.float64]
@@ -107,8 +107,8 @@ class Comparator:
     def posterior(self, grasp: Grasp) -> Posterior:
         """Return the posterior of a grasp. Raises ValueError for pads other than the taught ones.
 
-        A grasp that never touched both pads, or that has no finite features, gives even
-        probabilities and is surely unknown.
+        A grasp that never touched both pads, or without finite features, gives even probabilities
+        and is unknown with 1.
         """
         levels = load_levels([grasp], self.rest)
         features = self.method.describe(levels, self.rest, self.uses_aperture)
@@ -126,7 +126,7 @@ class Comparator:
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all that was learnt as plain arrays."""
+        """Return the taught comparator as plain arrays."""
         return {
             "feature_version": np.array(FEATURE_VERSION),
             **{name: np.array(getattr(self, name)) for name in _PLAIN},
@@ -136,7 +136,7 @@ class Comparator:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
+        """Rebuild from `to_arrays`. Raises ValueError that names a missing or wrong array."""
         learnt = without_prefix(arrays, _PREFIX)
         try:
             check_version(arrays)
@@ -172,9 +172,9 @@ class ComparatorTrainer:
     """Teaches one comparator."""
 
     kind: type[Comparator]
-    """Which."""
+    """Kind of the comparator."""
     use_aperture: bool = True
-    """Whether the opening may be used; without effect where the method has no place for it."""
+    """Whether the opening may be used; without effect if the method does not use it."""
 
     @property
     def name(self) -> str:
@@ -189,7 +189,7 @@ class ComparatorTrainer:
     def fit(self, grasps: Sequence[Grasp]) -> Comparator:
         """Teach with labelled grasps; those that never touched both pads are left out.
 
-        Raises ValueError where they do not suffice, or scikit-learn is needed and missing.
+        Raises ValueError if they are too few, or scikit-learn is needed and missing.
         """
         method = self.kind.method
         ordered = [grasp for group in by_label(grasps).values() for grasp in group]
@@ -203,8 +203,8 @@ class ComparatorTrainer:
         lost = {grasp.label for grasp in ordered} - set(labels.tolist())
         if len(labels) < 2 or lost:
             raise ValueError(
-                f"{method.name}: {len(labels)} objects with a grasp that touched both pads, none "
-                f"of {sorted(lost)}: teach at least two objects, and press harder"
+                f"{method.name}: {len(labels)} objects with a grasp that touched both pads; "
+                f"missing: {sorted(lost)}: teach at least two objects, and press harder"
             )
         features = features[kept]
         known = np.isfinite(features)

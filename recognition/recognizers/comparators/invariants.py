@@ -1,4 +1,4 @@
-"""Differential invariants of a curve: numbers that a rigid motion leaves unchanged.
+"""Differential invariants of a curve: numbers that do not change in a rigid motion.
 
 After Ibrayev and Jia (the paper's refs. [3, 4]): with the curvature k and its derivative k' over
 the arc length, every point of a parabola has the same
@@ -9,7 +9,7 @@ and on an ellipse or a hyperbola with the half axes a and b two points give
 
     m = -(I_1 - I_2) / (|k_1|^(-2/3) - |k_2|^(-2/3)),   I + m |k|^(-2/3),
 
-which are +-(a b)^(-2/3) and (a^2 +- b^2) / (a b)^(4/3). A cubic has its third derivative besides.
+which are +-(a b)^(-2/3) and (a^2 +- b^2) / (a b)^(4/3). A cubic also has its third derivative.
 """
 
 from dataclasses import dataclass
@@ -21,14 +21,14 @@ from recognition.features.footprint import PadGrid
 from recognition.recognizers.comparators.outline import centroid_mm, sample_mm
 
 FULL_SCALE_MM = 3.0
-"""Depth that stands for a taxel at full scale: the thickness of the paper's foam."""
+"""Depth of a taxel at full scale in mm: the thickness of the paper's foam."""
 
 _POINTS = np.array([-0.5, 0.0, 0.5])
-"""Points of a section at which invariants are taken, as shares of its reach."""
+"""Points of a section for the invariants, as shares of its reach."""
 _SAMPLES = np.linspace(-1.0, 1.0, 21)
-"""Points of a section that the cubic is fitted to, as shares of its reach."""
+"""Points of a section for the fit of the cubic, as shares of its reach."""
 _REACH = 1.6
-"""Reach of a section to either side, in standard deviations of the load along it."""
+"""Reach of a section on each side, in standard deviations of the load along it."""
 _TINY = 1e-6
 """Least curvature in 1/mm: flat sections have no finite invariant."""
 
@@ -54,7 +54,7 @@ def cubic_geometry(coefficients: NDArray[np.float64], at_mm: NDArray[np.float64]
 
 
 def parabola_invariant(geometry: LocalGeometry) -> NDArray[np.float64]:
-    """Return I at each point, in mm^(-2/3); one value all along a parabola."""
+    """Return I at each point, in mm^(-2/3); constant along a parabola."""
     k = np.maximum(np.abs(geometry.curvature), _TINY)
     invariant: NDArray[np.float64] = k ** (2 / 3) * (1.0 + (geometry.derivative / (3 * k**2)) ** 2)
     return invariant
@@ -63,7 +63,7 @@ def parabola_invariant(geometry: LocalGeometry) -> NDArray[np.float64]:
 def conic_invariants(geometry: LocalGeometry) -> tuple[float, float]:
     """Return m and I + m |k|^(-2/3), by least squares over all points.
 
-    Points of one curvature, as on a circle, do not separate them: then m is 0.
+    With points of one curvature, for example on a circle, m is 0.
     """
     k = np.maximum(np.abs(geometry.curvature), _TINY) ** (-2 / 3)
     value = parabola_invariant(geometry)
@@ -76,8 +76,8 @@ def conic_invariants(geometry: LocalGeometry) -> tuple[float, float]:
 def section_features(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
     """Return invariants of the two principal sections of one pad's patch (n_taxels,), 0 to 1.
 
-    Along the long and the short axis through the centroid a cubic is fitted to the heights; its
-    invariants at up to three points follow, without regard to the direction of travel.
+    A cubic is fitted to the heights along the long and the short axis through the centroid. The
+    features are its invariants at up to three points, for both directions of travel alike.
 
     Returns
     -------

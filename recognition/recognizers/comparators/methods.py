@@ -1,7 +1,7 @@
-"""Comparators of the paper's references and of today: features of each and its classifier.
+"""Comparators of the paper's references and present ones: features and classifier of each.
 
 Each is a `Comparator` subclass with its `Method`, and one entry in `recognition.recognizers`.
-`ShrinkageLda` and `ExtraTrees` alone have a place for the opening.
+Only `ShrinkageLda` and `ExtraTrees` use the opening.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ from recognition.recognizers.comparators.outline import (
 )
 
 _ANGLES = 32
-"""Directions in which the outline is taken, also as the length of a radius vector."""
+"""Number of directions of the outline and of its radius vectors."""
 _VERTICES = 8
 """Vertices of the outline's polygon."""
 
@@ -61,10 +61,10 @@ class ShrinkageLda(Comparator):
 
 
 class ExtraTrees(Comparator):
-    """Extremely randomised trees on moments of the patches: today's plain choice.
+    """Extremely randomised trees on moments of the patches: a plain present method.
 
-    Size, extent, moments and harmonics of both patches along the ramp, their differences and
-    growth; with the opening where it is to be used.
+    The features are size, extent, moments and harmonics of both patches along the ramp, their
+    differences and growth, and optionally the opening.
     """
 
     __slots__ = ()
@@ -84,9 +84,9 @@ def radius_vector_features(patch: NDArray[np.float64], grid: PadGrid) -> NDArray
 class RadiusVector(Comparator):
     """Radius vector of the outline, and a neural network.
 
-    The comparator of the paper's refs. [6, 7, 12]. The outline needs a fixed position, size and
-    rotation first: distances count from the centroid, in parts of their mean, from the long axis
-    on. It is planar: two objects with one outline are one object to it.
+    The comparator of the paper's refs. [6, 7, 12]. It first normalises position, size and rotation
+    of the outline: distances are from the centroid, over their mean, and begin at the long axis. It
+    is planar, so it cannot distinguish two objects with one outline.
     """
 
     __slots__ = ()
@@ -115,8 +115,8 @@ class ContactInvariants(Comparator):
     """Differential invariants of the pressed surface, after Ibrayev and Jia.
 
     The comparator of the paper's refs. [3, 4]: curvature and its derivative at up to three points
-    of a cubic curve give numbers that no rigid motion changes. The curves are the principal
-    sections of the patch; a linear discriminant decides, as the source leaves that open.
+    of a cubic curve give numbers that do not change in a rigid motion. The curves are the principal
+    sections of the patch. A linear discriminant decides, because the source names no classifier.
     """
 
     __slots__ = ()

@@ -10,7 +10,7 @@ OUTLINE_SHARE = 0.3
 """The outline is where the pressure has fallen to this share of its peak."""
 
 _STEP_MM = 0.25
-"""Step in mm along a ray on which the outline is sought; the crossing is then interpolated."""
+"""Step in mm along a ray in the search for the outline; the crossing is then interpolated."""
 
 
 def centroid_mm(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
@@ -26,14 +26,14 @@ def centroid_mm(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64
 def sample_mm(
     patch: NDArray[np.float64], grid: PadGrid, points_mm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return values of a patch between the taxels, linear; it falls to 0 one pitch beside the pad.
+    """Return linearly interpolated values of a patch; they fall to 0 one pitch outside the pad.
 
     Parameters
     ----------
     patch : (n_taxels,)
         Values of one pad, row-major.
     points_mm : (..., 2)
-        Where, in the pad's plane.
+        Points in the pad's plane.
 
     Returns
     -------
@@ -56,8 +56,8 @@ def outline_radii_mm(
 ) -> NDArray[np.float64]:
     """Return the distance from the centroid to the outline in each direction, in mm.
 
-    Along each ray the farthest point counts that still carries `OUTLINE_SHARE` of the peak, so two
-    patches side by side have one outline. Directions go once round, the first along x.
+    On each ray it is the farthest point with `OUTLINE_SHARE` of the peak, so two patches side by
+    side have one outline. Directions cover a full turn, the first is along x.
 
     Parameters
     ----------
@@ -90,9 +90,9 @@ def outline_radii_mm(
 
 
 def canonical_start(radii: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a radius vector (A,), A even, turned so that it begins at the patch's long axis.
+    """Return a radius vector (A,), A even, rotated so that it begins at the patch's long axis.
 
-    Of the two ends of the axis the one is taken whose half circle behind it holds the larger radii.
+    It begins at the end of the axis that has the larger radii in the following half circle.
     """
     n = len(radii)
     angle = np.arange(n) * (2.0 * np.pi / n)
@@ -103,14 +103,14 @@ def canonical_start(radii: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def polygon(radii_mm: NDArray[np.float64], n_vertices: int) -> NDArray[np.float64]:
-    """Return the polygon of an outline: the vertex that bends it least is dropped, again and again.
+    """Return the polygon of an outline, by repeated removal of the vertex with the least bend.
 
     Parameters
     ----------
     radii_mm : (A,)
         The outline, see `outline_radii_mm`.
     n_vertices
-        Vertices that are left, at least 3.
+        Number of remaining vertices, at least 3.
 
     Returns
     -------
@@ -130,8 +130,8 @@ def polygon(radii_mm: NDArray[np.float64], n_vertices: int) -> NDArray[np.float6
 def angles_and_lengths(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return turning angle and edge length, in turn, of a closed polygon (V, 2), as (2 V,).
 
-    Lengths are parts of the perimeter, angles are in units of a half turn. It begins with the
-    longest edge, so position, rotation and scale have no part in it.
+    Lengths are shares of the perimeter, angles are in units of a half turn. The first one is the
+    longest edge, so position, rotation and scale have no effect.
     """
     edge = np.roll(vertices, -1, axis=0) - vertices
     length = np.hypot(edge[:, 0], edge[:, 1])

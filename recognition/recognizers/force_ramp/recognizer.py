@@ -29,14 +29,13 @@ MIN_GRASPS = 3
 _SOON_MS = 3_600_000
 """Time in ms from a taught grasp within which the sensors hardly drift."""
 _SOON_UNCHANGED = 0.99
-"""Probability that they have not within that time, on the cell that taught; at any other time none:
-a zero that counts as known names surely, and wrongly where it is off by what two objects differ in.
-"""
+"""Probability of no drift within that time, on the cell that taught. Else 0: with an assumed zero
+names are certain, and wrong if the error equals the difference between two objects."""
 _NEW_IN_ANSWER = 20.0
-"""Factor on the likelihood of a new object in an answer: a wrong name costs more than UNKNOWN, so a
-drift excuses what a grasp has of a new object only where it fits well. Following goes without."""
+"""Factor on the likelihood of a new object in an answer. A wrong name costs more than UNKNOWN, so a
+drift must fit well to explain a new object. Following has no factor."""
 _SLACK = 2.0
-"""How far a size may lie off, in standard deviations of the opening's zero."""
+"""Tolerance of a size in standard deviations of the opening's zero."""
 _KNOWN_OFFSET_MM = 0.3
 """Largest standard deviation of the opening's zero with which a drawn thickness is compared, in mm.
 """
@@ -47,13 +46,13 @@ class Evidence:
     """One grasp under each hypothesis of the drift."""
 
     classes: NDArray[np.int64]
-    """(K,) int64: numbers of the objects that are likely at all, ascending."""
+    """(K,) int64: numbers of the likely objects, ascending."""
     log_likelihood: NDArray[np.float64]
     """(G, O, K) or (G, 1, K) float64: of each of these."""
     new: NDArray[np.float64]
-    """(G, O) or (G, 1) float64: probability that it was none of them."""
+    """(G, O) or (G, 1) float64: probability of a new object."""
     view: View
-    """The view that gave it."""
+    """The view of this evidence."""
 
     def of_any(self, favour: float = 1.0) -> NDArray[np.float64]:
         """Return (G, O) or (G, 1): log likelihood of any object, taught or new.
@@ -77,16 +76,16 @@ class ForceRampRecognizer:
     touch: View
     """The view of touch alone, for grasps whose opening is unknown."""
     both: View | None
-    """The view of touch and opening; None where the opening is not used or was never known."""
+    """The view of touch and opening; None if the opening is not used or was never known."""
     taught_ms: NDArray[np.int64]
     """(C,) int64: time of the last taught grasp of each object."""
     taught_on: tuple[str, ...]
-    """Sources of the taught grasps that name a cell; empty where none does."""
+    """Sources of the taught grasps that name a cell; may be empty."""
     drawn_m: NDArray[np.float64]
-    """(C, k) float64: thicknesses of each object along the closing axis by its drawing in m, NaN
-    behind them."""
+    """(C, k) float64: thicknesses of each object along the closing axis by its drawing in m, filled
+    up with NaN."""
     zero: SelfZero | None = None
-    """Self-zero of the teaching; None where there was none."""
+    """Self-zero of the teaching; None without one."""
     grid: DriftGrid = field(default_factory=DriftGrid)
     """The drift since teaching, or since the self-zeros of both days were compared."""
     caution: float = 1.0
@@ -95,7 +94,7 @@ class ForceRampRecognizer:
     def posterior(self, grasp: Grasp) -> Posterior:
         """Return the posterior of a grasp. Raises ValueError for pads other than the taught ones.
 
-        A grasp that never touched both pads gives even probabilities and is surely unknown.
+        A grasp that never touched both pads gives even probabilities and is unknown with 1.
         """
         return self.answer(grasp, self.evidence(grasp))
 
@@ -133,9 +132,9 @@ class ForceRampRecognizer:
         )
 
     def evidence(self, grasp: Grasp, *, also: int = 0) -> Evidence | None:
-        """Return a grasp under each hypothesis; None where it never touched both pads.
+        """Return a grasp under each hypothesis; None if it never touched both pads.
 
-        Objects are those that are likely, and the one of the number ``also``. Raises ValueError for
+        Objects are the likely ones and the object with the number ``also``. Raises ValueError for
         pads other than the taught ones.
         """
         levels = load_levels([grasp], self.rest)
@@ -161,9 +160,9 @@ class ForceRampRecognizer:
     def gauge(self, label: str, grasps: Sequence[Grasp]) -> Self:
         """Return a copy after a few grasps of one taught object: a gauge.
 
-        Gauges with several objects, one after the other, know more than one.
+        Several gauges with different objects add up.
 
-        Raises ValueError where the object was not taught, or no grasp touched both pads.
+        Raises ValueError if the object was not taught, or no grasp touched both pads.
         """
         if label not in self.labels:
             raise ValueError(
@@ -184,9 +183,9 @@ class ForceRampRecognizer:
         return self.with_grid(DriftGrid(prior=self.grid.prior, zero=self.grid.zero))
 
     def follow(self, grasp: Grasp) -> Self:
-        """Return a copy after a grasp of an object that nobody named, taught or not.
+        """Return a copy after a grasp of an unnamed object, taught or not.
 
-        A grasp that missed changes nothing. Raises ValueError for pads other than the taught ones.
+        A missed grasp changes nothing. Raises ValueError for pads other than the taught ones.
         """
         found = self.evidence(grasp)
         if found is None:
@@ -194,7 +193,7 @@ class ForceRampRecognizer:
         return self.with_grid(self.grid_at(grasp).with_unnamed(found.of_any()))
 
     def grid_at(self, grasp: Grasp) -> DriftGrid:
-        """Return the drift at a grasp: a new self-zero begins it anew, with what it tells."""
+        """Return the drift at a grasp: a new self-zero gives a new prior."""
         if self.zero is None or grasp.zero is None:
             return self.grid
         if grasp.zero == self.grid.zero:
@@ -202,7 +201,7 @@ class ForceRampRecognizer:
         return DriftGrid(prior=prior_since(self.zero, grasp.zero), zero=grasp.zero)
 
     def _moved_m(self, grasp: Grasp) -> float:
-        """Return how much more the opening reads than at teaching by both self-zeros, in m."""
+        """Return the offset of the opening since teaching in m, by both self-zeros."""
         if self.zero is None or grasp.zero is None:
             return 0.0
         return grasp.zero.opening_m - self.zero.opening_m
@@ -223,9 +222,9 @@ class ForceRampRecognizer:
         return _SOON_UNCHANGED if soon else 0.0
 
     def _slack_mm(self, grasp: Grasp) -> NDArray[np.float64]:
-        """Return (O,): how far the size of an object may lie off under each offset, in mm.
+        """Return (O,): tolerance of the size of an object under each offset, in mm.
 
-        Sizes count where the zero of the opening is known: within the hour, or after a self-zero.
+        Sizes count if the zero of the opening is known: within the hour, or after a self-zero.
         """
         grid = self.grid_at(grasp)
         offsets_mm = grid.offsets_mm
@@ -237,7 +236,7 @@ class ForceRampRecognizer:
     # Files
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all that was learnt as plain arrays, without the grasps that nobody named."""
+        """Return the taught recogniser as plain arrays, without the unnamed grasps."""
         arrays = {
             "feature_version": np.array(FEATURE_VERSION),
             "labels": np.array(self.labels),
@@ -256,7 +255,7 @@ class ForceRampRecognizer:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
+        """Rebuild from `to_arrays`. Raises ValueError that names a missing or wrong array."""
         try:
             check_version(arrays)
             return cls(
@@ -291,9 +290,8 @@ class ForceRampTrainer:
     def fit(self, grasps: Sequence[Grasp]) -> ForceRampRecognizer:
         """Teach the recogniser with labelled grasps.
 
-        Grasps that never touched both pads are left out. A single object is taught to be separated
-        from all others. Raises ValueError where an object has fewer than
-        ``MIN_GRASPS`` grasps left.
+        Grasps that never touched both pads are left out. A single object is taught against all
+        others. Raises ValueError if an object has fewer than ``MIN_GRASPS`` grasps left.
         """
         members = by_label(grasps)
         ordered = [g for group in members.values() for g in group]
@@ -308,7 +306,7 @@ class ForceRampTrainer:
         if few or not pressed:
             raise ValueError(
                 f"grasps that touched both pads, by object: {few}; each object needs at least "
-                f"{MIN_GRASPS}, or its variation is not known: teach more, and press harder"
+                f"{MIN_GRASPS} to show its variation: teach more, and press harder"
             )
         levels, grids = levels.take(touched), _grids(rest)
         known = np.all(np.isfinite(sizes_mm(levels)), axis=1)
@@ -337,7 +335,7 @@ def _drawn_m(members: Sequence[Sequence[Grasp]]) -> NDArray[np.float64]:
 
 
 def _on_cell(grasp: Grasp) -> bool:
-    """Return whether the source of a grasp names the cell that took it."""
+    """Return whether the source of a grasp names its cell."""
     return grasp.source.startswith(CELL_SOURCE)
 
 

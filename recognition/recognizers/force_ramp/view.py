@@ -1,8 +1,8 @@
 """View of the default recogniser: one discriminant, its temperature and its limit of novelty.
 
-A view answers under each hypothesis of the drift. Distances are measured in units of how far a
-grasp lies off in the directions in which objects do not differ: on another day grasps lie off in
-all directions, a new object mostly in those that separate objects.
+A view answers under each hypothesis of the drift. Distances are divided by the deviation of a grasp
+in the directions in which objects do not differ. On another day grasps deviate in all directions, a
+new object mostly in those that separate objects.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,11 +32,11 @@ class Features:
     touch: NDArray[np.float64]
     """(n, G, Ft) float64: of the taxels."""
     opening: NDArray[np.float64]
-    """(n, O, Fo) float64: of the opening; Fo is 0 and O is 1 where it is not used."""
+    """(n, O, Fo) float64: of the opening; Fo is 0 and O is 1 if it is not used."""
     sizes_mm: NDArray[np.float64]
-    """(n, O, k) float64: sizes by the opening; k is 0 where it is not used."""
+    """(n, O, k) float64: sizes by the opening; k is 0 if it is not used."""
     slack_mm: NDArray[np.float64]
-    """(O,) float64: how far a size may lie off because objects lie differently, in mm."""
+    """(O,) float64: tolerance of a size for other placings of an object, in mm."""
 
 
 def describe(
@@ -57,7 +57,7 @@ def describe(
     log_gains : (G,) or (G, P)
         Logarithms of gains, common to the pads or of each.
     offsets_mm : (O,)
-        Offsets of the opening in mm; without effect where it is not used.
+        Offsets of the opening in mm; without effect if it is not used.
     slack_mm : (O,)
         As `Features.slack_mm`; None for none.
     """
@@ -81,16 +81,16 @@ def describe(
 
 
 class Scores(NamedTuple):
-    """How n grasps fit K classes under G gains and O offsets of the opening."""
+    """Scores of n grasps for K classes under G gains and O offsets of the opening."""
 
     classes: NDArray[np.int64]
     """(K,) int64: the classes, ascending."""
     scores: NDArray[np.float64]
     """(n, G, O, K) float64: log likelihoods up to a constant of the grasp."""
     novelty: NDArray[np.float64]
-    """(n, G, O, 2) float64: logarithm of the squared distance to the nearest taught grasp, without
-    and with that of the size from those of the likeliest object: a new object is often a little
-    off in both."""
+    """(n, G, O, 2) float64: logarithm of the squared distance to the nearest taught grasp. The
+    second one adds that of the size from the likeliest object: a new object is often a little off
+    in both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,16 +104,16 @@ class ClassModel:
     taught_classes: NDArray[np.int64]
     """(n,) int64: class of each."""
     sizes: TaughtSizes
-    """Sizes of the taught grasps; of no dimension where the opening is not used."""
+    """Sizes of the taught grasps; without dimensions if the opening is not used."""
     spread: ClassSpread | None = None
-    """The covariance of each class beside the shared one, by touch alone: there the variation of an
-    object separates it from others. With the opening it would only fit the series that taught."""
+    """The covariance of each class, by touch alone: there the variation of an object separates it
+    from others. With the opening it would only fit the series that taught."""
 
     def score(self, features: Features, *, likely: int | None = None, also: int = 0) -> Scores:
         """Return scores and novelty of grasps.
 
-        With ``likely`` only so many classes count, those nearest under any drift, beside them the
-        nearest under each drift and the class ``also``; None for all.
+        With ``likely`` only so many classes count: those nearest under any drift. The nearest under
+        each drift and the class ``also`` are added. None for all.
         """
         model = self.discriminant
         n_touch = features.touch.shape[2]
@@ -164,8 +164,8 @@ def _squared_distances(
 ) -> NDArray[np.float64]:
     """Return (n, G, O, m) squared distances between sums of parts and others (m, r).
 
-    The parts (n, G, r) and (n, O, r) are multiplied by the others before they are added, which is
-    far less than all sums. ``lengths`` (n, G, O) are the squared lengths of the sums.
+    The parts (n, G, r) and (n, O, r) are multiplied by the others before they are added. This is
+    much less work than all sums. ``lengths`` (n, G, O) are the squared lengths of the sums.
     """
     of_touch, of_opening = (-2.0 * part @ others.T for part in parts)
     of_opening += (others**2).sum(axis=1)
@@ -176,26 +176,26 @@ def _squared_distances(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """One view: what it was taught, for grasps with the opening or by touch alone."""
+    """One taught view: for grasps with the opening, or by touch alone."""
 
     model: ClassModel
     """The taught classes."""
     temperature: float
     """Log odds are divided by it."""
     limit: NDArray[np.float64]
-    """(2,) float64: novelties at which a grasp is as likely of a new object as of a taught one."""
+    """(2,) float64: novelties at which a new object and a taught one are equally likely."""
     log_new: float
     """Log likelihood of a grasp of a new object."""
     placing_mm: float
     """Standard deviation of the opening on one object between placings in mm."""
     doubt: float
-    """Share of even probabilities in an answer where nothing is known of the opening's zero: with
-    it few enough names of made-up other days are wrong."""
+    """Share of even probabilities in an answer if the opening's zero is unknown. It limits the
+    wrong names under simulated drifts of other days."""
 
     def likelihood(
         self, features: Features, *, also: int = 0
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the likely classes (K,), ``also`` among them, and of grasps under each drift.
+        """Return the likely classes (K,) with ``also``, and two values of grasps under each drift.
 
         These are log likelihoods (n, G, O, K), and the probability of a new object (n, G, O).
         """
@@ -220,7 +220,7 @@ class View:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        """Rebuild from `to_arrays`; KeyError if an array is missing."""
         spread, has_spread = f"{prefix}spread_", f"{prefix}spread_centres" in arrays
         discriminant = LinearDiscriminant.from_arrays(arrays, f"{prefix}discriminant_")
         taught, classes = arrays[f"{prefix}taught"], arrays.get(f"{prefix}taught_classes")

@@ -1,4 +1,4 @@
-"""Settings of a view: numbers that its teaching and its answers rest on."""
+"""Settings of a view, for its teaching and its answers."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,8 +10,8 @@ from recognition.statistics.calibration import KNOWN_KEPT
 class ViewSettings:
     """Each with unit and purpose, and its source in brackets.
 
-    Sources: "6" is decision 6 (docs/decisions), "taught part" the part that teaches of recorded
-    grasps, "time" a bound on the time of a teaching.
+    Sources: "6" is decision 6 (docs/decisions), "taught part" the part of recorded grasps that
+    teaches, "time" a bound on the time of a teaching.
     """
 
     # Scores
@@ -22,65 +22,66 @@ class ViewSettings:
     beside_axes: float = 3.0
     """Axes between the classes at which half of that power is reached [taught part]."""
     least_distance: float = 0.1
-    """Added to squared distances before their logarithm: nearer is no less novel [taught part]."""
+    """Added to squared distances before their logarithm: a lower limit of novelty [taught part]."""
     # Discriminant
     touch_shrinkage: float = 0.2
     """Least share of the target in the covariance by touch alone [taught part]."""
     opening_target: float = 0.1
-    """Variance of the opening's features in the target, in that of touch, which repeats [6]."""
+    """Variance of the opening's features in the target, over that of the touch features [6]."""
     least_unit: float = 0.02
     """Deviation added to that of each feature, in its unit (log, root of share, mm) [6]."""
     most_axes: int = 64
     """Most axes between the classes, those that separate best [time, and the size of a model]."""
     # Many objects
     likely: int = 256
-    """Classes nearest under any drift, which an answer takes into account [time]."""
+    """Number of classes in an answer: those nearest under any drift [time]."""
     taught: int = 20_000
-    """About the most taught grasps that a new one is compared with [time, and size]."""
+    """About the most taught grasps to compare a new one with [time, and size]."""
     # Drifts
     log_gain_unit: float = 0.1
-    """Unit of drifts of a pad's gain (log): it drifts so far beside the others [taught part]."""
+    """Unit of drifts of a pad's gain (log), relative to the other pads [taught part]."""
     offset_unit_mm: float = 1.0
     """Unit of drifts of the opening in mm [taught part]."""
     nuisance: float = 0.15
-    """Drift, in units, that the discriminant ignores: what the steps of the grid leave over [6]."""
+    """Drift, in units, that the discriminant ignores: the remainder between grid steps [6]."""
     made_up: float = 0.5
-    """Standard deviation, in units, of made-up drifts of held-out grasps [taught part]."""
+    """Standard deviation, in units, of simulated drifts of held-out grasps [taught part]."""
     slope_offset_mm: float = 0.5
     """Step of the opening in mm for slopes of features, a step of the grid; of gains a unit [6]."""
     slope_grasps: int = 100
-    """About as many grasps show how a drift changes the features in the mean [time]."""
+    """About the number of grasps for the mean change of features by a drift [time]."""
     # Held-out grasps
     blocks: int = 3
-    """Blocks in time, held out in turn: few and large, as grasps in use lie far in time [6]."""
+    """Blocks in time, held out in turn: few and large, because grasps in use are far in time [6].
+    """
     held_grasps: int = 2000
-    """Most grasps of all blocks that show temperature and limits [time]."""
+    """Most grasps of all blocks for temperature and limits [time]."""
     parts: int = 4
-    """Parts of each block, each with a made-up drift of its own [time]."""
+    """Parts of each block, each with its own simulated drift [time]."""
     # Novelty
     novelty_slope: float = 2.0
     """Log odds of a new object for each unit of the novelty [taught part]."""
     kept: float = KNOWN_KEPT
-    """Share of held-out grasps whose novelty is no new object's [6]."""
+    """Share of held-out grasps below the limit of novelty [6]."""
     usual_novelty: float = 3.0
-    """Mean novelty that is expected of held-out grasps, without the size [6]."""
+    """Expected mean novelty of held-out grasps, without the size [6]."""
     usual_beyond: tuple[float, float] = (0.8, 1.9)
-    """How far limits without and with the size lie beyond that mean and one sd of log chi2 [6]."""
+    """Limits without and with the size, above that mean and one sd of log chi2 [6]."""
     prior_grasps: float = 100.0
     """Weight of these expectations, in grasps [6]."""
     new_quantile: float = 0.05
     """Share of held-out grasps less likely of a taught object than of a new one [taught part]."""
     # Opening on another day
     placing: float = 2.5
-    """Spread of the opening between placings of other days, in that of a series [taught part]."""
+    """Spread of the opening between placings of other days, over that of a series [taught part]."""
     least_placing_mm: float = 0.3
     """Least spread of the opening between placings in mm [taught part]."""
     doubt_grasps: int = 150
-    """About as many held-out grasps show how sure names of other days are [time]."""
+    """About the number of held-out grasps for the certainty of names on other days [time]."""
     doubt_days: int = 8
-    """Made-up days of each of them [time]."""
+    """Simulated days of each of them [time]."""
     wrong: float = 0.03
-    """Largest share of wrong names among them, below 5 %: no other foam is made up [6]."""
+    """Largest share of wrong names among them; below 5 %, because the foam is the same [6]."""
 
 
 SETTINGS: Final = ViewSettings()

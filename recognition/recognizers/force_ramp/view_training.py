@@ -32,7 +32,7 @@ def fit_view(
 ) -> View:
     """Teach a view.
 
-    Raises ValueError where the grasps do not show how those of a class vary.
+    Raises ValueError if the grasps do not show the variation of a class.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def fit_view(
     classes : (n,)
         Class of each grasp, 0 to C - 1.
     opening
-        Whether the opening is used; without it each class has a covariance of its own.
+        Whether the opening is used; without it each class has its own covariance.
     """
     teaching = _Teaching(levels=levels, grids=grids, classes=classes, opening=opening)
     held = [(block, teaching.model(~block)) for block in blocked_folds(classes, SETTINGS.blocks)]
@@ -61,7 +61,7 @@ def fit_view(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Teaching:
-    """The grasps that teach a view; drifts are (n_pads,) log gains, and with the opening its mm."""
+    """The grasps that teach a view. A drift is (n_pads,) log gains, then the opening in mm."""
 
     levels: Levels
     grids: Sequence[PadGrid]
@@ -96,7 +96,7 @@ class _Teaching:
 
     @cached_property
     def nuisance(self) -> NDArray[np.float64]:
-        """(n_drift, F): change of all features under the drift that the discriminant ignores."""
+        """(n_drift, F): change of all features by the drift that the discriminant ignores."""
         n = len(self.levels)
         some = self.levels.take(np.arange(0, n, -(-n // SETTINGS.slope_grasps)))
         slopes = [
@@ -109,7 +109,7 @@ class _Teaching:
         return np.asarray(scale[:, None] * np.array(slopes), dtype=np.float64)
 
     def model(self, rows: NDArray[np.bool_]) -> ClassModel:
-        """Return the classes as some of the grasps (n,) teach them."""
+        """Return the classes taught by some of the grasps (n,)."""
         features, sizes_mm = (one if rows.all() else one[rows] for one in self.every)
         target = np.ones(features.shape[1])
         if self.opening:
@@ -160,7 +160,7 @@ class _Teaching:
 
 
 def even_in_time(classes: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """Return at most about so many rows, as many of each class, evenly over its grasps."""
+    """Return at most about ``most`` rows: equal numbers of each class, evenly over its grasps."""
     share = max(2, most // (1 + int(classes.max())))
     groups = [np.flatnonzero(classes == c) for c in np.unique(classes)]
     evenly = [np.linspace(0, len(rows) - 1, min(share, len(rows))).round() for rows in groups]
@@ -175,9 +175,8 @@ def _rows(features: Features) -> NDArray[np.float64]:
 def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
     """Return the share of even probabilities that names of other days need.
 
-    Where the zero of the opening is unknown, touch alone separates objects of different sizes. How
-    sure it really is, blocks that are ``held`` out show to the models without them, under
-    made-up drifts.
+    If the zero of the opening is unknown, touch alone separates objects of different sizes. The
+    ``held`` blocks under simulated drifts show the certainty of the models without them.
     """
     levels, grids, classes = teaching.levels, teaching.grids, teaching.classes
     grid, prior = DriftGrid(), DriftPrior()
@@ -197,7 +196,7 @@ def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
             )
             likely, scores, _ = model.score(features, likely=SETTINGS.likely)
             scores = scores[0] / temperature
-            # A drift of the grasp moves the prior against the grasp as it was.
+            # A drift of the grasp moves the prior relative to the grasp.
             for log_gain, offset in rng.standard_normal((SETTINGS.doubt_days, 2)):
                 of_gain = -0.5 * (grid.log_gains / prior.log_gain_sd - log_gain) ** 2
                 of_offset = -0.5 * (grid.offsets_mm / prior.offset_sd_mm - offset) ** 2
@@ -210,16 +209,16 @@ def _doubt(teaching: _Teaching, held: HeldOut, temperature: float) -> float:
     within = np.cumsum(np.array(wrong)[order]) <= SETTINGS.wrong * len(order)
     if within.all():
         return 0.0
-    # With it this answer is as likely as not right, and those that are less sure get no name.
+    # With it this answer has even odds, and less certain ones get no name.
     limit = best[int(order[np.argmin(within)])]
     even = 1.0 / len(np.unique(classes))
     return float(np.clip((limit - 0.5) / max(limit - even, 1e-9), 0.0, 1.0))
 
 
 def _limit(novelty: NDArray[np.float64], n_axes: int) -> NDArray[np.float64]:
-    """Return novelties with even odds (2,), from those of held-out grasps (n, 2) and what is usual.
+    """Return novelties with even odds (2,), from those of held-out grasps (n, 2) and usual ones.
 
-    ``n_axes`` separate the classes. A quantile of few grasps is hardly known, their mean sooner.
+    ``n_axes`` separate the classes. Few grasps give their mean, but hardly a quantile.
     """
     share = len(novelty) / (len(novelty) + SETTINGS.prior_grasps)
     mean = share * novelty[:, 0].mean() + (1.0 - share) * SETTINGS.usual_novelty
@@ -229,7 +228,7 @@ def _limit(novelty: NDArray[np.float64], n_axes: int) -> NDArray[np.float64]:
 
 
 def _placing_mm(levels: Levels, classes: NDArray[np.int64]) -> float:
-    """Return how far the opening on one object differs between placings of different days."""
+    """Return the standard deviation of the opening on one object between days, in mm."""
     touch = sizes_mm(levels)[:, 1]
     variance = [touch[classes == c].var(ddof=1) for c in np.unique(classes)]
     return max(SETTINGS.least_placing_mm, SETTINGS.placing * float(np.sqrt(np.mean(variance))))

@@ -35,7 +35,7 @@ PRACTICE: Practice = {
     r"Load \d of \d on (\S+): about (\d+) g": (r"load \1 \2 g", r"\2"),
     r"With which force may it be": ("", "4"),
     r"Take hold of": ("", ""),
-    r"Take everything out|Take the part away": ("empty", ""),
+    r"Take everything out|Take the part and your hands away": ("empty", ""),
     r"Hold .*between the pads, (and keep|until)": ("part", ""),
 }
 """The practice with two servos on parallel links."""

@@ -116,7 +116,7 @@ class SimulatedLines(LineOpener):
         self.cell.devices.servo_bus.baudrate = baud_rate
         return open_servo_port(self.cell)
 
-    def open_board(self, port: str) -> ByteStream:
+    def open_board(self, port: str, _baud_rate: int) -> ByteStream:
         return self.cell.open_board(int(port[-1]))
 
     def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:

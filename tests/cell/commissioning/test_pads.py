@@ -91,7 +91,7 @@ def test_a_dead_pad_is_named_and_fails_the_step(stand: MakeStand) -> None:
         PRESSED, practice={"!Press finger0.inner": ("lift", "")}, pads_pressed__again="skip"
     )
     assert finding.status is Verdict.FAIL
-    assert "finger0.inner was not seen" in finding.lines[-1]
+    assert "finger0.inner was not found" in finding.lines[-1]
     assert "No pad showed a fingertip within 30 s" in one.person.script.text
     assert finding.settings == {}
 

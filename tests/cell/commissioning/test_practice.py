@@ -33,8 +33,8 @@ def normal(text: str) -> str:
 
 
 AGAIN = normal(
-    "failed. Mend it, then run the step again. 1 run the step again (Enter) 2 leave; what was "
-    "found is kept q leaves>"
+    "failed. Correct the cause, then run the step again. 1 run the step again (Enter) 2 leave; the "
+    "findings are kept q leaves>"
 )
 ELSEWHERE = (
     # A further serial port of this machine, and fingers that a failed step left with torque.
@@ -171,5 +171,5 @@ def test_the_practice_of_the_tutorial_is_typed_as_it_is_printed() -> None:
             end_s = time.monotonic() + WAIT_S
         assert wizard.process.wait(20.0) == 0, wizard.text[-3000:]
     assert done == len(told), told[done]
-    end = "Was wrong, and is set right now:"
+    end = "Errors found and corrected:"
     assert normal(wizard.text.partition(end)[2]) == normal(transcript[1].partition(end)[2])

@@ -53,7 +53,7 @@ def test_the_record_has_steps_writes_pictures_and_a_place_to_sign(tmp_path: Path
     assert 'aria-label="finger1.inner: 0.78 to 1.55 counts"' in page
     assert 'aria-label="Ramp"' in page
     assert "Signature" in page
-    assert '<h2>Was wrong, and is set right now</h2>\n<div class="card"><p>servos was wrong' in page
+    assert '<h2>Errors found and corrected</h2>\n<div class="card"><p>servos was wrong' in page
     assert "<dt><code>gripper.port</code></dt><dd>/dev/ttyUSB0</dd>" in page
     assert not re.search(r"<script|https?://(?!www\.w3\.org)", page)
 

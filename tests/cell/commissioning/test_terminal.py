@@ -111,9 +111,9 @@ def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(
         ("open finger 0", "finger 0 59.1 mm from the middle, finger 1 15.0 mm"),
         ('{"remove": true}', '{"removed": true}'),
         ("help", "disconnect servo N"),
-        ("open finger 7", "`help` prints what is"),
+        ("open finger 7", "`help` lists all commands"),
         ("press finger0.tip", "there is no pad 'finger0.tip'; there are finger0.inner"),
-        ("{hand", "is no JSON"),
+        ("{hand", "is not valid JSON"),
     ):
         with contextlib.closing(Person([*ask, request], tmp_path)) as person:
             person.meet({})
@@ -123,5 +123,5 @@ def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(
     shown = subprocess.run(
         command, input="dance\nclose\n", capture_output=True, text=True, check=True
     )
-    assert "'dance' is nothing that a hand does" in shown.stderr
+    assert "'dance' is not a command" in shown.stderr
     assert shown.stdout.startswith("hands> hands> finger 0 0.0 mm from the middle")

@@ -28,21 +28,21 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (SERVOS, "servos.delayed=0.016", FAIL, "latency timer"),
         (SERVOS, "servos.off", FAIL, "no servo answers at any baud rate: check the supply"),
         (UNIT, "unit.second_node", FAIL, "more came from"),
-        (UNIT, "unit.off", FAIL, "Nobody is heard and nobody answers on can0"),
+        (UNIT, "unit.off", FAIL, "No CAN traffic and no reply on can0"),
         (UNIT, "unit.wrong=revision:0x00020001", FAIL, "not that of this software: major revision"),
         (UNIT, "unit.wrong=vendor:99", FAIL, "node 5 is another device: vendor 0x63"),
         (UNIT, "unit.other_layout", FAIL, "no known layout (hash 0000000000000000): 156 taxels"),
-        (UNIT, "can.unplugged", FAIL, "adapter is out"),
+        (UNIT, "can.unplugged", FAIL, "adapter is unplugged"),
         (UNIT, "unit.heartbeat_off", FAIL, "did not become operational"),
         (UNIT, "can.bit_rate=125000", FAIL, "too long for a grip"),
         (REST, "taxels.noisy=1:400", WARN, "finger1.inner is noisy: "),
-        (REST, "taxels.noisy=1:2000", FAIL, "The force of finger1.inner at rest shakes by"),
+        (REST, "taxels.noisy=1:2000", FAIL, "The force of finger1.inner at rest varies by"),
         (REST, "taxels.stuck_at=3:0", WARN, "1 taxel is dead: finger0.inner row 0 column 3"),
         (REST, "taxels.stuck_at=80-81:777", WARN, "2 taxels are stuck: finger1.inner row 0"),
         (REST, "taxels.off=0.2", FAIL, "taxels of finger0.inner are bad, allowed are 5%"),
         (REST, "taxels.saturated=0", FAIL, "78 of 78 taxels of finger0.inner are bad"),
         (REST, "taxels.offset=900", FAIL, "No zero can be taken"),
-        (REST, "unit.stuck", FAIL, "The counts do not move at rest"),
+        (REST, "unit.stuck", FAIL, "The counts do not change at rest"),
         (REST, "unit.off", FAIL, "did not boot"),
         (PRESSED, "unit.off", FAIL, "did not boot"),
         (LINES, "can.lose_next=20@1s", WARN, "The CAN bus loses messages"),
@@ -51,7 +51,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (LINES, "can.loss=0.003@0.6s", FAIL, "of the last 50 frames"),
         (LINES, "unit.forces_each=5", FAIL, "ms late, allowed are 15 ms"),
         (LINES, "unit.off@0.5s", FAIL, "no force message"),
-        (LINES, "servos.unplugged@0.5s", FAIL, "the servo line is gone"),
+        (LINES, "servos.unplugged@0.5s", FAIL, "the servo line is lost"),
         (FORCE, "servo1.watchdog_off", FAIL, "watchdog is not proven to stop the motors: servo 1"),
         (FORCE, "taxels.stuck_at=20-60:3000", FAIL, "taxels of pad finger0.inner are bad"),
         (FORCE, "unit.off", FAIL, "did not boot"),
@@ -75,5 +75,5 @@ def test_steps_of_the_pads_pass_by_where_there_are_none(stand: MakeStand, step: 
     one.bench.found = {"unit": {"gripper_alone": True}}
     finding = one.run(step)
     assert finding.status is WARN
-    assert "no pads yet" in finding.lines[0]
+    assert "has no pads" in finding.lines[0]
     assert not one.person.script.asked

@@ -82,12 +82,12 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
             "gripper:\n  linkage: {kind: rack_pinion, pinion_radius_mm: 9, link_mm: 3}\n",
             ["gripper.linkage.link_mm: unknown key; it is a key of gripper.linkage of kind"],
         ),
-        ("tactile: {layout: papr}\n", ["tactile.layout: ", "'paper', 'pinch', "]),
+        ("tactile: {layout: papr}\n", ["tactile.layout: ", "'papr'", " paper, pinch, "]),
         ("gripper: {servos: [{id: 1, model: XL430-W250}]}\n", ["no Goal Current", "XM430-W350"]),
         ("gripper: {current_max_a: 2.4}\n", ["current_max_a 2.4", "servo 1 (XM430-W350)", "2.3 A"]),
         (
             "tactile: {calibration: {kind: linear, force_per_count_n: 0.001}}\n",
-            ["asks for 8 N", "saturated at 0.255 N", "up to 2.04 N"],
+            ["asks for 8 N", "taxel saturates at 0.255 N", "up to 2.04 N"],
         ),
         ("tactile:\n  node_id: '5'\n", ["cell.yaml:2", "tactile.node_id", "'5'"]),
         ("gripper:\n  force_max_n: .nan\n", ["cell.yaml:2", "gripper.force_max_n", "finite"]),
@@ -99,9 +99,9 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ("gripper:\n  linkage: {kind: rack_pinion}\n", ["pinion_radius_mm", "required"]),
         ("gripper:\n  aperture_min_mm: 50\n", ["below", "aperture_open_mm"]),
         ("gripper:\n  contact_force_n: 4\n  force_max_n: 3\n", ["contact_force_n", "force_max_n"]),
-        ("gripper:\n  force_max_n: 5\n", ["sequence asks for 8 N", "force_max_n is 5 N"]),
+        ("gripper:\n  force_max_n: 5\n", ["sequence asks for 8 N", "force_max_n = 5 N"]),
         ("gripper:\n  force_max_n: 8.2\n", ["sequence asks for 8 N", "ramps up to 7.81 N"]),
-        ("gripper:\n  contact_force_n: 2.5\n", ["asks for 2 N", "contact_force_n is 2.5 N"]),
+        ("gripper:\n  contact_force_n: 2.5\n", ["asks for 2 N", "contact_force_n = 2.5 N"]),
         ("gripper:\n  force_max_n: 51\n", ["gripper.force_max_n", "50"]),
         (
             "gripper: {approach_speed_mm_s: 4.0, contact_timeout_s: 1.0}\n",
@@ -112,11 +112,11 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ),
         (
             "gripper: {force_max_n: 9, contact_timeout_s: 3, contact: {pad_stiffness_n_mm: 1e3}}\n",
-            ["with 6.0 mm/s, all that force_max_n, contact.approach_force_n and", "timeout_s 4 or"],
+            ["with 6.0 mm/s, the limit by force_max_n, contact.approach_force_n", "timeout_s 4 or"],
         ),
         (
             "gripper: {baud_rate: 115200}\n",
-            ["gripper.loop_rate_hz is 200, at gripper.baud_rate = 115200 the", "64 times a second"],
+            ["gripper.loop_rate_hz is 200, but gripper.baud_rate = 115200 allows", "most 64 Hz"],
         ),
         (
             "tactile: {bitrate: 250000}\n",
@@ -133,11 +133,11 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         ),
         ("sequence:\n  x_mm: [3, 1]\n", ["x_mm", "[3, 1]", "low"]),
         ("sequence:\n  kind: list\n", ["poses"]),
-        ("sequence:\n  candidates: 24\n", ["cell.yaml:2:3: sequence.candidates: is gone"]),
-        ("sequence:\n  kind: active\n", ["cell.yaml:2:3: sequence.kind: is gone", "'active'"]),
+        ("sequence:\n  candidates: 24\n", ["cell.yaml:2:3: sequence.candidates: is obsolete"]),
+        ("sequence:\n  kind: active\n", ["cell.yaml:2:3: sequence.kind: is obsolete", "'active'"]),
         (
             "serve: {foxglove_port: 8765}\n",
-            ["port: is gone: `tactile-cell config convert"],
+            ["port: is obsolete: `tactile-cell config convert"],
         ),
         ("gripper: {port: /dev/ttyUSB0}\n", ["both be `simulated` or both be real"]),
         (
@@ -151,7 +151,7 @@ def test_the_written_config_shows_every_key_of_the_schema() -> None:
         (
             "gripper: {port: /dev/ttyUSB0}\ntactile: {interface: socketcan, channel: can0}\n"
             "positioner: {kind: operator}\nsimulator: {faults: [can.off]}\n",
-            ["faults are for the simulated cell, and this one has real ports"],
+            ["faults are for the simulated cell, but this cell has real ports"],
         ),
         (
             "simulator:\n  objects:\n    - {label: a, shape: s}\n    - {label: a, shape: s}\n",
@@ -173,16 +173,16 @@ def test_complaints_name_line_key_and_limit(text: str, parts: list[str]) -> None
     ("text", "begin"),
     [
         ("gripper:\n  force_max_n: 99\n", "cell.yaml:2:3: gripper.force_max_n: "),
-        ("gripper:\n  forc_max_n: 3\n", "cell.yaml:2:3: gripper.forc_max_n: unknown key; is "),
+        ("gripper:\n  forc_max_n: 3\n", "cell.yaml:2:3: gripper.forc_max_n: unknown key; did "),
         (
             "gripper:\n  servos:\n    - {id: 1, modl: x}\n",
-            "cell.yaml:3:15: gripper.servos.0.modl: unknown key; is model meant? ",
+            "cell.yaml:3:15: gripper.servos.0.modl: unknown key; did you mean model? ",
         ),
         (
             "name: a\nname: b\n",
             "cell.yaml:2:1: not YAML 1.2: while constructing a mapping: found dup",
         ),
-        ("gripper:\n\tport: x\n", "cell.yaml:2:1: not YAML 1.2: a tab; indent with spaces"),
+        ("gripper:\n\tport: x\n", "cell.yaml:2:1: not YAML 1.2: the indent has a tab; use spaces"),
         ("name: a\nseed: \0\n", "cell.yaml:2:7: not YAML 1.2: "),
         ("a: &x [1]\nb: *x\n", "cell.yaml:1:4: aliases are not allowed"),
         ("[" * 200, "cell.yaml:1:101: more than 100 open brackets"),
@@ -248,7 +248,7 @@ def test_texts_that_a_terminal_would_obey_are_refused(text: str) -> None:
 @pytest.mark.parametrize("digits", ["9" * 5000, "0x" + "f" * 5000, "-" + "1" * 1001])
 def test_a_number_of_thousands_of_digits_is_named_by_its_place(digits: str) -> None:
     assert complaint(f"seed: {digits}\n") == (
-        f"cell.yaml:1:7: a value of {len(digits)} characters; a config has none of more than 1000"
+        f"cell.yaml:1:7: the value has {len(digits)} characters; at most 1000 are allowed"
     )
 
 
@@ -281,7 +281,7 @@ def test_what_is_gone_is_named_and_converted(
         monkeypatch.setattr(f"cell.{module}.GONE_KEYS", GONE)
     path = tmp_path / "a cell.yaml"
     path.write_text(before, newline="")
-    with pytest.raises(ConfigError, match=rf"is gone: `tactile-cell config convert '{path}'`"):
+    with pytest.raises(ConfigError, match=rf"is obsolete: `tactile-cell config convert '{path}'`"):
         load_config(path)
     text, changes = converted_text(before, source="x")
     assert text == after

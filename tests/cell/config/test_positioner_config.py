@@ -46,20 +46,20 @@ def test_a_cell_on_real_ports_has_its_axes_there_too() -> None:
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        (positioner(), "lists axes if and only if positioner.kind is axes"),
+        (positioner(), "list positioner.axes if positioner.kind is axes, and only then"),
         (
             {"positioner": {"kind": "operator", "axes": [X_AXIS]}},
-            "lists axes if and only if positioner.kind is axes",
+            "list positioner.axes if positioner.kind is axes, and only then",
         ),
-        (positioner(X_AXIS, X_AXIS | {"node_id": 3}), "move x, x: each part of a pose once"),
+        (positioner(X_AXIS, X_AXIS | {"node_id": 3}), "move x, x: list one axis for each part"),
         (
             positioner(X_AXIS, ROTATION_AXIS | {"node_id": 11}),
             r"node-IDs \[11, 11\]: give each drive its own",
         ),
-        (positioner(X_AXIS | {"low": 6.0}), "axis x has the limits 6 to 6; low is below high"),
-        (positioner(X_AXIS | {"increments": 0.0}), "axis x has 0 increments in one mm"),
-        (positioner(X_AXIS | {"increments": 9e8}), "must fit into 32 bits"),
-        (positioner(WRIST | {"high": 351.0}), "more than a turn of its servo"),
+        (positioner(X_AXIS | {"low": 6.0}), "axis x has the limits 6 to 6; low must be below high"),
+        (positioner(X_AXIS | {"increments": 0.0}), "axis x has 0 increments per mm"),
+        (positioner(X_AXIS | {"increments": 9e8}), "limits that fit into 32 bits"),
+        (positioner(WRIST | {"high": 351.0}), "more than one turn of its servo"),
         (positioner(X_AXIS), r"sequence.rotation_deg asks for 0 to 90; no axis moves it: write"),
         (
             positioner(X_AXIS | {"high": 1.0}, ROTATION_AXIS, WRIST),

@@ -129,7 +129,7 @@ def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
         with pytest.raises(PositionerError, match=f"the fingers are {phase.value}: axes move only"):
             positioner.move_to(POSE)
         if phase is not GripperPhase.HOLDING:
-            with pytest.raises(PositionerError, match="axes move only while they rest"):
+            with pytest.raises(PositionerError, match="axes move only while the fingers rest"):
                 positioner.carry_to(there)
         assert true_pose(bench) == before
 

@@ -187,12 +187,15 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
     step = GraspStep(pose=Pose(), force_n=3.0)
     nothing: Any = None
     for ask, complaint in (
-        (lambda: bench.controller.grasp(nothing), "None is no step"),
-        (lambda: bench.controller.grasp(GraspStep(pose=nothing, force_n=3.0)), "is no step"),
-        (lambda: bench.controller.grasp(step, label=nothing), "None is no label"),
+        (lambda: bench.controller.grasp(nothing), "None is not a step"),
+        (lambda: bench.controller.grasp(GraspStep(pose=nothing, force_n=3.0)), "is not a step"),
+        (lambda: bench.controller.grasp(step, label=nothing), "None is not a label"),
         (lambda: bench.controller.collect("ball", []), "the plan is empty"),
-        (lambda: bench.controller.collect(nothing, [step]), "None is no label"),
-        (lambda: bench.controller.collect("UNKNOWN", [step]), "is UNKNOWN, the answer for what"),
+        (lambda: bench.controller.collect(nothing, [step]), "None is not a label"),
+        (
+            lambda: bench.controller.collect("UNKNOWN", [step]),
+            "is UNKNOWN, the answer for untaught objects",
+        ),
         (lambda: bench.controller.identify(Scripted(SURE), []), "the plan is empty"),
     ):
         with pytest.raises(PlanRefused, match=complaint):

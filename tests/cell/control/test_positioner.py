@@ -113,9 +113,9 @@ def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str]) ->
     assert placer.place("ball", POSE) == Pose(x_m=3e-3)
     with pytest.raises(PositionerError, match="no such object"):
         placer.place("x", POSE)
-    with pytest.raises(PositionerError, match="gone"):
+    with pytest.raises(PositionerError, match="lost"):
         placer.place("x", POSE)
-    with pytest.raises(PositionerError, match=r"closed|gone"):
+    with pytest.raises(PositionerError, match=r"closed|lost"):
         placer.place("x", POSE)
     placer.close()
 
@@ -152,5 +152,5 @@ def test_a_reply_that_does_not_end_is_not_waited_for(tmp_path: Path) -> None:
         with listener.accept()[0] as peer:
             peer.sendall(b"{")
             for _ in range(2):
-                with pytest.raises(PositionerError, match="is gone"):
+                with pytest.raises(PositionerError, match="is lost"):
                     placer.place("ball", POSE)

@@ -169,7 +169,7 @@ def test_a_daily_start_takes_no_zero_that_is_far_off_or_of_a_bent_finger(make_be
     flat = make_bench(small_config(self_zero="daily"))
     flat.simulated.place("box:length=80mm,width=40mm,height=3mm")
     flat.controller.start()
-    assert "something flat may be between them" in flat.controller.zero_note
+    assert "a flat part may be between them" in flat.controller.zero_note
     assert flat.controller.self_zero is None
     bent = make_bench(small_config(self_zero="daily", simulator__pads={"tilt_deg": [6.0, 0.0]}))
     bent.controller.start()
@@ -189,7 +189,10 @@ def test_a_zero_that_cannot_be_written_counts_in_its_program(
     bench.controller.start()
     assert (bench.controller.state, bench.controller.holding) == (CellState.IDLE, False)
     assert bench.controller.self_zero is not None
-    assert "counts in this program alone: cannot write self-zero" in bench.controller.zero_note
+    assert (
+        "could not be saved for other programs: cannot write self-zero"
+        in bench.controller.zero_note
+    )
 
 
 def test_a_part_that_is_lost_during_a_daily_start_is_a_note(make_bench) -> None:
@@ -277,7 +280,7 @@ def test_it_is_measured_at_a_start_where_it_is_due(
 def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
     said = call("zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
     assert said.startswith("pads meet at ")
-    assert "since the last one" not in said
+    assert "since the last measurement" not in said
     assert abs(json.loads((tmp_path / "zero.json").read_text())["opening_m"]) < 2e-4
     config = CellConfig()
     here = config.model_copy(
@@ -349,9 +352,9 @@ def damage(path: Path, how: str) -> None:
 @pytest.mark.parametrize(
     ("how", "says"),
     [
-        ("", "no JSON"),
-        ("[1]", "holds no object"),
-        ("[" * 100_000, "no JSON"),
+        ("", "not JSON"),
+        ("[1]", "has no object"),
+        ("[" * 100_000, "not JSON"),
         ("{}", "names no format"),
         ('{"measured_s": 1e300}', "names no format"),
         ('{"format": "tactile-cell-self-zero/9"}', "update tactile-cell"),
@@ -383,7 +386,7 @@ def test_a_whole_file_of_other_values_counts_as_none(
     write_json(tmp_path / "zero.json", SELF_ZERO, kept, error=CellError)
     zeros = SelfZeros("daily", path=tmp_path / "zero.json")
     assert zeros.newest is None
-    assert "holds none; `tactile-cell zero`" in zeros.refused
+    assert "has no self-zero; `tactile-cell zero`" in zeros.refused
 
 
 @pytest.mark.parametrize(
@@ -449,7 +452,7 @@ def test_daily_zeros_do_not_drift_away_from_the_config(make_bench, tmp_path: Pat
             taken.append(sheet_mm)
             assert 1e3 * bench.controller.self_zero.opening_m == pytest.approx(sheet_mm, abs=0.3)
         else:
-            assert "+0.00 mm is where the config has it" in note
+            assert "the zero of the config is at +0.00 mm" in note
     assert taken == [1.8, 0.0]
 
 
@@ -457,8 +460,8 @@ def test_a_zero_far_from_the_last_one_is_no_daily_one() -> None:
     zeros = SelfZeros("daily")
     assert not zeros.far_off(replace(ZERO, opening_m=0.0))
     zeros.keep(replace(ZERO, opening_m=3e-3))  # somebody has asked for it
-    assert "+3.00 mm is where they met last" in zeros.far_off(replace(ZERO, opening_m=0.5e-3))
-    assert "+0.00 mm is where the config has it" in zeros.far_off(replace(ZERO, opening_m=3e-3))
+    assert "they met last at +3.00 mm" in zeros.far_off(replace(ZERO, opening_m=0.5e-3))
+    assert "the zero of the config is at +0.00 mm" in zeros.far_off(replace(ZERO, opening_m=3e-3))
 
 
 def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:

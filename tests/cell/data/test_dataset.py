@@ -141,13 +141,13 @@ DAMAGE: dict[str, tuple[Change, str]] = {
     "label endless": (lambda a: a.update(label=np.array(["x" * 300] * 3)), "limit 200"),
     "label no text": (
         lambda a: a.update(label=np.full(3, 0x7FFFFFFF, dtype="<u4").view("<U1")),
-        "no text",
+        "not a character",
     ),
     "label too few": (lambda a: a.update(label=a["label"][:2]), "shape"),
     "pose with too few numbers": (lambda a: a.update(pose=np.zeros((3, 4))), "shape"),
     "pose known in part": (
         lambda a: a.update(pose=np.where(np.eye(3, 5), np.nan, 0.1)),
-        "known in part",
+        "with some NaN",
     ),
     "pose in mm": (lambda a: a.update(pose=np.full((3, 5), 2.0)), "offsets stand in m"),
     "infinite pose": (lambda a: a.update(pose=np.full((3, 5), np.inf)), "not finite"),
@@ -225,13 +225,13 @@ LIE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (99999999999, 99),
 @pytest.mark.parametrize(
     ("members", "says"),
     [
-        ({"a.txt": b"x"}, "no array"),
+        ({"a.txt": b"x"}, "not an array"),
         ({"a.npy": b"x"}, "no .npy header"),
         ({"a.npy": npy(bytes(9), 2, 0xFFFFFF)}, "header of"),
         ({"a.npy": npy(b"{1}\n")}, "header cannot be read"),
         ({"a.npy": npy(b"(" * 4032)}, "header cannot be read"),
         ({"counts.npy": LIE}, "do not fill shape"),
-        ({f"{i}.npy": b"" for i in range(600)}, "at most 512"),
+        ({f"{i}.npy": b"" for i in range(600)}, "the limit is 512"),
         (
             {f"a{i}.npy": bytes(5_000_000) for i in range(4)},
             "unpacks to 20000000 bytes, the limit is 10000000",
@@ -252,10 +252,13 @@ def test_archives_of_something_else_or_beyond_a_limit_are_refused(
     ("content", "says"),
     [
         (None, "check the path"),
-        (b"label: ball\n", "is no grasp data set: it is no npz archive; name a grasp data set"),
-        (b"", "is no grasp data set: it is empty; name"),
-        (b"PK\x03\x04", "is no whole grasp data set .*; take another copy"),
-        (b"\x89MCAP0\r\n" + bytes(100), r"is a recording, no grasp data set; .* in \.mcap"),
+        (
+            b"label: ball\n",
+            "is not a grasp data set: it is not an npz archive; name a grasp data set",
+        ),
+        (b"", "is not a grasp data set: it is empty; name"),
+        (b"PK\x03\x04", "is a damaged grasp data set .*; take another copy"),
+        (b"\x89MCAP0\r\n" + bytes(100), r"is a recording, not a grasp data set; .* in \.mcap"),
     ],
 )
 def test_what_is_no_archive_is_refused_with_advice(

@@ -285,7 +285,7 @@ def test_recording_cut_anywhere_gives_every_whole_chunk(
         assert all(map(same, grasps, recording.grasps))
         complete_grasps = len(recording.grasps) + recording.n_broken_grasps
         assert complete_grasps <= len(recording.poses)
-        with pytest.raises(RecordingError, match=r"not complete.*whole grasps can be salvaged"):
+        with pytest.raises(RecordingError, match=r"not complete.*saves its \d+ whole grasps"):
             recording_grasps(cut)
     assert max(refused) < 3000
     assert n_frames == sorted(n_frames)
@@ -309,7 +309,11 @@ def test_killed_program_leaves_a_readable_recording(tmp_path: Path) -> None:
 
 def test_what_is_no_recording_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "text").write_text("hello")
-    for name, says in (("none", "check the path"), (".", "plain file"), ("text", "no recording")):
+    for name, says in (
+        ("none", "check the path"),
+        (".", "plain file"),
+        ("text", "not a recording"),
+    ):
         with pytest.raises(RecordingError, match=says):
             read_recording(tmp_path / name)
     monkeypatch.setattr(recording_messages, "MAX_FILE_BYTES", 4)
@@ -397,7 +401,7 @@ def test_a_recording_goes_on_in_a_new_file_when_its_disk_has_room_again(
     with pytest.raises(RecordingError, match=r"a gap of \d+ frames: r\.mcap stopped, .*r-3\.mcap"):
         recorder.close()
     assert "as soon as 16 MB are free" in notes[0]
-    assert notes[1:] == [f"the recording goes on in {recorder.path}"]
+    assert notes[1:] == [f"the recording continues in {recorder.path}"]
     new = read_recording(recorder.path)
     assert (new.complete, new.metadata[CONTINUES]) == (True, "r.mcap")
     assert [state["state"] for state in new.states] == ["IDLE"]
@@ -491,7 +495,7 @@ def test_recorder_refuses_what_is_not_in_order(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="the pads have 24"):
         recorder.frame(make_frame(1.0, rng, n_taxels=23))
     for t_s in (float("nan"), -1.0):
-        with pytest.raises(ValueError, match="no monotonic time"):
+        with pytest.raises(ValueError, match="not a monotonic time"):
             recorder.cycle(make_cycle(t_s))
     with pytest.raises(ValueError, match="not the raw counts"):
         recorder.grasp(replace(grasp, counts=grasp.counts // 2))

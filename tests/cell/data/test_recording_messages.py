@@ -127,7 +127,7 @@ def test_other_mcap_files_are_refused_before_a_message_is_read(
     ("content", "says"),
     [
         (b"{", "EOF while parsing"),
-        (b"[1]", "no object"),
+        (b"[1]", "not an object"),
         (b"{}", "t_s is missing"),
         (frame_json(counts="[1,2]"), "2 counts up to 2, expected 1 up to 9"),
         (frame_json(counts="[10]"), "1 counts up to 10, expected 1 up to 9"),
@@ -238,19 +238,22 @@ def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
         recorder.grasp(replace(grasp, label="box"))
     recording = read_recording(tmp_path / "r.mcap")
     assert [grasp.label for grasp in recording.grasps] == ["ball"]
-    assert "grasp 2 is left out: its frames belong to others" in recording.lost_reason
+    assert "grasp 2 is left out: its frames belong to other grasps" in recording.lost_reason
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         ({"frame_t_s": [math.nan] * 20}, "an item of frame_t_s is nan, out of its range"),
-        ({"frame_t_s": [-0.02 * i for i in range(20)]}, "its times are not those of its frames"),
+        (
+            {"frame_t_s": [-0.02 * i for i in range(20)]},
+            "its times differ from those of its frames",
+        ),
         ({"frame_t_s": [0.0]}, "it has 1 times for 20 frames"),
         ({"aperture_m": [30.0] * 20}, "its opening is 30000"),
         ({"force_n": [1e9] * 20}, "its force is 1e"),
         ({"start_ms": 10**18}, "its start is 1e"),
-        ({"counts_crc32": 0}, "its counts do not have its checksum"),
+        ({"counts_crc32": 0}, "the checksum of its counts is wrong"),
     ],
 )
 def test_a_grasp_with_values_that_none_has_is_left_out_and_named(

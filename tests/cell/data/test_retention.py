@@ -107,7 +107,7 @@ def test_recordings_go_by_age_and_size_oldest_first_and_marked_ones_stay(keep: A
         False, False, True, False, True,
     ]  # fmt: skip
     assert (first.parent.exists(), second.parent.exists()) == (True, False)
-    assert "`tactile-cell recordings mark FILE` keeps one" in keeper.notes[-1]
+    assert "`tactile-cell recordings mark FILE` keeps a recording" in keeper.notes[-1]
     keeper.live(3.2)
     assert (marked.exists(), late.exists()) == (True, False)
     assert keeper.recorder.path.exists()  # as old as these, and written to
@@ -215,7 +215,7 @@ def test_an_hour_of_space_is_noted_then_recordings_are_thinned_then_it_stops_and
     assert keeper.retention.short == "space for 50 min"
     disk[0] = retention.STOP_BYTES + int(1000 * rate)
     keeper.live(0.02, step_s=60.0)
-    assert keeper.notes[1:] == [f"{old} is thinned out: frames of named parts are taken out"]
+    assert keeper.notes[1:] == [f"{old} is thinned out: frames of named parts are removed"]
     assert [one.path for one in recordings(keeper.folder) if one.kept.thinned] == [old]
     disk[0] = retention.STOP_BYTES - 1
     keeper.retention.look()
@@ -265,7 +265,7 @@ def test_thinning_takes_the_frames_of_named_parts_and_leaves_a_whole_recording(
     assert len(after.frames) == sum(grasp.n_frames for grasp in after.grasps)
     assert not thin_beside(path)
     path.write_bytes(b"no recording")
-    with pytest.raises(RecordingError, match="is no recording"):
+    with pytest.raises(RecordingError, match="is not a recording"):
         thin_beside(path)
 
 
@@ -344,5 +344,5 @@ def test_recordings_are_listed_and_marked_by_commands(keep: Any) -> None:
     assert f"  {path}: MB 2.0, age / days 2.0, marked yes" in listed
     assert call("recordings", "unmark", path) == f"{path}: not marked\n"
     assert "marked yes" not in call("recordings", "list", keeper.folder)
-    with pytest.raises(RecordingError, match="is no recording"):
+    with pytest.raises(RecordingError, match="is not a recording"):
         mark(keeper.folder)

@@ -58,10 +58,10 @@ REAL = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
         ({"tactile.layout": "paper"}, "layout paper does not fit two boards of 12 x 32"),
         ({"tactile.sensor.profile": "16x32"}, "two inner pads of 32 rows along the finger and 16"),
         ({"tactile.sensor.rows_along": True}, "two inner pads of 12 rows along the finger and 32"),
-        ({"tactile.sensor.ports": ["/dev/a", "/dev/a"]}, "name two different ports"),
-        ({"tactile.sensor.ports": ["/dev/a", "simulated"]}, "name two different ports"),
+        ({"tactile.sensor.ports": ["/dev/a", "/dev/a"]}, "name different ports"),
+        ({"tactile.sensor.ports": ["/dev/a", "simulated"]}, "name different ports"),
         ({"tactile.sensor.ports": ["/dev/a", "/dev/b"]}, "must both be `simulated` or both"),
-        (REAL | {"tactile.sensor.ports": ["/dev/a", "/dev/ttyUSB0"]}, "need ports of their own"),
+        (REAL | {"tactile.sensor.ports": ["/dev/a", "/dev/ttyUSB0"]}, "need separate ports"),
         ({"gripper.force_stale_ms": 20.0}, "come every 10 ms"),
         (
             {"tactile.calibration": {"kind": "table", "counts": [9.0, 5.0], "force_n": [1.0, 2.0]}},

@@ -77,7 +77,7 @@ def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
     unwatched |= {"read_drives", "use_drives"}
     assert {name for name, is_watched in HAND_COMMANDS.items() if is_watched} == watched
     assert set(HAND_COMMANDS) == watched | unwatched
-    with pytest.raises(ValueError, match="'close' is no command of the hand"):
+    with pytest.raises(ValueError, match="'close' is not a command of the hand"):
         HandRequest(number=1, method="close")
 
 

@@ -48,7 +48,7 @@ def test_what_is_refused_is_noted_with_its_meaning_and_remedy(
     notes = real_time.enter_real_time(LoopConfig(cpu=1000))
     assert len(notes) == 3
     assert "was not bound to processor 1000 (Operation not permitted): correct loop.cpu" in notes[0]
-    assert "paging may hold it up" in notes[1]
+    assert "paging may delay it" in notes[1]
     assert "without real-time priority" in notes[2]
     assert "ulimit -r" in notes[2]
 

@@ -63,7 +63,7 @@ def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None
     shown = capsys.readouterr().out
     assert "servo 1: id (7): 1 -> 2" in shown
     assert "servo 1: drive_mode (10): 0 -> 4" in shown
-    assert shown.count("way back: by --restore") == 1
+    assert shown.count("undo: by --restore") == 1
     for refusal in ("n", "q"):
         with pytest.raises(WizardAborted):
             typed(refusal).approve([WRITE])

@@ -71,7 +71,7 @@ def test_what_the_page_types_prints_writes_removes_and_packs(
     for name in WRITTEN:
         assert (image / name).read_text().strip() in printed
     again = call(*applied, "--root", image).output
-    assert again.count("as it is wanted already") == 3
+    assert again.count("already up to date") == 3
     call(*removed, "--root", image, answers="y\ny\ny\n")
     assert files_in(image) == set()
     call(*support)
@@ -190,7 +190,7 @@ def test_the_rules_name_each_serial_port_of_the_cell(monkeypatch: pytest.MonkeyP
     )
     rules = system_files(config, None)[0].text
     assert 'ENV{ID_SERIAL_SHORT}=="A1", SYMLINK+="tactile-cell/servos"' in rules
-    assert "# tactile.channel: /dev/ttyACM3 is no USB adapter that is connected now" in rules
+    assert "# tactile.channel: /dev/ttyACM3 is no connected USB adapter" in rules
     assert 'ATTR{latency_timer}="1"' in rules
     assert 'ENV{SYSTEMD_WANTS}=""' in rules  # of brltty
 

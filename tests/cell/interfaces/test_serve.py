@@ -224,7 +224,7 @@ def test_a_first_start_whose_lease_is_taken_keeps_nothing(
     service.lease.alive = alive
     model = SimpleNamespace(save=lambda _path: pytest.fail("nothing is to be kept"))
     serving._teach_first(service, model, service.config, threading.Event())
-    assert "not all objects are taught" in capsys.readouterr().err
+    assert "not all objects were taught" in capsys.readouterr().err
     assert cached_model(service.config) is None
     assert service.snapshot().commander == "operator"
 

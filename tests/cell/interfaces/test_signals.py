@@ -162,7 +162,7 @@ def test_a_stop_does_not_wait_for_whoever_moves_the_object(make_bench: Any) -> N
     with pytest.raises(CellStopped, match="the fingers are open"):
         bench.controller.present("ball")
     assert bench.controller.state is CellState.IDLE
-    with pytest.raises(PositionerError, match="has not ended yet"):
+    with pytest.raises(PositionerError, match="was abandoned and still runs"):
         bench.controller.present("ball")
     answered.set()
     for thread in threading.enumerate():

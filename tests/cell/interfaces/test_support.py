@@ -94,7 +94,7 @@ def test_the_bundle_has_what_a_helper_asks_for(cell: Served, tmp_path: Path) -> 
     assert {100 <= fault["fault_number"] < 200 for fault in faults} == {True}
     smaller = packed(tmp_path, "--limit-mb", "0.001")
     assert "recording.mcap" not in smaller
-    assert b"more than the limit of 1000; left out" in smaller["recording.txt"]
+    assert b"bytes exceed the limit of 1000" in smaller["recording.txt"]
 
 
 @pytest.mark.usefixtures("cell")

@@ -350,7 +350,7 @@ def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(
     mug = {"lease": lease, "goal": {"task": "teach", "label": "my mug", "grasps": 4}}
     refused = host.ask("POST", "/api/jobs", mug)
     check_refusal(*refused, status=409)
-    assert "nothing lies between the fingers" in refused[1]["error"]
+    assert "nothing is between the fingers" in refused[1]["error"]
     check_refusal(*host.ask("POST", place, {"lease": lease + 1, "part": "box"}), status=403)
     for part in ("dice", "mesh:file=/etc/passwd", "cylinder:diameter=8mm"):
         check_refusal(*host.ask("POST", place, {"lease": lease, "part": part}), status=422)

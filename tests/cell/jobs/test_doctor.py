@@ -14,7 +14,7 @@ import pytest
 import cell.jobs.doctor
 from cell.build import build_cell
 from cell.checks.findings import CheckResult, Verdict
-from cell.config.file import changed_config
+from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.jobs.doctor import _boards, examine
@@ -144,7 +144,7 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
     [
         ((7, 8), [7, 8], Verdict.PASS, ""),
         ((7, 8), None, Verdict.WARN, "write [7, 8] into the config"),
-        ((0, 0), None, Verdict.WARN, "cannot be told apart"),
+        ((0, 0), None, Verdict.WARN, "look the same"),
     ],
 )
 def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
@@ -154,6 +154,15 @@ def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
     finding = _boards(boards, config)
     assert finding.verdict is verdict
     assert advice in finding.advice
+
+
+def test_boards_without_force_messages_and_numbers_are_well() -> None:
+    preset = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
+    findings = by_name(examine(preset))
+    assert findings["sensor"].found == "FlexiTac"
+    assert findings["force messages"].verdict is Verdict.PASS
+    assert findings["force messages"].found.startswith("FlexiTac sends frames alone")
+    assert findings["pads' boards"].found == "no serial numbers"
 
 
 @pytest.fixture
@@ -187,7 +196,7 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     assert shown_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
     simulated.inject("servos.unplugged")
     findings = by_name(list(examine(CellConfig(), file)))
-    assert "whether a part is held is not known" in findings["servo torque"].advice
+    assert "it is unknown whether a part is held" in findings["servo torque"].advice
     assert findings["pads' force"].verdict is Verdict.WARN
     simulated.close()
 
@@ -239,7 +248,7 @@ def test_a_missing_extra_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.metadata, "version", version)
     finding = by_name(list(examine(CellConfig())))["matplotlib"]
     assert finding.verdict is Verdict.WARN
-    assert finding.advice.startswith("if you want it: install this project with its extra `report`")
+    assert finding.advice.startswith("if you need it: install this project with its extra `report`")
 
 
 AXES = changed_config(CellConfig(), CHANGES)

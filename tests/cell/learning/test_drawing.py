@@ -308,7 +308,7 @@ def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
         (("--shape", "cylinder:diameter=0.3mm,length=20mm"), "is 0.247 mm thick at x"),
         (
             ("--shape", "sphere:diameter=2mm"),
-            "closed, at 0.5 mm (gripper.aperture_min_mm), before they feel 0.6 N",
+            "closed, at 0.5 mm (gripper.aperture_min_mm), before they measure 0.6 N",
         ),
     ],
 )
@@ -334,7 +334,7 @@ def test_grasps_that_stand_twice_are_noted(tmp_path: Path) -> None:
     said = call("train", path, path, "-o", tmp_path / "m.npz", *nearest)
     assert "NOTE: 6 of 12 grasps stand twice" in said
     said = call("evaluate", path, "--train", path, "--fuse", "1", *nearest)
-    assert "NOTE: 6 grasps are tested that were taught" in said
+    assert "NOTE: 6 tested grasps were taught" in said
     assert "stand twice" not in call("train", path, "-o", tmp_path / "m.npz", *nearest)
 
 

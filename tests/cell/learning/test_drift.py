@@ -99,7 +99,7 @@ def test_it_learns_after_each_answer_and_speaks_once() -> None:
         "the sensors have drifted since teaching: gain 0.72, opening -4.0 mm"
     )
     assert identified(model, one) == ""
-    assert identified(model, one) == "the sensors are as they were taught again"
+    assert identified(model, one) == "the sensors are again as at the teaching"
     assert identified(model, one) == ""
 
 

@@ -202,7 +202,7 @@ def test_heads_that_do_not_fit_their_model_are_refused(
     changed = change(arrays.pop(name))
     arrays |= {} if changed is None else {name: changed}
     resaved(model, tmp_path / "m.npz", {EARLY_SECTION: arrays})
-    with pytest.raises(ModelError, match="does not suit this program"):
+    with pytest.raises(ModelError, match="does not fit this program"):
         TaughtModel.load(taught.config, tmp_path / "m.npz")
 
 
@@ -215,7 +215,7 @@ def test_a_model_taught_without_ramps_cut_short_says_once_that_its_ramps_are_who
     found = [identify(bench.controller, model, held="box", seed=seed) for seed in range(2)]
     assert all(record.early is None for one in found for record in one.records)
     assert [one.remark.partition(":")[0] for one in found] == [
-        "the model was taught without ramps cut short, so that none ends early",
+        "the model has no early classifiers, so no ramp ends early",
         "",
     ]
 

@@ -33,7 +33,7 @@ def test_one_series_of_each_object_is_said_to_miss_what_another_day_brings() -> 
     assert summary.as_json()["longest_series_s"] == 22.0
     assert summary.opening_sd_mm == pytest.approx(0.8, abs=0.05)
     note = summary.notes[-1]
-    assert "in one go" in note
+    assert "in one series" in note
     assert "calibrate --gauge" in note
 
 

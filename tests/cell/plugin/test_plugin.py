@@ -96,7 +96,7 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> N
 def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
     page = Path("docs/how-to/use-from-a-host-program.md").read_text("utf-8")
     (typed,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.S) if "my mug" in one)
-    with pytest.raises(CellStateError, match="nothing lies between the fingers"):
+    with pytest.raises(CellStateError, match="nothing is between the fingers"):
         plugin.start(TeachGoal(label="my mug"))
     exec(typed, {"cell": plugin})
     assert plugin.labels == ("ball", "box", "my mug")
@@ -331,7 +331,7 @@ def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
         plugin.start({"task": "teach", "label": "cone"})
     balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
     write_dataset(tmp_path / "balls.npz", balls)
-    with pytest.raises(ModelError, match="is not the one that trained"):
+    with pytest.raises(ModelError, match="was trained with another training set"):
         make_plugin(model=alone, training_set=tmp_path / "balls.npz")
     plugin = make_plugin(model=alone, training_set=taught.result.dataset)
     done(plugin, {"task": "teach", "label": "oval", "grasps": 3})
@@ -420,7 +420,7 @@ def test_a_teaching_that_was_stopped_adds_its_grasps(
     again = make_plugin(model=path)
     assert done(again, TeachGoal(label="box", grasps=1)) == 1
     write_dataset(file, [grasps[-1], *grasps])
-    with pytest.raises(ModelError, match="is not the one that trained"):
+    with pytest.raises(ModelError, match="was trained with another training set"):
         make_plugin(model=path)
 
 
@@ -461,7 +461,7 @@ def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(make_p
 @pytest.mark.parametrize(
     ("goal", "complaint"),
     [
-        (None, "goal is None; write a goal, as IdentifyGoal, or a mapping"),
+        (None, "goal is None; write a goal, for example IdentifyGoal, or a mapping"),
         ("teach", "goal is 'teach'; write"),
         (["teach"], "goal is ['teach']; write"),
         ({"task": ["teach"]}, "goal has task ['teach']; write one of"),

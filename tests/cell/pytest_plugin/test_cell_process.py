@@ -99,7 +99,7 @@ def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(
     result.stdout.fnmatch_lines_random(
         [
             "*CellProcessError: the simulated cell (process *) ended by itself during the test "
-            "with exit code -9; if the test means it to die, let it call kill(). Its log:*",
+            "with exit code -9; call kill() if the test should end it. Its log:*",
             "*CellProcessError: the simulated cell did not start. It ended with exit code *",
             "*simulator.objects: thing: *blob*",
         ]

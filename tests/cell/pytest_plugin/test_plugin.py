@@ -74,10 +74,10 @@ def test_the_ini_option_names_the_config_and_the_command_line_overrules(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--servo-ids", "1,x"), "*'1,x' is no list of servo IDs from 0 to 252*"),
-        (("--servo-ids", "253"), "*'253' is no list of servo IDs from 0 to 252*"),
-        (("--can-interface", "slcan"), "*--can-interface and --can-channel go together*"),
-        (("--can-channel", "can0"), "*--can-interface and --can-channel go together*"),
+        (("--servo-ids", "1,x"), "*'1,x' is not a list of servo IDs from 0 to 252*"),
+        (("--servo-ids", "253"), "*'253' is not a list of servo IDs from 0 to 252*"),
+        (("--can-interface", "slcan"), "*--can-interface and --can-channel need each other*"),
+        (("--can-channel", "can0"), "*--can-interface and --can-channel need each other*"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(

@@ -79,7 +79,7 @@ def test_the_command_writes_the_page_of_an_identification_and_of_a_sort(
     page = path.with_name("report.html")
     assert call("report", path) == f"report: {page}\n"
     text = page.read_text("utf-8")
-    assert ("let go at: box" in text) == (job == "sort")
+    assert ("released at: box" in text) == (job == "sort")
     assert "0 grasps taught" in text
     for section in ("result", "sequences", "examples", "health", "cell"):
         assert f'<section id="{section}">' in text
@@ -114,7 +114,7 @@ def test_an_older_recording_shows_what_it_has(recording: Recording) -> None:
     assert '<section id="result">' not in page
     strange = recorded_report(with_config(recording, '{"of another version": 1}'))
     assert strange.facts == (("Sensor", "408 taxels on 10 pads"),)
-    assert "no config that this version reads" in strange.notes[-1]
+    assert "config in the recording is not valid" in strange.notes[-1]
 
 
 def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(
@@ -129,7 +129,7 @@ def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(
     assert [one.caption for one in data.key_figures] == ["grasps taught"]
     assert '<section id="sequences">' not in render_report(data)
     Recorder(tmp_path / "empty.mcap", Clock(), pads=plain_pads((4, 3), (4, 3))).close()
-    with pytest.raises(RecordingError, match="there is nothing to show"):
+    with pytest.raises(RecordingError, match="no whole grasp and no answer"):
         recorded_report(read_recording(tmp_path / "empty.mcap"))
 
 
@@ -143,5 +143,5 @@ def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(
     ],
 )
 def test_values_that_no_cell_has_are_refused(recording: Recording, spoil: dict[str, Any]) -> None:
-    with pytest.raises(RecordingError, match="values that no cell has"):
+    with pytest.raises(RecordingError, match="a message has impossible values"):
         recorded_report(replace(recording, **spoil))

@@ -148,7 +148,7 @@ def test_a_damaged_file_is_moved_away_and_a_later_one_is_left(kept: Kept) -> Non
     kept.path.write_bytes(b"no data base at all, but long enough to be looked at" * 100)
     kept.history.add(part())
     kept.look()
-    assert "a new history begins; the damaged one is" in kept.notes[-1]
+    assert "a new history begins; the damaged file is now" in kept.notes[-1]
     assert kept.look()["today"]["parts"] == 1
     kept.history._close_link()
     with closing(sqlite3.connect(kept.path)) as link:

@@ -209,7 +209,7 @@ def test_a_repeated_request_is_not_done_twice(serve: Any) -> None:
     assert served.service.job().number == 1
     with pytest.raises(RequestRefused, match="job 1 is another request; the next is 2"):
         served.service.command(lease, Command.RELEASE, key=RELEASE_KEY, number=1)
-    with pytest.raises(RequestRefused, match="job 3 cannot be next; the next is 2"):
+    with pytest.raises(RequestRefused, match="job 3 is not the next job; the next is 2"):
         served.service.start(lease, KEEP, number=3)
     served.service.lease.give_up(lease)
     lease = served.service.lease.acquire("second")

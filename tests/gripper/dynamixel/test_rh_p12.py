@@ -1,5 +1,7 @@
 """The RH-P12-RN(A) on its bus: addresses by the model, and its own limits of goals."""
 
+from pathlib import Path
+
 import pytest
 
 from cell.config.file import load_config
@@ -15,6 +17,7 @@ from simulator.servo.control_table import ControlTable
 from simulator.servo.device import SimulatedServo
 from simulator.servo.motor import ServoMotor
 
+CONFIG = Path(__file__).parents[3] / "config" / "rh-p12-rn.yaml"
 MODEL = MODELS["RH-P12-RN(A)"]
 
 
@@ -36,7 +39,7 @@ def test_driver_and_simulator_agree_on_the_addresses_that_each_has_written_down(
 
 
 def test_the_bus_learns_the_table_from_a_ping() -> None:
-    with simulation_of(load_config("config/rh-p12-rn.yaml")) as cell:
+    with simulation_of(load_config(CONFIG)) as cell:
         bus = ServoBus(cell.servo_port, baudrate=1_000_000, clock=cell.clock)
         with pytest.raises(ServoRejected):
             bus.read(1, table.TORQUE_ENABLE)

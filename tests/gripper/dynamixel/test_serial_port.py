@@ -76,7 +76,7 @@ def test_an_unplugged_adapter_is_a_lost_port(terminal) -> None:
     master, path = terminal
     stream = SerialStream(path)
     os.close(master)
-    with pytest.raises(PortLost, match="is gone"):
+    with pytest.raises(PortLost, match="is lost"):
         stream.read(1, 5.0)
     with pytest.raises(PortLost, match="may still be gripped"):
         stream.write(b"x")

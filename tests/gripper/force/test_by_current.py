@@ -125,6 +125,6 @@ def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(
 def test_a_cap_below_what_the_current_can_tell_is_refused(make_cell: Callable[..., Any]) -> None:
     cell = make_cell(force_max_n=1.1)
     with pytest.raises(
-        LimitExceeded, match=r"is known to 0\.6 N, which leaves 0\.5 N of force_max"
+        LimitExceeded, match=r"is exact to 0\.6 N, which leaves 0\.5 N of force_max"
     ):
         by_current(cell)

@@ -6,7 +6,7 @@ from math import exp
 import numpy as np
 import pytest
 
-from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.dynamixel.drive import DriveCharacteristic, disagreement
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.mechanics.identification import (
     FreePoint,
@@ -194,11 +194,32 @@ def test_the_back_emf_anchors_the_motor_constant_and_no_pad_does(factor: float) 
     assert found.kt_nm_a == pytest.approx(factor * MODEL.kt_nm_a, rel=0.02)
     assert found.kt_sd < CATALOGUE.kt_sd
     weak_motor = replace(found, rising_a_nm=1.0 / found.kt_nm_a, load_sd=0.02)
-    assert weak_motor.disagreement == 0.0
+    assert disagreement([weak_motor]) == 0.0
     weak_pads = replace(weak_motor, rising_a_nm=1.4 / found.kt_nm_a)
-    assert weak_pads.disagreement < 0.0
+    assert disagreement([weak_pads]) < 0.0
     # The pads may be wrong: the cap goes by what makes more force.
     assert weak_pads.most_torque_nm_a == pytest.approx(found.kt_nm_a, rel=1e-6)
+
+
+def test_two_servos_that_disagree_alike_show_what_one_leaves_open() -> None:
+    anchored_one = replace(CATALOGUE, kt_sd=0.1, load_sd=0.02)
+    weak_pads = replace(anchored_one, rising_a_nm=1.2 * anchored_one.rising_a_nm)
+    assert disagreement([weak_pads]) == 0.0
+    assert disagreement([weak_pads, weak_pads]) < 0.0
+    assert disagreement([weak_pads, replace(weak_pads, rising_a_nm=0.9 / CATALOGUE.kt_nm_a)]) == 0.0
+    catalogue_alone = replace(weak_pads, kt_sd=CATALOGUE.kt_sd)
+    assert disagreement([catalogue_alone, catalogue_alone]) == disagreement([]) == 0.0
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.8])
+def test_a_gearing_that_loses_much_lowers_the_torque_of_its_back_emf(gain: float) -> None:
+    drive = replace(
+        CATALOGUE, rising_a_nm=1.0 / 1.4 / gain, falling_a_nm=1.0 / 4.3 / gain, load_sd=0.02
+    )
+    found = anchored(drive, MODEL, 2.86)
+    assert found.kt_nm_a == pytest.approx(2.86 * (1.4 / 4.3) ** 0.5), "whatever the pads' gain is"
+    assert found.kt_nm_a == pytest.approx(1.4, rel=0.2)
+    assert 0.1 < found.kt_sd < CATALOGUE.kt_sd
 
 
 def test_pads_under_weights_anchor_the_motor_constant_by_its_back_emf() -> None:
@@ -210,7 +231,7 @@ def test_pads_under_weights_anchor_the_motor_constant_by_its_back_emf() -> None:
     assert anchored(found, MODEL, 1.8).kt_nm_a == pytest.approx(0.9 * found.kt_nm_a)
     weak_pads = anchored(replace(found, rising_a_nm=1.2 * found.rising_a_nm), MODEL, 2.0)
     assert weak_pads.kt_nm_a == pytest.approx(found.kt_nm_a)
-    assert weak_pads.disagreement < 0.0
+    assert disagreement([weak_pads]) < 0.0
     assert weighed(CATALOGUE) == CATALOGUE, "nothing was pressed, and no back-EMF measured"
 
 

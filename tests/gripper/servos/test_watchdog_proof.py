@@ -22,7 +22,7 @@ def test_a_watchdog_that_stops_the_motors_is_proven_once(make_cell, how, watchdo
     cell = make_cell(watchdog_self_test=True, watchdog_s=watchdog_s)
     let_stop(cell, how, 0, 1)
     cell.gripper.start()
-    with pytest.raises(GripperStateError, match="open the gripper, its self-test follows"):
+    with pytest.raises(GripperStateError, match="open the gripper, the test follows"):
         cell.gripper.grasp(RAMP)
     opened_m: list[float] = []
     cell.clock.on_advance.append(lambda _: opened_m.append(cell.mechanics.aperture_m))

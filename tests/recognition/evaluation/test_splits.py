@@ -9,16 +9,19 @@ from recognition.evaluation.metrics import (
     auroc,
     confusion_matrix,
     expected_calibration_error,
+    paired_difference,
     wilson_interval,
 )
 from recognition.evaluation.splits import (
     a_day_later,
     chronological_split,
+    left_out_parts,
     parse_split,
     series_parts,
     shuffled_split,
 )
 from recognition.grasp import by_label
+from tests.cell.conftest import plain_grasp
 
 
 def test_chronological_split_teaches_with_the_earlier_part(train):
@@ -109,3 +112,26 @@ def test_auroc_counts_pairs_in_order():
     assert auroc([0, 2], [1, 3]) == 0.75
     assert auroc([1, 1], [1, 1]) == 0.5
     assert np.isnan(auroc([], [1]))
+
+
+def test_a_paired_difference_has_the_interval_of_agresti_and_min():
+    first = [True] * 30 + [True] * 2 + [False] * 8 + [False] * 10
+    second = [True] * 30 + [False] * 2 + [True] * 8 + [False] * 10
+    difference, (low, high) = paired_difference(first, second)
+    assert difference == pytest.approx(0.12)
+    # 6 / 52 -+ 1.959964 * sqrt(2.5 + 8.5 - 6**2 / 52) / 52
+    assert (low, high) == pytest.approx((-0.005627, 0.236396), abs=1e-6)
+    assert paired_difference(first, first)[0] == 0.0
+    assert paired_difference([False], [True])[1][1] <= 1.0
+    with pytest.raises(ValueError, match="no answers to the same grasps"):
+        paired_difference([True], [True, False])
+
+
+def test_each_group_is_left_out_in_turn_without_what_nothing_else_teaches():
+    grasps = [plain_grasp(name) for name in ["ball"] * 6 + ["box"] * 6 + ["cup"] * 2]
+    groups = ["a"] * 3 + ["b"] * 3 + ["a"] * 3 + ["b"] * 3 + ["b"] * 2
+    parts = left_out_parts(grasps, groups)
+    assert [(len(taught), len(test)) for taught, test in parts] == [(6, 6), (6, 6)]
+    assert {g.label for part in parts for some in part for g in some} == {"ball", "box"}
+    with pytest.raises(ValueError, match="none can be left out"):
+        left_out_parts(grasps, ["a"] * len(grasps))

@@ -148,7 +148,7 @@ def test_an_object_without_a_level_is_never_named():
     assert levels.order.tolist() == [1]
     assert check_level(levels, 1.5) == 1
     assert check_level(levels, 100.0) is None
-    with pytest.raises(TrajectoryError, match="none of 2 objects"):
+    with pytest.raises(TrajectoryError, match="no object of 2"):
         find_thresholds([[np.nan], []])
     with pytest.raises(TrajectoryError, match="margin is 1"):
         find_thresholds([[1.0]], margin=1.0)

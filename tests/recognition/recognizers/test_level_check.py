@@ -170,7 +170,7 @@ def test_an_object_without_any_surface_stays_without_a_level():
     assert posterior.probability[posterior.labels.index("tip")] < 0.01
     again = LevelCheckRecognizer.from_arrays(taught.to_arrays())
     assert np.array_equal(again.low, taught.low, equal_nan=True)
-    with pytest.raises(ValueError, match="none of 1 objects has a level"):
+    with pytest.raises(ValueError, match="no object of 1 has a level"):
         LevelCheckTrainer().fit(spoilt)
 
 

@@ -183,8 +183,8 @@ def test_an_untouched_pad_tells_nothing(pads: PadArray) -> None:
     ("shapes", "why"),
     [
         (((10, 6), (8, 6)), "do not face each other"),
-        (((7, 1), (7, 1)), "7 x 1 taxels lie on no regular grid"),
-        (((1, 1),) * 14, "1 x 1 taxels lie on no regular grid"),
+        (((7, 1), (7, 1)), "7 x 1 taxels form no grid"),
+        (((1, 1),) * 14, "1 x 1 taxels form no grid"),
     ],
 )
 def test_pads_that_show_no_shape_are_refused(factory, shapes, why) -> None:

@@ -83,7 +83,7 @@ def test_scattered_taxels_are_refused() -> None:
     pads = PadArray(
         pad_shape=np.array([[2, 2]]), taxel_pad=np.zeros(4), taxel_xy_m=xy_m, adc_max=255
     )
-    with pytest.raises(ContactError, match="2 x 2 taxels lie on no regular grid"):
+    with pytest.raises(ContactError, match="2 x 2 taxels form no grid"):
         PadBed(pads, 0, 1e-3)
 
 

@@ -57,30 +57,30 @@ def test_a_text_is_name_value_start_and_end() -> None:
     ("text", "complaint"),
     [
         ("loss", "not of the form COMPONENT.FAULT"),
-        ("can.los", r"no fault 'can.los'; is can.loss meant\? `tactile-cell simulate --list"),
+        ("can.los", r"no fault 'can.los'; did you mean can.loss\? `tactile-cell simulate --list"),
         ("can.loss=2", r"takes share, 0 to 1, default 0.05; got '2'"),
         ("can.loss=nan", "takes share"),
-        ("can.loss=", "no value behind its '='"),
+        ("can.loss=", "no value after its '='"),
         ("can.off=1", "takes no value"),
-        ("can.loss@soon", "'soon' is no moment; write 2s, 250ms, contact"),
+        ("can.loss@soon", "'soon' is not a time; write 2s, 250ms, contact"),
         ("can.loss@2s..1s", "ends before it begins"),
         ("can.loss@9999999s", "later than 86400 s"),
-        ("unit.reboot@1s..2s", "it has no end"),
+        ("unit.reboot@1s..2s", "is momentary: leave out its end"),
         ("servo3.off", "this cell has 2 servos"),
         ("servo0.off", "there is no fault"),
-        ("servo2.of", r"is servo2\.off meant"),
+        ("servo2.of", r"mean servo2\.off"),
         ("axis3.silence", "this cell has 2 axes"),
-        ("axis2.limit_switch", "one of a drive, and the axis is a servo"),
+        ("axis2.limit_switch", "for drives, but the axis is a servo"),
         ("unit.emergency=0x10000", "code, 0 to 65535"),
         ("unit.emergency=1.5", "code, 0 to 65535"),
-        ("unit.wrong=serial", "takes name:number, as serial:99"),
+        ("unit.wrong=serial", "takes name:number, for example serial:99"),
         ("unit.wrong=colour:1", "takes one of vendor, product"),
-        ("unit.wrong=serial:-1", "no number of 32 bits"),
-        ("servo1.wrong=goal_current:1", "no EEPROM register"),
+        ("unit.wrong=serial:-1", "does not fit into 32 bits"),
+        ("servo1.wrong=goal_current:1", "not an EEPROM register"),
         ("servo1.wrong=current_limit:999999", "outside the range"),
         ("servo1.wrong=model_number:70000", "does not fit into 2 bytes"),
         ("taxels.saturated=2", "pads are 0 to 1"),
-        ("taxels.stuck_at=tip:3", "one taxel or a range, as 3:200 or 3-5:200; got 'tip'"),
+        ("taxels.stuck_at=tip:3", "one taxel or a range, for example 3:200 or 3-5:200; got 'tip'"),
         ("taxels.stuck_at=150-156:3", "taxels are 0 to 155, counts 0 to 4095"),
         ("taxels.stuck_at=5-3:3", "taxels are 0 to 155"),
         ("taxels.stuck_at=5:4096", "counts 0 to 4095"),
@@ -254,7 +254,7 @@ def test_a_fault_waits_for_the_contact_or_the_motion(cell: SimulatedCell) -> Non
 
 def test_two_faults_of_one_knob_are_refused_unless_their_times_differ(cell: SimulatedCell) -> None:
     cell.inject("can.loss=0.1@1s..2s")
-    with pytest.raises(SimulatorStateError, match=r"can.loss=0.1@1s..2s is injected and turns"):
+    with pytest.raises(SimulatorStateError, match=r"can.loss=0.1@1s..2s is injected and uses"):
         cell.inject("can.intermittent@1500ms")
     cell.inject("can.loss=0.3@2s..3s")
     cell.inject("servo1.supply=9")
@@ -274,7 +274,9 @@ def test_a_fault_is_cleared_by_its_text_or_its_name(cell: SimulatedCell) -> None
     cell.inject("unit.off@3s")
     assert cell.injector.clear("can.loss") == 1
     assert cell.injector.clear("unit.off@3s") == 1
-    with pytest.raises(SimulatorStateError, match=r"no fault .* is injected; there is none"):
+    with pytest.raises(
+        SimulatorStateError, match=r"no fault .* is injected; injected faults: none"
+    ):
         cell.injector.clear("unit.off")
     cell.inject("can.delayed")
     cell.inject("servos.off")

@@ -108,5 +108,5 @@ def test_the_help_has_each_word_and_what_is_none_is_refused(at: At) -> None:
     ):
         with pytest.raises(SimulatorError):
             at.do(wrong)
-    with pytest.raises(SimulatorSettingsError, match="`help` prints what is"):
+    with pytest.raises(SimulatorSettingsError, match="`help` lists all commands"):
         at.do("disconnect two")

@@ -255,10 +255,10 @@ def test_a_mesh_in_another_unit_is_refused_with_its_size(
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "box.stl"
     path.write_bytes(trimesh.creation.box(extents=size_mm).export(file_type="stl"))
-    with pytest.raises(SimulatorSettingsError, match=f"{shown} mm .* Export it in mm"):
+    with pytest.raises(SimulatorSettingsError, match=f"{shown} mm .* export it in mm"):
         load_mesh(path)
     path.write_bytes(path.read_bytes()[:-7])
-    with pytest.raises(SimulatorSettingsError, match=r"677 bytes, its count of 12 .* needs 684"):
+    with pytest.raises(SimulatorSettingsError, match=r"677 bytes, but its 12 .* need 684"):
         load_mesh(path)
 
 
@@ -268,7 +268,7 @@ def test_a_disc_of_a_few_nanometres_is_refused_however_it_lies_in_its_file(tmp_p
     disc.apply_transform(trimesh.transformations.rotation_matrix(0.7, (1.0, 1.0, 0.0)))
     path = tmp_path / "disc.stl"
     path.write_bytes(disc.export(file_type="stl"))
-    with pytest.raises(SimulatorSettingsError, match=r"is 0\.00998 mm thick in the mean"):
+    with pytest.raises(SimulatorSettingsError, match=r"mean thickness of 0\.00998 mm"):
         load_mesh(path)
 
 
@@ -287,7 +287,7 @@ def test_a_mesh_of_bodies_that_lie_apart_is_refused(
     if n_bodies == 1:
         assert load_mesh(path).triangles_m.shape == (24, 3, 3)
         return
-    with pytest.raises(SimulatorSettingsError, match="2 separate bodies, and a gripper holds one"):
+    with pytest.raises(SimulatorSettingsError, match="2 separate bodies, but a gripper holds one"):
         load_mesh(path)
 
 

@@ -1,4 +1,4 @@
-"""`backup` and `restore`: all that makes a cell, as one file."""
+"""`backup` and `restore`: all files and registers of a cell in one file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -16,12 +16,12 @@ def backup(
         typer.Option("--model", "-m", help="Model in another folder; repeat for several."),
     ] = None,
     devices: Annotated[
-        bool, typer.Option(help="Read the registers of the servos and the control unit, too.")
+        bool, typer.Option(help="Also read the registers of the servos and the control unit.")
     ] = True,
 ) -> None:
     """Write config, zero, models, data sets, photos, findings and registers to one file.
 
-    What is in the folder of the config goes into it, and nothing is written to a device.
+    It takes the files in the folder of the config. Nothing is written to a device.
     """
     from cell.commissioning.bench import Bench
     from cell.commissioning.cell_backup import back_up
@@ -30,7 +30,7 @@ def backup(
     from cell.interfaces.cli.terminal import print_line, print_note
 
     if config is None:
-        raise ConfigError(f"there is no {FOLDER_CONFIG} here; name the config with --config")
+        raise ConfigError(f"{FOLDER_CONFIG} is not in this folder; name a config with --config")
     checked = load_config(config)
     bench = Bench(config.parent, base=checked) if devices else None
     made = back_up(file, config, checked, models=model or (), bench=bench)
@@ -41,20 +41,20 @@ def backup(
 
 
 def restore(
-    file: Annotated[Path | None, typer.Argument(help="Backup to put back.")] = None,
+    file: Annotated[Path | None, typer.Argument(help="Backup to restore.")] = None,
     folder: Annotated[Path, typer.Option("--folder", help="Folder of the cell.")] = Path(),
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     undo: Annotated[
-        bool, typer.Option("--undo", help="Take back what the last restore has changed.")
+        bool, typer.Option("--undo", help="Undo the changes of the last restore.")
     ] = False,
     servos: Annotated[
         bool,
-        typer.Option("--servos", help="Write the registers of the servos back; no file changes."),
+        typer.Option("--servos", help="Restore the registers of the servos only, no files."),
     ] = False,
 ) -> None:
-    """Put a backup back: shows what differs, and asks before the first write.
+    """Restore a backup: shows the differences, and asks before the first write.
 
-    The ports stay those of the config in the folder. End other programs of the cell before.
+    The ports of the config in the folder stay. End other programs of the cell first.
     """
     from cell.commissioning.bench import Bench
     from cell.commissioning.cell_backup import UNDO, restore, restore_registers
@@ -68,7 +68,7 @@ def restore(
     dialog = TerminalDialog(approved=yes)
     path = folder / UNDO if file is None else file
     if file is None and not path.exists():
-        raise CellError(f"there is nothing to take back: no {path}, as a restore leaves it")
+        raise CellError(f"there is nothing to undo: {path}, which a restore writes, is missing")
     try:
         if servos:
             bench = Bench(folder)

@@ -27,8 +27,8 @@ def calibrate(
         list[str] | None,
         typer.Option(
             "--gauge",
-            help="A known object, one that was taught; may be given again: two show more than one. "
-            "Without it DATASET holds any grasps of a shift.",
+            help="A taught object; repeat for several: two give a better result than one. "
+            "Without it, DATASET holds any grasps of a shift.",
         ),
     ] = None,
     model: ModelOption = None,
@@ -42,7 +42,7 @@ def calibrate(
 ) -> None:
     """Correct a model for the drift of the sensors since teaching.
 
-    By known objects, or by any grasps of a shift.
+    Uses known objects, or any grasps of a shift.
     """
     from cell.data.dataset import read_grasps
     from cell.errors import ConfigError
@@ -68,7 +68,7 @@ def calibrate(
         corrected = calibrate_model(loaded, taken) if gauge else follow_shift(loaded, found)
         n_grasps = sum(map(len, taken.values())) if gauge else len(found)
     elif not gauge:
-        raise ConfigError("name the gauge object with --gauge, or give the grasps of a shift")
+        raise ConfigError("the object is missing: add --gauge NAME, or name grasps of a shift")
     else:
         checked = cell_config(config, seed=seed)
         loaded = load_model(model, pads_of(checked))
@@ -101,14 +101,14 @@ def calibrate(
 
 
 def _grasps_of(gauge: str, grasps: "list[Grasp]", dataset: Path, *, alone: bool) -> "list[Grasp]":
-    """Return the grasps of a gauge; those without a label are of the only gauge."""
+    """Return the grasps of a gauge; grasps without a label belong to it if it is the only one."""
     from cell.errors import CellError
 
     taken = [grasp for grasp in grasps if grasp.label in ({gauge, ""} if alone else {gauge})]
     if not taken:
         labels = ", ".join(sorted({repr(grasp.label) for grasp in grasps}))
         raise CellError(
-            f"{dataset}: none of its {len(grasps)} grasps is of {gauge!r}, there are {labels}; "
-            "name the gauge as it is called there"
+            f"{dataset}: its {len(grasps)} grasps have no {gauge!r}, but {labels}; use one of "
+            "these names for --gauge"
         )
     return taken

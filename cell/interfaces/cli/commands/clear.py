@@ -1,4 +1,4 @@
-"""`clear`: acknowledges errors that servos and axes hold from an earlier run."""
+"""`clear`: acknowledges errors of servos and axes from an earlier run."""
 
 from typing import Annotated
 
@@ -13,15 +13,15 @@ def clear(
         bool,
         typer.Option(
             "--reboot",
-            help="Restart servos that report an error; what they still hold may fall.",
+            help="Restart servos that report an error; a part that they hold may fall.",
         ),
     ] = False,
 ) -> None:
     """Show torque and errors of servos and axes, and clear them; nothing moves.
 
-    A servo that overload, heat or a shock has made switch its torque off stays without it until it
-    is rebooted. A part that other servos hold stays held. Drives of axes need no reboot, and the
-    control unit need not be there.
+    After overload, heat or a shock a servo switches its torque off until it is rebooted. A part
+    that other servos hold stays held. Drives of axes need no reboot. The control unit is not
+    needed.
     """
     from cell.errors import CellError, ConfigError
     from cell.interfaces.cli.session import (
@@ -36,7 +36,7 @@ def clear(
 
     if config is None:
         raise ConfigError(
-            "name the cell whose servos are meant: `tactile-cell clear --config FILE`"
+            "the config file of the cell is missing: `tactile-cell clear --config FILE`"
         )
     checked = cell_config(config)
     try:
@@ -58,7 +58,7 @@ def clear(
         if condition not in before:
             print_line(f"{checked.name}: after the reboot {condition}")
     if any(condition.torque_on for condition in after):
-        print_line(f"a part may be in the grip; to let go of it: `{release_command(config)}`")
+        print_line(f"a part may be in the grip; to release it: `{release_command(config)}`")
     bad = [str(condition) for condition in after if condition.error_bits or not condition.answers]
     if bad:
-        raise CellError(f"{'; '.join(bad)}: remedy the cause, then clear again")
+        raise CellError(f"{'; '.join(bad)}: remove the cause, then clear again")

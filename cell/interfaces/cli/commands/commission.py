@@ -1,4 +1,4 @@
-"""`commission`: brings a cell up from the box to its first grasp."""
+"""`commission`: guides from new parts to the first grasp of a cell."""
 
 import json
 import time
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def _can(text: str | None) -> str | None:
     if text is not None and not all(text.partition(":")[::2]):
-        raise typer.BadParameter(f"{text!r}: INTERFACE:CHANNEL, as socketcan:can0")
+        raise typer.BadParameter(f"{text!r}: write INTERFACE:CHANNEL, for example socketcan:can0")
     return text
 
 
@@ -30,8 +30,8 @@ def commission(
         str | None,
         typer.Option(
             "--can",
-            help="CAN interface of the control unit as INTERFACE:CHANNEL, as socketcan:can0 or "
-            "slcan:/dev/ttyACM0 [default: found].",
+            help="CAN interface of the control unit as INTERFACE:CHANNEL, for example "
+            "socketcan:can0 or slcan:/dev/ttyACM0 [default: found].",
             callback=_can,
         ),
     ] = None,
@@ -40,31 +40,35 @@ def commission(
         typer.Option(
             "--config",
             "-c",
-            help="Config to begin with: its ports and all that the steps do not find "
+            help="Config to begin with: its ports, and the values that no step measures "
             "[default: tactile-cell.yaml in FOLDER, else a new one].",
         ),
     ] = None,
     redo: Annotated[
         list[str] | None,
-        typer.Option("--redo", metavar="STEP", help="Forget a step and all that need it."),
+        typer.Option(
+            "--redo", metavar="STEP", help="Repeat a step and all steps that depend on it."
+        ),
     ] = None,
     restore: Annotated[
         bool,
-        typer.Option("--restore", help="Write the servos' registers back as they came, and end."),
+        typer.Option("--restore", help="Restore the servos' original registers, and end."),
     ] = False,
     page: Annotated[
-        bool, typer.Option("--page", help="Ask on a page in the browser, until SIGTERM.")
+        bool, typer.Option("--page", help="Use a page in the browser, until SIGTERM.")
     ] = False,
     http_port: Annotated[
         int | None,
-        typer.Option("--http", help="Port of the page; 0: any [default: 8080 or the next free]."),
+        typer.Option(
+            "--http", help="Port of the page; 0: any [default: 8080 or the next free port]."
+        ),
     ] = None,
 ) -> None:
-    """Bring a cell up from the box to its first grasp, step by step.
+    """Set up a new cell step by step, until its first grasp.
 
-    Shows each write and motion before it is done. Leave at any moment, with q or Ctrl-C; the same
-    command goes on there. At the end tactile-cell.yaml and the record, commissioning.html, are in
-    the folder.
+    Shows each write and motion before it is done. Leave at any time with q or Ctrl-C; the same
+    command continues there. At the end the folder has tactile-cell.yaml and the record,
+    commissioning.html.
     """
     from cell.commissioning.backup import restore as restore_servos
     from cell.commissioning.baseline import changed_hardware
@@ -106,16 +110,16 @@ def commission(
                     print_line(line)
                 return
             for key in redo or ():
-                print_line(f"to be done again: {', '.join(engine.redo(key))}")
+                print_line(f"steps to repeat: {', '.join(engine.redo(key))}")
             for change in changed_hardware(bench):
                 print_note(f"{change.what}: {change.found}, at commissioning {change.was}")
-                print_line(f"to be done again: {', '.join(engine.redo(change.step))}")
+                print_line(f"steps to repeat: {', '.join(engine.redo(change.step))}")
             if page or http_port is not None:
                 _on_page(engine, http_port)
                 return
             files = engine.run(dialog)
     except KeyboardInterrupt:
-        print_note("left; what was found is kept. The same command goes on there")
+        print_note("left; the results are kept. The same command continues there")
         raise typer.Exit(1) from None
     except WizardAborted as left:
         print_note(str(left))
@@ -124,7 +128,7 @@ def commission(
 
 
 def _on_page(engine: "Engine", http_port: int | None) -> None:
-    """Open the page and wait until a signal ends the program; a step that runs is ended first."""
+    """Open the page until a signal ends the program; a running step is ended first."""
     from cell.config.serve import ServeConfig
     from cell.installation import extra
     from cell.interfaces.cli.commands.serve import SIGNAL_LOOK_S, free_page_port

@@ -11,7 +11,7 @@ app = typer.Typer(no_args_is_help=True, help="Config files: init, check, convert
 
 
 def _examples() -> dict[str, Path]:
-    """Return the example configs that come with the package, by name: the files of config/."""
+    """Return the example configs of the package by name: the files of config/."""
     import cell.config
 
     folder = Path(cell.config.__file__).with_name("examples")
@@ -20,7 +20,9 @@ def _examples() -> dict[str, Path]:
 
 def _known_example(name: str | None) -> str | None:
     if name is not None and name not in _examples():
-        raise typer.BadParameter(f"{name!r} is no example; there are {', '.join(_examples())}")
+        raise typer.BadParameter(
+            f"no example is named {name!r}; use one of {', '.join(_examples())}"
+        )
     return name
 
 
@@ -35,15 +37,15 @@ def init(
         str | None,
         typer.Option(
             "--example",
-            help="Begin with this one, as paper-gripper or pinch-13x6 [default: the simulated "
-            "cell].",
+            help="Example to begin with, for example paper-gripper or pinch-13x6 [default: the "
+            "simulated cell].",
             callback=_known_example,
             autocompletion=_begun,
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write a config file, its keys explained, and the schema beside."""
+    """Write a config file with explained keys, and its schema."""
     from cell.config.file import config_text, load_config, schema_text
     from cell.data.files import write_text
     from cell.errors import ConfigError
@@ -76,7 +78,7 @@ def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
 
 @app.command()
 def convert(path: Annotated[Path, typer.Argument(help="Config file of an older version.")]) -> None:
-    """Take out of a config file what is gone since; a copy keeps it as it was."""
+    """Remove obsolete keys from a config file; a copy keeps the old file."""
     from cell.config.file import config_file_text, converted_text
     from cell.data.files import free_name, write_text
     from cell.errors import ConfigError
@@ -85,14 +87,14 @@ def convert(path: Annotated[Path, typer.Argument(help="Config file of an older v
     before = config_file_text(path)
     text, changes = converted_text(before, source=str(path))
     if not changes:
-        print_line(f"{path}: nothing is gone of it, it stays as it is")
+        print_line(f"{path}: no key is obsolete, the file is unchanged")
         return
     copy = free_name(path)
     write_text(copy, before, error=ConfigError, what="copy")
     write_text(path, text, error=ConfigError, what="config")
     for change in changes:
         print_line(f"{path}: {change}")
-    print_line(f"as it was: {copy}")
+    print_line(f"copy of the old file: {copy}")
 
 
 @app.command()

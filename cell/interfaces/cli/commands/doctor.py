@@ -1,6 +1,7 @@
 """`doctor`: checks machine, ports, servos and control unit."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,15 +16,19 @@ def doctor(
         bool,
         typer.Option(
             "--gauge",
-            help="Then grasp the gauge object of the commissioning, and compare: the fingers move.",
+            help="Also grasp the gauge object of the commissioning and compare: the fingers move.",
         ),
+    ] = False,
+    plugins: Annotated[
+        bool,
+        typer.Option("--plugins", help="Only list the installed plugins, and load each."),
     ] = False,
 ) -> None:
     """Check machine, ports, servos and control unit; nothing moves without --gauge.
 
-    A cell that was commissioned is compared with what was found then.
+    A commissioned cell is compared with the record of its commissioning.
 
-    Of two lines one may be missing: what the other one shows is listed.
+    If one of the two lines is missing, the other line is still checked.
     """
     from cell.checks.findings import CheckResult, Verdict
     from cell.commissioning.baseline import gauge_again
@@ -34,6 +39,9 @@ def doctor(
     from cell.interfaces.cli.terminal import out, print_line, write_json
     from cell.jobs.doctor import examine
 
+    if plugins:
+        _list_plugins(json_file)
+        return
     colours = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
     findings = []
     cell = cell_config(config)
@@ -54,3 +62,18 @@ def doctor(
     failed = sum(f.verdict is Verdict.FAIL for f in findings)
     if failed:
         raise CellError(f"{failed} of {len(findings)} checks failed")
+
+
+def _list_plugins(json_file: Path | None) -> None:
+    """Print each plugin, its package, and the reason if it does not load."""
+    from cell.errors import CellError
+    from cell.interfaces.cli.terminal import print_line, write_json
+    from cell.plugins import GROUPS
+
+    found = [plugin for group in GROUPS for plugin in group.examine()]
+    for one in found:
+        state = f"FAIL  {one.problem}" if one.problem else "loads"
+        print_line(f"{one.group:<12} {one.name:<18} {one.package:<20} {state}")
+    write_json(json_file, {"plugins": found})
+    if failed := sum(bool(one.problem) for one in found):
+        raise CellError(f"{failed} of {len(found)} plugins do not load")

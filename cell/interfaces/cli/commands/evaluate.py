@@ -1,38 +1,47 @@
 """`evaluate`: measures recognisers on recorded grasps."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.interfaces.cli.options import MAX_SEED, JsonOption, known_recognizers
-from recognition.recognizers import TRAINERS, trainer_names
+from cell.interfaces.cli.options import (
+    MAX_SEED,
+    MOST_GRASPS,
+    CellsOption,
+    DaysOption,
+    JsonOption,
+    MostOption,
+    ObjectsOption,
+    SchedulerOption,
+    known_recognizers,
+)
+from recognition.recognizers import TRAINERS
 
 if TYPE_CHECKING:
     from cell.jobs.evaluate import EvaluationResult
     from recognition.drift.drift import Drift
 
 _PAIRS = 5
-"""Pairs of confused objects that are printed, those that are confused most often."""
+"""Number of pairs of confused objects that are printed, the most frequent first."""
 _MANY_GRASPS = 1000
-"""From here on the processes that share the work take less time to start than they save."""
+"""Number of grasps from which several processes save more time than their start takes."""
 
 
 def evaluate(
     datasets: Annotated[
-        list[Path], typer.Argument(help="Data sets or recordings of labelled grasps.")
+        list[str], typer.Argument(help="Archives, data sets or recordings of labelled grasps.")
     ],
     train_on: Annotated[
-        Path | None,
-        typer.Option("--train", help="Train on this file and test on all of DATASETS."),
+        str | None,
+        typer.Option("--train", help="Train on this file or archive, test on all of DATASETS."),
     ] = None,
     split: Annotated[
         str,
         typer.Option(
             "--split",
-            help="chronological:FRACTION or shuffled:FRACTION to train on, or series: each series "
-            "of an object that has several is left out in turn.",
+            help="chronological:FRACTION or shuffled:FRACTION to train on. Or leave out in turn "
+            "series: each one of an object that has several; days, cells: each of them.",
         ),
     ] = "chronological:0.6",
     fuse: Annotated[str, typer.Option("--fuse", help="Numbers of grasps to fuse.")] = "1,2,3,5",
@@ -40,14 +49,16 @@ def evaluate(
         list[str] | None,
         typer.Option(
             "--recognizer",
-            help=f"Repeat for several, of {', '.join(trainer_names())} "
+            help="Repeat for several kinds, as doctor lists them with --plugins "
             f"[default: {', '.join(TRAINERS)}].",
             callback=known_recognizers,
         ),
     ] = None,
     drift: Annotated[
         str | None,
-        typer.Option("--drift", help="Drift of the tested grasps, as gain=0.7,aperture_mm=-4."),
+        typer.Option(
+            "--drift", help="Add a drift to the tested grasps, for example gain=0.7,aperture_mm=-4."
+        ),
     ] = None,
     gauge: Annotated[
         str | None,
@@ -57,28 +68,37 @@ def evaluate(
     jobs: Annotated[
         int | None,
         typer.Option(
-            "--jobs", min=0, help="Processes, 0: one a core [default: 0 from 1000 grasps, else 1]."
+            "--jobs",
+            min=0,
+            help="Processes, 0: one for each core [default: 0 from 1000 grasps, else 1].",
         ),
     ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to work on.")
-    ] = None,
+    scheduler: SchedulerOption = None,
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+    most: MostOption = MOST_GRASPS,
     json_file: JsonOption = None,
 ) -> None:
-    """Measure recognisers on recorded grasps: accuracy, fusion, unknown.
+    """Measure recognisers on recorded grasps: accuracy, fusion, unknown objects.
 
-    With intervals of 95 %; unknown objects are those left out of teaching.
+    With 95 % intervals. Unknown objects are left out of teaching.
     """
+    from cell.archive.selection import EVERYTHING, parse_selection
     from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
     from cell.jobs.evaluate import evaluate_recognizers
     from cell.jobs.parallel import workers
-    from cell.jobs.teach import duplicate_grasps, read_labelled_grasps
+    from cell.jobs.selected_grasps import selected_grasps
+    from cell.jobs.teach import duplicate_grasps
 
     names = recognizers or list(TRAINERS)
-    grasps = [grasp for path in datasets for grasp in read_labelled_grasps(path, print_line)]
-    taught = None if train_on is None else read_labelled_grasps(train_on, print_line)
+    selection = parse_selection(cells or (), days, objects or ())
+    grasps = selected_grasps(datasets, selection, most, print_line)
+    taught = None
+    if train_on is not None:
+        taught = selected_grasps([train_on], EVERYTHING, most, print_line)
     if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
-        print_note(f"{twice} grasps are tested that were taught, or stand twice: right too often")
+        print_note(f"{twice} tested grasps were taught or occur twice: the accuracy is too high")
     if jobs is None:
         jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
     with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
@@ -106,7 +126,7 @@ def _numbers(text: str) -> tuple[int, ...]:
     except ValueError:
         numbers = ()
     if not numbers or min(numbers) < 1:
-        raise ConfigError(f"--fuse is {text!r}; write numbers from 1, as 1,2,3,5")
+        raise ConfigError(f"--fuse is {text!r}; write numbers from 1, for example 1,2,3,5")
     return numbers
 
 
@@ -177,13 +197,13 @@ def _print_evaluation(result: "EvaluationResult") -> None:
     print_table(right)
     print_table(named)
     print_line(
-        "AUROC: how well objects left out of teaching are told from taught ones; 1 is always, 0.5 "
+        "AUROC: separation of taught objects from objects left out of teaching; 1 is perfect, 0.5 "
         "is chance"
     )
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
         print_line(
-            f"-: not measured; AUROC leaves out one object and teaches the others, which takes "
-            f"three objects (here {len(result.labels)}) and a split within each"
+            f"-: not measured; AUROC leaves out one object and teaches the others. It needs three "
+            f"objects (here {len(result.labels)}) and a split within each"
         )
     for name, figures in result.recognizers.items():
         if pairs := figures.full.confused:
@@ -193,7 +213,7 @@ def _print_evaluation(result: "EvaluationResult") -> None:
         shift = figures.full.shift
         if shift is not None:
             print_line(
-                f"{name} that follows the drift of the grasps, after the first {shift.before}: "
+                f"{name} with drift correction, after the first {shift.before}: "
                 f"{percent(shift.accuracy, shift.interval)}, "
                 f"named rightly {100 * shift.named_right:.1f} %, wrongly "
                 f"{100 * shift.named_wrong:.1f} %"

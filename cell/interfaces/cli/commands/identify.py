@@ -30,17 +30,17 @@ def identify(
     dataset: GraspsArgument = None,
     model: ModelOption = None,
     held: Annotated[
-        str | None, typer.Option("--object", help="Object that the simulated cell shall hold.")
+        str | None, typer.Option("--object", help="Object in the simulated cell.")
     ] = None,
     follow: Annotated[
         bool,
         typer.Option(
-            "--follow", help="Follow the drift of the sensors through the recorded grasps."
+            "--follow", help="Correct the drift of the sensors through the recorded grasps."
         ),
     ] = False,
     keep: Annotated[
         Literal["never", "when-named", "always"],
-        typer.Option("--keep", help="Whether the part stays in the grip after the answer."),
+        typer.Option("--keep", help="When to keep the part in the grip after the answer."),
     ] = "never",
     gauge: GaugeOption = None,
     gauge_shape: GaugeShapeOption = None,
@@ -50,10 +50,7 @@ def identify(
     faults: FaultOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Name what is in the grip, or recorded grasps; shape and size.
-
-    Recorded grasps are those of a data set or a recording.
-    """
+    """Identify the part in the grip, or the parts of recorded grasps; with shape and size."""
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, release_command, running_cell
     from cell.interfaces.cli.terminal import percent, print_line, write_json
@@ -70,16 +67,14 @@ def identify(
     checked = cell_config(config, seed=seed, faults=faults)
     if dataset is not None:
         if faults:
-            raise ConfigError(
-                "--fault is for the simulated cell; recorded grasps are what they are"
-            )
+            raise ConfigError("--fault is for the simulated cell: leave it out for recorded grasps")
         if keep != "never":
-            raise ConfigError("--keep is for a cell; recorded grasps hold nothing any more")
+            raise ConfigError("--keep is for a cell: leave it out for recorded grasps")
         read_shape = shape_reader(checked, pad_knowledge(checked, gauge, gauge_shape))
         _identify_recorded(checked, model, dataset, read_shape, follow=follow, json_file=json_file)
         return
     if follow:
-        raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
+        raise ConfigError("--follow is for recorded grasps: leave it out, or name DATASET")
     load_model(model, pads_of(checked))
     goal = IdentifyGoal(
         seed=checked.seed + 1,
@@ -115,7 +110,7 @@ def identify(
     felt = beside(found.label, found.shape)
     print_line(f"answer: {found.label} {percent(found.fused.name_probability)}{felt}{was}")
     if found.kept and config is not None and not checked.simulated:
-        print_line(f"the part is kept; to let go of it: {release_command(config)}")
+        print_line(f"the part is kept; to release it: {release_command(config)}")
     elif found.kept:
         print_line("the part was kept until the simulated cell ended with this command")
     write_json(

@@ -12,19 +12,19 @@ def install(
     config: ConfigOption = None,
     model: ModelOption = None,
     apply: Annotated[
-        bool, typer.Option("--apply", help="Write the files; each one is asked for.")
+        bool, typer.Option("--apply", help="Write the files; asks before each file.")
     ] = False,
     remove: Annotated[
-        bool, typer.Option("--remove", help="Remove the files again; each one is asked for.")
+        bool, typer.Option("--remove", help="Remove the files; asks before each file.")
     ] = False,
     root: Annotated[
-        Path, typer.Option("--root", help="Folder that stands for /, as for an image.")
+        Path, typer.Option("--root", help="Folder to use as /, for example of a disk image.")
     ] = Path("/"),
 ) -> None:
     """Print udev rules, user and systemd unit of the service. Nothing is written without --apply.
 
-    The service is `tactile-cell serve` with this config and model. It starts with the machine, and
-    again when it was killed; a held part stays held.
+    The service is `tactile-cell serve` with this config and model. It starts with the machine and
+    restarts when it was killed; a held part stays held.
     """
     from cell.interfaces.cli import system_files as system
     from cell.interfaces.cli.session import cell_config
@@ -38,8 +38,8 @@ def install(
     for path in () if remove else (Path(system.program()[0]), config, model):
         if path is not None and (closed := system.closed_to_others(path)) is not None:
             print_note(
-                f"{path}: the user {system.NAME} cannot read {closed}; move it, as to "
-                f"{system.STATE_FOLDER} or /opt, or open it: chmod o+rX"
+                f"{path}: the user {system.NAME} cannot read {closed}; move it, for example to "
+                f"{system.STATE_FOLDER} or /opt, or permit it: chmod o+rX"
             )
     if remove:
         _print_commands("before", system.BEFORE_REMOVING)
@@ -52,7 +52,7 @@ def install(
         else:
             print_line(f"# {path}\n{file.text}")
     if not remove and not apply:
-        print_line("# nothing was written; --apply writes these files")
+        print_line("# nothing was written; add --apply to write these files")
     elif changed:
         _print_commands("now", system.AFTER_REMOVING if remove else system.AFTER_WRITING)
 
@@ -65,7 +65,7 @@ def _write(path: Path, text: str) -> bool:
 
     before = path.read_text("utf-8") if path.exists() else None
     if before == text:
-        print_line(f"{path}: as it is wanted already")
+        print_line(f"{path}: already up to date")
         return False
     print_line(text)
     if not _agreed(f"{'overwrite' if before else 'write'} {path}?"):
@@ -90,7 +90,7 @@ def _remove(path: Path) -> bool:
 
 
 def _agreed(question: str) -> bool:
-    """Ask a person; the end of the input is a no."""
+    """Ask a question at the terminal; the end of the input means no."""
     from cell.interfaces.cli.terminal import ask
 
     try:

@@ -13,7 +13,7 @@ RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mca
 @app.command("list")
 def list_recordings(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of all jobs, as recording.directory and --out name it.")
+        Path, typer.Argument(help="Folder of all jobs: recording.directory, or that of --out.")
     ] = Path("out"),
 ) -> None:
     """List the recordings of all jobs in a folder, oldest first."""
@@ -32,7 +32,7 @@ def list_recordings(
 
 @app.command()
 def mark(recordings: RecordingsArgument) -> None:
-    """Mark recordings: they are never deleted or thinned out."""
+    """Mark recordings, so that they are never deleted or thinned out."""
     from cell.data.retention import mark as mark_one
     from cell.interfaces.cli.terminal import print_line
 
@@ -43,7 +43,7 @@ def mark(recordings: RecordingsArgument) -> None:
 
 @app.command()
 def unmark(recordings: RecordingsArgument) -> None:
-    """Take the mark of recordings away."""
+    """Remove the mark of recordings."""
     from cell.data.retention import unmark as unmark_one
     from cell.interfaces.cli.terminal import print_line
 

@@ -1,4 +1,4 @@
-"""`recover`: takes all that is whole out of a damaged recording."""
+"""`recover`: saves the undamaged data of a damaged recording."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,11 +9,11 @@ from cell.interfaces.cli.options import JsonOption, RecordingOutOption
 
 
 def recover(
-    recording: Annotated[Path, typer.Argument(help="Recording that was cut off or damaged.")],
+    recording: Annotated[Path, typer.Argument(help="Truncated or damaged recording.")],
     output: RecordingOutOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Take all that is whole out of a damaged recording."""
+    """Save the undamaged data of a damaged recording to a new file."""
     from cell.data.recording_recovery import recover_recording
     from cell.interfaces.cli.terminal import print_line, write_json
 
@@ -22,6 +22,6 @@ def recover(
     print_line(f"{recording}: {found.lost_reason or 'complete, nothing is lost'}")
     print_line(
         f"{found.recording}: {found.n_frames} frames, {found.n_cycles} periods of the loop, "
-        f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken ones are left out"
+        f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken grasps are left out"
     )
     write_json(json_file, found)

@@ -14,15 +14,14 @@ NamedConfigOption = Annotated[
 def release(
     config: NamedConfigOption = None,
     confirm: Annotated[
-        bool, typer.Option("--confirm", help="The part may fall, and that is meant; required.")
+        bool, typer.Option("--confirm", help="Confirm that the part may fall; required.")
     ] = False,
 ) -> None:
     """Let go of a part in the grip of an earlier run; it may fall.
 
-    The servos alone are needed for it, not the control unit. A finger whose servo is silent or has
-    switched itself off is left as it is and named; the other one opens. The cell has to be named,
-    even where a config file lies in the folder: the part falls in the cell that is named and in no
-    other.
+    Only the servos are needed, not the control unit. If the servo of a finger is silent or off, a
+    message names that finger and the other finger opens. Always name the config file, even if the
+    folder has one: so the part falls in the intended cell.
     """
     from cell.errors import ConfigError
     from cell.interfaces.cli.options import FOLDER_CONFIG
@@ -31,12 +30,13 @@ def release(
     if config is None:
         example = FOLDER_CONFIG if FOLDER_CONFIG.exists() else Path("FILE")
         raise ConfigError(
-            "name the cell that holds the part; nothing was moved. The whole command: "
+            "the config file of the cell is missing; nothing was moved. The whole command: "
             f"`{release_command(example)}`"
         )
     if not confirm:
         raise ConfigError(
-            f"the part may fall; nothing was moved. If that is meant: `{release_command(config)}`"
+            "the part may fall, so --confirm is required; nothing was moved. The whole command: "
+            f"`{release_command(config)}`"
         )
     from cell.interfaces.cli.terminal import print_line
 
@@ -45,5 +45,5 @@ def release(
         report = cell.controller.release_held()
     print_line(
         f"{checked.name}: released; {report}"
-        + ("; it is simulated, nothing real was moved" if checked.simulated else "")
+        + ("; the cell is simulated, no real part was moved" if checked.simulated else "")
     )

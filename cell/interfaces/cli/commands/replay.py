@@ -1,4 +1,4 @@
-"""`replay`: sends recorded grasps through the real protocols and compares what arrives."""
+"""`replay`: sends recorded grasps through the real protocols and compares the result."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,17 +20,14 @@ def replay(
     source: Annotated[Path, typer.Argument(help="Data set or recording.")],
     split: SplitOption = "chronological:0.6",
     limit: Annotated[
-        int | None, typer.Option("--limit", min=1, help="Most grasps to replay [default: all].")
+        int | None, typer.Option("--limit", min=1, help="Replay at most so many [default: all].")
     ] = None,
     recognizer: RecognizerOption = DEFAULT_TRAINER,
     config: ReplayConfigOption = None,
     capture: CaptureOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Send recorded grasps through the real protocols and compare.
-
-    What arrives is identified, too.
-    """
+    """Send recorded grasps through the real protocols, compare, and identify them."""
     from cell.config.file import load_config
     from cell.data.dataset import read_grasps
     from cell.errors import CellError
@@ -64,7 +61,7 @@ def replay(
     if result.accuracy is not None:
         print_line(f"named right by one grasp: {percent(result.accuracy, result.interval)}")
     else:
-        print_note(f"no grasp is named: {result.unnamed}")
+        print_note(f"no grasp was identified: {result.unnamed}")
     write_json(json_file, result.as_json())
     if not result.frames_equal:
         raise CellError(f"frames differ: {result.difference}")

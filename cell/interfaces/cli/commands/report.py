@@ -12,7 +12,9 @@ def report(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Page to write [default: report.html beside it]."),
+        typer.Option(
+            "--output", "-o", help="Page to write [default: report.html beside the recording]."
+        ),
     ] = None,
 ) -> None:
     """Write the report page of a recording: one HTML file for a browser.

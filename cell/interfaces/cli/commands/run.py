@@ -101,7 +101,7 @@ def run(
 
 
 def _keep_for_serve(result: "MainResult", config: "CellConfig") -> None:
-    """Keep the model of the built-in cell for `serve`, where all its objects were taught."""
+    """Keep the model of the built-in cell for `serve` if all its objects were taught."""
     import shutil
 
     from cell.interfaces.cli.terminal import print_note
@@ -120,18 +120,18 @@ def _keep_for_serve(result: "MainResult", config: "CellConfig") -> None:
     try:
         keep_model(config, write)
     except OSError as error:
-        print_note(f"`serve` cannot begin with this model: {error}")
+        print_note(f"`serve` cannot use this model, it cannot be kept: {error}")
 
 
 def _labels(
     config: "CellConfig", objects: Sequence[str] | None, taught: Sequence[str]
 ) -> list[str]:
-    """Return the objects of a run. Raises ConfigError where the cell does not have them."""
+    """Return the objects of a run. Raises ConfigError if the cell does not have them."""
     from cell.errors import ConfigError
 
     if not config.brings_objects:
         if not objects:
-            raise ConfigError("name the objects that are at hand, as --object ball --object box")
+            raise ConfigError("name the available objects, for example --object ball --object box")
         return list(objects)
     configured = [entry.label for entry in config.simulator.objects]
     labels = list(objects or taught or configured)
@@ -144,7 +144,7 @@ def _labels(
 
 
 def print_result(result: "MainResult") -> None:
-    """Print confusion tables, shapes, times and files of a run, and the paper's table beside."""
+    """Print confusion tables, shapes, times and files of a run, and the paper's table."""
     from cell.interfaces.cli.terminal import percent, print_line, print_table
     from cell.report.build import paper_table
     from cell.report.paper_table import TABLE_1, TABLE_1_LABELS
@@ -185,7 +185,7 @@ def print_result(result: "MainResult") -> None:
 
 
 def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> "Table":
-    """Return a confusion table: rows are what was held, columns the answers."""
+    """Return a confusion table: a row for each held object, a column for each answer."""
     from rich.table import Table
 
     from cell.interfaces.cli.terminal import plain_text

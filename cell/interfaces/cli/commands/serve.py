@@ -1,4 +1,4 @@
-"""`serve`: owns the cell and opens interfaces for PLCs, robot programs and other hosts."""
+"""`serve`: runs the cell and opens interfaces for PLCs, robot programs and other hosts."""
 
 import json
 import socket
@@ -18,19 +18,18 @@ if TYPE_CHECKING:
     from cell.service.service import Service
 
 SIGNAL_LOOK_S = 0.25
-"""Wait in s after which signals are looked for; Python carries them out between two waits."""
+"""Longest wait in s before signals are handled; Python handles them between two waits."""
 _PAGE_PORT = 8080
-"""Port of HTTP for the built-in cell, the customary one beside 80; or the next free one."""
+"""First port to try for HTTP of the built-in cell."""
 _PAGE_PORTS = 100
-"""Ports that are tried for it."""
+"""Number of ports to try for HTTP."""
 _FIRST_GRASPS = 10
-"""Grasps taught of each object at the first start of the built-in cell: half as many as `run`
-teaches, in half the time."""
+"""Grasps taught of each object at the first start of the built-in cell: half as many as `run`."""
 
 TrainingSetOption = Annotated[
     Path | None,
     typer.Option(
-        "--training-set", help="Data set that trained the model [default: the one beside it]."
+        "--training-set", help="Data set that trained the model [default: the one in its folder]."
     ),
 ]
 SaveOption = Annotated[
@@ -64,14 +63,14 @@ def serve(
     http_port: Annotated[int | None, _port("--http", "HTTP", "http_port")] = None,
     out_folder: Annotated[
         Path | None,
-        typer.Option("--out", help="Folder for the recording; without it none is made."),
+        typer.Option("--out", help="Folder for the recording; without it, nothing is recorded."),
     ] = None,
     opcua_port: Annotated[int | None, _port("--opcua", "OPC UA", "opcua_port")] = None,
     opcua_folder: Annotated[
         str | None,
         typer.Option(
             "--opcua-folder",
-            help="Certificates of OPC UA; without: read-only [default: serve.opcua_folder].",
+            help="Certificates of OPC UA; read-only without them [default: serve.opcua_folder].",
         ),
     ] = None,
     speed: Annotated[
@@ -80,17 +79,17 @@ def serve(
             "--speed",
             min=0.0,
             max=100.0,
-            help="Seconds of the simulated cell in a real one; 0: as fast as it goes, standing "
-            "still between two jobs.",
+            help="Speed of the simulated time, 1: real time; 0: as fast as possible, and stopped "
+            "between two jobs.",
         ),
     ] = 1.0,
     faults: FaultOption = None,
 ) -> None:
-    """Own the cell and serve people, PLCs, robot programs and other hosts, until SIGTERM.
+    """Run the cell for people, PLCs, robot programs and other hosts, until SIGTERM.
 
     Without a config file this is the simulated cell with five taught objects, and the page for a
-    browser is open. Its address is printed on standard error; one JSON line on standard output has
-    all addresses when clients can connect. What is held at the end stays held.
+    browser is open. Its address is printed on standard error. When clients can connect, one JSON
+    line on standard output has all addresses. A part that is held at the end stays held.
     """
     from cell.config.file import changed_config
     from cell.interfaces.cli.service_manager import ServiceManager
@@ -174,18 +173,18 @@ def _announced_interfaces(service: "Service") -> Iterator[None]:
         typer.echo(json.dumps({name: found[name] for name in found if name not in kept}))
         page, view = (page_address(found, config, which) for which in ("token", "view_token"))
         if page and config.token_file and not err.is_terminal:
-            # A journal that others read gets no token that stays.
+            # Other users may read the journal: it must not contain a permanent token.
             print_page(f"{page.partition('#')[0]} (its token: {config.token_file})")
         elif page and view:
             print_page(page)
             print_view(view, view_note(config))
         elif config.http_port is None:
-            print_note("no page for a browser is open: --http 8080, or serve.http_port, opens it")
+            print_note("the page for a browser is off: open it with --http 8080 or serve.http_port")
         yield
 
 
 def free_page_port(listen: str) -> int | None:
-    """Return the port of the page, or the next free one; None, and a note, without its extra."""
+    """Return the first free port for the page; without its extra None, with a note."""
     from cell.installation import missing_note
     from cell.interfaces.cli.terminal import print_note
 
@@ -210,7 +209,7 @@ def _teach_first(
     *,
     keep: bool = True,
 ) -> None:
-    """Teach the objects of the built-in cell before all eyes; keep the model of a sound one."""
+    """Teach the objects of the built-in cell, visible on the page; keep the model with ``keep``."""
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import print_note
     from cell.jobs.taught_cache import MODEL_FILE, keep_model
@@ -218,8 +217,8 @@ def _teach_first(
 
     labels = [entry.label for entry in config.simulator.objects]
     print_note(
-        f"first start: {_FIRST_GRASPS} grasps of each of {', '.join(labels)} are taught, for about "
-        "half a minute; `tactile-cell run` teaches more and takes their place"
+        f"first start: teaches {_FIRST_GRASPS} grasps each of {', '.join(labels)}, which takes "
+        "about half a minute; `tactile-cell run` teaches more and replaces them"
     )
     try:
         lease = service.lease.acquire("first start")
@@ -234,11 +233,11 @@ def _teach_first(
                 raise CellError(job.error)
         service.lease.give_up(lease)
     except CellError as error:
-        print_note(f"not all objects are taught: {error}")
+        print_note(f"not all objects were taught: {error}")
         return
     if not keep:
         return
     try:
         keep_model(config, lambda folder: plugin.save(folder / MODEL_FILE))
     except (CellError, OSError) as error:
-        print_note(f"the next start has to teach again, the model cannot be kept: {error}")
+        print_note(f"the model cannot be kept, so the next start teaches again: {error}")

@@ -1,4 +1,4 @@
-"""`simulate`: runs the simulated cell as a process of its own, for other programs."""
+"""`simulate`: runs the simulated cell as a separate process for other programs."""
 
 import json
 import time
@@ -16,32 +16,33 @@ def simulate(
     ] = None,
     config: ConfigOption = None,
     folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder for device links and the ready config.")
+        Path | None, typer.Option("--out", help="Folder for device links and a matching config.")
     ] = None,
     seed: SeedOption = None,
     faults: FaultOption = None,
     list_faults: Annotated[
-        bool, typer.Option("--list-faults", help="Print every fault that there is, and end.")
+        bool, typer.Option("--list-faults", help="Print all faults, and end.")
     ] = False,
     ask: Annotated[
         str | None,
         typer.Option(
             "--ask",
             metavar="WORDS",
-            help="Be the hands at the cell that runs in --out, and end: look, close, open, half, "
-            "block, part, press, load, lift, empty, disconnect, connect, as 'open finger 0', "
-            "'block 10', 'press finger0.inner tip left'; 'help' explains them. '-' asks for them "
-            """line by line. Programs send JSON, as '{"state": true}': place, define, remove, """
+            help="Act as the operator's hands at the cell that runs in --out, and end: look, "
+            "close, open, half, block, part, press, load, lift, empty, disconnect, connect. "
+            "Examples: 'open finger 0', 'block 10', 'press finger0.inner tip left'; 'help' "
+            "explains them. '-' asks for them line by line. Programs send JSON, for example "
+            """'{"state": true}': place, define, remove, """
             "press, lift, play, hand, state, kinds, inject, clear.",
         ),
     ] = None,
     with_parent: Annotated[
-        bool, typer.Option("--with-parent", help="End with the program that started this one.")
+        bool, typer.Option("--with-parent", help="End when the parent program ends.")
     ] = False,
 ) -> None:
     """Run the simulated cell for other programs, until SIGTERM.
 
-    Prints one JSON line with its device paths when they can connect.
+    When programs can connect, it prints one JSON line with its device paths.
     """
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import print_line
@@ -65,7 +66,7 @@ def simulate(
 
 
 def _be_hands(folder: Path, text: str) -> None:
-    """Do what a text says at the simulated cell whose devices are in a folder; print the reply."""
+    """Send a request to the simulated cell that runs in a folder; print the reply."""
     from contextlib import closing
 
     from cell.control.positioner import SocketPlacer
@@ -80,7 +81,7 @@ def _be_hands(folder: Path, text: str) -> None:
             try:
                 request = json.loads(text)
             except ValueError as error:
-                raise ConfigError(f"--ask {text!r:.80} is no JSON: {error}") from error
+                raise ConfigError(f"--ask {text!r:.80} is not valid JSON: {error}") from error
             typer.echo(json.dumps(cell.ask(request)))
             return
         try:

@@ -1,4 +1,4 @@
-"""`sort`: names parts, keeps each, and lets it go at its place."""
+"""`sort`: identifies parts and releases each at its place."""
 
 from typing import Annotated, Any
 
@@ -29,7 +29,7 @@ def sort(
             "--teach",
             min=3,
             max=1000,
-            help="Grasps taught of each object of the simulated cell, without a model.",
+            help="Without a model: grasps taught of each object of the simulated cell.",
         ),
     ] = 20,
     model: ModelOption = None,
@@ -38,7 +38,7 @@ def sort(
     faults: FaultOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Name parts and let each go at its place."""
+    """Identify parts and release each at its place."""
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import write_json
@@ -78,10 +78,7 @@ def sort(
 
 
 def print_tally(tally: dict[str, Any]) -> None:
-    """Print how many parts lie where, and which of them do not belong there.
-
-    ``tally`` is the progress of a sort.
-    """
+    """Print the number of parts at each place, and the wrong ones, from the progress of a sort."""
     from rich.table import Table
 
     from cell.interfaces.cli.terminal import plain_text, print_line, print_table

@@ -1,4 +1,4 @@
-"""`support`: packs what somebody needs who helps from afar."""
+"""`support`: packs files for remote support."""
 
 from pathlib import Path
 from typing import Annotated
@@ -25,8 +25,8 @@ def support(
 ) -> None:
     """Pack config, versions, last faults, health, journal and the last recording for support.
 
-    Tokens and secrets are removed. The service may run meanwhile. Look into the bundle before you
-    send it: names of objects and machines are in it.
+    Tokens and secrets are removed. The service may run meanwhile. Check the bundle before you send
+    it: it contains names of objects and machines.
     """
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.support_bundle import write_bundle

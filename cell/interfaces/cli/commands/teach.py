@@ -1,4 +1,4 @@
-"""`teach`: grasps a known object, or a drawing of it, and adds that to a data set."""
+"""`teach`: grasps a known object, or its drawing, and adds the grasps to a data set."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from cell.plugin.goals import TeachGoal
 
 _GRASPS = 20
-"""Grasps of an object where no number is given."""
+"""Default number of grasps of an object."""
 
 _VIRTUAL_GRASPS = 60
-"""Virtual grasps of a drawing where no number is given: they cost nothing."""
+"""Default number of virtual grasps of a drawing."""
 
 _SEED_OF_DRAWINGS = 1_000_003
-"""Added to the config's seed: no virtual grasp has pose and noise of a real one."""
+"""Offset of the seed: poses and noise of virtual grasps must differ from those of real grasps."""
 
 
 def teach(
@@ -47,7 +47,8 @@ def teach(
         str | None,
         typer.Option(
             "--shape",
-            help="Teach from a drawing, without grasping: as cylinder:diameter=6mm,length=20mm.",
+            help="Teach from a shape without grasping, for example "
+            "cylinder:diameter=6mm,length=20mm.",
         ),
     ] = None,
     mesh: Annotated[
@@ -60,14 +61,12 @@ def teach(
         Path | None,
         typer.Option(
             "--from",
-            help="Recording or data set: its grasps without a label, instead of new ones.",
+            help="Use the unlabelled grasps of this recording or data set instead of new ones.",
         ),
     ] = None,
     present: Annotated[
         str | None,
-        typer.Option(
-            "--object", help="Object that the simulated cell shall hold [default: that label]."
-        ),
+        typer.Option("--object", help="Object in the simulated cell [default: that label]."),
     ] = None,
     config: ConfigOption = None,
     out_folder: OutOption = None,
@@ -91,14 +90,14 @@ def teach(
     checked = cell_config(config, seed=seed, faults=faults)
     if shape is None and mesh is None:
         if gauge is not None or gauge_shape is not None:
-            raise ConfigError("a gauge serves drawings: add --shape or --mesh")
+            raise ConfigError("a gauge is for drawings: add --shape or --mesh")
         goal = TeachGoal(label=label, grasps=grasps or _GRASPS, present=present, train=False)
         _teach_grasps(checked, config, goal, dataset, out_folder, json_file)
         return
     if shape is not None and mesh is not None:
-        raise ConfigError("--shape and --mesh are two drawings; give one of them")
+        raise ConfigError("--shape and --mesh exclude each other; use one of them")
     if faults:
-        raise ConfigError("--fault is for the simulated cell; a drawing has no faults")
+        raise ConfigError("--fault is for the simulated cell: leave it out for a drawing")
     _teach_drawing(
         checked,
         label,
@@ -138,8 +137,8 @@ def _teach_grasps(
                     append_to_dataset(dataset, before, taken)
                 except DatasetError as error:
                     raise DatasetError(
-                        f"{error}; the grasps are in {cell.plugin.recording_path}, which train "
-                        "takes"
+                        f"{error}; the grasps are in {cell.plugin.recording_path}: use it with "
+                        "`tactile-cell train`"
                     ) from error
                 missed = f" ({shown['missed']} found no part)" if shown["missed"] else ""
                 print_line(
@@ -207,8 +206,8 @@ def _teach_drawing(
     if known.rest is None:
         noise = config.simulator
         print_line(
-            f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); a "
-            "sensor with more will take taught objects for unknown: --gauge brings its own noise"
+            f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); "
+            "if the sensor has more, taught objects become unknown: --gauge measures its noise"
         )
     write_json(
         json_file,

@@ -1,47 +1,95 @@
-"""`train`: teaches a recogniser with recorded grasps and writes a model file."""
+"""`train`: trains a recogniser on recorded grasps and writes a model file."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.interfaces.cli.options import JsonOption, ModelOutOption, RecognizerOption
+from cell.interfaces.cli.options import (
+    MOST_GRASPS,
+    CellsOption,
+    DaysOption,
+    JobsOption,
+    JsonOption,
+    ModelOutOption,
+    MostOption,
+    ObjectsOption,
+    RecognizerOption,
+    SchedulerOption,
+)
 from recognition.recognizers import DEFAULT_TRAINER
 
 
 def train(
     datasets: Annotated[
-        list[Path], typer.Argument(help="Data sets or recordings of labelled grasps.")
+        list[str], typer.Argument(help="Archives, data sets or recordings of labelled grasps.")
     ],
     model: ModelOutOption,
     recognizer: RecognizerOption = DEFAULT_TRAINER,
     aperture: Annotated[
         bool,
-        typer.Option("--aperture/--no-aperture", help="Use the opening of the fingers too."),
+        typer.Option("--aperture/--no-aperture", help="Also use the opening of the fingers."),
     ] = True,
     early: Annotated[
         bool,
         typer.Option(
             "--early/--no-early",
-            help="Teach with ramps cut short too, for decide_early; 3 x the time.",
+            help="Also train on shortened ramps, for decide_early; takes 3 times as long.",
         ),
     ] = True,
+    spread: Annotated[
+        bool | None,
+        typer.Option(
+            "--spread/--no-spread",
+            help="Learn how far days and cells lie apart, and measure what that gains on those "
+            "left out in turn [default: with archives].",
+        ),
+    ] = None,
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+    most: MostOption = MOST_GRASPS,
+    jobs: JobsOption = 1,
+    scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
+    from cell.archive.selection import is_archive, parse_selection
     from cell.errors import CellError
-    from cell.interfaces.cli.terminal import print_line, print_note, write_json
-    from cell.jobs.teach import duplicate_grasps, read_labelled_grasps
+    from cell.interfaces.cli.terminal import (
+        percent,
+        print_line,
+        print_note,
+        progress_bar,
+        write_json,
+    )
+    from cell.jobs.parallel import workers
+    from cell.jobs.selected_grasps import selected_grasps
+    from cell.jobs.spread import spread_gains, spread_values, with_spread
+    from cell.jobs.teach import duplicate_grasps
     from cell.learning.model import save_model
     from cell.learning.teaching_summary import summarise_teaching
     from cell.learning.training import train as train_model
 
-    grasps = [grasp for path in datasets for grasp in read_labelled_grasps(path, print_line)]
+    selection = parse_selection(cells or (), days, objects or ())
+    grasps = selected_grasps(datasets, selection, most, print_line)
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
-        raise CellError("the data sets were taken on different pads; train a model for each")
+        raise CellError("the data sets are of different pads; train a model for each")
     if twice := len(duplicate_grasps(grasps)):
-        print_note(f"{twice} of {len(grasps)} grasps stand twice and count as two: too sure")
+        print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
     trained = train_model(grasps, recognizer, use_aperture=aperture, early=early)
+    prior, gains = None, []
+    if any(map(is_archive, datasets)) if spread is None else spread:
+        trained, prior = with_spread(trained, grasps)
+    if prior is not None:
+        with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
+            gains = spread_gains(
+                grasps, recognizer, use_aperture=aperture, mapper=mapper, progress=progress
+            )
+    elif spread:
+        print_note(
+            "no spread is learnt: it takes the default recogniser, grasps without a self-zero, "
+            "and objects of several days or cells"
+        )
     labels = trained.recognizer.labels
     save_model(
         model,
@@ -55,6 +103,18 @@ def train(
         + ("" if recognizer == DEFAULT_TRAINER else f", recogniser {recognizer}")
         + f": {model}"
     )
+    if prior is not None:
+        print_line(
+            f"spread between days and cells: gain {100 * prior.log_gain_sd:.0f} %, opening "
+            f"{prior.offset_sd_mm:.1f} mm"
+        )
+    for one in gains:
+        print_line(
+            f"{one.n} grasps of {one.n_parts} {one.what} left out in turn: named rightly "
+            f"{percent(one.right_without)} without it, {percent(one.right)} with it, a difference "
+            f"of {percent(one.gained, one.interval)}; wrongly {percent(one.wrong_without)} and "
+            f"{percent(one.wrong)}"
+        )
     summary = summarise_teaching(grasps)
     for note in summary.notes:
         print_note(note)
@@ -67,5 +127,6 @@ def train(
             "early": trained.early is not None,
             "labels": list(labels),
             "teaching": summary.as_json(),
+            "spread": None if prior is None else spread_values(prior, gains),
         },
     )

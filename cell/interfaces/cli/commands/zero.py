@@ -1,4 +1,4 @@
-"""`zero`: closes the empty fingers on each other and measures what has changed in the hand."""
+"""`zero`: closes the empty fingers on each other and measures zero, gains and foam."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ def zero(
 ) -> None:
     """Close the empty fingers on each other: zero of the opening, gains of the pads, foam.
 
-    Later commands on this cell use it. Take everything out of the grip first.
+    Later commands of this cell use the result. First remove everything between the fingers.
     """
     from cell.interfaces.cli.session import cell_config, running_cell
     from cell.interfaces.cli.terminal import print_line, print_note, write_json
@@ -18,7 +18,7 @@ def zero(
 
     checked = cell_config(config)
     if checked.self_zero in ("always", "daily"):
-        # It is measured once: here, not at the start too.
+        # Measured once: by this command, not at the start too.
         checked = checked.model_copy(update={"self_zero": "on_demand"})
     found: dict[str, Any] = {}
     with running_cell(checked, "zero", out_folder, config_file=config, json_file=json_file) as cell:
@@ -27,6 +27,6 @@ def zero(
             print_note(zero_note)
     print_line(found["text"])
     if (moved_mm := found["zero"]["moved_mm"]) is not None:
-        print_line(f"{moved_mm:+.2f} mm since the last one")
+        print_line(f"{moved_mm:+.2f} mm since the last measurement")
     write_json(json_file, found["zero"])
     cell.plugin.check_recording()

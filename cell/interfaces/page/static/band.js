@@ -1,9 +1,9 @@
-// The band across the top: state, what is done, who is in command, and whether this is now.
+// The band across the top: state, running job, client in command, and whether the values are live.
 
 import { byId, setText } from "./dom.js";
 import { clock, duration, faultText, has, percent, t } from "./words.js";
 
-// Shapes in a square of 24: the symbol of a state is its own, also without its colour.
+// Shapes in a square of 24: each state has its own symbol, which is clear without colour.
 const SIGNS = {
   stopped: "M5 5h14v14H5zM8 8v8h8V8z",
   ready: "M12 3a9 9 0 1 0 .01 0zM12 6.2a5.8 5.8 0 1 1-.01 0z",
@@ -36,10 +36,10 @@ export function taskWord(task) {
   return key ? t(key) : task;
 }
 
-// Name of a label for people; UNKNOWN is an answer of its own.
+// Name of a label for people; UNKNOWN is an answer too.
 export const labelWord = (label) => (label === "UNKNOWN" ? t("label.unknown") : label);
 
-// What is being done, and how far it is.
+// The running job and its progress.
 export function doing(state) {
   const { job, status } = state;
   if (!job?.number) return ["", ""];
@@ -80,7 +80,7 @@ export function renderBand({ link, info, state }) {
   } else {
     const { status, held_by: heldBy = [] } = state;
     [level, sign] = LOOKS[status.state] ?? ["watch", "hold"];
-    // The fingers are at rest, and what they felt is worked on.
+    // The fingers are at rest, and the frames are being evaluated.
     const thinks = status.state === "IDLE" && runs(state.job);
     const word = thinks ? t("state.evaluating") : has(`state.${status.state}`) ? t(`state.${status.state}`) : status.state;
     if (thinks) [level, sign] = LOOKS.EXECUTE;
@@ -101,7 +101,7 @@ export function renderBand({ link, info, state }) {
 
 // Colour and symbol of the band.
 export function setSign(level, sign) {
-  setText(byId("told"), byId("state").textContent); // read out when it changes, and only then
+  setText(byId("told"), byId("state").textContent); // screen readers announce changes only
   const band = byId("band");
   if (band.dataset.level !== level) band.dataset.level = level;
   if (byId("sign").getAttribute("d") !== SIGNS[sign]) byId("sign").setAttribute("d", SIGNS[sign]);

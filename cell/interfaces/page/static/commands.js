@@ -1,4 +1,4 @@
-// Commands: Hold for everybody, the others for the page in command; what is not allowed says why.
+// Commands: Hold for everybody, the others for the page in command. A blocked button shows why.
 
 import { allow, ask, byId, isAllowed, onLongPress, setText } from "./dom.js";
 import { Link, Refused } from "./link.js";
@@ -7,12 +7,12 @@ import { faultText, has, loadWords, native, t } from "./words.js";
 
 const RELEASE_KEY = 0x4f50;
 
-// Why a command is not allowed now, in words; empty where it is. `any`: whoever is in command.
+// Reason why a command is not allowed now; empty if it is. `any`: for any client in command.
 export function reasonOf({ link, state, taught }, command, any = false) {
   if (!state || link.stale) return t("why.connection");
   if (!any && !link.commands) return t(link.viewOnly ? "why.view_only" : "why.lease");
   if (!any && link.pending) return t("why.sent");
-  if (command === "simulation") return ""; // the simulator itself refuses what cannot be
+  if (command === "simulation") return ""; // the simulator itself refuses impossible requests
   const { status, allowed, held_by: heldBy = [] } = state;
   const refusal = allowed[command];
   if (!refusal) return command in allowed ? "" : t("why.not_offered");
@@ -27,7 +27,7 @@ export function reasonOf({ link, state, taught }, command, any = false) {
 const WITH_FAULT = ["ABORTING", "ABORTED", "CLEARING", "RESETTING"];
 const ofState = (state) => (has(`why.state.${state}`) ? t(`why.state.${state}`) : state);
 
-// What went wrong with a request, in words.
+// The error of a request, as text.
 export function complaint(error) {
   if (!(error instanceof Refused)) return t("said.no_answer");
   const text = error.number === 505 || error.number === 513 || !error.number
@@ -36,8 +36,8 @@ export function complaint(error) {
   return t("said.refused", { text: remedy ? `${text} – ${remedy}` : text });
 }
 
-// Begin a page: words, its own `setup` and `render`, then the connection, with the token asked for.
-// `on` has what a Link tells; `lost` is the key of its text.
+// Start a page: words, its own `setup` and `render`, then the connection; asks for the token.
+// `on` has the callbacks of a Link; `lost` is the key of its text.
 export async function beginPage(view, { setup, render, lost, ...on }) {
   const login = (wrong) => {
     setText(byId("login_wrong"), wrong ? t("login.wrong") : "");
@@ -48,14 +48,14 @@ export async function beginPage(view, { setup, render, lost, ...on }) {
   byId("sure_no").addEventListener("click", () => byId("sure").close());
   byId("login_form").addEventListener("submit", () => view.link.login(byId("login_token").value.trim()));
   setup();
-  // What is not live any more is shown as such, whether a message comes or not.
+  // Old values are marked as not live, also when no message comes.
   setInterval(view.changed, 250);
   render();
   if (view.link.token) view.link.connect();
   else login(false);
 }
 
-// The lease and Hold, which all pages have; `dialogs` are closed by Escape.
+// The lease and Hold of all pages; Escape closes `dialogs`.
 export function setupLease(view, dialogs) {
   const { link, say } = view;
   const attempt = async (act, done = "") => {

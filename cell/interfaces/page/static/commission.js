@@ -1,4 +1,4 @@
-// The commissioning wizard: its steps, what it asks, what it is about to write, and what it found.
+// The commissioning wizard: its steps, questions, planned writes and results.
 
 import { allow, ask, byId, isAllowed, make, renew, setText, show } from "./dom.js";
 import { renderCommander, setSign } from "./band.js";
@@ -16,7 +16,7 @@ const LOOKS = {
   finished: ["calm", "ready"],
 };
 const OPEN = ["ready", "left", "failed", "finished"]; // no step runs
-const pictures = new Map(); // URL of each figure that was fetched, by its address
+const pictures = new Map(); // URL of each fetched figure, by its address
 let dirty = true;
 let shownId = 0;
 
@@ -30,7 +30,7 @@ const view = {
   heldText: () => t("wizard.stopped"),
 };
 
-// What the wizard says, in the language of the page where it has the sentence, and which language that is.
+// A sentence of the wizard in the language of the page, else in English, and that language.
 const told = (text) => {
   const step = view.state?.steps.find((one) => text.startsWith(`${one.title} failed`));
   const own = spoken(step ? text.replace(step.title, native(step.title)) : text);
@@ -132,7 +132,7 @@ function renderNow() {
   setText(byId("now_purpose"), step ? native(step.purpose) : state.phase === "finished" ? "" : t("wizard.what"));
   const error = state.error;
   tell(byId("now_error"), error ? [error.text, error.number ? error.remedy : ""].filter(Boolean).join(" – ") : "");
-  // Between two runs: what needs a look.
+  // Between two runs: the steps that need attention.
   const noted = state.steps.filter((one) => ["warn", "fail"].includes(one.status));
   const failed = step && state.question?.key === `${step.key}.again`;
   const said = step ? (failed ? step.lines : state.said).map((text) => ["", text])
@@ -210,7 +210,7 @@ function renderCommands() {
   allow(byId("record"), t("wizard.record"), t("wizard.record_hint"), view.link.stale ? t("why.connection") : "");
 }
 
-// The record is one file: it is saved as it is, and read where it was saved.
+// The record is one file, which is saved unchanged.
 async function saveRecord() {
   const found = await view.link.fetch("GET", "api/record", { timeout_ms: 30000 });
   const url = URL.createObjectURL(await found.blob());

@@ -10,7 +10,7 @@ export function show(node, visible) {
   if (node.hidden === visible) node.hidden = !visible;
 }
 
-// One element with attributes, and children that are nodes or texts.
+// One element with attributes; its children are nodes or texts.
 export function make(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
@@ -24,7 +24,7 @@ export function drawing(tag, attributes = {}) {
   return node;
 }
 
-// Lists are made anew only when what they show has changed: focus and pointer stay where they are.
+// A list is rebuilt only when its content has changed: focus and pointer stay.
 const shown = new WeakMap();
 export function renew(node, value, makeChildren) {
   const now = JSON.stringify(value);
@@ -33,7 +33,7 @@ export function renew(node, value, makeChildren) {
   node.replaceChildren(...makeChildren());
 }
 
-// A button that can be focused and read also while it is not allowed; its reason stands in it.
+// A button that can be focused and read while it is not allowed; it shows the reason.
 export function allow(button, word, hint, reason) {
   const key = `${word}|${hint}|${reason}`;
   if (shown.get(button) === key) return;
@@ -44,7 +44,7 @@ export function allow(button, word, hint, reason) {
 
 export const isAllowed = (button) => button.getAttribute("aria-disabled") !== "true";
 
-// Call `act` after `button` was pressed for `seconds`, by pointer or key; the bar in it grows.
+// Call `act` after `button` was pressed for `seconds` by pointer or key; its bar shows the time.
 export function onLongPress(button, seconds, act) {
   let timer = 0;
   const begin = (event) => {
@@ -67,11 +67,11 @@ export function onLongPress(button, seconds, act) {
     button.addEventListener(name, end);
   }
   button.addEventListener("contextmenu", (event) => event.preventDefault());
-  // Keys press a button once when they are let go: that is no long press.
+  // A key clicks a button once on release: that is no long press.
   button.addEventListener("click", (event) => event.preventDefault());
 }
 
-// A canvas as large as it is shown, in CSS pixels; returns its context, or null while hidden.
+// Resize a canvas to its size in CSS pixels; returns its context, or null while it is hidden.
 export function sized(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas;
   if (!width || !height) return null;
@@ -93,7 +93,7 @@ export function colour(name) {
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (colours = null));
 
-// A question before what cannot be undone.
+// A question before an action that cannot be undone.
 export function ask(text, word, act) {
   setText(byId("sure_text"), text);
   setText(byId("sure_yes"), word);

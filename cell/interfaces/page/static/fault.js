@@ -1,4 +1,4 @@
-// A fault takes the place of what is not needed: what happened, what the grip does, what to do.
+// The card of a fault: cause, state of the grip, steps. It replaces cards that are not needed.
 
 import { allow, byId, make, onLongPress, renew, setText, show } from "./dom.js";
 import { faultText, has, native, t } from "./words.js";
@@ -7,7 +7,7 @@ const AFTER = ["ABORTING", "ABORTED", "CLEARING", "RESETTING"];
 const COMMANDS = { clear: "clear", clear_reboot: "clear", release: "release", reset: "reset" };
 let last = null;
 
-// The fault that is dealt with: also after it was cleared, until the cell is ready again.
+// The fault that is shown; it stays after `clear` until the cell is ready again.
 export function dealtWith(state) {
   if (!state || !AFTER.includes(state.status.state)) {
     last = state?.fault ?? null;
@@ -39,11 +39,11 @@ export function renderFault(view) {
 
   const steps = stepsOf(fault, state.status);
   for (const command of ["clear", "release", "reset"]) {
-    // What the state allows beside the steps can be done, too.
+    // Other commands that the state allows stay possible.
     if (!steps.some((step) => COMMANDS[step] === command) && !why(command, true)) steps.push(command);
   }
   const commands = steps.filter((step) => COMMANDS[step]);
-  // A release stays allowed when the fingers are empty; it is no step any more.
+  // With empty fingers a release stays allowed, but is no longer a step.
   const needed = (step) => step !== "release" || state.status.holding;
   const next = commands.find((step) => needed(step) && !why(COMMANDS[step], true));
   const done = new Set(next ? steps.slice(0, steps.indexOf(next)).filter((step) => COMMANDS[step]) : []);

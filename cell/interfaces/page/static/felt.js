@@ -1,12 +1,12 @@
-// What is felt: forces of all taxels in the pads' true geometry, and the last ten seconds.
+// Measured values: forces of all taxels in the pads' true geometry, and the last ten seconds.
 
 import { byId, colour, setText, show, sized } from "./dom.js";
 import { has, millimetres, newtons, number, t } from "./words.js";
 
 const WINDOW_S = 10;
-const GAP_S = 0.5; // no line is drawn over a longer pause
-const TOUCH_N = 0.03; // no taxel of an untouched pad reads more
-const TOUCH_SHARE = 0.15; // of the pad's highest taxel: the edge of the contact
+const GAP_S = 0.5; // s: no line is drawn over a longer pause
+const TOUCH_N = 0.03; // N: the largest reading of an untouched taxel
+const TOUCH_SHARE = 0.15; // edge of the contact, as a share of the pad's highest taxel
 const PAD_TOUCHED_N = 0.3;
 const FONT = "system-ui, sans-serif";
 
@@ -15,7 +15,7 @@ let scale_n = 0.2;
 let peaks = [];
 const history = [];
 
-// A frame follows its state. Where none has come, none is measured, and an older one is not shown.
+// A frame follows its state. Without a frame nothing is measured, and no older frame is shown.
 let framed = false;
 export function takeFrame(values) {
   frame = values;
@@ -52,7 +52,7 @@ function shadeOf(share) {
   return `rgb(${mix(16)} ${mix(8)} ${mix(0)})`;
 }
 
-// Places of a pad's taxels in mm from its corner; x runs along the finger.
+// Positions of a pad's taxels in mm from its corner; x is along the finger.
 function geometry(pad) {
   pad.geometry ??= (() => {
     const [dx, dy] = pad.pitch_mm ?? [4, 4];
@@ -111,7 +111,7 @@ function drawPad(context, pad, values, { x, y, k, full_n, marks }) {
   return sum;
 }
 
-// Steps of 1, 2, 5: the scale stands still while little changes.
+// Steps of 1, 2, 5: small changes of the force do not change the scale.
 function calmScale(peak_n) {
   const now_s = performance.now() / 1000;
   peaks.push([now_s, peak_n]);
@@ -134,7 +134,7 @@ export function drawPads(canvas, pads, values, { full_n, note = "" }) {
   const high = most(inner, (pad) => geometry(pad).height);
   const stack = most(others, (list) => list.reduce((all, pad) => all + geometry(pad).height, 0));
   const broad = most(others.flat(), (pad) => geometry(pad).width);
-  const share = stack ? high / stack : 0; // scale of the small pads: as high as the inner one
+  const share = stack ? high / stack : 0; // scale of the small pads: they get the height of the inner pad
   const k = Math.min(
     (width - (stack ? GAP : 0)) / (wide + broad * share * 0.9),
     (height - LEGEND - inner.length * LABEL - 8) / (inner.length * high),
@@ -196,7 +196,7 @@ function line(context, points, toX, toY) {
   context.stroke();
 }
 
-// Times at which the set-point begins to rise: the contact.
+// Times of contact: the set-point begins to rise.
 function contacts(series) {
   return series.filter((one, i) => i && one.setpoint_n > 0 && !(series[i - 1].setpoint_n > 0)).map((one) => one.t_s);
 }
@@ -275,7 +275,7 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
     context.stroke();
     context.setLineDash([]);
     const right_edge = toX(at) > width - right - 70;
-    // One name is enough, and where the axis has its own there is none.
+    // One name is enough; an axis with its own name needs none.
     if (at !== touched.at(-1) || toX(at) < left + 110) continue;
     label(t("felt.contact"), toX(at) + (right_edge ? -5 : 5), openTop - 10, right_edge ? "right" : "left");
   }

@@ -1,10 +1,10 @@
-// Gauge: the drift of the sensors since teaching, before and after a known object was grasped.
+// Gauge: drift of the sensors since teaching, before and after the grasp of a known object.
 
 import { runs } from "./band.js";
 import { allow, byId, drawing, isAllowed, make, renew, setText, show } from "./dom.js";
 import { millimetres, number, t } from "./words.js";
 
-// Ends of both scales: beyond them the sign stands at the end.
+// Ends of both scales; the marker of a larger value stays at the end.
 const GAIN_PERCENT = 50;
 const OPENING_MM = 5;
 const LEFT = 20;
@@ -12,7 +12,7 @@ const WIDE = 260;
 
 const gainText = (gain) => `${number(100 * (gain - 1), 0)}\u00a0%`;
 
-// One scale with a ring where the cell was taken to be, and a disc where it is.
+// One scale: a ring for the value before, a disc for the value now.
 function scale(y, word, end, unit, before, now) {
   const at = (value) => LEFT + WIDE * (0.5 + 0.5 * Math.max(-1, Math.min(1, value / end)));
   const text = (x, dy, anchor, what) => {

@@ -1,4 +1,4 @@
-// Health in words: one calm line where all is well, otherwise what is not, first.
+// Health in words: one short line if all is well, else the problems first.
 
 import { byId, make, renew } from "./dom.js";
 import { dealtWith } from "./fault.js";

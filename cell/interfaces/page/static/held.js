@@ -1,4 +1,4 @@
-// What is held: name, how sure, shape and size to scale, and what comes next to it.
+// The held part: name, probability, shape and size to scale, and the second answer.
 
 import { byId, drawing, renew, setText, show } from "./dom.js";
 import { doing, labelWord, runs } from "./band.js";
@@ -7,7 +7,7 @@ import { clockShort, has, millimetres, number, percent, t } from "./words.js";
 const FINGER_MM = 4;
 const NAMING = ["identify", "sort"];
 
-// What is shown: {label, probability, ..., tentative}, or null while nothing was named.
+// The shown answer: {label, probability, ..., tentative}, or null before the first answer.
 export function current(state) {
   const answers = state.shift?.answers ?? [];
   const newest = answers.at(-1) ?? null;
@@ -25,7 +25,7 @@ export function current(state) {
 export const shapeWord = (kind, size_mm) =>
   (has(`shape.${kind}`) ? t(`shape.${kind}`, { size: millimetres(size_mm) }) : "");
 
-// A part between two fingers, drawn to scale: closing axis upright, with a ruler of 10 mm.
+// A part between two fingers, drawn to scale: closing axis vertical, with a ruler of 10 mm.
 export function drawShape(svg, kind, size_mm, interval_mm = null) {
   renew(svg, [kind, size_mm, interval_mm], () => (kind && size_mm ? shapeParts(kind, size_mm, interval_mm) : []));
   svg.setAttribute("aria-label", shapeWord(kind, size_mm));
@@ -102,7 +102,7 @@ export function renderHeld({ state, info, taught, photo, link }) {
   }) : "");
 
   const object = found?.label ? taught.find((one) => one.label === found.label) : null;
-  // The named object with the measured size; where the pads feel another shape, a line says so.
+  // The named object with the measured size; a line reports a shape that differs.
   const clear = (shape) => shape !== "unclear" && has(`shape.${shape}`);
   const kind = clear(object?.shape) ? object.shape : found?.shape;
   const drawn = kind && size_mm ? shapeWord(kind, size_mm) : "";

@@ -1,10 +1,10 @@
-// The connection with the cell: states and frames as they come, commands that are done once.
+// The connection with the cell: newest states and frames; each command is carried out once.
 
-const STALE_S = 1; // an older state is not shown as if it were live
-const RENEW_S = 2.5; // after so long without a message the connection is made anew
-const LATE_S = 10; // the same, with messages that all come late
-const MEASURE_S = 2; // least time between two looks at the clocks
-const TRY_S = 3; // a command whose answer was lost is repeated for so long
+const STALE_S = 1; // an older state is not live
+const RENEW_S = 2.5; // connect again after this time without a message
+const LATE_S = 10; // connect again after this time with late messages only
+const MEASURE_S = 2; // least time between two comparisons of the clocks
+const TRY_S = 3; // a command without an answer is repeated for this time
 const ANSWER_MS = 1500; // longest wait for one answer
 
 export class Refused extends Error {
@@ -25,8 +25,8 @@ export class Link {
   constructor(on) {
     this.on = on;
     this.token = keptToken();
-    // A browser copies the storage to the duplicate of a page: name and lease stand there only while
-    // this page is away, as between two loads.
+    // A browser copies the storage to a duplicate of the page: so name and lease are stored only
+    // while this page is unloaded.
     const own = JSON.parse(sessionStorage.getItem("own") ?? "{}");
     this.name = own.name ?? `page-${Math.floor(0x1000 + Math.random() * 0xefff).toString(16)}`;
     this.lease = own.lease ?? 0;
@@ -55,7 +55,7 @@ export class Link {
     window.addEventListener("online", () => this.renew());
   }
 
-  // Age in s of what is shown: since the last message, and how late this one came.
+  // Age in s of the shown values: time since the last message, plus the delay of that message.
   get age_s() {
     return this.heard_s ? Math.max(now_s() - this.heard_s, this.lag_s) : Infinity;
   }
@@ -64,7 +64,7 @@ export class Link {
     return this.age_s > STALE_S;
   }
 
-  // Whether this page is in command, as the cell itself says.
+  // Whether this page is in command, according to the cell.
   get commands() {
     return this.lease !== 0 && this.state?.commander === this.name && !this.stale;
   }
@@ -110,7 +110,7 @@ export class Link {
     this.state = state;
     this.heard_s = now;
     if (state.time_s !== undefined) {
-      // Clocks differ: by no more than with the quickest message of this connection.
+      // Bound of the clocks' difference: from the fastest message of this connection.
       this.offset_s = Math.min(this.offset_s, now - state.time_s);
       this.lag_s = now - state.time_s - this.offset_s;
       if (this.lag_s > STALE_S / 2 || this.measured_s < this.begun_s) this.measure();
@@ -120,8 +120,8 @@ export class Link {
     this.on.state(state);
   }
 
-  // The difference of the clocks, from the middle of a request: a line that is slow all the time
-  // shows, and so does a clock that was set.
+  // The difference of the clocks, from the middle of a request: it reveals a line that is always
+  // slow, and a clock that was set.
   async measure() {
     const begin_s = now_s();
     if (begin_s - this.measured_s < MEASURE_S) return;
@@ -142,7 +142,7 @@ export class Link {
     if (!this.stopped) this.connect();
   }
 
-  // Messages wake a page that the browser has put to sleep; this looks where there are none.
+  // Messages wake a page that the browser has suspended; this timer handles missing messages.
   look() {
     const now = now_s();
     this.keepLease();
@@ -197,8 +197,8 @@ export class Link {
     return (await this.fetch(method, path, options)).json().catch(() => null);
   }
 
-  // Start a job or a command. Its number makes a repeated request the same one: with a lost answer
-  // nothing is done twice.
+  // Start a job or a command. Its number identifies a repeated request: nothing is done twice when
+  // an answer was lost.
   async command(path, body) {
     if (this.pending) return 0;
     this.pending = true;
@@ -222,7 +222,7 @@ export class Link {
     return this.command("api/jobs", { goal });
   }
 
-  // Anyone may, without token and lease; tried until it is answered.
+  // Needs no token and no lease; repeated until there is an answer.
   async hold() {
     const end_s = now_s() + TRY_S;
     for (;;) {
@@ -265,7 +265,7 @@ export class Link {
   }
 }
 
-// The token comes in the fragment of the address, which no server and no log sees.
+// The token is in the fragment of the address, which browsers do not send to servers.
 function keptToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given) {

@@ -1,4 +1,4 @@
-// The page: everything that it shows comes from the state of the cell; this file joins the parts.
+// The page: it shows the state of the cell; this file joins the parts.
 
 import { ask, byId, setText, show } from "./dom.js";
 import { NoAnswer } from "./link.js";
@@ -18,7 +18,7 @@ import { renderShare, setupShare } from "./share.js";
 
 const TABS = ["held", "teach", "sort"];
 const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", gauge: "teach", zero: "teach", sort: "sort" };
-const photos = new Map(); // URL of each photograph that was fetched, by its address
+const photos = new Map(); // URL of each fetched photograph, by its address
 let dirty = true;
 let lastJob = null;
 
@@ -49,7 +49,7 @@ function chooseTab(name) {
   dirty = true;
 }
 
-// Pictures need the token, so they are fetched like everything else.
+// Pictures need the token, so they are fetched like other data.
 function photo(object) {
   if (!photos.has(object.photo)) {
     photos.set(object.photo, null);

@@ -2,18 +2,18 @@
 
 import { language, number } from "./words.js";
 
-let sentences = []; // pattern of an English sentence, and the own one with {0} in the places of its figures
+let sentences = []; // pattern of each English sentence, and its translation with {0} for the values
 
 export async function loadSentences() {
   if (language === "en") return;
   const own = await (await fetch(new URL(`sentences.${language}.json`, import.meta.url))).json();
-  // The one that says most comes first.
+  // The longest pattern comes first.
   sentences = Object.entries(own).sort(([a], [b]) => b.length - a.length).map(([english, text]) => [
     new RegExp(`^${english.replace(/[.*+?^$()|[\]\\]/g, "\\$&").replace(/\{\d\}/g, "(.*?)")}$`, "s"), text]);
 }
 
-// What the commissioning says: the server's is English, the others stand here by their pattern with
-// the figures left out. Of several in a list each is looked up; what has no pattern stays English.
+// Translates a text of the commissioning: the server sends English, translations are found by the
+// pattern without values. Each item of a list is looked up; a text without pattern stays English.
 export function spoken(text) {
   if (/^[+-]?[\d,]*\.?\d+$/.test(text)) {
     return text.replace(/[.,]/g, (sign) => (sign === "." ? number(1.5) : number(1000, 0))[1]);
@@ -22,7 +22,7 @@ export function spoken(text) {
   return parts.includes(undefined) ? matched(text, true) ?? matched(text, false) ?? text : parts.join("");
 }
 
-// `whole`: figures that are English sentences have their own too.
+// `whole`: values that are English sentences are translated too.
 function matched(text, whole) {
   for (const [pattern, own] of sentences) {
     const figures = pattern.exec(text)?.slice(1);

@@ -1,8 +1,8 @@
-// The link for a second person, who watches and does not command.
+// The view-only link for a second person.
 
 import { byId, drawing, setText, show } from "./dom.js";
 
-// What this page may do, and the link: asked for anew with each connection.
+// The rights of this page, and the link: requested again with each connection.
 export async function askAccess(view) {
   const { commands, address, note, qr } = await view.link.call("GET", "api/access", { timeout_ms: 5000 });
   view.link.viewOnly = !commands;

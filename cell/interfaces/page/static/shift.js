@@ -1,4 +1,4 @@
-// The shift: the last twenty answers, each opens its grasp, and what the shift has come to.
+// The shift: the last twenty answers, each opens its grasp, and the totals of the shift.
 
 import { byId, make, renew, setText } from "./dom.js";
 import { labelWord, taskWord } from "./band.js";
@@ -14,7 +14,7 @@ let asked = "";
 const kindOf = (answer, sure) =>
   (answer.label === "UNKNOWN" ? "unknown" : answer.probability >= sure ? "sure" : "unsure");
 
-// The sums of the days are asked for a while after a part, once they have it, and each minute.
+// The sums of the days are requested shortly after a part, when they include it, and each minute.
 function askDays({ link, changed }, shift) {
   const due = [shift.parts, shift.missed, shift.faults, Math.floor(Date.now() / 60000)].join();
   if (due === asked) return;

@@ -1,10 +1,10 @@
-// The drawer of a simulated cell: what lies between the fingers and where, faults, a new beginning.
+// The drawer of a simulated cell: part between the fingers and its pose, faults, reset.
 
 import { allow, byId, isAllowed, make, renew, setText, show } from "./dom.js";
 import { runs } from "./band.js";
 import { faultMeaning, number, t } from "./words.js";
 
-// Lengths in mm: name, least, most, at first.
+// Lengths in mm: name, minimum, maximum, initial value.
 const SHAPES = {
   "cylinder": [["diameter", 2, 16, 8], ["length", 5, 40, 20]],
   "sphere": [["diameter", 3, 16, 10]],
@@ -16,7 +16,7 @@ const POSE = { "x_m": "mm", "y_m": "mm", "rotation_rad": "°", "roll_rad": "°" 
 const SI = { mm: 1e-3, "°": Math.PI / 180 };
 const IN_TURN = "";
 const OWN = " shape";
-let now = null; // the part, as the cell has it
+let now = null; // the part in the cell
 let faults = null;
 let asking = false;
 
@@ -47,7 +47,7 @@ function renewLengths() {
     SHAPES[kind].map(([name, ...range]) => slider(name, "mm", ...range)));
 }
 
-// In words what is cylinder:diameter=8mm,length=20mm.
+// Return the text of a shape such as cylinder:diameter=8mm,length=20mm.
 function partWord(part) {
   if (part === null || part === "nothing") return t(part ? "sim.nothing" : "sim.in_turn");
   const [kind, lengths] = part.split(":");

@@ -1,4 +1,4 @@
-// Sort: places with their counts, the rejects, and the part that is on its way.
+// Sort: places with their counts, the rejects, and the present part.
 
 import { allow, byId, isAllowed, make, renew, setText } from "./dom.js";
 import { labelWord, runs } from "./band.js";

@@ -1,4 +1,4 @@
-// Teach: name, photograph, grasps; what each grasp gave, how well it is told apart, what is taught.
+// Teach: name, photograph, grasps; result of each grasp, separation, taught objects.
 
 import { allow, byId, drawing, isAllowed, make, renew, setText, show } from "./dom.js";
 import { runs } from "./band.js";
@@ -7,12 +7,12 @@ import { faultText, millimetres, newtons, number, percent, t } from "./words.js"
 
 const PHOTO_PX = 640;
 const PHOTO_MAX = 500_000;
-const TOLD_APART = 0.02; // of the grasps may be mistaken
+const TOLD_APART = 0.02; // share of grasps that may be confused
 let photo = null;
-let waiting = null; // the photograph of the object that is being taught
+let waiting = null; // photograph of the object that is being taught
 let stream = null;
 
-// A picture as JPEG, small enough to be kept beside the model.
+// A picture as JPEG, small enough to store with the model.
 async function shrink(source, width, height) {
   const scale = Math.min(1, PHOTO_PX / Math.max(width, height));
   const canvas = make("canvas");
@@ -81,7 +81,7 @@ export function setupTeach(view) {
   byId("camera").addEventListener("close", stopCamera);
 }
 
-// The photograph follows when its object is taught: before, there is none to have one.
+// The photograph is sent when its object is taught: before that, the cell has no such object.
 export async function teachEnded(view, job) {
   if (waiting && job.outcome === "SUCCEEDED") {
     const { label, photo: body } = waiting;

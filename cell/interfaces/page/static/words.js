@@ -1,4 +1,4 @@
-// Texts in the language of the browser; numbers and times as its locale writes them.
+// Texts in the language of the browser; numbers and times in its locale.
 
 const LANGUAGES = ["en", "de"];
 const wanted = navigator.languages?.length ? navigator.languages : [navigator.language];
@@ -32,14 +32,14 @@ export function t(key, values = {}) {
 
 export const has = (key) => key in texts;
 
-// A fixed text of the server, as a cause, a remedy or the title of a step: the server's is English, the
-// others stand here by it.
+// A fixed text of the server, for example a cause, a remedy or the title of a step: the server sends
+// English, which is the key of the translation.
 export const native = (text) => exact[text] ?? text ?? "";
 
-// What a fault is, by its number; its own text where the number has none here.
+// Text of a fault by its number; without a translation its English text.
 export const faultText = ({ number: its, text = "" }) => faults[its] ?? text;
 
-// What a fault of the simulation means; servos and axes share theirs.
+// Meaning of a fault of the simulation; servos share texts, and so do axes.
 export const faultMeaning = ({ name, meaning }) => simulated[name.replace(/^(servo|axis)\d+/, "$1N")] ?? meaning;
 
 const formats = new Map();
@@ -54,7 +54,7 @@ export function number(value, digits) {
   return format({ minimumFractionDigits: digits, maximumFractionDigits: digits ?? 1 }).format(value);
 }
 
-// Noise about zero has no sign.
+// Values rounded to zero have no sign.
 export const newtons = (value) =>
   (value == null ? "–" : `${number(Math.abs(value) < 0.05 ? 0 : value, 1)}\u00a0N`);
 export const millimetres = (value, digits = 1) =>
@@ -62,7 +62,7 @@ export const millimetres = (value, digits = 1) =>
 
 export function percent(share) {
   if (share === null || share === undefined) return "–";
-  // No answer is wholly sure.
+  // No answer is completely sure.
   const digits = share > 0.99 ? 1 : 0;
   const style = format({ style: "percent", minimumFractionDigits: digits, maximumFractionDigits: digits });
   return share > 0.999 ? `> ${style.format(0.999)}` : style.format(share);

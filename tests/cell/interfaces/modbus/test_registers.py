@@ -207,7 +207,7 @@ def test_a_fault_has_its_bit_and_a_text_that_fits(connect: Any) -> None:
     served.plugin.fail(FrameTimeout("no frame for 0.20 s; " + 60 * "x"))
     inputs = plc.inputs()
     assert inputs[2] & (FAULT | READY) == FAULT
-    assert text_of(inputs).startswith("Check its line; look at tactile.loss_max_share. ")
+    assert text_of(inputs).startswith("Check the line of the sensor; tactile.loss_max_share ")
 
 
 def test_the_last_refusal_has_number_and_text_on_each_connection(
@@ -217,11 +217,11 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(
     _, second = connect(served)
     assert plc.refusal() == (0, "")
     assert plc.write(COMMAND, GRIP) == 6
-    acquire = "Acquire the lease; keep the life sign going. "
-    assert plc.refusal() == (514, f"{acquire}change register 0, ")
+    acquire = "Acquire the lease and send life signs. "
+    assert plc.refusal() == (514, f"{acquire}change register 0, the li")
     plc.adopt()
     assert second.write(LIFE, 5) == 6
-    assert second.refusal() == (514, f"{acquire}Modbus 127.0.0.1 is")
+    assert second.refusal() == (514, f"{acquire}Modbus 127.0.0.1 is in co")
     text = "name the data set that trained the model when it is loaded, or begin without one"
     with monkeypatch.context() as alone:
         alone.setattr(served.plugin, "start", raising(TrainingSetMissing(text)))

@@ -60,7 +60,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     walk[0].wrong = 1
     page.click("#run[aria-disabled=false]")
     becomes(page, "#now_said", "No adapter is plugged in")
-    page.click("text=leave; what was found is kept")
+    page.click("text=leave; the findings are kept")
     first_motion(page)
     page.keyboard.press("Escape")
     becomes(page, "#state", "^Left$")
@@ -89,7 +89,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     page.click("#question_send")
     becomes(page, "#state", "Commissioned")
     becomes(page, "#files", "commissioning.html")
-    becomes(page, "#corrected", r"set right now\s*name was wrong")
+    becomes(page, "#corrected", r"corrected\s*name was wrong")
     page.click("#steps summary >> nth=1")
     becomes(page, "#steps li:nth-child(2)", "A block of 12.5 mm")
     drawn = "images => images.filter(image => image.naturalWidth).length"
@@ -99,7 +99,7 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     record = Path(saved.value.path()).read_text("utf-8")
     assert "A block of 12.5 mm" in record
     assert "name: cube" in record
-    page.click("text=Do this step again")
+    page.click("text=Repeat this step")
     page.click("#sure_yes")
     becomes(page, "#steps li:nth-child(2) summary", "open")
     assert fits(page)
@@ -118,7 +118,7 @@ def test_a_second_page_stops_a_motion_and_a_narrow_german_one_has_all(
     becomes(other, "#now_said li", "No adapter is plugged in")
     languages = [other.get_attribute(i, "lang") for i in ("#question_text", "#now_said span")]
     assert languages == ["de", "en"]
-    page.click("text=leave; what was found is kept")
+    page.click("text=leave; the findings are kept")
     first_motion(page)
     becomes(other, "#state", "Arbeitet")
     becomes(other, "#leave", "erst Kommando nehmen")

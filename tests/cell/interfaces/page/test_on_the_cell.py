@@ -253,7 +253,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
     becomes(page, "#sim_put", "take command first")
     page.click("#command")
     becomes(page, "#sim_put", "for all jobs from now on")
-    page.select_option("#sim_part", label="a shape of its own")
+    page.select_option("#sim_part", label="another shape")
     page.select_option("#sim_kind", label="box")
     page.locator("#sim_lengths [name=height]").fill("6")
     page.locator("#sim_pose [name=x_m]").fill("1.5")
@@ -271,7 +271,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
     page.click("#teach_start")
     until(lambda: served.service.job().task == "teach")
     assert served.ended().error == ""
-    becomes(page, "#teach_end", "told apart|Near to|Taught")
+    becomes(page, "#teach_end", "different|Similar to|Taught")
     becomes(page, "#teach_progress", "my mug: 6 of 6 grasps")
     page.click("#simulated")
     page.wait_for_selector("#sim_part option[value='my mug']", state="attached")
@@ -283,7 +283,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
     assert served.ended(served.service.start(served.service.lease.number, grip)).held
     becomes(page, "#sim_put", "a part is held: release it first")
     page.select_option("#sim_fault", "servo1.overheat")
-    becomes(page, "#sim_meaning", "its inside has this temperature")
+    becomes(page, "#sim_meaning", "its internal temperature has this value")
     page.select_option("#sim_fault", "servo1.off")
     page.click("#sim_begin")
     becomes(page, "#sim_running li span", "servo1.off")
@@ -311,7 +311,7 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(
     page.click("#tab_teach")
     page.fill("#teach_name", "my cup")
     page.click("#teach_start")
-    becomes(page, "#said", "nothing lies between the fingers.*choose a part on the page")
+    becomes(page, "#said", "nothing is between the fingers.*Choose a part on the page")
 
 
 @pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])

@@ -79,7 +79,7 @@ def test_the_page_shows_the_state_and_commands_once(open_page: OpenPage, cell: F
     assert not cell.asked
     page.click("#command")
     becomes(page, "#commander", "This page")
-    becomes(page, "#do_identify", "name what is there")
+    becomes(page, "#do_identify", "name the part")
     page.select_option("#keep", "always")
     page.click("#do_identify")
     until(lambda: cell.asked)
@@ -185,7 +185,7 @@ def test_an_unknown_part_is_an_answer(open_page: OpenPage, cell: FakeCell) -> No
     becomes(page, "#state", "Ready")
     show(page, cell, "unknown")
     becomes(page, "#held_name", "Unknown")
-    becomes(page, "#held_sure", "Never taught; feels like a sphere of 9.5 mm")
+    becomes(page, "#held_sure", "Never taught; measured as a sphere of 9.5 mm")
     assert page.locator("#strip .unknown").count() == 2
     assert page.locator("#held_shape .part").count() == 1
 
@@ -232,11 +232,11 @@ def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> 
     nearest = {"label": "washer", "n_grasps": 10, "nearest": "nut", "mistaken_share": 0.12}
     cell.plugin.report(taught=nearest)
     cell.plugin.go_on()
-    becomes(page, "#teach_end", "Near to nut: 12% would be mistaken")
+    becomes(page, "#teach_end", "Similar to nut: 12% would be confused")
     until(lambda: cell.service.photos.has("washer"))
     page.wait_for_selector("#taught img")
 
-    page.click("[aria-label='Take the last grasp of washer back']")
+    page.click("[aria-label='Remove the last grasp of washer']")
     page.click("#sure_yes")
     becomes(page, "#taught li:last-child small", "9 grasps")
     page.click("[aria-label='Forget washer']")
@@ -255,7 +255,7 @@ def test_a_sort_shows_places_and_the_part_on_its_way(open_page: OpenPage, cell: 
     assert cell.given("sort")[0]["parts"] == 40
     show(page, cell, "sorting")
     becomes(page, "#sort_progress", "13 of 40 parts")
-    becomes(page, "#sort_way", "nut was brought to tray A")
+    becomes(page, "#sort_way", "nut is at tray A")
     assert page.locator("#sort_places b").all_text_contents() == ["7", "4", "1", "1"]
     becomes(page, "#sort_places .reject span", "rejects")
 
@@ -274,7 +274,7 @@ def test_what_is_not_allowed_is_grey_with_its_reason(open_page: OpenPage, cell: 
     allowed = cell.state["allowed"]
     cell.changes = {"allowed": {task: allowed[task] for task in ("verify", "grip")}}
     becomes(page, "#do_verify", "on hold by HTTP 10.0.0.7 gate")
-    becomes(page, "#doing", "Kept on hold by HTTP 10.0.0.7 gate")
+    becomes(page, "#doing", "On hold by HTTP 10.0.0.7 gate")
     becomes(page, "#do_sort", "not in this mode")
     for selector in ("#do_verify", "#do_sort"):
         page.click(selector, force=True)

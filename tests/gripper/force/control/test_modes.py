@@ -3,9 +3,10 @@
 import pytest
 
 from gripper.force.control.band_mode import BandMode
-from gripper.force.control.modes import TRANSITIONS, GripModes, WaitMode
+from gripper.force.control.modes import TRANSITIONS, GripModes, TrialMode, WaitMode
 from gripper.force.control.motion_mode import MotionMode
 from gripper.force.control.period import Period
+from gripper.mechanics.kinematics import driving_n
 from tests.gripper.force.grips import make_grip, make_period
 
 STEADY = {"setpoint_n": 2.0, "sample": 2.0}
@@ -69,7 +70,19 @@ def test_a_wait_takes_the_crest_of_the_square_wave_off_the_drive() -> None:
     assert modes.step(period(0.005, NOTHING)) == 5.0
 
 
+def test_where_one_finger_is_measured_the_drive_is_a_limit_and_goes_on_from_there() -> None:
+    modes = new_modes()
+    modes.grip.moving = 0
+    measured = period(0.005, STEADY)
+    assert modes.step(measured) == measured.drive_max_n
+    assert isinstance(modes.active, TrialMode)
+    assert modes.grip.quiet_n == pytest.approx(driving_n(measured.state, measured.paths))
+    modes.grip.moving = None
+    assert modes.step(period(0.01, STEADY)) < measured.drive_max_n
+    assert isinstance(modes.active, BandMode)
+
+
 def test_each_mode_can_be_entered_and_left() -> None:
-    kinds = {BandMode, MotionMode, WaitMode}
+    kinds = {BandMode, MotionMode, TrialMode, WaitMode}
     assert {source for source, _, _ in TRANSITIONS} == kinds
     assert {target for _, _, target in TRANSITIONS} == kinds

@@ -1,0 +1,143 @@
+"""Ingestion: recordings and data sets go into an archive, a file at a time, each of them once."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cell.archive.store import Archive, StagedFile
+from cell.archive.table import Row, dataset_rows, recording_rows, tables
+from cell.data.dataset import read_dataset
+from cell.data.recorder_sink import in_use
+from cell.data.recording_reader import read_recording
+from cell.errors import ArchiveError, CellError
+from cell.learning.blas import one_blas_thread
+from recognition.evaluation.evaluation import Mapper, one_by_one
+
+_KINDS = (".mcap", ".npz")
+"""Endings of recordings and data sets; recordings first, as they hold more of the same grasp."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """One file after a worker has read it."""
+
+    source: Path
+    sha256: str = ""
+    staged: tuple[StagedFile, ...] = ()
+    there: bool = False
+    """Whether the archive has it already."""
+    left: str = ""
+    """Why it is left for the next run; empty where it is not."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Ingested:
+    """What an ingestion has done."""
+
+    n_files: int = 0
+    n_there: int = 0
+    """Files that were added, and files that were in the archive."""
+    n_grasps: int = 0
+    n_before: int = 0
+    """Grasps that were added, and grasps of added files that were in the archive by another one."""
+    left: dict[str, str] = field(default_factory=dict)
+    """Files that are left for the next run, and why."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what ``--json`` writes."""
+        return asdict(self)
+
+
+def sources(places: Sequence[Path]) -> list[Path]:
+    """Return the recordings and data sets of some folders and files.
+
+    Raises ArchiveError where one is not there, or none holds any.
+    """
+    found: list[Path] = []
+    for place in places:
+        if place.is_dir():
+            found += [path for path in sorted(place.rglob("*")) if path.suffix in _KINDS]
+        elif place.exists():
+            found.append(place)
+        else:
+            raise ArchiveError(f"{place} is not there: name folders, recordings or data sets")
+    if not found:
+        raise ArchiveError(
+            f"no recording (.mcap) and no data set (.npz) in {', '.join(map(str, places))}"
+        )
+    return list(dict.fromkeys(path.resolve() for path in found))
+
+
+def ingest(
+    target: str,
+    paths: Iterable[Path],
+    *,
+    cell: str = "",
+    mapper: Mapper = one_by_one,
+    progress: Callable[[str, int, int], None],
+) -> Ingested:
+    """Add files to the archive at a folder or URL. Raises ArchiveError where it cannot be written.
+
+    Parameters
+    ----------
+    paths
+        Recordings and data sets, as `sources` returns them.
+    cell
+        The cell that took the grasps that name none.
+    mapper
+        Reads the files, here or elsewhere; what it returns is added here.
+    """
+    archive, done = Archive(target, create=True), Ingested()
+    archive.clear_staged()
+    every = sorted(paths, key=lambda path: path.suffix != _KINDS[0])
+    n_recordings = sum(path.suffix == _KINDS[0] for path in every)
+    n_done = 0
+    progress("archive", 0, len(every))
+    for group in (every[:n_recordings], every[n_recordings:]):
+        for piece in mapper(partial(read_piece, target, cell), group):
+            n_done += 1
+            progress("archive", n_done, len(every))
+            if piece.left:
+                done.left[str(piece.source)] = piece.left
+            elif piece.there or archive.has_source(piece.sha256):  # or a copy of it, meanwhile
+                done.n_there += 1
+            else:
+                new, before = archive.add(piece.sha256, str(piece.source), piece.staged)
+                done.n_files += 1
+                done.n_grasps, done.n_before = done.n_grasps + new, done.n_before + before
+    archive.clear_staged()
+    return done
+
+
+@one_blas_thread()
+def read_piece(target: str, cell: str, path: Path) -> Piece:
+    """Read one file and stage its grasps beside the archive; what is wrong with it is in `left`."""
+    try:
+        if path.suffix == ".mcap" and in_use(path):
+            return Piece(source=path, left="a program still writes to it")
+        with path.open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+        archive = Archive(target)
+        if archive.has_source(sha256):
+            return Piece(source=path, sha256=sha256, there=True)
+        staged = archive.stage(sha256, tables(_rows(path, cell), str(path), sha256))
+    except ArchiveError:
+        raise
+    except (CellError, OSError) as why:
+        return Piece(source=path, left=str(why))
+    return Piece(source=path, sha256=sha256, staged=tuple(staged))
+
+
+def _rows(path: Path, cell: str) -> list[Row]:
+    if path.suffix != ".mcap":
+        return dataset_rows(read_dataset(path), cell)
+    recording = read_recording(path)
+    if not recording.complete:
+        raise CellError(
+            f"it is not complete: {recording.lost_reason}; `tactile-cell recover` salvages "
+            f"{len(recording.grasps)} whole grasps"
+        )
+    return recording_rows(recording, cell)

@@ -1,0 +1,84 @@
+"""Selection: which cells, days and objects are meant, of an archive or of other grasps."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from cell.errors import ConfigError
+from recognition.grasp import CELL_SOURCE, Grasp
+
+NO_CELL = "unknown"
+"""Cell of grasps that name none."""
+HEAD = "_archive.json"
+"""File of an archive that names its format."""
+
+
+def is_archive(place: str) -> bool:
+    """Return whether a place is that of an archive: a folder with its head, or any URL."""
+    return "://" in place or Path(place, HEAD).is_file()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Which grasps of an archive are meant; an empty set means all."""
+
+    cells: frozenset[str] = frozenset()
+    """Names of cells."""
+    first_day: str = ""
+    last_day: str = "9999"
+    """First and last day, as 2027-01-15 (UTC)."""
+    objects: frozenset[str] = frozenset()
+    """Labels."""
+
+    def has(self, cell: str, day: str) -> bool:
+        """Return whether the grasps of a cell and day are meant."""
+        return (not self.cells or cell in self.cells) and self.first_day <= day <= self.last_day
+
+    def fits(self, grasp: Grasp) -> bool:
+        """Return whether a grasp of a file is meant."""
+        known = not self.objects or grasp.label in self.objects
+        return known and self.has(cell_of(grasp), day_of(grasp.start_ms))
+
+
+EVERYTHING = Selection()
+_DAY = re.compile(r"\d{4}-\d\d-\d\d")
+
+
+def parse_selection(cells: Iterable[str], days: str | None, objects: Iterable[str]) -> Selection:
+    """Return the selection of some cells, a day or FIRST..LAST, and objects.
+
+    Raises ConfigError for days that are not written so.
+    """
+    first, dots, last = (days or "").partition("..")
+    if any(day and not _DAY.fullmatch(day) for day in (first, last)) or (days == ""):
+        raise ConfigError(f"--days is {days!r}; write 2027-01-15, or 2027-01-01..2027-03-31")
+    return Selection(
+        cells=frozenset(cells),
+        first_day=first,
+        last_day=(last if dots else first) or EVERYTHING.last_day,
+        objects=frozenset(objects),
+    )
+
+
+def cell_of(grasp: Grasp) -> str:
+    """Return the cell that took a grasp; `NO_CELL` where its source names none."""
+    return grasp.source.removeprefix(CELL_SOURCE) if _names_cell(grasp) else NO_CELL
+
+
+def of_cell(grasp: Grasp, cell: str) -> Grasp:
+    """Return a grasp that names a cell, the given one where it names none."""
+    return grasp if _names_cell(grasp) or not cell else replace(grasp, source=CELL_SOURCE + cell)
+
+
+def _names_cell(grasp: Grasp) -> bool:
+    return grasp.source.startswith(CELL_SOURCE) and len(grasp.source) > len(CELL_SOURCE)
+
+
+def day_of(start_ms: int) -> str:
+    """Return the day of a time in ms since 1970, UTC; 1970-01-01 for one beyond all calendars."""
+    try:
+        return datetime.fromtimestamp(1e-3 * start_ms, UTC).date().isoformat()
+    except (ValueError, OverflowError):
+        return "1970-01-01"

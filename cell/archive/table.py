@@ -1,0 +1,307 @@
+"""Table of an archive: its columns, rows made of grasps, and grasps made of rows."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from cell.archive.selection import cell_of, day_of, of_cell
+from cell.data.formats import ARCHIVE
+from cell.data.recording_reader import Recording
+from cell.data.recording_values import to_json
+from gripper.values.state import GripperPhase
+from recognition.features.aperture import sizes_mm
+from recognition.features.footprint import pad_grid
+from recognition.features.groups import FEATURE_VERSION, FeatureView, features_of
+from recognition.grasp import (
+    COMMAND_COLUMNS,
+    ZERO_COLUMNS,
+    Grasp,
+    GraspCommand,
+    PadArray,
+    SelfZero,
+)
+from recognition.ramp.levels import load_levels
+from recognition.ramp.ramp import Rest, learn_rest
+
+_BEFORE_S = 3.0
+"""Time in s before the first frame of a grasp in which its fingers close."""
+_SLICE = 64
+"""Grasps of a piece of a table: a group of rows."""
+
+_NUMBER, _TEXT = pa.float64(), pa.string()
+_FRAME = pa.struct(
+    [("t_s", _NUMBER), ("aperture_m", _NUMBER), ("force_n", _NUMBER),
+     ("counts", pa.list_(pa.uint16()))]
+)  # fmt: skip
+_COLUMNS: tuple[tuple[str, Any, str], ...] = (
+    ("key", _TEXT, "SHA-256 of start and counts, 32 digits; one grasp has one key in all files"),
+    ("recording", _TEXT, "path of the recording or data set"),
+    ("recording_sha256", _TEXT, "checksum of that file"),
+    ("grasp", pa.int32(), "number of the grasp in that file, from 0"),
+    ("part", pa.int32(), "number of its identification in the recording; null for taught ones"),
+    ("of_part", pa.int32(), "number of the grasp in its identification, from 0"),
+    ("part_grasps", pa.int32(), "grasps of that identification"),
+    ("start_ms", pa.int64(), "wall clock of the first frame, ms since 1970"),
+    ("source", _TEXT, "where the grasp came from, `cell NAME` for a cell"),
+    ("label", _TEXT, "what was grasped, as taught or as the host named it; empty where unknown"),
+    ("taught", pa.bool_(), "whether the grasp was taken to teach"),
+    ("answer", _TEXT, "answer to all grasps of the part: a taught label, or UNKNOWN"),
+    ("answer_probability", _NUMBER, "its probability"),
+    ("answer_unknown", _NUMBER, "probability that the part was never taught"),
+    ("probabilities", pa.map_(_TEXT, _NUMBER), "of each label by this grasp by itself"),
+    ("unknown", _NUMBER, "probability by this grasp that the object was never taught"),
+    ("shape", _TEXT, "class of shape that was asked for"),
+    ("felt_kind", _TEXT, "kind of shape by this grasp"),
+    ("size_m", _NUMBER, "thickness along the closing axis by this grasp, m"),
+    ("size_low_m", _NUMBER, "lower end of its interval of 90 %, m"),
+    ("size_high_m", _NUMBER, "upper end, m"),
+    ("thickness_m", _NUMBER, "thickness by the drawing, m"),
+    ("drift_gain", _NUMBER, "gain of the pads since teaching that the answer rests on"),
+    ("drift_aperture_m", _NUMBER, "offset of the opening that it rests on, m"),
+    ("asked", pa.struct([(name, _NUMBER) for name in COMMAND_COLUMNS]), "commanded pose and force"),
+    ("zero", pa.struct([(name, _NUMBER) for name in ZERO_COLUMNS]), "self-zero before the grasp"),
+    ("closing_current_a", _NUMBER, "median current of the closing, empty fingers, A: friction"),
+    ("hold_current_a", _NUMBER, "mean current in the last tenth of the ramp, A"),
+    ("hold_force_n", _NUMBER, "mean tactile force of both fingers there, N"),
+    ("temperature_c", _NUMBER, "warmest servo at the end, degrees Celsius"),
+    ("touch_aperture_m", _NUMBER, "opening where both pads first touch, m"),
+    ("pad_load", pa.list_(_NUMBER), "rise of each pad under full load, in full scales of a taxel"),
+    ("features", pa.list_(pa.float32()), "of the default recogniser; null without touch"),
+    ("feature_version", pa.int32(), "version of these features"),
+    ("pads", _TEXT, "places of the taxels and full scale of the counts, JSON"),
+    ("frames", pa.list_(_FRAME), "frames of the ramp, raw counts; forces are commanded"),
+)  # fmt: skip
+COLUMNS: Mapping[str, str] = {name: text for name, _, text in _COLUMNS}
+"""Columns of the table and their meaning; `cell` and `day` are partitions."""
+SCHEMA = pa.schema(
+    [pa.field(name, kind) for name, kind, _ in _COLUMNS], metadata={"format": str(ARCHIVE)}
+)
+"""Schema of the Parquet files."""
+LIGHT = tuple(name for name in COLUMNS if name not in ("pads", "frames", "features"))
+"""Columns that are small: all but frames, features and pads."""
+
+
+def grasp_key(grasp: Grasp) -> str:
+    """Return the key of a grasp: files that hold the same grasp give the same one."""
+    digest = hashlib.sha256(f"{grasp.start_ms}|{grasp.counts.shape}|".encode())
+    digest.update(np.asarray(grasp.counts, dtype="<u2").tobytes())
+    return digest.hexdigest()[:32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A grasp, and what its file has beside it."""
+
+    grasp: Grasp
+    number: int
+    """Number in the file."""
+    beside: Mapping[str, Any] = field(default_factory=dict)
+    """Values of further columns."""
+
+
+def dataset_rows(grasps: Sequence[Grasp], cell: str) -> list[Row]:
+    """Return the rows of a data set; ``cell`` took the grasps that name none."""
+    return [Row(grasp=of_cell(grasp, cell), number=i) for i, grasp in enumerate(grasps)]
+
+
+def recording_rows(recording: Recording, cell: str = "") -> list[Row]:
+    """Return the rows of a recording, each with what was answered and what the servos showed."""
+    cell = recording.metadata.get("cell", "") or cell
+    answered = _answers(recording)
+    return [
+        Row(
+            grasp=of_cell(grasp, cell),
+            number=number,
+            beside=_servos(recording, grasp, t_s) | answered.get(i, {}),
+        )
+        for i, (grasp, number, t_s) in enumerate(
+            zip(recording.grasps, recording.grasp_numbers, recording.grasp_t_s, strict=True)
+        )
+    ]
+
+
+def _answers(recording: Recording) -> dict[int, dict[str, Any]]:
+    """Return the columns of the identifications, by the place of the grasp in the recording."""
+    found: dict[int, dict[str, Any]] = {}
+    begin_s = -np.inf
+    for part, row in enumerate(recording.results):
+        met = [
+            i
+            for i, (grasp, t_s) in enumerate(
+                zip(recording.grasps, recording.grasp_t_s, strict=True)
+            )
+            if begin_s < t_s <= row["t_s"] and not grasp.label
+        ][-max(1, int(row["n_grasps"])) :]
+        begin_s = row["t_s"]
+        singles, shapes = row.get("grasp_answers", []), row.get("grasp_shapes", [])
+        for place, i in enumerate(met):
+            shape = shapes[place] if len(shapes) == len(met) else row.get("shape", {})
+            values = {
+                "part": part,
+                "of_part": place,
+                "part_grasps": row["n_grasps"],
+                "answer": row["label"],
+                "answer_probability": row["probability"],
+                "answer_unknown": row["unknown"],
+                "felt_kind": shape.get("kind"),
+                "size_m": shape.get("size_m"),
+                "size_low_m": shape.get("low_m"),
+                "size_high_m": shape.get("high_m"),
+                "drift_gain": row.get("drift_gain"),
+                "drift_aperture_m": row.get("drift_aperture_m"),
+            }
+            if row.get("held"):
+                values["label"] = row["held"]
+            if len(singles) == len(met):
+                single = singles[place]
+                chances = single.get("probabilities", [])
+                values["probabilities"] = list(zip(row["labels"], chances, strict=False))
+                values["unknown"] = single.get("unknown")
+            found[i] = values
+    return found
+
+
+def _servos(recording: Recording, grasp: Grasp, t_s: float) -> dict[str, Any]:
+    """Return what the servos showed before and at the end of a grasp; empty without a period."""
+    length_s = float(grasp.t_s[-1])
+    closing = recording.cycles.between(t_s - _BEFORE_S, t_s + length_s)
+    holding = recording.cycles.between(t_s + 0.9 * length_s, t_s + length_s)
+    found = {}
+    moving = np.array(closing.phase) == GripperPhase.APPROACHING.name
+    if moving.any():
+        found["closing_current_a"] = float(np.nanmedian(np.abs(closing.current_a[moving])))
+    if len(holding):
+        means = {"hold_current_a": np.abs(holding.current_a), "hold_force_n": holding.force_n}
+        found |= {
+            n: float(v[np.isfinite(v)].mean()) for n, v in means.items() if np.isfinite(v).any()
+        }
+        found["temperature_c"] = float(holding.temperature_c[-1])
+    return found
+
+
+def tables(rows: Sequence[Row], recording: str, sha256: str) -> Iterator[tuple[str, str, pa.Table]]:
+    """Yield cell, day and table of rows that share their pads, in pieces."""
+    try:
+        rest = learn_rest([row.grasp for row in rows])
+    except ValueError:  # ramps that are too short have no features
+        rest = None
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((cell_of(row.grasp), day_of(row.grasp.start_ms)), []).append(row)
+    pads = _pads_text(rows[0].grasp.pads) if rows else ""
+    common = {"recording": recording, "recording_sha256": sha256, "pads": pads}
+    for (cell, day), members in sorted(groups.items(), key=lambda item: item[0]):
+        for start in range(0, len(members), _SLICE):
+            yield cell, day, _table(members[start : start + _SLICE], rest, common)
+
+
+def _table(rows: Sequence[Row], rest: Rest | None, common: Mapping[str, str]) -> pa.Table:
+    plain = [
+        {**common, **_plain(row.grasp, rest), "grasp": row.number, **row.beside} for row in rows
+    ]
+    columns = [
+        _frames([row.grasp for row in rows])
+        if one.name == "frames"
+        else pa.array([_known(row.get(one.name)) for row in plain], one.type)
+        for one in SCHEMA
+    ]
+    return pa.Table.from_arrays(columns, schema=SCHEMA)
+
+
+def _known(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _plain(grasp: Grasp, rest: Rest | None) -> dict[str, Any]:
+    return {
+        "key": grasp_key(grasp),
+        "start_ms": grasp.start_ms,
+        "source": grasp.source,
+        "label": grasp.label,
+        "taught": bool(grasp.label),
+        "shape": grasp.shape,
+        "thickness_m": grasp.thickness_m,
+        "asked": _struct(COMMAND_COLUMNS, grasp.command),
+        "zero": _struct(ZERO_COLUMNS, grasp.zero),
+        **_features(grasp, rest),
+    }
+
+
+def _struct(names: Sequence[str], row: GraspCommand | SelfZero | None) -> dict[str, float] | None:
+    return None if row is None else dict(zip(names, row.values, strict=True))
+
+
+def _features(grasp: Grasp, rest: Rest | None) -> dict[str, Any]:
+    if rest is None:
+        return {}
+    try:
+        levels = load_levels([grasp], rest)
+    except ValueError:
+        return {}
+    if not levels.touched[0]:
+        return {}
+    grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
+    features = features_of(levels, grids, FeatureView.FORCE_RAMP, opening=True)[0]
+    return {
+        "touch_aperture_m": 1e-3 * float(sizes_mm(levels)[0, 1]),
+        "pad_load": [float(maps[0, -1].sum()) for maps in levels.maps],
+        "features": features.astype(np.float32),
+        "feature_version": FEATURE_VERSION,
+    }
+
+
+def _frames(grasps: Sequence[Grasp]) -> pa.Array:
+    n_taxels = grasps[0].pads.n_taxels
+    ends = np.cumsum([0, *(grasp.n_frames for grasp in grasps)], dtype=np.int32)
+    counts = pa.ListArray.from_arrays(
+        np.arange(ends[-1] + 1, dtype=np.int32) * n_taxels,
+        np.concatenate([grasp.counts for grasp in grasps]).ravel(),
+    )
+    arrays = [
+        *(
+            pa.array(np.concatenate([getattr(grasp, name) for grasp in grasps]))
+            for name in ("t_s", "aperture_m", "force_n")
+        ),
+        counts,
+    ]
+    return pa.ListArray.from_arrays(ends, pa.StructArray.from_arrays(arrays, fields=list(_FRAME)))
+
+
+def _pads_text(pads: PadArray) -> str:
+    return to_json({name: array.tolist() for name, array in pads.to_arrays().items()})
+
+
+@lru_cache(maxsize=16)
+def _pads(text: str) -> PadArray:
+    return PadArray.from_arrays({name: np.array(v) for name, v in json.loads(text).items()})
+
+
+def grasps_of(batch: pa.RecordBatch) -> Iterator[Grasp]:
+    """Yield the grasps of rows, as they were archived."""
+    lengths = batch.column("frames").value_lengths().to_numpy()
+    frames = batch.column("frames").flatten()
+    counts = frames.field("counts").flatten().to_numpy()
+    series = {n: frames.field(n).to_numpy(False) for n in ("t_s", "aperture_m", "force_n")}
+    names = ("label", "shape", "source", "start_ms", "thickness_m", "asked", "zero", "pads")
+    end = n_counts = 0
+    for length, row in zip(lengths, batch.select(list(names)).to_pylist(), strict=True):
+        pads = _pads(row["pads"])
+        begin, end = end, end + int(length)
+        block: NDArray[np.uint16] = counts[n_counts : n_counts + length * pads.n_taxels]
+        n_counts += len(block)
+        yield Grasp(
+            pads=pads,
+            counts=block.reshape(length, pads.n_taxels),
+            **{name: values[begin:end] for name, values in series.items()},
+            **{name: row[name] for name in ("label", "shape", "source", "start_ms")},
+            thickness_m=np.nan if row["thickness_m"] is None else row["thickness_m"],
+            command=row["asked"] and GraspCommand(**row["asked"]),
+            zero=row["zero"] and SelfZero(**row["zero"]),
+        )

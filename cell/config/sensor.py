@@ -1,0 +1,102 @@
+"""Base of tactile sensors: each kind is a plugin, whose section is `tactile.sensor`."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from cell.config.section import Section
+from cell.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cell.config.tactile import TactileConfig
+    from gripper.clock import Clock
+    from gripper.dynamixel.serial_port import ByteStream
+    from simulator.boards.site import SimulatedBoards
+    from tactile.can.bus import CanBus
+    from tactile.layout import TaxelLayout
+    from tactile.source import FrameSource
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorLines:
+    """Lines and clock of a sensor."""
+
+    clock: "Clock"
+    """Monotonic clock: real, or that of a simulated cell."""
+    open_serial: "Sequence[Callable[[], ByteStream]]" = ()
+    """Functions that open the serial lines of `SensorConfig.serial_ports`, in their order. They
+    raise OSError or gripper.errors.PortLost if a line cannot be opened; so does a lost line."""
+    can_bus: "CanBus"
+    """The open CAN bus; for a sensor without CAN, a bus that raises errors."""
+    reopen_can: "Callable[[], CanBus] | None" = None
+    """Reopens a lost bus."""
+    real_time: bool = True
+    """Whether time passes by itself; else only during waits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestLimits:
+    """Limits for pads without a load; None: those of the control unit."""
+
+    rest_share: float | None = None
+    """Largest reading of a taxel at rest as a share of the full scale."""
+    bump_share: float | None = None
+    """Share of the full scale by which the mean of nine taxels may differ from that of its pad."""
+    noise_share: float | None = None
+    """Noise of a sample as a share of the full scale, below which it counts as none."""
+    stuck_frames: int | None = None
+    """Most consecutive frames with the same value of a healthy taxel."""
+
+
+class SensorConfig(Section):
+    """Base of the sections of `tactile.sensor`; each kind is a plugin.
+
+    A kind has a field ``kind: Literal["its name"]``, and ``ports`` if it has serial lines.
+    """
+
+    kind: str
+    """What reads the pads."""
+    canopen: ClassVar[bool] = False
+    """Whether it is a CANopen node after ``tactile/unit/control_unit.eds``."""
+    on_can: ClassVar[bool] = False
+    """Whether it is on the bus of `tactile.interface`, `channel` and `bitrate`."""
+    lone_on_can: ClassVar[str] = ""
+    """Reason why no CANopen node may be on its bus; empty: allowed."""
+    layout: ClassVar[str] = "paper"
+    """Named layout for its defaults."""
+    baud_rate: ClassVar[int] = 115_200
+    """Bit rate of its serial lines."""
+    period_s: ClassVar[float] = 0.01
+    """Usual time between two frames in s."""
+    rest: ClassVar[RestLimits] = RestLimits()
+    """Its pads without a load."""
+
+    @property
+    def serial_ports(self) -> tuple[str, ...]:
+        """Names of its serial ports: the key ``ports``, if the kind has it."""
+        ports: tuple[str, ...] = getattr(self, "ports", ())
+        return ports
+
+    @property
+    def fresh_zero_frames(self) -> int:
+        """Number of frames for a zero before each approach; 0: the zero of the start is kept."""
+        return 0
+
+    def frame_period_s(self, _tactile: "TactileConfig") -> float:
+        """Return the time between two frames in s."""
+        return self.period_s
+
+    def sends_forces(self, _tactile: "TactileConfig") -> bool:
+        """Return whether force messages are used; else the force comes from the frames."""
+        return False
+
+    def check(self, tactile: "TactileConfig", layout: "TaxelLayout") -> None:
+        """Raise ValueError or LayoutError if layout or lines do not fit the sensor."""
+
+    def open_source(self, tactile: "TactileConfig", lines: SensorLines) -> "FrameSource":
+        """Return its frame source, not started; see `TactileConfig.source_options`."""
+        raise NotImplementedError
+
+    def simulated(self) -> "SimulatedBoards | None":
+        """Return its simulated devices; None for the control unit. Raises ConfigError without."""
+        raise ConfigError(f"sensor {self.kind} has no simulated device: name real ports")

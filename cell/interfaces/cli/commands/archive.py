@@ -1,0 +1,129 @@
+"""`archive`, `archive export`, `archive report`: grasps of many cells and days as one table."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from cell.interfaces.cli.options import (
+    CellsOption,
+    DaysOption,
+    JobsOption,
+    JsonOption,
+    ObjectsOption,
+    SchedulerOption,
+)
+
+
+class _AddIsDefault(TyperGroup):
+    """A group whose command ``add`` need not be named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put ``add`` before what names no command."""
+        if args and args[0] not in {*self.commands, *ctx.help_option_names}:
+            args = ["add", *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=_AddIsDefault,
+    no_args_is_help=True,
+    help="Grasps of many cells and days as one table: add, export, report. `add` need not be "
+    "named: `tactile-cell archive out --to fleet`.",
+)
+ArchiveArgument = Annotated[str, typer.Argument(help="Folder or URL of the archive.")]
+
+
+@app.command()
+def add(
+    places: Annotated[
+        list[Path], typer.Argument(help="Folders, recordings or data sets; folders with all below.")
+    ],
+    target: Annotated[str, typer.Option("--to", help="Folder or URL (fsspec) of the archive.")],
+    cell: Annotated[str, typer.Option("--cell", help="Cell of the grasps that name none.")] = "",
+    jobs: JobsOption = 1,
+    scheduler: SchedulerOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Add recordings and data sets to an archive; what is in it already is not added again.
+
+    Needs the extra `archive`. Workers of a Dask cluster need the same paths.
+    """
+    from cell.installation import extra
+    from cell.interfaces.cli.terminal import print_line, print_note, progress_bar, write_json
+    from cell.jobs.parallel import workers
+
+    with extra("archive", needed_by="the archive"):
+        from cell.archive.ingest import ingest, sources
+
+    paths = sources(places)
+    with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
+        done = ingest(target, paths, cell=cell, mapper=mapper, progress=progress)
+    for path, why in done.left.items():
+        named = why if path in why else f"{path}: {why}"
+        print_note(f"left for the next run: {named}")
+    print_line(
+        f"{done.n_grasps} grasps of {done.n_files} files added to {target}; {done.n_there} files "
+        f"and {done.n_before} grasps were there already"
+    )
+    write_json(json_file, done.as_json())
+
+
+@app.command()
+def export(
+    archive: ArchiveArgument,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File to write (.csv, .parquet or .npz).")
+    ],
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+) -> None:
+    """Write grasps of an archive to one file: CSV, Parquet or a data set."""
+    from cell.archive.selection import parse_selection
+    from cell.installation import extra
+    from cell.interfaces.cli.terminal import print_line
+
+    with extra("archive", needed_by="the archive"):
+        from cell.archive.export import export as write
+        from cell.archive.store import Archive
+
+    n = write(Archive(archive), output, parse_selection(cells or (), days, objects or ()))
+    print_line(f"{n} grasps: {output}")
+
+
+@app.command()
+def report(
+    archive: ArchiveArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Page to write.")] = Path(
+        "archive.html"
+    ),
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+    jobs: JobsOption = 1,
+    scheduler: SchedulerOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Answer what is confused, drifts, ages or needs grasps: a page with plots, and JSON.
+
+    Needs the extras `archive` and `report`.
+    """
+    from cell.archive.selection import parse_selection
+    from cell.installation import extra
+    from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
+    from cell.jobs.parallel import workers
+
+    with extra("archive", needed_by="the archive"):
+        from cell.archive.page import lines, write_page
+        from cell.archive.questions import ask
+
+    selection = parse_selection(cells or (), days, objects or ())
+    with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
+        answers = ask(archive, selection, mapper=mapper, progress=progress)
+    write_page(output, answers, archive)
+    for line in lines(answers):
+        print_line(line)
+    print_line(f"report: {output}")
+    write_json(json_file, answers.as_json())

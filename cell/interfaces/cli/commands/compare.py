@@ -1,0 +1,59 @@
+"""`compare`: which of two models names the same grasps better."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.interfaces.cli.options import (
+    MOST_GRASPS,
+    CellsOption,
+    DaysOption,
+    JobsOption,
+    JsonOption,
+    MostOption,
+    ObjectsOption,
+    SchedulerOption,
+)
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(help="File of a taught model.")],
+    second: Annotated[Path, typer.Argument(help="File of another one.")],
+    datasets: Annotated[
+        list[str], typer.Argument(help="Archives, data sets or recordings that taught neither.")
+    ],
+    cells: CellsOption = None,
+    days: DaysOption = None,
+    objects: ObjectsOption = None,
+    most: MostOption = MOST_GRASPS,
+    jobs: JobsOption = 1,
+    scheduler: SchedulerOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Compare two models on the same grasps: paired, with an interval of 95 %."""
+    from cell.archive.selection import parse_selection
+    from cell.interfaces.cli.terminal import percent, print_line, write_json
+    from cell.jobs.compare import compare as compare_models
+    from cell.jobs.parallel import workers
+    from cell.jobs.selected_grasps import selected_grasps
+    from cell.learning.model import load_model
+
+    models = load_model(first), load_model(second)
+    selection = parse_selection(cells or (), days, objects or ())
+    grasps = selected_grasps(datasets, selection, most, print_line)
+    with workers(jobs, scheduler=scheduler) as mapper:
+        found = compare_models(*models, grasps, mapper)
+    only = (found.only_first, found.only_second)
+    for path, right, wrong, alone in zip(
+        (first, second), found.right, found.wrong, only, strict=True
+    ):
+        print_line(
+            f"{path}: named rightly {percent(right)}, wrongly {percent(wrong)}; {alone} grasps "
+            "that the other one does not name rightly"
+        )
+    print_line(
+        f"{second} names {percent(found.difference, found.interval)} more of {found.n} grasps "
+        "rightly"
+    )
+    write_json(json_file, found.as_json())

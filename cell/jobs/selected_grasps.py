@@ -1,0 +1,51 @@
+"""Selected grasps: those of archives, data sets and recordings that teach or test."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from cell.archive.selection import Selection, cell_of, day_of, is_archive
+from cell.errors import CellError
+from cell.installation import extra
+from cell.jobs.teach import read_labelled_grasps
+from recognition.grasp import Grasp
+
+GROUPS: dict[str, Callable[[Grasp], str]] = {
+    "days": lambda grasp: day_of(grasp.start_ms),
+    "cells": cell_of,
+}
+"""What is left out in turn, and the group of a grasp."""
+
+
+def selected_grasps(
+    places: Sequence[str], selection: Selection, most: int, note: Callable[[str], None]
+) -> list[Grasp]:
+    """Return the selected labelled grasps of archives, data sets and recordings.
+
+    Raises CellError where one cannot be read, or none is selected.
+
+    Parameters
+    ----------
+    most
+        Grasps of each object that are taken of an archive at most.
+    note
+        Gets what is left out.
+    """
+    found: list[Grasp] = []
+    for place in places:
+        if is_archive(place):
+            with extra("archive", needed_by="an archive"):
+                from cell.archive.store import Archive  # noqa: PLC0415  slow to load
+            here = list(Archive(place).grasps(selection, most=most))
+            note(f"{place}: {len(here)} grasps, of each object {most} at most (--most)")
+        else:
+            every = read_labelled_grasps(Path(place), note)
+            here = [grasp for grasp in every if selection.fits(grasp)]
+        found += here
+    if not found:
+        raise CellError(f"no labelled grasp of {', '.join(places)} is selected")
+    return found
+
+
+def day_and_cell(grasps: Sequence[Grasp]) -> list[str]:
+    """Return day and cell of each grasp as one text."""
+    return [f"{day_of(grasp.start_ms)} {cell_of(grasp)}" for grasp in grasps]

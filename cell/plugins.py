@@ -1,0 +1,135 @@
+"""Plugins: sensors, servo models and more, found by entry points of this and other packages.
+
+What is built in stands in ``pyproject.toml`` like that of any other package. Nothing is imported
+before it is used.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pkgutil import resolve_name
+from typing import Any
+
+from cell.errors import ConfigError
+
+OWN_PACKAGE = "tactile-cell"
+"""Distribution whose plugins are built in."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plugin:
+    """One entry point."""
+
+    group: str
+    """Group without its prefix ``tactile_cell.``, as sensors."""
+    name: str
+    """Name that a config uses."""
+    package: str
+    """Distribution with its version, as ``tactile-cell 0.1.0``."""
+    problem: str = ""
+    """Why it cannot be loaded; empty where it can."""
+
+
+@cache
+def _entries(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Return the entry points of a group by name; several packages may bring one name."""
+    found = sorted(entry_points(group=f"tactile_cell.{group}"), key=lambda entry: entry.name)
+    return {
+        name: tuple({e.value: e for e in found if e.name == name}.values())
+        for name in dict.fromkeys(entry.name for entry in found)
+    }
+
+
+def _package(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown package"
+
+
+class Plugins:
+    """The plugins of one group by name; taking one loads it.
+
+    Parameters
+    ----------
+    group
+        Group without its prefix.
+    what
+        What one of them is, for messages.
+    kind
+        Place of the class of which each is an instance or a subclass.
+    """
+
+    def __init__(self, group: str, what: str, kind: str = "collections.abc:Callable") -> None:
+        self.group, self.what, self._kind = group, what, kind
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_entries(self.group))
+
+    def __contains__(self, name: object) -> bool:
+        return name in _entries(self.group)
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a plugin. Raises ConfigError if it is unknown, ambiguous or does not load."""
+        entry = self.entry(name)
+        try:
+            plugin, wanted = entry.load(), resolve_name(self._kind)
+            if not isinstance(plugin, wanted) and not (
+                isinstance(plugin, type) and issubclass(plugin, wanted)
+            ):
+                raise TypeError(f"{entry.value} is no {wanted.__name__}")
+        except Exception as error:
+            raise ConfigError(
+                f"{self.what} {name!r} of {_package(entry)} does not load: "
+                f"{type(error).__name__}: {error}. Install what it needs, or another version"
+            ) from error
+        return plugin
+
+    def entry(self, name: str) -> EntryPoint:
+        """Return the entry point of a name, not loaded. Raises ConfigError."""
+        entries = _entries(self.group).get(name, ())
+        if len(entries) > 1:
+            packages = " and ".join(_package(entry) for entry in entries)
+            raise ConfigError(f"{self.what} {name!r} is in {packages}: uninstall one of them")
+        if not entries:
+            known = ", ".join(self) or f"none: install {OWN_PACKAGE} again"
+            raise ConfigError(
+                f"no {self.what} {name!r} is installed; installed are {known}. Install the package "
+                "that brings it, then look at `tactile-cell doctor --plugins`"
+            )
+        return entries[0]
+
+    def built_in(self, name: str) -> bool:
+        """Return whether a plugin is one of this project."""
+        dist = self.entry(name).dist
+        return dist is not None and dist.name == OWN_PACKAGE
+
+    def package(self, name: str) -> str:
+        """Return distribution and version of a plugin."""
+        return _package(self.entry(name))
+
+    def usable(self) -> dict[str, Any]:
+        """Return those that load, by name."""
+        return {one.name: self[one.name] for one in self.examine() if not one.problem}
+
+    def examine(self) -> Iterator[Plugin]:
+        """Load each, and return what was found."""
+        for name, entries in _entries(self.group).items():
+            packages, problem = " and ".join(_package(entry) for entry in entries), ""
+            try:
+                self[name]
+            except ConfigError as error:
+                problem = str(error)
+            yield Plugin(group=self.group, name=name, package=packages, problem=problem)
+
+
+SENSORS = Plugins("sensors", "sensor", "cell.config.sensor:SensorConfig")
+"""Sections of `tactile.sensor`: subclasses of `cell.config.sensor.SensorConfig`."""
+SERVO_MODELS = Plugins("servo_models", "servo model", "gripper.dynamixel.models:ServoModel")
+"""Values of `gripper.dynamixel.models.ServoModel`."""
+PAD_LAYOUTS = Plugins("pad_layouts", "pad layout")
+"""Functions that return a `tactile.layout.TaxelLayout`."""
+RECOGNISERS = Plugins("recognisers", "recogniser")
+"""What makes a `recognition.recognizer.Trainer` when called with ``use_aperture``."""
+INTERFACES = Plugins("interfaces", "interface", "cell.config.serve:InterfaceConfig")
+"""Sections of `serve.interfaces`: subclasses of `cell.config.serve.InterfaceConfig`."""
+GROUPS = (SENSORS, SERVO_MODELS, PAD_LAYOUTS, RECOGNISERS, INTERFACES)
+"""All groups."""

@@ -1,0 +1,60 @@
+"""Contract of a recogniser, on grasps of a simulated cell."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from cell.build import build_cell
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.jobs.collection import grasps_of
+from cell.plugins import RECOGNISERS
+from recognition.grasp import Grasp
+from recognition.recognizer import Recognizer
+
+LABELS = ("ball", "box", "cylinder")
+
+
+@pytest.fixture(scope="module")
+def grasps() -> list[Grasp]:
+    """Return six grasps of each of three objects."""
+    config = changed_config(CellConfig(), {"self_zero": "never", "tactile.tare_frames": 25})
+    with closing(build_cell(config)) as cell:
+        cell.controller.start()
+        return list(grasps_of(cell.controller, config.sequence, LABELS, 6, seed=1))
+
+
+@pytest.fixture(scope="module")
+def taught(plugin_name: str, grasps: list[Grasp]) -> Recognizer:
+    """Return the recogniser trained on these grasps."""
+    recognizer: Recognizer = RECOGNISERS[plugin_name](use_aperture=True).fit(grasps)
+    return recognizer
+
+
+def test_its_trainer_has_its_name(plugin_name: str) -> None:
+    assert RECOGNISERS[plugin_name](use_aperture=True).name == plugin_name
+    assert not RECOGNISERS[plugin_name](use_aperture=False).uses_aperture
+
+
+def test_it_answers_for_the_objects_that_were_taught(
+    taught: Recognizer, grasps: list[Grasp]
+) -> None:
+    assert taught.labels == LABELS
+    right = [taught.posterior(grasp).best == grasp.label for grasp in grasps]
+    assert np.mean(right) > 0.5
+
+
+def test_a_file_keeps_it(plugin_name: str, taught: Recognizer, grasps: list[Grasp]) -> None:
+    module = RECOGNISERS.entry(plugin_name).module
+    assert type(taught).__module__ == module
+    again = type(taught).from_arrays(taught.to_arrays())
+    for grasp in grasps[::5]:
+        first, second = taught.posterior(grasp), again.posterior(grasp)
+        assert np.allclose(first.probability, second.probability)
+        assert first.unknown == pytest.approx(second.unknown)
+
+
+def test_no_grasps_are_refused(plugin_name: str) -> None:
+    with pytest.raises(ValueError, match=r"\w"):
+        RECOGNISERS[plugin_name](use_aperture=True).fit([])

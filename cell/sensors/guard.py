@@ -1,0 +1,215 @@
+"""Guard of a frame source that another package brings: it may hang or raise whatever it likes.
+
+Its code runs in a thread of its own, so that the force loop goes on. A hang, an exception or an
+impossible frame is a fault of the link, which keeps the grip.
+"""
+
+import queue
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tactile.clock import Clock
+from tactile.errors import LinkFault, LinkStateError, PluginFault, TactileError
+from tactile.layout import TaxelLayout
+from tactile.source import (
+    Arrivals,
+    FrameSource,
+    FrameStatistics,
+    PadZero,
+    SourceIdentity,
+    SourceStatistics,
+)
+
+_PROMPT_S = 5e-4
+"""Time in s for which a poll waits for the answer: a tenth of a period of the force loop. One that
+comes later is taken by the next poll. [chosen]"""
+_SWITCH_S = 5e-4
+"""Time in s after which a thread that computes gives way to the force loop; Python's default is
+5 ms. [chosen]"""
+_STOP_S = 1.0
+"""Time in s for a source to stop; then its thread is left to itself. [chosen]"""
+_START_MARGIN_S = 1.0
+"""Time in s beyond the time-out of the start, which the source itself has to keep."""
+
+
+class _Worker:
+    """A thread that carries out one call after another; daemonic, since a call may never return."""
+
+    def __init__(self) -> None:
+        self._calls: queue.SimpleQueue[Callable[[], Any] | None] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="sensor plugin", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while (call := self._calls.get()) is not None:
+            try:
+                self._answers.put((call(), None))
+            except BaseException as error:
+                self._answers.put((None, error))
+
+    def ask(self, call: Callable[[], Any]) -> None:
+        """Have something done."""
+        self._calls.put(call)
+
+    def answer(self, timeout_s: float) -> Any:
+        """Return what came of it; queue.Empty where nothing has come in time, or what it raised."""
+        value, error = self._answers.get(timeout=timeout_s)
+        if error is not None:
+            raise error
+        return value
+
+    def end(self, timeout_s: float) -> None:
+        """End after what was asked for; a call that does not return in time is left to itself."""
+        self._calls.put(None)
+        self._thread.join(timeout_s)
+
+
+class GuardedSource:
+    """Implements `tactile.source.FrameSource` with one whose code is not trusted.
+
+    It is made anew at each start. In virtual time nothing runs beside the force loop: there a hang
+    is not found.
+
+    Parameters
+    ----------
+    make
+        Makes the source.
+    name
+        Its kind and package, for messages.
+    threaded
+        Whether it has a thread of its own: real time.
+    silence_s, startup_timeout_s
+        Time in s within which a poll and the start have to return.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], FrameSource],
+        *,
+        name: str,
+        layout: TaxelLayout,
+        clock: Clock,
+        threaded: bool,
+        silence_s: float,
+        startup_timeout_s: float,
+    ) -> None:
+        self.layout = layout
+        self.sends_forces = False
+        self.statistics = SourceStatistics(frames=FrameStatistics())
+        self._make, self._name, self._clock, self._threaded = make, name, clock, threaded
+        self._silence_s, self._startup_s = silence_s, startup_timeout_s + _START_MARGIN_S
+        self._source: FrameSource | None = None
+        self._worker: _Worker | None = None
+        self._asked: Callable[[], Any] | None = None
+        self._asked_s = 0.0
+        self._fault: LinkFault | None = None
+
+    def start(self) -> SourceIdentity:
+        """Make the source and start it; raises what it raises, or PluginFault."""
+        self._fault = None
+        if self._threaded:
+            self._worker = _Worker()
+            sys.setswitchinterval(min(_SWITCH_S, sys.getswitchinterval()))
+        try:
+            identity: SourceIdentity = self._call(self._begin, self._startup_s)
+        except BaseException:
+            self.stop()
+            raise
+        return identity
+
+    def _begin(self) -> SourceIdentity:
+        self._source = self._make()
+        identity = self._source.start()
+        self.sends_forces = self._source.sends_forces
+        return identity
+
+    def poll(self) -> Arrivals:
+        """Return what arrived since the last call; raises its faults, or PluginFault."""
+        if self._fault is not None:
+            raise self._fault
+        if self._source is None:
+            raise LinkStateError("the sensor is not running: start it first")
+        try:
+            arrivals: Arrivals | None = self._call(self._look, _PROMPT_S, late_s=self._silence_s)
+        except LinkFault as fault:
+            self._fault = fault
+            raise
+        return arrivals or Arrivals()
+
+    def _look(self) -> Arrivals:
+        """Poll, and check what comes."""
+        source = self._source
+        if source is None:
+            return Arrivals()
+        arrivals, n = source.poll(), self.layout.n_taxels
+        for frame in arrivals.frames:
+            counts = frame.counts
+            if counts.shape != (n,) or counts.dtype != np.uint16:
+                raise ValueError(f"a frame of {counts.shape} {counts.dtype}, not ({n},) uint16")
+            counts.setflags(write=False)
+        self.statistics = source.statistics
+        return arrivals
+
+    def _call(self, call: Callable[[], Any], wait_s: float, *, late_s: float = 0.0) -> Any:
+        """Have the source do something; for ``late_s`` s it may take longer, with None so far."""
+        if self._worker is None:
+            return self._checked(call)
+        now_s = self._clock.monotonic()
+        if self._asked not in (call, None):
+            self._checked(lambda: self._answer(self._silence_s))
+        if self._asked is None:
+            self._asked, self._asked_s = call, now_s
+            self._worker.ask(call)
+        try:
+            return self._checked(lambda: self._answer(wait_s))
+        except queue.Empty:
+            if now_s - self._asked_s < late_s:
+                return None
+        raise PluginFault(
+            f"the code of {self._name} has not returned for {max(wait_s, late_s):.3g} s: restart "
+            "the program, and report it to the authors of that package"
+        )
+
+    def _answer(self, wait_s: float) -> Any:
+        try:
+            value = self._worker.answer(wait_s) if self._worker is not None else None
+        except queue.Empty:
+            raise
+        except BaseException:
+            self._asked = None
+            raise
+        self._asked = None
+        return value
+
+    def _checked(self, call: Callable[[], Any]) -> Any:
+        """Return what a call returns; raise faults as they are, and all else as PluginFault."""
+        try:
+            return call()
+        except (queue.Empty, TactileError):
+            raise
+        except BaseException as error:
+            raise PluginFault(
+                f"the code of {self._name} failed: {type(error).__name__}: {error}. Report it to "
+                "the authors of that package"
+            ) from error
+
+    def set_zero(self, zero: PadZero) -> None:
+        """Set the zero of the force messages."""
+        if (source := self._source) is not None:
+            self._call(lambda: source.set_zero(zero), self._silence_s)
+
+    def stop(self) -> None:
+        """Stop the frames; a source that does not return is left to itself."""
+        source, worker, hangs = self._source, self._worker, self._asked is not None
+        self._source = self._worker = self._asked = None
+        if worker is not None:
+            if source is not None:
+                worker.ask(source.stop)
+            worker.end(0.0 if hangs else _STOP_S)
+        elif source is not None:
+            source.stop()

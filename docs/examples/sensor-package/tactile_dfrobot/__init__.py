@@ -1,0 +1,1 @@
+"""DFRobot SEN0704 tactile sensors for tactile-cell."""

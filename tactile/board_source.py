@@ -1,0 +1,196 @@
+"""Base of the frame source of boards without forces: what does not depend on their bytes."""
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.clock import Clock
+from tactile.errors import FrameTimeout, LinkFault, LinkStateError, NodeMissing
+from tactile.layout import PadMount, TaxelLayout, taxel_order
+from tactile.source import (
+    Arrivals,
+    FrameStatistics,
+    FrameStatus,
+    PadZero,
+    SourceIdentity,
+    SourceStatistics,
+    TactileFrame,
+)
+
+_LOSS_FRAMES = 50
+"""Frames among which the lost ones are counted."""
+_SILENT_PERIODS = 8.0
+"""Periods without a new frame that are a fault at least. [chosen]"""
+_WAIT_SHARE = 0.1
+"""Share of the period between two looks for the first frame."""
+
+
+class BoardSource(ABC):
+    """Implements `tactile.source.FrameSource` on `open`, `receive` and `close` of a subclass.
+
+    It latches faults, numbers frames, never hands out one twice, and finds silence and loss.
+
+    Parameters
+    ----------
+    name
+        Name of the device, for people.
+    period_s
+        Usual time between two frames in s.
+    silence_s, max_loss_rate, startup_timeout_s
+        Silence in s, share of damaged frames and time of the start in s that are a fault.
+    line_errors
+        Errors with which a line shows that it cannot be opened or is gone.
+    """
+
+    sends_forces = False
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        layout: TaxelLayout,
+        clock: Clock,
+        period_s: float,
+        mounts: Sequence[PadMount] = (),
+        silence_s: float = 0.0,
+        max_loss_rate: float = 0.05,
+        startup_timeout_s: float = 3.0,
+        line_errors: tuple[type[Exception], ...] = (OSError,),
+    ) -> None:
+        self.layout, self.clock, self.period_s = layout, clock, period_s
+        self._name, self._line_errors = name, line_errors
+        self._order = taxel_order(layout, mounts)
+        self._silence_s = max(silence_s, _SILENT_PERIODS * period_s)
+        self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
+        self._fault: LinkFault | None = None
+        self._running = False
+        self._reset()
+
+    def _reset(self) -> None:
+        self._frames = FrameStatistics()
+        self._sound: deque[bool] = deque(maxlen=_LOSS_FRAMES)
+        self._last: NDArray[np.uint16] | None = None
+        self._new_s = self.clock.monotonic()
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open the lines and ask for frames; may raise a line error or LinkFault."""
+
+    @abstractmethod
+    def receive(self, now_s: float) -> Sequence[tuple[float, NDArray[np.uint16]]]:
+        """Take in what has arrived, without waiting; calls `damaged` for what cannot be used.
+
+        Returns
+        -------
+        For each frame that is whole now, oldest first: the time in s at which its scan began, and
+        the samples (n_taxels,) uint16, pad by pad as the layout has them.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give the lines back; may be called twice, and before `open`."""
+
+    def damaged(self) -> None:
+        """Count a frame that cannot be used."""
+        self._frames.corrupt += 1
+        self._sound.append(False)
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """Counts since the last start."""
+        full = len(self._sound) == _LOSS_FRAMES
+        loss = 1.0 - sum(self._sound) / _LOSS_FRAMES if full else 0.0
+        return SourceStatistics(frames=self._frames, recent_loss_rate=loss)
+
+    def start(self) -> SourceIdentity:
+        """Open the lines and wait for a frame; raises NodeMissing or FrameTimeout."""
+        self.stop()
+        self._reset()
+        try:
+            self.open()
+            while self._last is None:
+                if self.clock.monotonic() - self._new_s > self._startup_s:
+                    raise FrameTimeout(
+                        f"{self._name} sent no whole frame within {self._startup_s:g} s: check "
+                        "cable, supply and address"
+                    )
+                self.clock.sleep(_WAIT_SHARE * self.period_s)
+                self._take()
+        except self._line_errors as error:
+            self.close()
+            raise NodeMissing(f"the line of {self._name} cannot be opened: {error}") from error
+        except BaseException:
+            self.close()
+            raise
+        self._running, self._fault = True, None
+        return SourceIdentity(name=self._name)
+
+    def poll(self) -> Arrivals:
+        """Return the frames since the last call; does not wait."""
+        if not self._running:
+            raise LinkStateError("the sensor is not running: start it first")
+        if self._fault is not None:
+            raise self._fault
+        try:
+            frames = self._take()
+            self._check()
+        except self._line_errors as error:
+            self._fault = LinkFault(f"the line of {self._name} is gone: {error}")
+            raise self._fault from error
+        except LinkFault as fault:
+            self._fault = fault
+            raise
+        return Arrivals(tuple(frames))
+
+    def _take(self) -> list[TactileFrame]:
+        now_s = self.clock.monotonic()
+        return [
+            self._frame(begun_s, samples, now_s)
+            for begun_s, samples in self.receive(now_s)
+            if self._is_new(samples)
+        ]
+
+    def _is_new(self, samples: NDArray[np.uint16]) -> bool:
+        """Return whether a frame differs from the last one: noise does not repeat itself."""
+        if self._last is not None and np.array_equal(samples, self._last):
+            self._frames.duplicate += 1
+            return False
+        self._last = samples
+        return True
+
+    def _frame(self, begun_s: float, samples: NDArray[np.uint16], now_s: float) -> TactileFrame:
+        counts = samples[self._order]
+        counts.setflags(write=False)
+        self._new_s = now_s
+        self._sound.append(True)
+        self._frames.complete += 1
+        full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
+        counter = self._frames.complete & 0xFFFF
+        return TactileFrame(
+            t_s=now_s, begun_s=begun_s, counter=counter, status=int(full), counts=counts
+        )
+
+    def _check(self) -> None:
+        silent_s = self.clock.monotonic() - self._new_s
+        if silent_s > self._silence_s:
+            raise FrameTimeout(
+                f"{self._name} has sent no new frame for {silent_s:.3f} s, allowed are "
+                f"{self._silence_s:g} s: check cable and supply"
+            )
+        loss = self.statistics.recent_loss_rate
+        if loss > self._max_loss_rate:
+            raise FrameTimeout(
+                f"{loss:.0%} of the last {_LOSS_FRAMES} frames of {self._name} were damaged, "
+                f"allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): check its cable"
+            )
+
+    def set_zero(self, zero: PadZero) -> None:  # noqa: B027
+        """Nothing: the boards send no forces."""
+
+    def stop(self) -> None:
+        """Give the lines back."""
+        self._running = False
+        self.close()

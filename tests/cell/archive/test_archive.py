@@ -1,0 +1,327 @@
+"""An archive has each grasp once, as it was recorded, whatever is archived how often."""
+
+import json
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import fsspec
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from cell.archive.export import export
+from cell.archive.ingest import Piece, ingest, read_piece, sources
+from cell.archive.selection import Selection, parse_selection
+from cell.archive.store import Archive
+from cell.archive.table import COLUMNS, SCHEMA
+from cell.data.dataset import read_dataset, write_dataset
+from cell.data.recorder import Recorder
+from cell.data.recording_reader import recording_grasps
+from cell.errors import ArchiveError, CellError, ConfigError
+from cell.jobs.common import silent
+from cell.jobs.parallel import workers
+from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
+from tests.cell.archive.fleet import PADS, ramp, record_fleet
+from tests.fuzz.harness import Clock
+
+add = partial(ingest, progress=silent)
+
+
+@pytest.fixture(scope="session")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fleet")
+    record_fleet(folder, n_days=3, n_each=1)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def archived(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    target = str(tmp_path_factory.mktemp("archived") / "fleet")
+    add(target, sources([fleet]))
+    return target
+
+
+def every(target: str) -> list[dict[str, Any]]:
+    return sorted(
+        (row for _, batch in Archive(target).batches(SCHEMA.names) for row in batch.to_pylist()),
+        key=lambda row: row["key"],
+    )
+
+
+def assert_same(a: Grasp, b: Grasp) -> None:
+    for name in ("counts", "t_s", "aperture_m", "force_n"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    assert a.pads.same_as(b.pads)
+    for name in ("shape", "source", "start_ms", "command", "zero"):
+        assert getattr(a, name) == getattr(b, name)
+
+
+def test_the_second_run_adds_nothing(fleet: Path, archived: str) -> None:
+    before = every(archived)
+    assert len(before) == 36
+    done = add(archived, sources([fleet]))
+    assert (done.n_files, done.n_there, done.n_grasps, done.left) == (0, 6, 0, {})
+    assert every(archived) == before
+
+
+def test_a_row_leads_back_to_its_recording(archived: str) -> None:
+    row = next(one for one in every(archived) if one["answer"])
+    grasp = recording_grasps(row["recording"])[row["grasp"]]
+    where = Selection(cells=frozenset({grasp.source.removeprefix("cell ")}))
+    (kept,) = (g for g in Archive(archived).grasps(where) if g.start_ms == row["start_ms"])
+    assert_same(kept, grasp)
+    assert row["label"] == row["answer"]
+    assert not row["taught"]
+    assert dict(row["probabilities"]) == {"ball": 0.2, "box": 0.7, "pen": 0.1}
+    assert (row["part_grasps"], row["of_part"], row["size_m"]) == (1, 0, 0.03)
+    assert row["closing_current_a"] == pytest.approx(0.13)
+    assert row["hold_current_a"] == pytest.approx(0.33)
+    assert row["hold_force_n"] == pytest.approx(5.0)
+    assert row["drift_gain"] == 0.9
+    assert len(row["pad_load"]) == 2
+    assert np.all(np.isfinite(row["features"]))
+
+
+def test_a_data_set_comes_back_as_it_was(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    rich = {name: getattr(ramp("box", rng), name) for name in Grasp.__dataclass_fields__} | {
+        "command": GraspCommand(**dict.fromkeys(COMMAND_COLUMNS, 0.25)),
+        "zero": SelfZero(**dict.fromkeys(ZERO_COLUMNS, 0.03125)),
+        "thickness_m": 0.02,
+        "source": "",
+        "start_ms": 86_400_000,
+    }
+    bare = Grasp(pads=PADS, counts=np.zeros((1, PADS.n_taxels)), t_s=[0.0])
+    write_dataset(tmp_path / "a.npz", [Grasp(**rich), bare])
+    done = add(str(tmp_path / "archive"), [tmp_path / "a.npz"], cell="press/3")
+    assert done.n_grasps == 2
+    archive = Archive(str(tmp_path / "archive"))
+    kept = {g.start_ms: g for g in archive.grasps()}
+    for before in read_dataset(tmp_path / "a.npz"):
+        after = kept[before.start_ms]
+        assert after.source == "cell press/3"
+        assert_same(after, Grasp(**{n: getattr(before, n) for n in Grasp.__dataclass_fields__}
+                                 | {"source": after.source}))  # fmt: skip
+        np.testing.assert_equal(after.thickness_m, before.thickness_m)
+    assert {(one.cell, one.day) for one in archive.partitions()} == {
+        ("press/3", "1970-01-01"),
+        ("press/3", "1970-01-02"),
+    }
+
+
+def test_a_data_set_beside_its_recording_and_a_copy_add_nothing(
+    fleet: Path, tmp_path: Path
+) -> None:
+    recording = sources([fleet])[0]
+    (tmp_path / "job").mkdir()
+    shutil.copy(recording, tmp_path / "job" / "recording.mcap")
+    shutil.copy(recording, tmp_path / "copy.mcap")
+    taught = recording_grasps(recording)
+    write_dataset(
+        tmp_path / "job" / "model.grasps.npz", [*taught, ramp("pen", np.random.default_rng(1))]
+    )
+    done = add(str(tmp_path / "archive"), sources([tmp_path]))
+    assert (done.n_files, done.n_there) == (2, 1)
+    assert (done.n_grasps, done.n_before) == (7, 6)
+    assert len({row["key"] for row in every(str(tmp_path / "archive"))}) == 7
+
+
+def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(
+    fleet: Path, tmp_path: Path
+) -> None:
+    whole = sources([fleet])[0]
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(whole.read_bytes()[:-4000])
+    (tmp_path / "foreign.mcap").write_bytes(b"no recording")
+    np.savez(tmp_path / "foreign.npz", a=np.arange(3))
+    (tmp_path / "notes.txt").write_text("not looked at")
+    clock = Clock()
+    open_recording = Recorder(tmp_path / "open.mcap", clock, pads=PADS)
+    target = str(tmp_path / "archive")
+    done = add(target, sources([tmp_path]))
+    assert done.n_files == 0
+    left = {Path(path).name: why for path, why in done.left.items()}
+    assert left.keys() == {"torn.mcap", "foreign.mcap", "foreign.npz", "open.mcap"}
+    assert "not complete" in left["torn.mcap"]
+    assert "no recording" in left["foreign.mcap"]
+    assert "no grasp data set" in left["foreign.npz"]
+    assert "still writes" in left["open.mcap"]
+    open_recording.close()
+    torn.write_bytes(whole.read_bytes())
+    done = add(target, sources([tmp_path]))
+    assert (done.n_files, done.n_grasps, len(done.left)) == (2, 6, 2)
+
+
+def test_an_interrupted_run_goes_on_where_it_was(
+    fleet: Path, archived: str, tmp_path: Path
+) -> None:
+    target = str(tmp_path / "archive")
+
+    def dies(work: Callable[[Any], Any], items: Any, /) -> Iterator[Any]:
+        yield work(items[0])
+        work(items[1])
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        add(target, sources([fleet]), mapper=dies)
+    assert len(every(target)) == 6
+    note = next(Path(target, "_sources").iterdir())
+    note.unlink()  # as if it had ended before the note
+    done = add(target, sources([fleet]))
+    assert (done.n_files, done.n_grasps, done.n_before) == (6, 30, 6)
+    assert every(target) == every(archived)
+    assert not Path(target, "_staged").exists()
+
+
+def test_an_object_store_is_an_archive_too(fleet: Path, archived: str) -> None:
+    target = "memory://fleet"
+    add(target, sources([fleet])[:2])
+    expected = [row for row in every(archived) if "run-00" in row["recording"]]
+    assert every(target) == expected
+    assert len(list(Archive(target).grasps())) == 12
+    fsspec.filesystem("memory").rm("/fleet", recursive=True)
+
+
+def test_other_places_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ArchiveError, match=r"is no archive; `tactile-cell archive"):
+        Archive(str(tmp_path))
+    (tmp_path / "_archive.json").write_text(json.dumps({"format": "tactile-cell-archive/2"}))
+    with pytest.raises(ArchiveError, match="update tactile-cell"):
+        Archive(str(tmp_path))
+    (tmp_path / "_archive.json").write_text("[")
+    with pytest.raises(ArchiveError, match="names no format"):
+        Archive(str(tmp_path))
+    with pytest.raises(ArchiveError, match="is not there"):
+        sources([tmp_path / "nowhere"])
+    with pytest.raises(ArchiveError, match="no recording"):
+        sources([tmp_path])
+    with pytest.raises(ArchiveError, match="check place and rights"):
+        Archive("nothing://here", create=True)
+
+
+def test_a_damaged_file_is_named(archived: str, tmp_path: Path) -> None:
+    target = tmp_path / "archive"
+    shutil.copytree(archived, target)
+    file = next(target.glob("cell=*/*/*.parquet"))
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(ArchiveError, match=file.name):
+        every(str(target))
+
+
+def test_a_selection_reads_only_its_cells_days_and_objects(archived: str) -> None:
+    chosen = parse_selection(["press 2"], "2027-01-05..2027-01-06", ["box"])
+    grasps = list(Archive(archived).grasps(chosen))
+    assert len(grasps) == 4
+    assert all(chosen.fits(grasp) for grasp in grasps)
+    assert parse_selection([], "2027-01-05", []).has("any", "2027-01-05")
+    assert not parse_selection([], "2027-01-05", []).has("any", "2027-01-06")
+    assert len(list(Archive(archived).grasps(Selection(first_day="2027-01-07")))) == 0
+    with pytest.raises(ConfigError, match=r"2027-01-01\.\."):
+        parse_selection([], "January", [])
+
+
+def test_some_grasps_of_each_object_are_the_same_each_time(archived: str) -> None:
+    archive = Archive(archived)
+    some = [g.start_ms for g in archive.grasps(most=5)]
+    assert some == [g.start_ms for g in archive.grasps(most=5)]
+    assert len(some) == 15
+    assert len(list(archive.grasps(most=100))) == 36
+
+
+@pytest.mark.parametrize("kind", [".csv", ".parquet", ".npz"])
+def test_an_export_has_the_selected_grasps(archived: str, tmp_path: Path, kind: str) -> None:
+    chosen, path = Selection(objects=frozenset({"ball"})), tmp_path / f"balls{kind}"
+    assert export(Archive(archived), path, chosen) == 12
+    if kind == ".npz":
+        assert {g.label for g in read_dataset(path)} == {"ball"}
+        return
+    rows = duckdb.sql(
+        f"select distinct cell, label, count(*) from '{path}' group by all"
+    ).fetchall()
+    assert sorted(rows) == [("press 1", "ball", 6), ("press 2", "ball", 6)]
+    if kind == ".parquet":
+        assert pq.read_table(path).column_names == ["cell", "day", *COLUMNS]
+
+
+def test_an_export_of_nothing_is_refused(archived: str, tmp_path: Path) -> None:
+    with pytest.raises(ArchiveError, match=r"no grasp of .* is selected"):
+        export(Archive(archived), tmp_path / "a.csv", Selection(cells=frozenset({"none"})))
+    with pytest.raises(ArchiveError, match=r"ends in \.csv, \.parquet, \.npz"):
+        export(Archive(archived), tmp_path / "a.txt")
+
+
+def test_duckdb_reads_the_table(archived: str) -> None:
+    found = duckdb.sql(
+        f"select cell, count(*), any_value(frames[30].counts[1]), any_value(zero.opening_m) "
+        f"from read_parquet('{archived}/cell=*/*/*.parquet', hive_partitioning=true) "
+        "group by cell order by cell"
+    ).fetchall()
+    assert [row[:2] for row in found] == [("press 1", 18), ("press 2", 18)]
+    assert all(row[2] > 0 for row in found)
+
+
+def killed_once(token: Path, target: str, path: Path) -> Piece:
+    """Do a piece of work in a process that the system kills the first time."""
+    try:
+        token.unlink()
+    except FileNotFoundError:
+        return read_piece(target, "", path)
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
+def survivors(mapper: Any, fleet: Path, target: str, token: Path) -> None:
+    """Archive while a worker dies once."""
+    token.touch()
+
+    def mortal(_work: Any, items: Any, /) -> Any:
+        return mapper(partial(killed_once, token, target), items)
+
+    done = add(target, sources([fleet]), mapper=mortal)
+    assert (done.n_files, done.n_grasps) == (6, 36)
+    assert not token.exists()
+
+
+def test_a_process_that_dies_costs_its_piece_of_work_alone(
+    fleet: Path, archived: str, tmp_path: Path
+) -> None:
+    target = str(tmp_path / "archive")
+    with workers(2) as mapper:
+        survivors(mapper, fleet, target, tmp_path / "token")
+    assert every(target) == every(archived)
+
+
+@pytest.mark.timeout(100)
+def test_a_worker_of_a_cluster_that_dies_costs_its_piece_of_work_alone(
+    fleet: Path, archived: str, tmp_path: Path
+) -> None:
+    from distributed import LocalCluster
+
+    target = str(tmp_path / "archive")
+    with (
+        LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=":0",
+            silence_logs=50,
+        ) as cluster,
+        workers(scheduler=cluster.scheduler_address) as mapper,
+    ):
+        survivors(mapper, fleet, target, tmp_path / "token")
+    assert every(target) == every(archived)
+
+
+def dies(_item: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_work_that_kills_each_process_is_an_error() -> None:
+    with workers(2) as mapper, pytest.raises(CellError, match="ended at the same work"):
+        list(mapper(dies, [1, 2, 3]))

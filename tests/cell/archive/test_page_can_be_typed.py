@@ -1,0 +1,40 @@
+"""The page on archives: each command is typed here, in order, and each example of Python runs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cell.data.dataset import write_dataset
+from tests.cell.archive.fleet import FIRST_DAY, SIZES_MM, ramp, record_fleet
+from tests.cell.test_operation_pages import blocks, typed
+
+PAGE = "archive-a-fleet.md"
+
+
+@pytest.mark.timeout(400)
+def test_the_page_can_be_typed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    record_fleet(Path("out"), n_days=2, n_each=1)
+    rng, start_ms = np.random.default_rng(4), int(1e3 * FIRST_DAY.timestamp()) + 900_000_000
+    write_dataset(
+        "parts.npz",
+        [ramp(name, rng, cell="", start_ms=start_ms + i) for i in range(4) for name in SIZES_MM],
+    )
+    added, more, report, *others, again = typed(PAGE)
+    assert "24 grasps of 4 files added to fleet; 0 files" in added
+    assert "12 grasps of 1 files added to fleet; 4 files" in more
+    assert "needs more grasps: box: named rightly" in report or "no object" in report
+    assert Path("archive.html").exists()
+    assert "press 4" in Path("press-4.html").read_text()
+    assert any("left out in turn: named rightly" in one for one in others)
+    assert any("more of 8 grasps rightly" in one for one in others)
+    assert "0 grasps of 0 files added to fleet; 4 files" in again
+    capsys.readouterr()
+    for example in blocks(PAGE, "python"):
+        exec(compile(example, PAGE, "exec"), {})
+    printed = capsys.readouterr().out
+    assert "press 4" in printed
+    assert printed.splitlines()[-1] == "12"

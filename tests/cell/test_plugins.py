@@ -1,0 +1,162 @@
+"""Plugins: what is built in, packages of others, names that clash, and modules that do not load."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from cell import plugins
+from cell.config.file import changed_config, config_schema, config_text, parse_config
+from cell.config.gripper import use_servo_models
+from cell.config.model import CellConfig
+from cell.errors import CellError, ConfigError
+from cell.interfaces.opening import open_interfaces
+from cell.plugins import GROUPS, PAD_LAYOUTS, RECOGNISERS, SENSORS, SERVO_MODELS
+from gripper.dynamixel import models
+from gripper.errors import LimitExceeded
+from recognition.recognizers import RECOGNIZERS
+from tests.cell.conftest import call
+from tests.cell.sensors.packages import install
+from tests.cell.served import serving
+
+Install = Callable[..., None]
+MODULE = '''
+from dataclasses import replace
+from typing import Literal
+from cell.config.sensor import SensorConfig
+from cell.config.serve import InterfaceConfig
+from gripper.dynamixel.models import XL330_M288
+
+class Glove(SensorConfig):
+    """A glove."""
+    kind: Literal["glove"]
+    fingers: int = 5
+
+class Mqtt(InterfaceConfig):
+    """MQTT."""
+    kind: Literal["mqtt"]
+    broker: str = ""
+    def open(self, service):
+        if not self.broker:
+            raise RuntimeError("no broker")
+        return type("Client", (), {"port": 1883, "close": lambda self: None})()
+
+SERVO = replace(XL330_M288, name="XL330-M077", number=1190)
+SAME = replace(XL330_M288, kt_nm_a=1.0)
+'''
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Return what installs a package whose module is MODULE."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    known = dict(models._MODELS)
+
+    def add(name: str = "some-plugins", **entries: dict[str, str]) -> None:
+        module = name.replace("-", "_")
+        (tmp_path / f"{module}.py").write_text(MODULE)
+        named = {
+            f"tactile_cell.{group}": {key: f"{module}:{one}" for key, one in points.items()}
+            for group, points in entries.items()
+        }
+        install(tmp_path, name, named)
+        plugins._entries.cache_clear()
+
+    yield add
+    plugins._entries.cache_clear()
+    models._MODELS.clear()
+    models._MODELS.update(known)
+
+
+def test_what_is_built_in_loads_and_no_table_beside_has_other_names() -> None:
+    for group in GROUPS:
+        found = list(group.examine())
+        assert found
+        for one in found:
+            assert (one.problem, one.package) == ("", "tactile-cell 0.1.0")
+            assert group.built_in(one.name)
+    assert set(SERVO_MODELS) == set(models.MODELS)
+    assert {name: RECOGNISERS.entry(name).value for name in RECOGNISERS} == RECOGNIZERS
+
+
+def test_a_sensor_of_another_package_has_a_section_of_its_own(installed: Install) -> None:
+    installed(sensors={"glove": "Glove"})
+    text = "tactile:\n  sensor: {kind: glove, fingers: 4}\ngripper: {port: /dev/a}\n"
+    config = parse_config(text + "positioner: {kind: operator}\n", source="cell.yaml")
+    assert config.tactile.sensor.model_dump() == {"kind": "glove", "fingers": 4}
+    assert parse_config(config_text(config), source="again") == config
+    assert "fingers" in str(config_schema())
+    with pytest.raises(ConfigError, match=r"cell.yaml:2:25: tactile.sensor.finger: .*mean fingers"):
+        parse_config(text.replace("fingers", "finger"), source="cell.yaml")
+    with pytest.raises(ConfigError, match="sensor glove has no simulated device: name real ports"):
+        config.tactile.sensor.simulated()
+
+
+def test_an_unknown_kind_lists_what_is_installed_and_the_next_step() -> None:
+    wanted = r"no sensor 'glove' is installed; installed are control_unit, flexitac, uskin. Install"
+    with pytest.raises(ConfigError, match=wanted + ".*`tactile-cell doctor --plugins`"):
+        changed_config(CellConfig(), {"tactile.sensor": {"kind": "glove"}})
+    with pytest.raises(ConfigError, match="no servo model 'XM' is installed; installed are XC330"):
+        changed_config(CellConfig(), {"gripper.servos": [{"id": 1, "model": "XM"}]})
+    with pytest.raises(ConfigError, match="a section with kind, one of control_unit, flexitac"):
+        changed_config(CellConfig(), {"tactile.sensor": {}})
+
+
+def test_a_name_of_two_packages_is_refused(installed: Install) -> None:
+    installed(sensors={"uskin": "Glove"})
+    with pytest.raises(ConfigError, match=r"'uskin' is in .*some-plugins 1.0.0.*: uninstall one"):
+        changed_config(CellConfig(), {"tactile.sensor": {"kind": "uskin"}})
+    assert "uskin" not in SENSORS.usable()
+
+
+@pytest.mark.parametrize(
+    ("entry", "problem"),
+    [("Missing", "AttributeError"), ("SERVO", "TypeError: some_plugins:SERVO is no SensorConfig")],
+)
+def test_doctor_names_what_does_not_load(installed: Install, entry: str, problem: str) -> None:
+    installed(sensors={"broken": entry}, pad_layouts={"fine": "Glove"})
+    with pytest.raises(CellError, match=r"1 of \d+ plugins do not load"):
+        call("doctor", "--plugins")
+    (one,) = (plugin for plugin in SENSORS.examine() if plugin.problem)
+    assert (one.name, one.package) == ("broken", "some-plugins 1.0.0")
+    assert problem in one.problem
+    # What does not load is in the way of nothing else.
+    assert "fine" in PAD_LAYOUTS
+    assert CellConfig().tactile.sensor.kind == "control_unit"
+    with pytest.raises(ConfigError, match=r"broken' of some-plugins 1.0.0 does not load: "):
+        changed_config(CellConfig(), {"tactile.sensor": {"kind": "broken"}})
+
+
+def test_doctor_lists_each_plugin_with_its_package(installed: Install) -> None:
+    installed(sensors={"glove": "Glove"})
+    lines = [line.split() for line in call("doctor", "--plugins").splitlines()]
+    assert ["sensors", "glove", "some-plugins", "1.0.0", "loads"] in lines
+    assert ["sensors", "uskin", "tactile-cell", "0.1.0", "loads"] in lines
+    assert len(lines) == sum(len(list(group)) for group in GROUPS)
+
+
+def test_a_servo_of_another_package_is_known_to_the_gripper(installed: Install) -> None:
+    installed(servo_models={"XL330-M077": "SERVO", "XL330-again": "SAME"})
+    servos = [{"id": n, "model": "XL330-M077"} for n in (1, 2)]
+    changes = {"servos": servos, "current_max_a": 1.0}
+    config = changed_config(CellConfig().gripper, changes)
+    assert config.servos[0].model == "XL330-M077"
+    assert models.model_name(1190) == "XL330-M077"
+    with pytest.raises(LimitExceeded, match="XL330-M288 with number 1200 is there with other"):
+        use_servo_models(["XL330-again"])
+
+
+def test_an_interface_of_another_package_is_opened_beside_the_others(installed: Install) -> None:
+    installed(interfaces={"mqtt": "Mqtt"})
+    listed = {"serve__interfaces": [{"kind": "mqtt", "broker": "here"}]}
+    with serving("modbus", **listed) as served:
+        assert served.interfaces["mqtt_port"] == 1883
+        assert served.interfaces["modbus_port"] > 0
+    with (
+        serving(serve__interfaces=[{"kind": "mqtt"}]) as served,
+        pytest.raises(CellError, match=r"interface mqtt of some-plugins 1\.0\.0 .*no broker"),
+        open_interfaces(served.service),
+    ):
+        pass
+    with pytest.raises(ConfigError, match=r"modbus is built in, set serve.modbus_port"):
+        changed_config(CellConfig(), {"serve.interfaces": [{"kind": "modbus"}]})
