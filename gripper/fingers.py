@@ -28,7 +28,7 @@ from gripper.values.state import GripperPhase, Observer, ServoFeedback
 _FREE_RAD_S = (0.15, 0.25, 0.4, 0.65)
 """Speeds in rad/s at which friction is measured: slow enough for its part at rest, and far enough
 apart for the rest of it. [chosen]"""
-_FREE_S = 0.5
+_FREE_S = 0.35
 """Longest time in s of each of these motions. [tuned]"""
 _CLEAR_M = 0.002
 """Way in m after which nothing touches fingers that open. [chosen]"""

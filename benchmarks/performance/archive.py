@@ -83,10 +83,8 @@ def loop(files: Path) -> int:
         grasps = read_dataset(path)
         rest = learn_rest(grasps)
         grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
-        for grasp in grasps:
-            grasp_key(grasp)
-            features_of(load_levels([grasp], rest), grids, FeatureView.FORCE_RAMP, opening=True)
-            n += 1
+        features_of(load_levels(grasps, rest), grids, FeatureView.FORCE_RAMP, opening=True)
+        n += len({grasp_key(grasp) for grasp in grasps})
     return n
 
 

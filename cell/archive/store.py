@@ -97,8 +97,7 @@ class Archive:
             for cell, folder in self._folders(self._root, "cell"):
                 for day, place in self._folders(folder, "day"):
                     if selection.has(cell, day):
-                        files = sorted(str(p) for p in self._fs.glob(f"{place}/*.parquet"))
-                        yield Partition(cell=cell, day=day, files=tuple(files))
+                        yield Partition(cell=cell, day=day, files=self._files(place))
 
     def batches(
         self,
@@ -154,9 +153,20 @@ class Archive:
                         heapq.heappop(heap)
         return {key for heap in kept.values() for _, key in heap}
 
+    def _inside(self, place: str) -> list[str]:
+        """Return what is in a folder, sorted; a pattern would read brackets in names."""
+        if not self._fs.exists(place):
+            return []
+        return sorted(str(path) for path in self._fs.ls(place, detail=False))
+
     def _folders(self, place: str, name: str) -> Iterator[tuple[str, str]]:
-        for path in sorted(str(p) for p in self._fs.glob(f"{place}/{name}=*")):
-            yield unquote(path.rsplit("/", 1)[-1].removeprefix(f"{name}=")), path
+        for path in self._inside(place):
+            found, is_named, value = path.rsplit("/", 1)[-1].partition("=")
+            if is_named and found == name:
+                yield unquote(value), path
+
+    def _files(self, place: str) -> tuple[str, ...]:
+        return tuple(path for path in self._inside(place) if path.endswith(".parquet"))
 
     def _batches(self, path: str, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
         try:
@@ -235,9 +245,11 @@ class Archive:
     def _known(self, cell: str, day: str, folder: str) -> set[str]:
         """Return the keys of a cell and day."""
         if (cell, day) not in self._keys:
-            paths = self._fs.glob(f"{folder}/*.parquet")
             self._keys[cell, day] = {
-                key for path in paths for b in self._batches(path, ["key"]) for key in _keys(b)
+                key
+                for path in self._files(folder)
+                for batch in self._batches(path, ["key"])
+                for key in _keys(batch)
             }
             if len(self._keys) > _KEPT_DAYS:
                 self._keys.popitem(last=False)

@@ -203,8 +203,10 @@ def tables(rows: Sequence[Row], recording: str, sha256: str) -> Iterator[tuple[s
 
 
 def _table(rows: Sequence[Row], rest: Rest | None, common: Mapping[str, str]) -> pa.Table:
+    described = _described([row.grasp for row in rows], rest)
     plain = [
-        {**common, **_plain(row.grasp, rest), "grasp": row.number, **row.beside} for row in rows
+        {**common, **_plain(row.grasp), **found, "grasp": row.number, **row.beside}
+        for row, found in zip(rows, described, strict=True)
     ]
     columns = [
         _frames([row.grasp for row in rows])
@@ -219,7 +221,7 @@ def _known(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _plain(grasp: Grasp, rest: Rest | None) -> dict[str, Any]:
+def _plain(grasp: Grasp) -> dict[str, Any]:
     return {
         "key": grasp_key(grasp),
         "start_ms": grasp.start_ms,
@@ -230,7 +232,6 @@ def _plain(grasp: Grasp, rest: Rest | None) -> dict[str, Any]:
         "thickness_m": grasp.thickness_m,
         "asked": _struct(COMMAND_COLUMNS, grasp.command),
         "zero": _struct(ZERO_COLUMNS, grasp.zero),
-        **_features(grasp, rest),
     }
 
 
@@ -238,23 +239,32 @@ def _struct(names: Sequence[str], row: GraspCommand | SelfZero | None) -> dict[s
     return None if row is None else dict(zip(names, row.values, strict=True))
 
 
-def _features(grasp: Grasp, rest: Rest | None) -> dict[str, Any]:
-    if rest is None:
-        return {}
+def _described(grasps: Sequence[Grasp], rest: Rest | None) -> list[dict[str, Any]]:
+    """Return what the ramps show, of each grasp; nothing of one that is too short or not touched.
+
+    All at once take a tenth of the time of each by itself.
+    """
     try:
-        levels = load_levels([grasp], rest)
+        levels = load_levels(grasps, rest) if rest is not None else None
     except ValueError:
-        return {}
-    if not levels.touched[0]:
-        return {}
+        if len(grasps) > 1:
+            return [one for grasp in grasps for one in _described([grasp], rest)]
+        levels = None
+    found: list[dict[str, Any]] = [{} for _ in grasps]
+    if rest is None or levels is None or not levels.touched.any():
+        return found
+    places, levels = np.flatnonzero(levels.touched), levels.take(levels.touched)
     grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
-    features = features_of(levels, grids, FeatureView.FORCE_RAMP, opening=True)[0]
-    return {
-        "touch_aperture_m": 1e-3 * float(sizes_mm(levels)[0, 1]),
-        "pad_load": [float(maps[0, -1].sum()) for maps in levels.maps],
-        "features": features.astype(np.float32),
-        "feature_version": FEATURE_VERSION,
-    }
+    features = features_of(levels, grids, FeatureView.FORCE_RAMP, opening=True)
+    loads = np.stack([maps[:, -1].sum(axis=1) for maps in levels.maps], axis=1)
+    for row, place in enumerate(places.tolist()):
+        found[place] = {
+            "touch_aperture_m": 1e-3 * float(sizes_mm(levels)[row, 1]),
+            "pad_load": loads[row].tolist(),
+            "features": features[row].astype(np.float32),
+            "feature_version": FEATURE_VERSION,
+        }
+    return found
 
 
 def _frames(grasps: Sequence[Grasp]) -> pa.Array:

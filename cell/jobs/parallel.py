@@ -76,7 +76,7 @@ def workers(jobs: int = 1, *, scheduler: str | None = None) -> Iterator[Mapper]:
 @contextmanager
 def _cluster(scheduler: str) -> Iterator[None]:
     with extra("cluster", needed_by="--scheduler, here and on all workers,"):
-        from distributed import Client  # noqa: PLC0415  slow to load
+        from distributed import Client, KilledWorker  # noqa: PLC0415  slow to load
     try:
         _knock(scheduler)
         client = Client(  # type: ignore[no-untyped-call]
@@ -93,6 +93,11 @@ def _cluster(scheduler: str) -> Iterator[None]:
             "dask", client=client, wait_for_workers_timeout=CONNECT_TIMEOUT_S
         ):
             yield
+    except KilledWorker as error:
+        raise CellError(
+            f"workers of the cluster died again and again at the same work: {error}; give them "
+            "more memory. What was done before stays"
+        ) from error
     finally:
         client.close()  # type: ignore[no-untyped-call]
 

@@ -67,7 +67,7 @@ def test_two_processes_give_the_same_answers(aged: Fleet) -> None:
         assert ask(aged.archive, mapper=mapper) == ask(aged.archive)
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 def test_a_cluster_gives_the_same_answers(aged: Fleet) -> None:
     from distributed import LocalCluster
 
@@ -133,6 +133,7 @@ def test_commands_work_on_a_selection(aged: Fleet, tmp_path: Path) -> None:
         call("plot", "grasp", 900, aged.archive, "-o", tmp_path / "a.png")
 
 
+@pytest.mark.timeout(300)
 def test_training_learns_the_spread_and_shows_what_it_gains(aged: Fleet, tmp_path: Path) -> None:
     first, second = tmp_path / "first.npz", tmp_path / "second.npz"
     days = ["--days", "2027-01-04..2027-01-06"]
@@ -151,6 +152,7 @@ def test_training_learns_the_spread_and_shows_what_it_gains(aged: Fleet, tmp_pat
         call("compare", first, second, aged.other_objects)
 
 
+@pytest.mark.timeout(300)
 def test_evaluation_leaves_days_and_cells_out(aged: Fleet) -> None:
     few = ["--recognizer", "shrinkage_lda", "--fuse", "1"]
     out = call("evaluate", aged.archive, "--split", "cells", *few)

@@ -127,6 +127,6 @@ def train(
             "early": trained.early is not None,
             "labels": list(labels),
             "teaching": summary.as_json(),
-            "spread": None if prior is None else spread_values(prior, gains),
-        },
+        }
+        | ({} if prior is None else {"spread": spread_values(prior, gains)}),
     )
